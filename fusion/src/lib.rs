@@ -1,0 +1,21 @@
+//! The fusion centre.
+//!
+//! Each tick it takes the ranges of all robots, updates the target's estimate with an extended
+//! Kalman filter, predicts it one step ahead, and plans every robot's heading so that the next
+//! ranges tell most. [`Centre`] is the pure step; [`run`] is the process round it: ports, loop, log.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`filter`] | prediction and joint update of one Gaussian estimate (Eqs. 1-13) |
+//! | [`tracker`] | the estimate over time: gate, start from ranges alone, way out of lock-out |
+//! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
+//! | [`centre`] | one tick: ranges in, estimate and headings out |
+//! | [`run`] | the process |
+
+pub mod centre;
+pub mod filter;
+pub mod planner;
+pub mod run;
+pub mod tracker;
+
+pub use centre::Centre;

@@ -1,0 +1,206 @@
+//! Planners: each step they choose every robot's heading so that the trace of the target's
+//! position covariance after the next ranges is small (Eqs. 14-29).
+//!
+//! [`Problem`] poses the step as the minimisation of `|S|`; a [`Planner`] solves it, one file each:
+//!
+//! | planner | method |
+//! |---|---|
+//! | [`relaxation`] | the paper's adaptive relaxation, and standard relaxation as its case `alpha = 0` |
+//! | [`grid`] | exhaustive search, the paper's yardstick: exponential in the number of robots |
+//! | [`random`] | uniformly random headings, the paper's lower end |
+//!
+//! A planner is a pure function of (tick, problem): nothing is kept from one step to the next, so
+//! a restarted fusion plans as the old one would have.
+
+pub mod grid;
+mod problem;
+pub mod random;
+pub mod relaxation;
+mod vector;
+
+use rangehound_shared::scenario::PlannerSpec;
+
+pub use problem::{Arm, Extent, Problem, TeamMember};
+pub use vector::Vector;
+
+/// The headings of one step and what they are worth.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Plan {
+    /// Doubled bearing of each robot to the predicted target after the step, `exp(2j theta_i)`.
+    pub directions: Vec<Vector>,
+    /// Heading of each robot, rad in (-pi, pi].
+    pub headings_rad: Vec<f64>,
+    /// Speed of each robot, m/s.
+    pub speeds_mps: Vec<f64>,
+    /// `|S|` that these directions reach, 1/m^2.
+    pub objective: f64,
+    /// Trace of the position covariance after the next ranges, m^2.
+    pub position_trace_m2: f64,
+}
+
+/// A way to choose headings.
+pub trait Planner: std::fmt::Debug + Send {
+    /// The name by which scenario and command line know it.
+    fn name(&self) -> &'static str;
+
+    /// Chooses a direction for each robot of the problem and completes the plan with
+    /// [`Plan::complete`].
+    fn plan(&mut self, tick: u64, problem: &Problem, plan: &mut Plan);
+}
+
+/// Why a planner cannot serve a team.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlannerError {
+    /// The search would not finish.
+    #[error(
+        "planner.step_rad: expected a grid of at most {limit:.0e} candidates, got {candidates:.3e} \
+         ({points} bearings for each of {robots} robots): take a wider step, fewer robots or another planner"
+    )]
+    GridTooLarge {
+        /// Candidates in the worst case, when every robot is within one step of the target.
+        candidates: f64,
+        /// Bearings a robot.
+        points: usize,
+        /// Robots.
+        robots: usize,
+        /// Most candidates that are searched.
+        limit: f64,
+    },
+}
+
+/// The planner that a scenario asks for, for a team of `robots`.
+///
+/// # Errors
+/// [`PlannerError`] if it could not serve a team of this size.
+pub fn for_team(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn Planner>, PlannerError> {
+    Ok(match spec {
+        PlannerSpec::Adaptive { iterations, alpha } => Box::new(relaxation::Relaxation::adaptive(iterations, alpha)),
+        PlannerSpec::Standard { iterations } => Box::new(relaxation::Relaxation::standard(iterations)),
+        PlannerSpec::Grid { step_rad } => Box::new(grid::Grid::for_team(step_rad, robots)?),
+        PlannerSpec::Random => Box::new(random::Random::new(seed)),
+    })
+}
+
+impl Plan {
+    /// Derives headings, speeds and worth from [`Self::directions`] (Eq. 16).
+    pub fn complete(&mut self, problem: &Problem) {
+        self.headings_rad.clear();
+        self.speeds_mps.clear();
+        for ((step, arm), direction) in problem.steps.iter().zip(&problem.arms).zip(&self.directions) {
+            self.headings_rad.push(step.heading(*direction, arm.centre).angle_rad());
+            self.speeds_mps.push(step.speed_mps);
+        }
+        self.objective = problem.sum(&self.directions).norm();
+        self.position_trace_m2 = problem.position_trace_m2(self.objective);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix2;
+    use proptest::prelude::*;
+
+    fn random_problem(prior: (f64, f64, f64), robots: &[(f64, f64, f64, f64)]) -> Problem {
+        let (a, c, correlation) = prior;
+        let b = correlation * (a * c).sqrt();
+        let mut problem = Problem::default();
+        problem.pose(
+            &Matrix2::new(a, b, b, c),
+            Vector::default(),
+            0.1,
+            robots.iter().map(|&(x, y, max_speed_mps, range_std_m)| TeamMember {
+                position_m: Vector::new(x, y),
+                max_speed_mps,
+                range_std_m,
+            }),
+        );
+        problem
+    }
+
+    fn solve(spec: PlannerSpec, problem: &Problem) -> Plan {
+        let mut plan = Plan::default();
+        for_team(spec, problem.len(), 1).unwrap().plan(0, problem, &mut plan);
+        plan
+    }
+
+    const ALL: [PlannerSpec; 4] = [
+        PlannerSpec::Adaptive { iterations: 20, alpha: 0.5 },
+        PlannerSpec::Standard { iterations: 20 },
+        PlannerSpec::Grid { step_rad: 0.05 },
+        PlannerSpec::Random,
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(300))]
+
+        /// Whatever the geometry (on the target, at rest, within a step): the headings are finite,
+        /// keep the arcs, and the claimed objective is the one that the motion leads to.
+        #[test]
+        fn every_plan_is_what_its_motion_leads_to(
+            prior in (0.1..20.0_f64, 0.1..20.0_f64, -0.95..0.95_f64),
+            robots in proptest::collection::vec(
+                (prop_oneof![Just(0.0), -9.0..9.0_f64], prop_oneof![Just(0.0), -9.0..9.0_f64],
+                 prop_oneof![Just(0.0), 0.1..60.0_f64], 0.1..3.0_f64), 1..4),
+        ) {
+            let problem = random_problem(prior, &robots);
+            for spec in ALL {
+                let plan = solve(spec, &problem);
+                prop_assert_eq!(plan.headings_rad.len(), robots.len());
+                prop_assert!(plan.objective.is_finite() && plan.position_trace_m2 > 0.0);
+                for (i, heading) in plan.headings_rad.iter().enumerate() {
+                    prop_assert!(heading.is_finite());
+                    let after = problem.steps[i].direction_after(Vector::from_angle(*heading));
+                    let end_m = (problem.steps[i].to_target_m
+                        - Vector::from_angle(*heading) * problem.steps[i].reach_m).norm();
+                    let error = (after - plan.directions[i]).norm();
+                    prop_assert!(error * end_m.min(1.0) < 1e-6, "{} robot {i}: {error}", spec.name());
+                }
+            }
+        }
+
+        /// With one robot every planner but the random finds the same optimum: the Rayleigh quotient.
+        #[test]
+        fn one_robot_goes_as_near_the_opposite_direction_as_it_may(
+            prior in (0.1..20.0_f64, 0.1..20.0_f64, -0.95..0.95_f64), x in 1.0..30.0_f64, speed in 0.0..100.0_f64,
+        ) {
+            let problem = random_problem(prior, &[(x, 0.5, speed, 1.0)]);
+            let adaptive = solve(PlannerSpec::Adaptive { iterations: 60, alpha: 0.5 }, &problem);
+            let standard = solve(PlannerSpec::Standard { iterations: 1 }, &problem);
+            let grid = solve(PlannerSpec::Grid { step_rad: 1e-4 }, &problem);
+            prop_assert!((adaptive.objective - standard.objective).abs() < 1e-6, "{adaptive:?} {standard:?}");
+            prop_assert!(standard.objective <= grid.objective + 1e-12);
+            prop_assert!(grid.objective <= standard.objective + 2e-4);
+        }
+
+        /// No point of an arc is further than one grid step from a grid point, so the grid's best is
+        /// within `2 step sum(lambda)` of any other solution.
+        #[test]
+        fn adaptive_beats_the_grid_by_no_more_than_its_resolution(
+            prior in (0.1..20.0_f64, 0.1..20.0_f64, -0.95..0.95_f64),
+            robots in proptest::collection::vec((-20.0..20.0_f64, -20.0..20.0_f64, 0.0..60.0_f64, 0.3..3.0_f64), 1..4),
+        ) {
+            let problem = random_problem(prior, &robots);
+            let step_rad = 0.05;
+            let adaptive = solve(PlannerSpec::Adaptive { iterations: 100, alpha: 0.5 }, &problem);
+            let grid = solve(PlannerSpec::Grid { step_rad }, &problem);
+            let resolution = problem.arms().iter().map(|arm| arm.lambda * step_rad).sum::<f64>();
+            prop_assert!(grid.objective <= adaptive.objective + resolution);
+        }
+    }
+
+    #[test]
+    fn no_robots_make_an_empty_plan() {
+        let problem = random_problem((1.0, 2.0, 0.0), &[]);
+        for spec in ALL {
+            assert!(solve(spec, &problem).headings_rad.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_round_prior_has_no_direction_of_its_own() {
+        // lambda_0 = 0: two equal robots cancel each other exactly.
+        let problem = random_problem((2.0, 2.0, 0.0), &[(0.5, 0.0, 10.0, 1.0), (0.0, 0.5, 10.0, 1.0)]);
+        assert!(solve(PlannerSpec::Adaptive { iterations: 20, alpha: 0.5 }, &problem).objective < 1e-9);
+    }
+}

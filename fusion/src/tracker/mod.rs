@@ -1,0 +1,84 @@
+//! The estimate over time: prediction to each tick, gate, update.
+//!
+//! | tracker | for |
+//! |---|---|
+//! | [`kalman`] | a Gaussian prior: the paper's extended Kalman filter |
+//! | [`bank`] | no prior: a bank of such filters that starts from the ranges alone |
+
+pub mod bank;
+pub mod kalman;
+
+use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::scenario::{Prior, Scenario};
+use rangehound_shared::with_state_dim;
+
+/// One range, as fused: calibrated, with the place it was measured from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reading {
+    /// Where the robot was, m.
+    pub position_m: Vector2<f64>,
+    /// What it measured, m.
+    pub range_m: f64,
+    /// Standard deviation of the measurement, m.
+    pub range_std_m: f64,
+}
+
+/// How a tick's ranges agreed with the estimate.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Fit {
+    /// Normalised innovation squared of the joint update.
+    pub nis: f64,
+    /// Ranges fused: the NIS's degrees of freedom.
+    pub fused: u32,
+    /// Ranges that failed the gate.
+    pub rejected: u32,
+}
+
+/// An estimate of the target that follows its ranges. Does no I/O, knows no clock, and after its
+/// construction allocates nothing.
+pub trait Tracker: std::fmt::Debug + Send {
+    /// Predicts over `dt_s` seconds, then updates with the readings, taken in order.
+    fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit;
+
+    /// The state, position first.
+    fn state(&self) -> &[f64];
+
+    /// The covariance, n x n; symmetric, so its order of storage does not matter.
+    fn covariance(&self) -> &[f64];
+
+    /// Position and its covariance predicted over `dt_s` seconds (k+1|k), for the planner.
+    fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>);
+}
+
+/// The tracker that a scenario asks for.
+#[must_use]
+pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
+    let motion = scenario.motion.clone();
+    let gate = Gate::new(scenario.gate_sigma);
+    with_state_dim!(motion.state_dim(), N => match &scenario.prior {
+        Prior::Gaussian { mean, covariance } => {
+            Box::new(kalman::Kalman::<N>::new(motion, mean, covariance, gate))
+        }
+        Prior::FromRanges => Box::new(bank::Bank::<N>::new(motion, gate)),
+    })
+}
+
+/// Chi-square gate with one degree of freedom on a single range.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gate {
+    threshold: f64,
+}
+
+impl Gate {
+    /// Passes a range whose innovation is within `sigma` of its standard deviations; `None` passes all.
+    #[must_use]
+    pub fn new(sigma: Option<f64>) -> Self {
+        Self { threshold: sigma.map_or(f64::INFINITY, |sigma| sigma * sigma) }
+    }
+
+    /// True if a range with this normalised innovation squared is to be fused.
+    #[must_use]
+    pub fn passes(self, normalised_square: f64) -> bool {
+        normalised_square <= self.threshold
+    }
+}

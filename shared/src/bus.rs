@@ -1,0 +1,368 @@
+//! Topics and wake-ups over iceoryx2.
+//!
+//! Each topic is one publish-subscribe service for the whole run, never one for each robot:
+//!
+//! | topic | from -> to | payload |
+//! |---|---|---|
+//! | `world` | sim -> robots | an entry for each robot |
+//! | `range` | robots -> fusion | one range |
+//! | `heading` | fusion -> robots | a command for each robot |
+//! | `drive` | robots -> sim | one robot's motion |
+//! | `estimate` | fusion -> observers | the estimate |
+//! | `truth` | sim -> observers | the target's true state |
+//!
+//! Data travels on topics; a wake-up only says "look". Each process waits on one listener, for a
+//! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
+//! are never woken: they look when they like.
+
+use std::time::Duration;
+
+use iceoryx2::config::Config;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::*;
+use iceoryx2::service::port_factory::event;
+
+use crate::ROBOTS_MAX;
+use crate::clock::monotonic_ns;
+use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
+use crate::rendezvous::{Rendezvous, Role, RoleHold};
+
+/// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
+const PORTS_MAX: usize = ROBOTS_MAX + 32;
+
+/// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
+const BUFFER: usize = 4;
+
+/// A payload with the topic it travels on.
+pub trait Topic: Copy + std::fmt::Debug + ZeroCopySend + 'static {
+    /// Name of the service.
+    const NAME: &'static str;
+    /// True if every robot publishes, false if one node does.
+    const FROM_ROBOTS: bool;
+}
+
+macro_rules! topics {
+    ($($payload:ty => $name:literal, from_robots: $from_robots:literal;)*) => {
+        $(impl Topic for $payload {
+            const NAME: &'static str = $name;
+            const FROM_ROBOTS: bool = $from_robots;
+        })*
+    };
+}
+
+topics! {
+    WorldEntry => "world", from_robots: false;
+    Range => "range", from_robots: true;
+    Command => "heading", from_robots: false;
+    Drive => "drive", from_robots: true;
+    Estimate => "estimate", from_robots: false;
+    Truth => "truth", from_robots: false;
+}
+
+/// Who can be woken: one event service each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sleeper {
+    /// The simulator.
+    Sim,
+    /// The fusion centre.
+    Fusion,
+    /// All robots.
+    Robots,
+}
+
+impl Sleeper {
+    fn service(self) -> &'static str {
+        match self {
+            Self::Sim => "wake-sim",
+            Self::Fusion => "wake-fusion",
+            Self::Robots => "wake-robots",
+        }
+    }
+}
+
+/// Why somebody is woken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Call {
+    /// There is data on a topic.
+    Data,
+    /// A node has just started and needs the present tick.
+    Hello,
+    /// The run has ended.
+    Finished,
+}
+
+impl Call {
+    const ALL: [Self; 3] = [Self::Data, Self::Hello, Self::Finished];
+
+    fn event_id(self) -> EventId {
+        EventId::new(self as usize)
+    }
+}
+
+/// What a wait returned: the calls that came, none if time ran out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Calls([bool; Call::ALL.len()]);
+
+impl Calls {
+    /// True if this call was among them.
+    #[must_use]
+    pub fn has(self, call: Call) -> bool {
+        self.0[call as usize]
+    }
+}
+
+/// Why the bus cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{what}: iceoryx2 says {reason}")]
+pub struct BusError {
+    what: String,
+    reason: String,
+}
+
+impl BusError {
+    fn new(what: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
+        Self { what: what.into(), reason: format!("{reason:?}") }
+    }
+}
+
+/// One process's place on the bus of its run.
+#[derive(Debug)]
+pub struct Bus {
+    node: Node<ipc::Service>,
+    run_id: u64,
+    incarnation: u64,
+}
+
+impl Bus {
+    /// Connects a node. Must be the process's first use of iceoryx2, whose global configuration it
+    /// sets: iceoryx2 falls back to that one when it cleans up after half-started nodes.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn connect(run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<Self, BusError> {
+        Self::connect_as(run, &role.to_string(), hold.incarnation)
+    }
+
+    /// Connects an observer, which has no role.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn observe(run: &Rendezvous) -> Result<Self, BusError> {
+        Self::connect_as(run, "observer", 0)
+    }
+
+    fn connect_as(run: &Rendezvous, name: &str, incarnation: u64) -> Result<Self, BusError> {
+        set_log_level_from_env_or(LogLevel::Fatal);
+        let config_path = run.iceoryx2_config_path().display().to_string();
+        let config_error = |reason: &dyn std::fmt::Debug| BusError::new(&config_path, format!("{reason:?}"));
+        let file = FilePath::new(config_path.as_bytes()).map_err(|error| config_error(&error))?;
+        let global = Config::setup_global_config_from_file(&file).map_err(|error| config_error(&error))?;
+        let mut config = global.clone();
+        // Cleaning up after the dead costs 10-55 ms each: never on a control path.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        let node_error = |reason: &dyn std::fmt::Debug| BusError::new(format!("node {name}"), format!("{reason:?}"));
+        let node_name = NodeName::new(name).map_err(|error| node_error(&error))?;
+        let node = NodeBuilder::new()
+            .name(&node_name)
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(|error| node_error(&error))?;
+        Ok(Self { node, run_id: run.description().run_id, incarnation })
+    }
+
+    fn service<T: Topic>(
+        &self,
+    ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [T], Header>, BusError>
+    {
+        let name = ServiceName::new(T::NAME).map_err(|error| BusError::new(T::NAME, error))?;
+        self.node
+            .service_builder(&name)
+            .publish_subscribe::<[T]>()
+            .user_header::<Header>()
+            .max_publishers(if T::FROM_ROBOTS { PORTS_MAX } else { 32 })
+            .max_subscribers(if T::FROM_ROBOTS { 32 } else { PORTS_MAX })
+            .max_nodes(PORTS_MAX)
+            .subscriber_max_buffer_size(BUFFER)
+            .subscriber_max_borrowed_samples(2)
+            .history_size(1)
+            .enable_safe_overflow(true)
+            .open_or_create()
+            .map_err(|error| BusError::new(format!("topic {}", T::NAME), error))
+    }
+
+    /// A publisher of messages of up to `len_max` entries.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn publisher<T: Topic>(&self, len_max: usize) -> Result<Publisher<T>, BusError> {
+        let port = self
+            .service::<T>()?
+            .publisher_builder()
+            .initial_max_slice_len(len_max)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|error| BusError::new(format!("publisher of {}", T::NAME), error))?;
+        Ok(Publisher { port, run_id: self.run_id, incarnation: self.incarnation })
+    }
+
+    /// A subscriber, which finds the newest earlier message waiting once its publisher sends again.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, BusError> {
+        let port = self
+            .service::<T>()?
+            .subscriber_builder()
+            .buffer_size(BUFFER)
+            .history_request(1)
+            .create()
+            .map_err(|error| BusError::new(format!("subscriber of {}", T::NAME), error))?;
+        Ok(Subscriber { port, run_id: self.run_id })
+    }
+
+    fn event(&self, sleeper: Sleeper) -> Result<event::PortFactory<ipc::Service>, BusError> {
+        let name = ServiceName::new(sleeper.service()).map_err(|error| BusError::new(sleeper.service(), error))?;
+        self.node
+            .service_builder(&name)
+            .event()
+            .max_notifiers(PORTS_MAX)
+            .max_listeners(PORTS_MAX)
+            .max_nodes(PORTS_MAX)
+            .event_id_max_value(Call::ALL.len() - 1)
+            .open_or_create()
+            .map_err(|error| BusError::new(sleeper.service(), error))
+    }
+
+    /// The bed of one sleeper: what this process waits on.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn sleep_as(&self, sleeper: Sleeper) -> Result<Bed, BusError> {
+        let port = self
+            .event(sleeper)?
+            .listener_builder()
+            .create()
+            .map_err(|error| BusError::new(sleeper.service(), error))?;
+        Ok(Bed { port })
+    }
+
+    /// A bell that wakes a sleeper.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn bell_of(&self, sleeper: Sleeper) -> Result<Bell, BusError> {
+        let port = self
+            .event(sleeper)?
+            .notifier_builder()
+            .create()
+            .map_err(|error| BusError::new(sleeper.service(), error))?;
+        Ok(Bell { port })
+    }
+}
+
+/// Sends messages on one topic.
+#[derive(Debug)]
+pub struct Publisher<T: Topic> {
+    port: iceoryx2::port::publisher::Publisher<ipc::Service, [T], Header>,
+    run_id: u64,
+    incarnation: u64,
+}
+
+impl<T: Topic> Publisher<T> {
+    /// Sends one message and returns its send stamp. A full or dead subscriber loses the oldest
+    /// message; the sender never waits.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 has no memory for it: nothing a repeat would mend.
+    pub fn send(&self, tick: u64, valid_at_s: f64, entries: &[T]) -> Result<u64, BusError> {
+        self.send_stamped(tick, valid_at_s, monotonic_ns(), |_| {}, entries)
+    }
+
+    /// As [`Self::send`] for one entry, which may carry the send stamp itself: `complete` puts it in.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
+    pub fn send_stamped(
+        &self,
+        tick: u64,
+        valid_at_s: f64,
+        sent_ns: u64,
+        complete: impl FnOnce(&mut [T]),
+        entries: &[T],
+    ) -> Result<u64, BusError> {
+        let failed =
+            |reason: &dyn std::fmt::Debug| BusError::new(format!("send on {}", T::NAME), format!("{reason:?}"));
+        let sample = self.port.loan_slice_uninit(entries.len()).map_err(|error| failed(&error))?;
+        let mut sample = sample.write_from_slice(entries);
+        complete(sample.payload_mut());
+        *sample.user_header_mut() =
+            Header { run_id: self.run_id, incarnation: self.incarnation, tick, valid_at_s, sent_ns };
+        sample.send().map_err(|error| failed(&error))?;
+        Ok(sent_ns)
+    }
+}
+
+/// Receives messages of one topic.
+#[derive(Debug)]
+pub struct Subscriber<T: Topic> {
+    port: iceoryx2::port::subscriber::Subscriber<ipc::Service, [T], Header>,
+    run_id: u64,
+}
+
+impl<T: Topic> Subscriber<T> {
+    /// Hands every waiting message of this run to `take`, in order of each sender.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 cannot reach a publisher.
+    pub fn drain(&self, mut take: impl FnMut(&Header, &[T])) -> Result<(), BusError> {
+        while let Some(sample) = self.port.receive().map_err(|error| BusError::new(T::NAME, error))? {
+            if sample.user_header().run_id == self.run_id {
+                take(sample.user_header(), sample.payload());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where a process sleeps until it is called.
+#[derive(Debug)]
+pub struct Bed {
+    port: Listener<ipc::Service>,
+}
+
+impl Bed {
+    /// Sleeps until called, until time runs out, or until a signal comes.
+    pub fn sleep(&self, at_most: Duration) -> Calls {
+        let mut calls = Calls::default();
+        // An error is a signal or a socket's hiccup: the loop looks at everything anyway.
+        let _ = self.port.timed_wait(
+            |activation| {
+                if let Some(called) = calls.0.get_mut(activation.id.as_value()) {
+                    *called = true;
+                }
+            },
+            at_most,
+        );
+        calls
+    }
+}
+
+/// Wakes a sleeper.
+#[derive(Debug)]
+pub struct Bell {
+    port: Notifier<ipc::Service>,
+}
+
+impl Bell {
+    /// Calls the sleeper. A sleeper that is dead or too busy to be called sees the data at its next
+    /// look, so a failure is nothing to act on.
+    pub fn ring(&self, call: Call) {
+        if let Err(error) = self.port.notify_with_custom_event_id(call.event_id()) {
+            log::debug!("a bell was not heard: {error:?}");
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! What all nodes of a rangehound run agree on.
+//!
+//! The members `sim`, `robot` and `fusion` depend on this crate and never on each other;
+//! whatever two of them must share stands here once:
+//!
+//! | module | the one place for |
+//! |---|---|
+//! | [`scenario`] | the experiment: file format, defaults, validation |
+//! | [`motion`] | linear target models, exactly discretised |
+//! | [`draws`] | random numbers as a function of (seed, stream, tick) |
+//! | [`recording`] | range recordings in CSV |
+//! | [`message`] | what travels on each topic |
+//! | [`bus`] | topics, wake-ups and their iceoryx2 services |
+//! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
+//! | [`tick_log`] | files of fixed-size records, one for each tick |
+//! | [`digest`] | the rolling hash over all estimates |
+//! | [`clock`], [`signal`] | monotonic time, termination requests |
+
+pub mod bus;
+pub mod clock;
+pub mod digest;
+pub mod draws;
+pub mod matrix;
+pub mod message;
+pub mod motion;
+pub mod recording;
+pub mod rendezvous;
+pub mod scenario;
+pub mod sealed;
+pub mod signal;
+pub mod tick_log;
+
+/// Most robots in one run: sizes every service and every per-robot bit set.
+pub const ROBOTS_MAX: usize = 256;
+
+/// Largest dimension of a target state.
+pub const STATE_DIM_MAX: usize = 8;
+
+/// Runs `$body` with the constant `$N` bound to the run-time dimension `$dim` (2 to 8).
+///
+/// Filters and target models have their state dimension in their type, so that a step needs no
+/// heap; this is where a scenario's number becomes that type. A dimension outside 2..=8 cannot
+/// come from a validated scenario and is treated as the largest.
+#[macro_export]
+macro_rules! with_state_dim {
+    ($dim:expr, $N:ident => $body:expr) => {
+        match $dim {
+            2 => {
+                const $N: usize = 2;
+                $body
+            }
+            3 => {
+                const $N: usize = 3;
+                $body
+            }
+            4 => {
+                const $N: usize = 4;
+                $body
+            }
+            5 => {
+                const $N: usize = 5;
+                $body
+            }
+            6 => {
+                const $N: usize = 6;
+                $body
+            }
+            7 => {
+                const $N: usize = 7;
+                $body
+            }
+            _ => {
+                const $N: usize = 8;
+                $body
+            }
+        }
+    };
+}

@@ -1,0 +1,210 @@
+//! What travels on each topic: `repr(C)`, versioned by type name, sizes pinned.
+//!
+//! Every message is a slice of one of the payloads below under a [`Header`]. A change of fields
+//! needs a new version in the type name: iceoryx2 compares names and sizes, not meanings.
+
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::STATE_DIM_MAX;
+
+/// What every message carries.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Header.v1")]
+pub struct Header {
+    /// Id of the run: a message of another run is ignored.
+    pub run_id: u64,
+    /// Which start of the sender's role sent it, counted from 1.
+    pub incarnation: u64,
+    /// Tick that the contents belong to.
+    pub tick: u64,
+    /// Time that the contents are valid for, s since the run's or recording's zero.
+    pub valid_at_s: f64,
+    /// When it was sent, monotonic ns.
+    pub sent_ns: u64,
+}
+
+/// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.WorldEntry.v1")]
+pub struct WorldEntry {
+    /// Position, m.
+    pub x_m: f64,
+    /// Position, m.
+    pub y_m: f64,
+    /// Range to the target, m; see `range_kind`.
+    pub range_m: f64,
+    /// [`RangeKind`] as a number.
+    pub range_kind: u64,
+}
+
+/// What the range of a [`WorldEntry`] is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RangeKind {
+    /// No range at this tick.
+    Absent,
+    /// The true distance: the robot's sensor adds its noise.
+    True,
+    /// A recorded measurement: the robot's sensor only calibrates it.
+    Measured,
+}
+
+impl RangeKind {
+    /// Its number in a message.
+    #[must_use]
+    pub fn to_bits(self) -> u64 {
+        match self {
+            Self::Absent => 0,
+            Self::True => 1,
+            Self::Measured => 2,
+        }
+    }
+
+    /// The kind with this number.
+    #[must_use]
+    pub fn from_bits(bits: u64) -> Option<Self> {
+        [Self::Absent, Self::True, Self::Measured].into_iter().find(|kind| kind.to_bits() == bits)
+    }
+}
+
+/// Topic `range`: one robot's range, or its word that it has none at this tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Range.v1")]
+pub struct Range {
+    /// Id of the robot.
+    pub robot: u64,
+    /// 1 if the message holds a range, 0 if there is none.
+    pub present: u64,
+    /// Where the robot is, m.
+    pub x_m: f64,
+    /// Where the robot is, m.
+    pub y_m: f64,
+    /// The range, calibrated, m.
+    pub range_m: f64,
+    /// Its standard deviation, m.
+    pub range_std_m: f64,
+    /// When the tick began, monotonic ns, as `world` said: what real-time deadlines count from.
+    pub tick_began_ns: u64,
+}
+
+/// Topic `heading`, an entry for each robot: what it shall drive until the next tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Command.v1")]
+pub struct Command {
+    /// Heading, rad counter-clockwise from the x axis.
+    pub heading_rad: f64,
+    /// Speed, m/s.
+    pub speed_mps: f64,
+}
+
+/// Topic `drive`: what one robot carries out until the next tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Drive.v1")]
+pub struct Drive {
+    /// Id of the robot.
+    pub robot: u64,
+    /// Heading, rad.
+    pub heading_rad: f64,
+    /// Speed, m/s.
+    pub speed_mps: f64,
+    /// When it published its range of this tick, monotonic ns; 0 if it had none.
+    pub range_sent_ns: u64,
+    /// When it held the heading of this tick, monotonic ns; 0 if it drives without one.
+    pub heading_held_ns: u64,
+    /// Headings that came after their tick was over, since the robot started.
+    pub late_headings: u64,
+}
+
+/// Topic `estimate`: what fusion knows after a tick.
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Estimate.v1")]
+pub struct Estimate {
+    /// Dimension n of the state.
+    pub state_dim: u64,
+    /// State; the first n entries count.
+    pub state: [f64; STATE_DIM_MAX],
+    /// Covariance, n x n; the first n^2 entries count.
+    pub covariance: [f64; STATE_DIM_MAX * STATE_DIM_MAX],
+    /// Normalised innovation squared.
+    pub nis: f64,
+    /// Ranges fused: degrees of freedom of the NIS.
+    pub fused: u64,
+    /// Ranges that failed the gate.
+    pub rejected: u64,
+    /// Robots not heard.
+    pub missing: u64,
+    /// Ranges of earlier ticks that came since the last estimate.
+    pub late: u64,
+    /// Planner's `|S|`, 1/m^2.
+    pub objective: f64,
+    /// Lower bound on it; `-inf` from planners that prove none.
+    pub lower_bound: f64,
+    /// Time that prediction and update took, ns.
+    pub filter_ns: u64,
+    /// Time that planning took, ns.
+    pub planner_ns: u64,
+    /// Rolling digest after this tick, low and high half.
+    pub digest: [u64; 2],
+}
+
+/// Topic `truth`: what only the simulator knows.
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Truth.v1")]
+pub struct Truth {
+    /// Dimension n of the state; 0 if there is no truth, as in a recording.
+    pub state_dim: u64,
+    /// Target's true state; the first n entries count.
+    pub state: [f64; STATE_DIM_MAX],
+    /// Ticks of the run.
+    pub ticks: u64,
+    /// Slowest robot's end-to-end latency in the tick before, ns; 0 if none is known.
+    pub latency_ns: u64,
+}
+
+impl Default for Estimate {
+    fn default() -> Self {
+        Self {
+            state_dim: 0,
+            state: [0.0; STATE_DIM_MAX],
+            covariance: [0.0; STATE_DIM_MAX * STATE_DIM_MAX],
+            nis: 0.0,
+            fused: 0,
+            rejected: 0,
+            missing: 0,
+            late: 0,
+            objective: 0.0,
+            lower_bound: f64::NEG_INFINITY,
+            filter_ns: 0,
+            planner_ns: 0,
+            digest: [0; 2],
+        }
+    }
+}
+
+impl Drive {
+    /// From publishing the range to holding the heading computed from it; `None` without either.
+    #[must_use]
+    pub fn latency_ns(&self) -> Option<u64> {
+        if self.range_sent_ns == 0 || self.heading_held_ns == 0 {
+            return None;
+        }
+        self.heading_held_ns.checked_sub(self.range_sent_ns)
+    }
+}
+
+// What other builds read from shared memory: a change must be a decision.
+const _: () = {
+    assert!(size_of::<Header>() == 40);
+    assert!(size_of::<WorldEntry>() == 32);
+    assert!(size_of::<Range>() == 56);
+    assert!(size_of::<Command>() == 16);
+    assert!(size_of::<Drive>() == 48);
+    assert!(size_of::<Estimate>() == 672);
+    assert!(size_of::<Truth>() == 88);
+};

@@ -1,0 +1,48 @@
+//! Values of the keys that a scenario leaves out: the paper's experiment.
+
+/// Scenario name.
+pub const NAME: &str = "paper";
+/// Time steps.
+pub const TICKS: u64 = 200;
+/// Length of a time step, s.
+pub const DT_S: f64 = 0.1;
+/// Seed.
+pub const SEED: u64 = 1;
+/// Clock of a simulated run.
+pub const CLOCK: &str = "realtime";
+/// Clock of a played-back recording: as fast as the processes can.
+pub const RECORDING_CLOCK: &str = "lockstep";
+/// Silence after which a robot is left out, s.
+pub const PATIENCE_S: f64 = 2.0;
+/// Target model.
+pub const MODEL: &str = "zero_acceleration";
+/// Spectral density of the target's noise.
+pub const NOISE_PSD: f64 = 10.0;
+/// Target's true state at tick 0, as far as the model has one; accelerations start at zero.
+pub const TARGET_START: [f64; 4] = [0.0, 0.0, -8.0, 4.0];
+/// Prior mean.
+pub const PRIOR_MEAN: &str = "drawn";
+/// Prior variance of every state.
+pub const PRIOR_VARIANCE: f64 = 10.0;
+/// Robots.
+pub const ROBOTS: u64 = 3;
+/// Where robots start, m.
+pub const ROBOT_START_M: [f64; 2] = [15.0, 0.0];
+/// Robots' speed limit, m/s.
+pub const SPEED_MPS: f64 = 10.0;
+/// Standard deviation of a simulated range, m.
+pub const RANGE_STD_M: f64 = 1.0;
+/// Planner.
+pub const PLANNER: &str = "adaptive";
+/// Iterations of the relaxations.
+pub const ITERATIONS: u64 = 20;
+/// Relaxation factor.
+pub const ALPHA: f64 = 0.5;
+/// Step of the grid search, rad.
+pub const GRID_STEP_RAD: f64 = std::f64::consts::PI / 200.0;
+/// Standard deviation of a recorded range, m.
+pub const RECORDED_RANGE_STD_M: f64 = 0.2;
+/// Spectral density of the target's acceleration in a recording, m^2/s^3.
+pub const RECORDED_ACCEL_PSD: f64 = 0.5;
+/// Gate of a recording, standard deviations of the innovation.
+pub const RECORDED_GATE_SIGMA: f64 = 4.0;

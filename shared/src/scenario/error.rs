@@ -1,0 +1,44 @@
+//! What is wrong with a scenario, in one line.
+
+use std::path::PathBuf;
+
+/// Why a scenario was refused. Displays as one line that names the file, the key and what was
+/// expected there.
+#[derive(Debug, thiserror::Error)]
+pub enum ScenarioError {
+    /// The file could not be read.
+    #[error("{}: cannot read the scenario: {source}", .file.display())]
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown key, or a value of the wrong type.
+    #[error("{file}:{line}: {key}: {problem}")]
+    Malformed {
+        /// The file.
+        file: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// Dotted path of the key.
+        key: String,
+        /// What was found and what was expected.
+        problem: String,
+    },
+    /// A value that makes no sense.
+    #[error("{file}: {key}: expected {expected}, got {got}")]
+    Senseless {
+        /// The file.
+        file: String,
+        /// Dotted path of the key.
+        key: String,
+        /// What the key takes.
+        expected: String,
+        /// What stood there.
+        got: String,
+    },
+    /// The recording that the scenario names is unusable.
+    #[error(transparent)]
+    Recording(#[from] crate::recording::RecordingError),
+}

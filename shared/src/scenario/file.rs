@@ -1,0 +1,177 @@
+//! The scenario file as it is written: TOML with every key optional.
+
+use serde::{Deserialize, Serialize};
+
+/// A scenario file, parsed but not yet checked; [`super::Scenario::from_file`] checks it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScenarioFile {
+    /// Name of the scenario; names the run folder.
+    pub name: Option<String>,
+    /// Time steps of the run.
+    pub ticks: Option<u64>,
+    /// Length of a time step, s.
+    pub dt_s: Option<f64>,
+    /// Seed of all random numbers.
+    pub seed: Option<u64>,
+    /// `"realtime"` or `"lockstep"`.
+    pub clock: Option<String>,
+    /// Silence after which a robot is left out, s, or `"forever"`.
+    pub patience_s: Option<PatienceKey>,
+    /// How the target moves.
+    pub target: Option<TargetTable>,
+    /// What fusion knows before the first range.
+    pub prior: Option<PriorTable>,
+    /// The team, when its robots are alike.
+    pub robots: Option<RobotsTable>,
+    /// The team, robot by robot.
+    pub robot: Option<Vec<RobotTable>>,
+    /// How headings are chosen.
+    pub planner: Option<PlannerTable>,
+    /// Which ranges the filter lets in.
+    pub filter: Option<FilterTable>,
+    /// Recorded ranges in place of the simulation.
+    pub recording: Option<RecordingTable>,
+}
+
+/// `patience_s`: seconds or `"forever"`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected seconds above 0 or \"forever\"")]
+pub enum PatienceKey {
+    /// Seconds of silence.
+    Seconds(f64),
+    /// `"forever"`.
+    Word(String),
+}
+
+/// `[target]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TargetTable {
+    /// `"random_walk"`, `"zero_acceleration"`, `"constant_acceleration"` or `"custom"`.
+    pub model: Option<String>,
+    /// Spectral density of the built-in models' noise.
+    pub noise_psd: Option<f64>,
+    /// True state at tick 0.
+    pub start: Option<Vec<f64>>,
+    /// Custom model: state transition.
+    pub phi: Option<Vec<Vec<f64>>>,
+    /// Custom model: noise Jacobian.
+    pub g: Option<Vec<Vec<f64>>>,
+    /// Custom model: noise covariance.
+    pub qd: Option<Vec<Vec<f64>>>,
+}
+
+/// `[prior]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PriorTable {
+    /// `"drawn"` from N(start, covariance), `"start"`, or the state itself.
+    pub mean: Option<MeanKey>,
+    /// P_0|0.
+    pub covariance: Option<CovarianceKey>,
+}
+
+/// `prior.mean`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected \"drawn\", \"start\" or a list of numbers, one for each state")]
+pub enum MeanKey {
+    /// `"drawn"` or `"start"`.
+    Word(String),
+    /// The mean.
+    State(Vec<f64>),
+}
+
+/// `prior.covariance`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected one variance, a list of variances or a matrix as a list of rows")]
+pub enum CovarianceKey {
+    /// The same variance for every state.
+    Scalar(f64),
+    /// A variance for each state.
+    Diagonal(Vec<f64>),
+    /// The whole matrix by rows.
+    Rows(Vec<Vec<f64>>),
+}
+
+/// `[robots]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotsTable {
+    /// Number of robots.
+    pub count: Option<u64>,
+    /// Where they start, `[x, y]` in m.
+    pub start_m: Option<[f64; 2]>,
+    /// Radius of a ring round the start on which they are spread evenly, m; 0: all on one point.
+    pub ring_radius_m: Option<f64>,
+    /// Speed limit, m/s.
+    pub speed_mps: Option<f64>,
+    /// Standard deviation of a range, m.
+    pub range_std_m: Option<f64>,
+}
+
+/// One `[[robot]]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotTable {
+    /// Id, 0 to the number of robots - 1; its place in the list if absent.
+    pub id: Option<u64>,
+    /// Where it starts, `[x, y]` in m.
+    pub start_m: Option<[f64; 2]>,
+    /// Speed limit, m/s.
+    pub speed_mps: Option<f64>,
+    /// Standard deviation of its range, m.
+    pub range_std_m: Option<f64>,
+}
+
+/// `[planner]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannerTable {
+    /// `"adaptive"`, `"standard"`, `"grid"` or `"random"`.
+    pub name: Option<String>,
+    /// Iterations of the relaxations.
+    pub iterations: Option<u64>,
+    /// Relaxation factor of the adaptive relaxation.
+    pub alpha: Option<f64>,
+    /// Step of the grid search on the bearing, rad.
+    pub step_rad: Option<f64>,
+}
+
+/// `[filter]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterTable {
+    /// A range is rejected when its innovation is more than this many standard deviations.
+    pub gate_sigma: Option<f64>,
+}
+
+/// `[recording]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordingTable {
+    /// CSV file of the ranges, relative to the scenario file.
+    pub ranges: Option<String>,
+    /// Standard deviation of a range, m.
+    pub range_std_m: Option<f64>,
+    /// Bias B of all sensors in `measured = (1 + S) true + B`, m.
+    pub bias_m: Option<f64>,
+    /// Scale error S of all sensors.
+    pub scale: Option<f64>,
+    /// Sensors that differ from the rest.
+    pub sensor: Option<Vec<SensorTable>>,
+}
+
+/// One `[[recording.sensor]]`.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorTable {
+    /// The sensor's id in the recording.
+    pub id: u64,
+    /// Its range standard deviation, m.
+    pub range_std_m: Option<f64>,
+    /// Its bias, m.
+    pub bias_m: Option<f64>,
+    /// Its scale error.
+    pub scale: Option<f64>,
+}

@@ -1,0 +1,210 @@
+//! The scenario: one experiment, checked once, then trusted everywhere.
+//!
+//! [`ScenarioFile`] is what a person writes; [`Scenario`] is what the nodes use, with every value
+//! within bounds that keep all later arithmetic finite. Nothing downstream checks again.
+
+pub mod defaults;
+mod error;
+mod file;
+mod validate;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+pub use error::ScenarioError;
+pub use file::*;
+
+use crate::matrix::Matrix;
+use crate::motion::MotionModel;
+
+/// A validated experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scenario {
+    /// Name, for people.
+    pub name: String,
+    /// Time steps after tick 0.
+    pub ticks: u64,
+    /// Length of a time step, s; a recording brings its own time stamps.
+    pub dt_s: f64,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// What starts the next tick.
+    pub clock: Clock,
+    /// How long a silent robot is waited for.
+    pub patience: Patience,
+    /// How the target is taken to move.
+    pub motion: MotionModel,
+    /// Where the ranges come from.
+    pub source: Source,
+    /// What fusion knows before the first range.
+    pub prior: Prior,
+    /// The team, by id.
+    pub robots: Vec<RobotSpec>,
+    /// How headings are chosen.
+    pub planner: PlannerSpec,
+    /// Gate on a single range: rejected when its innovation is more than this many of its standard
+    /// deviations, that is when its chi-square statistic (one degree of freedom) is above the
+    /// square. `None`: every range is fused, as in the paper.
+    pub gate_sigma: Option<f64>,
+}
+
+/// What starts the next tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Clock {
+    /// Every dt of wall time, whatever is missing.
+    Realtime,
+    /// As soon as all have answered.
+    Lockstep,
+}
+
+/// How long a silent robot is waited for in lock step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Patience {
+    /// It is left out after this silence, until it speaks again.
+    After(Duration),
+    /// It is never left out.
+    Forever,
+}
+
+/// Where the ranges come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Source {
+    /// A simulated target.
+    Simulated {
+        /// Its true state at tick 0.
+        target_start: Vec<f64>,
+    },
+    /// A file of recorded ranges.
+    Recorded {
+        /// The CSV file.
+        ranges: PathBuf,
+    },
+}
+
+/// What fusion knows before the first range.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Prior {
+    /// N(mean, covariance).
+    Gaussian {
+        /// Mean of the state.
+        mean: Vec<f64>,
+        /// P_0|0.
+        covariance: Matrix,
+    },
+    /// Nothing: the first ranges tell.
+    FromRanges,
+}
+
+/// One robot (or recorded sensor).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RobotSpec {
+    /// What people call it: its id, or its sensor's id in the recording.
+    pub label: String,
+    /// Where it starts, m.
+    pub start_m: [f64; 2],
+    /// Speed limit, m/s.
+    pub speed_mps: f64,
+    /// Standard deviation of its range after calibration, m.
+    pub range_std_m: f64,
+    /// Its sensor's systematic error.
+    pub calibration: Calibration,
+}
+
+/// Systematic error of a range sensor: `measured = (1 + scale) true + bias_m`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Calibration {
+    /// Bias, m.
+    pub bias_m: f64,
+    /// Relative error that grows with the distance.
+    pub scale: f64,
+}
+
+/// How headings are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum PlannerSpec {
+    /// The paper's adaptive relaxation (28)-(29).
+    Adaptive {
+        /// Cycles over all robots.
+        iterations: u32,
+        /// Relaxation factor, 0 to 1.
+        alpha: f64,
+    },
+    /// Standard relaxation: adaptive with factor 0.
+    Standard {
+        /// Cycles over all robots.
+        iterations: u32,
+    },
+    /// Exhaustive search on a grid of bearings.
+    Grid {
+        /// Step, rad.
+        step_rad: f64,
+    },
+    /// Uniformly random headings.
+    Random,
+}
+
+impl PlannerSpec {
+    /// The name by which scenario and command line know it.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Adaptive { .. } => "adaptive",
+            Self::Standard { .. } => "standard",
+            Self::Grid { .. } => "grid",
+            Self::Random => "random",
+        }
+    }
+}
+
+impl Clock {
+    /// The name by which scenario and command line know it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Realtime => "realtime",
+            Self::Lockstep => "lockstep",
+        }
+    }
+}
+
+impl ScenarioFile {
+    /// Reads a scenario file without checking its values.
+    ///
+    /// # Errors
+    /// If the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
+    pub fn read(path: &Path) -> Result<Self, ScenarioError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ScenarioError::Unreadable { file: path.to_owned(), source })?;
+        Self::parse(&text, &path.display().to_string())
+    }
+
+    /// Parses the text of a scenario file; `file` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
+        let malformed = |key: String, error: &toml::de::Error| ScenarioError::Malformed {
+            file: file.to_owned(),
+            line: error.span().map_or(1, |span| 1 + text[..span.start.min(text.len())].matches('\n').count()),
+            key,
+            problem: error.message().lines().collect::<Vec<_>>().join("; "),
+        };
+        let document = toml::Deserializer::parse(text).map_err(|error| malformed("TOML".to_owned(), &error))?;
+        serde_path_to_error::deserialize(document).map_err(|error| {
+            let key = error.path().to_string();
+            let key = if key == "." { "top level".to_owned() } else { key };
+            malformed(key, error.inner())
+        })
+    }
+
+    /// The file's text.
+    ///
+    /// # Errors
+    /// If a value cannot be written as TOML.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+}

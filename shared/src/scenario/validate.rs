@@ -1,0 +1,424 @@
+//! From the file's keys to a [`Scenario`]: defaults filled in, every value checked.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::path::Path;
+use std::time::Duration;
+
+use super::{
+    Calibration, Clock, CovarianceKey, MeanKey, Patience, PatienceKey, PlannerSpec, PlannerTable, Prior, PriorTable,
+    RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario, ScenarioError, ScenarioFile, Source, TargetTable,
+    defaults,
+};
+use crate::draws::{Draws, Stream};
+use crate::matrix::{Matrix, square_root};
+use crate::motion::MotionModel;
+use crate::recording::Recording;
+use crate::rendezvous::RunName;
+use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
+
+/// Bounds that keep every later product and quotient finite.
+const COORDINATE: RangeInclusive<f64> = -1e8..=1e8;
+const STATE: RangeInclusive<f64> = -1e8..=1e8;
+const DT_S: RangeInclusive<f64> = 1e-4..=1e4;
+const SPEED_MPS: RangeInclusive<f64> = 0.0..=1e5;
+const STD_M: RangeInclusive<f64> = 1e-4..=1e5;
+const NOISE_PSD: RangeInclusive<f64> = 0.0..=1e9;
+const VARIANCE: RangeInclusive<f64> = 1e-9..=1e12;
+const MATRIX_ENTRY: RangeInclusive<f64> = -1e12..=1e12;
+const PATIENCE_S: RangeInclusive<f64> = 1e-3..=1e6;
+const BIAS_M: RangeInclusive<f64> = -1e5..=1e5;
+const SCALE: RangeInclusive<f64> = -0.9..=10.0;
+const TICKS_MAX: u64 = 1_000_000_000;
+
+impl Scenario {
+    /// Checks a scenario file. `file` names it in errors; paths in it are relative to `folder`.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_file(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Self, ScenarioError> {
+        Checker { file }.scenario(raw, folder)
+    }
+}
+
+/// Checks values and names the file in what it refuses.
+struct Checker<'a> {
+    file: &'a str,
+}
+
+impl Checker<'_> {
+    fn scenario(&self, raw: &ScenarioFile, folder: &Path) -> Result<Scenario, ScenarioError> {
+        let name = raw.name.clone().unwrap_or_else(|| defaults::NAME.to_owned());
+        if let Err(problem) = name.parse::<RunName>() {
+            return Err(self.refuse("name", problem.expected(), name));
+        }
+        let seed = raw.seed.unwrap_or(defaults::SEED);
+        let dt_s = self.number("dt_s", raw.dt_s, defaults::DT_S, DT_S)?;
+        let motion = self.motion(&raw.target.clone().unwrap_or_default(), raw.recording.is_some())?;
+        let mut scenario = Scenario {
+            name,
+            ticks: self.whole("ticks", raw.ticks, defaults::TICKS, 1..=TICKS_MAX)?,
+            dt_s,
+            seed,
+            clock: self.clock(raw)?,
+            patience: self.patience(raw.patience_s.as_ref())?,
+            motion,
+            source: Source::Simulated { target_start: Vec::new() },
+            prior: Prior::FromRanges,
+            robots: Vec::new(),
+            planner: self.planner(&raw.planner.clone().unwrap_or_default())?,
+            gate_sigma: self.gate(raw)?,
+        };
+        if let Some(recording) = &raw.recording {
+            self.recorded(raw, recording, folder, &mut scenario)?;
+        } else {
+            let n = scenario.motion.state_dim();
+            let target_start = self.target_start(raw.target.as_ref().and_then(|table| table.start.as_ref()), n)?;
+            scenario.prior = self.prior(&raw.prior.clone().unwrap_or_default(), &target_start, seed)?;
+            scenario.source = Source::Simulated { target_start };
+            scenario.robots = self.team(raw.robots.as_ref(), raw.robot.as_deref())?;
+        }
+        Ok(scenario)
+    }
+
+    fn recorded(
+        &self,
+        raw: &ScenarioFile,
+        table: &RecordingTable,
+        folder: &Path,
+        scenario: &mut Scenario,
+    ) -> Result<(), ScenarioError> {
+        let simulated_only = [
+            ("robots", raw.robots.is_some()),
+            ("robot", raw.robot.is_some()),
+            ("prior", raw.prior.is_some()),
+            ("planner", raw.planner.is_some()),
+            ("target.start", raw.target.as_ref().is_some_and(|target| target.start.is_some())),
+        ];
+        if let Some((key, _)) = simulated_only.iter().find(|(_, present)| *present) {
+            return Err(self.refuse(key, "no such key beside [recording], whose ranges tell", "one"));
+        }
+        let Some(ranges) = &table.ranges else {
+            return Err(self.refuse("recording.ranges", "the path of a CSV file of ranges", "nothing"));
+        };
+        let ranges = folder.join(ranges);
+        let recording = Recording::read(&ranges)?;
+        let std_m = self.number("recording.range_std_m", table.range_std_m, defaults::RECORDED_RANGE_STD_M, STD_M)?;
+        let bias_m = self.number("recording.bias_m", table.bias_m, 0.0, BIAS_M)?;
+        let scale = self.number("recording.scale", table.scale, 0.0, SCALE)?;
+        scenario.robots = recording
+            .sensors()
+            .iter()
+            .map(|sensor| RobotSpec {
+                label: sensor.id.to_string(),
+                start_m: sensor.first_position_m,
+                speed_mps: 0.0,
+                range_std_m: std_m,
+                calibration: Calibration { bias_m, scale },
+            })
+            .collect();
+        let special = table.sensor.as_deref().unwrap_or_default();
+        for (index, sensor) in special.iter().enumerate() {
+            let key = |name: &str| format!("recording.sensor[{index}].{name}");
+            let Some(robot) = recording.sensors().iter().position(|known| known.id == sensor.id) else {
+                let known: Vec<String> = recording.sensors().iter().map(|known| known.id.to_string()).collect();
+                let expected = format!("a sensor of the recording ({})", known.join(", "));
+                return Err(self.refuse(&key("id"), expected, sensor.id));
+            };
+            if special[..index].iter().any(|before| before.id == sensor.id) {
+                return Err(self.refuse(&key("id"), "each sensor once", format!("{} twice", sensor.id)));
+            }
+            let robot = &mut scenario.robots[robot];
+            robot.range_std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
+            robot.calibration.bias_m = self.number(&key("bias_m"), sensor.bias_m, bias_m, BIAS_M)?;
+            robot.calibration.scale = self.number(&key("scale"), sensor.scale, scale, SCALE)?;
+        }
+        scenario.ticks = raw.ticks.map_or(u64::MAX, |_| scenario.ticks).min(recording.len() as u64);
+        scenario.source = Source::Recorded { ranges };
+        Ok(())
+    }
+
+    fn clock(&self, raw: &ScenarioFile) -> Result<Clock, ScenarioError> {
+        let default = if raw.recording.is_some() { defaults::RECORDING_CLOCK } else { defaults::CLOCK };
+        match raw.clock.as_deref().unwrap_or(default) {
+            "realtime" => Ok(Clock::Realtime),
+            "lockstep" => Ok(Clock::Lockstep),
+            other => Err(self.refuse("clock", "\"realtime\" or \"lockstep\"", quoted(other))),
+        }
+    }
+
+    fn patience(&self, key: Option<&PatienceKey>) -> Result<Patience, ScenarioError> {
+        match key {
+            None => Ok(Patience::After(Duration::from_secs_f64(defaults::PATIENCE_S))),
+            Some(PatienceKey::Word(word)) if word == "forever" => Ok(Patience::Forever),
+            Some(PatienceKey::Seconds(seconds)) if PATIENCE_S.contains(seconds) => {
+                Ok(Patience::After(Duration::from_secs_f64(*seconds)))
+            }
+            Some(PatienceKey::Word(word)) => Err(self.refuse("patience_s", patience_expected(), quoted(word))),
+            Some(PatienceKey::Seconds(seconds)) => Err(self.refuse("patience_s", patience_expected(), seconds)),
+        }
+    }
+
+    fn gate(&self, raw: &ScenarioFile) -> Result<Option<f64>, ScenarioError> {
+        let default = raw.recording.as_ref().map(|_| defaults::RECORDED_GATE_SIGMA);
+        match raw.filter.as_ref().and_then(|table| table.gate_sigma).or(default) {
+            None => Ok(None),
+            Some(sigma) => self.number("filter.gate_sigma", Some(sigma), sigma, 1.0..=1e6).map(Some),
+        }
+    }
+
+    fn motion(&self, table: &TargetTable, recorded: bool) -> Result<MotionModel, ScenarioError> {
+        let name = table.model.as_deref().unwrap_or(defaults::MODEL);
+        let order = match name {
+            "random_walk" => 1,
+            "zero_acceleration" => 2,
+            "constant_acceleration" => 3,
+            "custom" if !recorded => return self.custom_motion(table),
+            other => {
+                let custom = if recorded { "" } else { ", \"custom\"" };
+                let known = format!("\"random_walk\", \"zero_acceleration\", \"constant_acceleration\"{custom}");
+                return Err(self.refuse("target.model", format!("one of {known}"), quoted(other)));
+            }
+        };
+        for (key, given) in [("phi", table.phi.is_some()), ("g", table.g.is_some()), ("qd", table.qd.is_some())] {
+            if given {
+                return Err(self.refuse(&format!("target.{key}"), "no matrix unless model = \"custom\"", "one"));
+            }
+        }
+        let default = if recorded { defaults::RECORDED_ACCEL_PSD } else { defaults::NOISE_PSD };
+        let noise_psd = self.number("target.noise_psd", table.noise_psd, default, NOISE_PSD)?;
+        Ok(MotionModel::IntegratorChain { order, noise_psd })
+    }
+
+    fn custom_motion(&self, table: &TargetTable) -> Result<MotionModel, ScenarioError> {
+        if table.noise_psd.is_some() {
+            return Err(self.refuse("target.noise_psd", "no spectral density beside target.qd", "one"));
+        }
+        let phi = self.matrix("target.phi", table.phi.as_deref())?;
+        let n = phi.shape().0;
+        if phi.shape().1 != n || !(2..=STATE_DIM_MAX).contains(&n) {
+            let (rows, columns) = phi.shape();
+            let expected = format!("a square matrix of size 2 to {STATE_DIM_MAX}");
+            return Err(self.refuse("target.phi", expected, format!("{rows} x {columns}")));
+        }
+        let qd = self.matrix("target.qd", table.qd.as_deref())?;
+        if qd.relative_min_eigenvalue().is_none_or(|minimum| minimum < -1e-12) {
+            return Err(self.refuse("target.qd", "a symmetric positive semi-definite matrix", "another"));
+        }
+        let g = match table.g.as_deref() {
+            None => Matrix::from_diagonal(&vec![1.0; n]),
+            rows => self.matrix("target.g", rows)?,
+        };
+        if g.shape() != (n, qd.shape().0) {
+            let expected = format!("{n} rows (as phi) of {} numbers (as qd)", qd.shape().0);
+            return Err(self.refuse("target.g", expected, format!("{} x {}", g.shape().0, g.shape().1)));
+        }
+        Ok(MotionModel::Custom { phi, process_noise: qd.congruence(&g) })
+    }
+
+    fn target_start(&self, start: Option<&Vec<f64>>, n: usize) -> Result<Vec<f64>, ScenarioError> {
+        match start {
+            Some(state) => self.state("target.start", state, n),
+            None => Ok((0..n).map(|i| defaults::TARGET_START.get(i).copied().unwrap_or(0.0)).collect()),
+        }
+    }
+
+    fn prior(&self, table: &PriorTable, target_start: &[f64], seed: u64) -> Result<Prior, ScenarioError> {
+        let n = target_start.len();
+        let key = "prior.covariance";
+        let covariance = match table.covariance.as_ref().unwrap_or(&CovarianceKey::Scalar(defaults::PRIOR_VARIANCE)) {
+            CovarianceKey::Scalar(variance) => {
+                Matrix::from_diagonal(&vec![self.number(key, Some(*variance), *variance, VARIANCE)?; n])
+            }
+            CovarianceKey::Diagonal(variances) if variances.len() == n => {
+                for variance in variances {
+                    self.number(key, Some(*variance), *variance, VARIANCE)?;
+                }
+                Matrix::from_diagonal(variances)
+            }
+            CovarianceKey::Rows(rows) if rows.len() == n => self.matrix(key, Some(rows))?,
+            CovarianceKey::Diagonal(list) => return Err(self.refuse(key, per_state(n, "variance"), list.len())),
+            CovarianceKey::Rows(rows) => return Err(self.refuse(key, per_state(n, "row"), rows.len())),
+        };
+        match covariance.relative_min_eigenvalue() {
+            Some(minimum) if minimum > 1e-13 => {}
+            Some(_) => return Err(self.refuse(key, "a positive definite matrix", "an indefinite or singular one")),
+            None => return Err(self.refuse(key, "a symmetric matrix", "an asymmetric one")),
+        }
+        let mean = match table.mean.as_ref().unwrap_or(&MeanKey::Word(defaults::PRIOR_MEAN.to_owned())) {
+            MeanKey::Word(word) if word == "start" => target_start.to_vec(),
+            MeanKey::Word(word) if word == "drawn" => drawn_mean(target_start, &covariance, seed),
+            MeanKey::Word(word) => {
+                return Err(self.refuse("prior.mean", "\"drawn\", \"start\" or a list of numbers", quoted(word)));
+            }
+            MeanKey::State(state) => self.state("prior.mean", state, n)?,
+        };
+        Ok(Prior::Gaussian { mean, covariance })
+    }
+
+    fn team(&self, alike: Option<&RobotsTable>, each: Option<&[RobotTable]>) -> Result<Vec<RobotSpec>, ScenarioError> {
+        match (alike, each) {
+            (Some(_), Some(_)) => {
+                Err(self.refuse("robots", "either [robots] with a count or a [[robot]] for each", "both"))
+            }
+            (alike, None) => self.alike_team(&alike.cloned().unwrap_or_default()),
+            (None, Some(tables)) => self.mixed_team(tables),
+        }
+    }
+
+    fn alike_team(&self, table: &RobotsTable) -> Result<Vec<RobotSpec>, ScenarioError> {
+        let count = self.whole("robots.count", table.count, defaults::ROBOTS, 1..=ROBOTS_MAX as u64)?;
+        let centre_m = self.point("robots.start_m", table.start_m)?;
+        let radius_m = self.number("robots.ring_radius_m", table.ring_radius_m, 0.0, 0.0..=1e6)?;
+        let speed_mps = self.number("robots.speed_mps", table.speed_mps, defaults::SPEED_MPS, SPEED_MPS)?;
+        let range_std_m = self.number("robots.range_std_m", table.range_std_m, defaults::RANGE_STD_M, STD_M)?;
+        Ok((0..count)
+            .map(|id| {
+                let (sin, cos) = (std::f64::consts::TAU * id as f64 / count as f64).sin_cos();
+                RobotSpec {
+                    label: id.to_string(),
+                    start_m: [centre_m[0] + radius_m * cos, centre_m[1] + radius_m * sin],
+                    speed_mps,
+                    range_std_m,
+                    calibration: Calibration::default(),
+                }
+            })
+            .collect())
+    }
+
+    fn mixed_team(&self, tables: &[RobotTable]) -> Result<Vec<RobotSpec>, ScenarioError> {
+        let count = tables.len();
+        if !(1..=ROBOTS_MAX).contains(&count) {
+            return Err(self.refuse("robot", format!("1 to {ROBOTS_MAX} robots"), count));
+        }
+        let mut robots: Vec<Option<RobotSpec>> = vec![None; count];
+        for (index, table) in tables.iter().enumerate() {
+            let key = |name: &str| format!("robot[{index}].{name}");
+            let id = table.id.unwrap_or(index as u64);
+            let Some(slot) = usize::try_from(id).ok().and_then(|id| robots.get_mut(id)) else {
+                return Err(self.refuse(&key("id"), format!("an id from 0 to {}", count - 1), id));
+            };
+            if slot.is_some() {
+                return Err(self.refuse(&key("id"), "each id once", format!("{id} twice")));
+            }
+            *slot = Some(RobotSpec {
+                label: id.to_string(),
+                start_m: self.point(&key("start_m"), table.start_m)?,
+                speed_mps: self.number(&key("speed_mps"), table.speed_mps, defaults::SPEED_MPS, SPEED_MPS)?,
+                range_std_m: self.number(&key("range_std_m"), table.range_std_m, defaults::RANGE_STD_M, STD_M)?,
+                calibration: Calibration::default(),
+            });
+        }
+        Ok(robots.into_iter().flatten().collect())
+    }
+
+    fn planner(&self, table: &PlannerTable) -> Result<PlannerSpec, ScenarioError> {
+        let iterations =
+            self.whole("planner.iterations", table.iterations, defaults::ITERATIONS, 1..=1_000_000)? as u32;
+        let alpha = self.number("planner.alpha", table.alpha, defaults::ALPHA, 0.0..=1.0)?;
+        let step_rad =
+            self.number("planner.step_rad", table.step_rad, defaults::GRID_STEP_RAD, 1e-6..=std::f64::consts::PI)?;
+        match table.name.as_deref().unwrap_or(defaults::PLANNER) {
+            "adaptive" => Ok(PlannerSpec::Adaptive { iterations, alpha }),
+            "standard" => Ok(PlannerSpec::Standard { iterations }),
+            "grid" => Ok(PlannerSpec::Grid { step_rad }),
+            "random" => Ok(PlannerSpec::Random),
+            other => {
+                let known = "one of \"adaptive\", \"standard\", \"grid\", \"random\"";
+                Err(self.refuse("planner.name", known, quoted(other)))
+            }
+        }
+    }
+
+    fn point(&self, key: &str, value: Option<[f64; 2]>) -> Result<[f64; 2], ScenarioError> {
+        let point = value.unwrap_or(defaults::ROBOT_START_M);
+        for coordinate in point {
+            self.number(key, Some(coordinate), coordinate, COORDINATE)?;
+        }
+        Ok(point)
+    }
+
+    fn state(&self, key: &str, state: &[f64], n: usize) -> Result<Vec<f64>, ScenarioError> {
+        if state.len() != n {
+            return Err(self.refuse(key, per_state(n, "number"), state.len()));
+        }
+        for value in state {
+            self.number(key, Some(*value), *value, STATE)?;
+        }
+        Ok(state.to_vec())
+    }
+
+    fn matrix(&self, key: &str, rows: Option<&[Vec<f64>]>) -> Result<Matrix, ScenarioError> {
+        let Some(rows) = rows else {
+            return Err(self.refuse(key, "a matrix as a list of rows", "nothing"));
+        };
+        for value in rows.iter().flatten() {
+            self.number(key, Some(*value), *value, MATRIX_ENTRY)?;
+        }
+        Matrix::from_rows(rows).ok_or_else(|| self.refuse(key, "a matrix with rows of one length", "none"))
+    }
+
+    fn number(
+        &self,
+        key: &str,
+        value: Option<f64>,
+        default: f64,
+        bounds: RangeInclusive<f64>,
+    ) -> Result<f64, ScenarioError> {
+        let value = value.unwrap_or(default);
+        if bounds.contains(&value) {
+            Ok(value)
+        } else {
+            let expected = format!("a number from {} to {}", bounds.start(), bounds.end());
+            Err(self.refuse(key, expected, value))
+        }
+    }
+
+    fn whole(
+        &self,
+        key: &str,
+        value: Option<u64>,
+        default: u64,
+        bounds: RangeInclusive<u64>,
+    ) -> Result<u64, ScenarioError> {
+        let value = value.unwrap_or(default);
+        if bounds.contains(&value) {
+            Ok(value)
+        } else {
+            let expected = format!("a whole number from {} to {}", bounds.start(), bounds.end());
+            Err(self.refuse(key, expected, value))
+        }
+    }
+
+    fn refuse(&self, key: &str, expected: impl Display, got: impl Display) -> ScenarioError {
+        ScenarioError::Senseless {
+            file: self.file.to_owned(),
+            key: key.to_owned(),
+            expected: expected.to_string(),
+            got: got.to_string(),
+        }
+    }
+}
+
+fn patience_expected() -> String {
+    format!("seconds from {} to {} or \"forever\"", PATIENCE_S.start(), PATIENCE_S.end())
+}
+
+fn per_state(n: usize, what: &str) -> String {
+    format!("{n} of them, one {what} for each state of the model")
+}
+
+fn quoted(text: &str) -> String {
+    format!("{text:?}")
+}
+
+/// The prior mean drawn from N(start, covariance): a filter that is consistent from the first tick.
+fn drawn_mean(start: &[f64], covariance: &Matrix, seed: u64) -> Vec<f64> {
+    with_state_dim!(start.len(), N => {
+        let root = square_root(&covariance.to_static::<N, N>());
+        let mut normal = nalgebra::SVector::<f64, N>::zeros();
+        Draws::new(seed, Stream::PriorMean).standard_normal(0, normal.as_mut_slice());
+        let error = root * normal;
+        start.iter().zip(error.iter()).map(|(start, error)| start + error).collect()
+    })
+}

@@ -1,0 +1,110 @@
+//! Values in files that must be whole: bincode under a magic number, a version and a checksum.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use xxhash_rust::xxh3::xxh3_64;
+
+/// First bytes of every sealed file.
+const MAGIC: [u8; 8] = *b"rghound\0";
+
+/// Format of the values that this build seals; changes whenever one of them does.
+const VERSION: u32 = 1;
+
+/// Magic, version, checksum.
+const HEADER_LEN: usize = 8 + 4 + 8;
+
+/// Most bytes a sealed value may take: bounds what a damaged length can make the reader allocate.
+const VALUE_LEN_MAX: usize = 1 << 24;
+
+/// Why a sealed value cannot be opened.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum SealError {
+    /// Too short or without the magic number.
+    #[error("not a file of rangehound's")]
+    Foreign,
+    /// From a build with another format.
+    #[error("format version {found}, expected {VERSION}: another version of rangehound wrote it")]
+    OtherVersion {
+        /// The version it has.
+        found: u32,
+    },
+    /// The checksum does not match.
+    #[error("damaged: its checksum does not match")]
+    Damaged,
+    /// Whole, but not a value of the expected kind, or one too large to seal.
+    #[error("holds no value of the expected kind")]
+    Malformed,
+}
+
+fn config() -> impl bincode::config::Config {
+    bincode::config::standard().with_limit::<VALUE_LEN_MAX>()
+}
+
+/// The sealed bytes of a value.
+///
+/// # Errors
+/// [`SealError::Malformed`] if the value cannot be encoded.
+pub fn seal(value: &impl Serialize) -> Result<Vec<u8>, SealError> {
+    let body = bincode::serde::encode_to_vec(value, config()).map_err(|_| SealError::Malformed)?;
+    let mut bytes = Vec::with_capacity(HEADER_LEN + body.len());
+    bytes.extend(MAGIC);
+    bytes.extend(VERSION.to_le_bytes());
+    bytes.extend(xxh3_64(&body).to_le_bytes());
+    bytes.extend(body);
+    Ok(bytes)
+}
+
+/// The value in sealed bytes.
+///
+/// # Errors
+/// [`SealError`], for bytes that [`seal`] of this version did not write for such a value.
+pub fn open<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
+    let rest = bytes.strip_prefix(&MAGIC).ok_or(SealError::Foreign)?;
+    let (version, rest) = rest.split_first_chunk::<4>().ok_or(SealError::Foreign)?;
+    let found = u32::from_le_bytes(*version);
+    if found != VERSION {
+        return Err(SealError::OtherVersion { found });
+    }
+    let (checksum, body) = rest.split_first_chunk::<8>().ok_or(SealError::Foreign)?;
+    if u64::from_le_bytes(*checksum) != xxh3_64(body) {
+        return Err(SealError::Damaged);
+    }
+    match bincode::serde::decode_from_slice(body, config()) {
+        Ok((value, used)) if used == body.len() => Ok(value),
+        _ => Err(SealError::Malformed),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn what_was_sealed_opens(value: (u64, Vec<f32>, String)) {
+            prop_assert_eq!(open(&seal(&value).unwrap()), Ok(value));
+        }
+
+        #[test]
+        fn one_flipped_bit_is_refused(value: (u64, String), position: prop::sample::Index, bit in 0..8) {
+            let mut bytes = seal(&value).unwrap();
+            let index = position.index(bytes.len());
+            bytes[index] ^= 1 << bit;
+            prop_assert!(open::<(u64, String)>(&bytes).is_err());
+        }
+
+        #[test]
+        fn no_bytes_make_it_panic(bytes: Vec<u8>) {
+            prop_assert!(open::<(u64, Vec<String>)>(&bytes).is_err());
+        }
+    }
+
+    #[test]
+    fn a_cut_file_is_refused_at_every_length() {
+        let bytes = seal(&(1_u64, "text".to_owned())).unwrap();
+        for len in 0..bytes.len() {
+            assert!(open::<(u64, String)>(&bytes[..len]).is_err());
+        }
+    }
+}
