@@ -1,1 +1,41 @@
-fn main() {}
+//! `rangehound`: reads the command line and turns the one result into an exit code.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::ErrorKind;
+use rangehound::cli::{Cli, Command, RunArgs, one_line};
+use rangehound::experiment::DEFAULT_SCENARIO;
+use rangehound::failure::Failure;
+use rangehound::{node, supervisor, watch};
+
+fn main() -> ExitCode {
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
+            print!("{error}");
+            return ExitCode::SUCCESS;
+        }
+        Err(error) => return Failure::input(one_line(&error)).report(),
+    };
+    match dispatch(cli.command.unwrap_or_else(|| Command::Run(RunArgs::default()))) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}
+
+fn dispatch(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Run(args) => supervisor::run(&args),
+        Command::Track(args) => supervisor::track(&args),
+        Command::Sim(args) => node::sim(&args),
+        Command::Fusion(args) => node::fusion(&args),
+        Command::Robot(args) => node::robot(&args),
+        Command::Watch(args) => watch::watch(&args),
+        Command::Scenario => {
+            print!("{DEFAULT_SCENARIO}");
+            Ok(())
+        }
+    }
+}

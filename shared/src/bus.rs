@@ -34,6 +34,9 @@ const PORTS_MAX: usize = ROBOTS_MAX + 32;
 /// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
 
+/// Longest sleep of a node: how soon it sees that the run has ended if nobody calls.
+pub const IDLE: Duration = Duration::from_millis(200);
+
 /// A payload with the topic it travels on.
 pub trait Topic: Copy + std::fmt::Debug + ZeroCopySend + 'static {
     /// Name of the service.
@@ -174,6 +177,15 @@ impl Bus {
         Ok(Self { node, run_id: run.description().run_id, incarnation })
     }
 
+    /// Removes what killed nodes of this run left behind, so that their places become free. Takes tens
+    /// of milliseconds for each: for a supervisor, never for a node on the control path.
+    pub fn clean_up_after_the_dead(&self) {
+        let state = self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+        if state.failed_cleanups > 0 {
+            log::debug!("{} dead nodes could not be cleaned up", state.failed_cleanups);
+        }
+    }
+
     fn service<T: Topic>(
         &self,
     ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [T], Header>, BusError>
@@ -273,32 +285,17 @@ pub struct Publisher<T: Topic> {
 }
 
 impl<T: Topic> Publisher<T> {
-    /// Sends one message and returns its send stamp. A full or dead subscriber loses the oldest
+    /// Sends one message and returns its stamp, taken just before. A full or dead subscriber loses the oldest
     /// message; the sender never waits.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 has no memory for it: nothing a repeat would mend.
     pub fn send(&self, tick: u64, valid_at_s: f64, entries: &[T]) -> Result<u64, BusError> {
-        self.send_stamped(tick, valid_at_s, monotonic_ns(), |_| {}, entries)
-    }
-
-    /// As [`Self::send`] for one entry, which may carry the send stamp itself: `complete` puts it in.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub fn send_stamped(
-        &self,
-        tick: u64,
-        valid_at_s: f64,
-        sent_ns: u64,
-        complete: impl FnOnce(&mut [T]),
-        entries: &[T],
-    ) -> Result<u64, BusError> {
         let failed =
             |reason: &dyn std::fmt::Debug| BusError::new(format!("send on {}", T::NAME), format!("{reason:?}"));
+        let sent_ns = monotonic_ns();
         let sample = self.port.loan_slice_uninit(entries.len()).map_err(|error| failed(&error))?;
         let mut sample = sample.write_from_slice(entries);
-        complete(sample.payload_mut());
         *sample.user_header_mut() =
             Header { run_id: self.run_id, incarnation: self.incarnation, tick, valid_at_s, sent_ns };
         sample.send().map_err(|error| failed(&error))?;

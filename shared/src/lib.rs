@@ -12,7 +12,7 @@
 //! | [`message`] | what travels on each topic |
 //! | [`bus`] | topics, wake-ups and their iceoryx2 services |
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
-//! | [`tick_log`] | files of fixed-size records, one for each tick |
+//! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
 //! | [`digest`] | the rolling hash over all estimates |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
@@ -23,6 +23,7 @@ pub mod draws;
 pub mod matrix;
 pub mod message;
 pub mod motion;
+pub mod record;
 pub mod recording;
 pub mod rendezvous;
 pub mod scenario;

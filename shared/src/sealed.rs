@@ -87,10 +87,10 @@ mod tests {
         }
 
         #[test]
-        fn one_flipped_bit_is_refused(value: (u64, String), position: prop::sample::Index, bit in 0..8) {
+        fn one_flipped_bit_is_refused(value: (u64, String), position: prop::sample::Index, bit in 0..8_u8) {
             let mut bytes = seal(&value).unwrap();
             let index = position.index(bytes.len());
-            bytes[index] ^= 1 << bit;
+            bytes[index] ^= 1_u8 << bit;
             prop_assert!(open::<(u64, String)>(&bytes).is_err());
         }
 

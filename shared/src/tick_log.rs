@@ -118,7 +118,7 @@ impl TickLogReader {
             let tick = self.tick;
             self.tick += 1;
             let (chunks, _) = self.bytes.as_chunks::<8>();
-            let Some((mark, record)) = chunks.split_first() else { return None };
+            let (mark, record) = chunks.split_first()?;
             if u64::from_le_bytes(*mark) == tick + 1 {
                 for (word, chunk) in self.words.iter_mut().zip(record) {
                     *word = u64::from_le_bytes(*chunk);

@@ -1,0 +1,217 @@
+//! One tick of the fusion centre, pure: what the robots said in, estimate and commands out.
+
+use nalgebra::Vector2;
+use rangehound_shared::digest::Digest;
+use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::scenario::{Scenario, Source};
+
+use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
+use crate::tracker::{self, Fit, Reading, Tracker};
+
+/// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
+const SILENCE_TICKS_MAX: u64 = 5;
+
+/// What one robot said at a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Report {
+    /// Where it is, m.
+    pub position_m: Vector,
+    /// Its range and the range's standard deviation, m; `None` if its sensor had none.
+    pub range_m: Option<(f64, f64)>,
+}
+
+/// The filter, the planner, and what they carry from tick to tick.
+///
+/// A tick has two halves, so that a caller can publish or time each: [`Self::update`] fuses,
+/// [`Self::plan`] chooses headings. Neither does I/O, knows a clock, or allocates once the buffers
+/// have their sizes; ranges are fused in order of the robots' ids whatever the order they came in.
+#[derive(Debug)]
+pub struct Centre {
+    recorded: bool,
+    dt_s: f64,
+    speed_limits_mps: Vec<f64>,
+    range_stds_m: Vec<f64>,
+    tracker: Box<dyn Tracker>,
+    planner: Box<dyn Planner>,
+    next_tick: u64,
+    time_s: f64,
+    digest: Digest,
+    fit: Fit,
+    missing: u64,
+    bodies: Vec<Option<Body>>,
+    readings: Vec<Reading>,
+    problem: Problem,
+    planned: Vec<usize>,
+    plan: Plan,
+    commands: Vec<Command>,
+}
+
+/// Where a robot is believed to be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Body {
+    position_m: Vector,
+    heard_at: u64,
+}
+
+/// The estimate is no longer a number.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("the estimate left all bounds at tick {tick}: the target model is unstable or does not fit the ranges")]
+pub struct Diverged {
+    /// The tick.
+    pub tick: u64,
+}
+
+impl Centre {
+    /// The centre of a run before its first tick.
+    ///
+    /// # Errors
+    /// [`PlannerError`] if the scenario's planner cannot serve its team.
+    pub fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
+        let robots = scenario.robots.len();
+        Ok(Self {
+            recorded: matches!(scenario.source, Source::Recorded { .. }),
+            dt_s: scenario.dt_s,
+            speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
+            range_stds_m: scenario.robots.iter().map(|robot| robot.range_std_m).collect(),
+            tracker: tracker::for_scenario(scenario),
+            planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
+            next_tick: 0,
+            time_s: 0.0,
+            digest: Digest::default(),
+            fit: Fit::default(),
+            missing: 0,
+            bodies: vec![None; robots],
+            readings: Vec::with_capacity(robots),
+            problem: Problem::default(),
+            planned: Vec::with_capacity(robots),
+            plan: Plan::default(),
+            commands: vec![Command::default(); robots],
+        })
+    }
+
+    /// The tick that [`Self::update`] takes next.
+    #[must_use]
+    pub fn next_tick(&self) -> u64 {
+        self.next_tick
+    }
+
+    /// Fuses one tick: predicts from the tick before, updates with the ranges (k|k), extends the
+    /// digest. Tick 0 has no range: its estimate is the prior.
+    ///
+    /// `reports` has an entry for each robot, `None` if it was not heard. `time_s` matters for
+    /// recordings, whose steps are as long as their stamps say.
+    ///
+    /// # Errors
+    /// [`Diverged`] if the estimate is no longer finite.
+    pub fn update(&mut self, time_s: f64, reports: &[Option<Report>]) -> Result<(), Diverged> {
+        let tick = self.next_tick;
+        self.next_tick += 1;
+        self.readings.clear();
+        for (body, report) in self.bodies.iter_mut().zip(reports) {
+            let Some(Report { position_m, range_m }) = *report else { continue };
+            *body = Some(Body { position_m, heard_at: tick });
+            if let Some((range_m, range_std_m)) = range_m {
+                let position_m = Vector2::new(position_m.x, position_m.y);
+                self.readings.push(Reading { position_m, range_m, range_std_m });
+            }
+        }
+        self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
+        self.fit = Fit::default();
+        if tick == 0 {
+            self.missing = 0;
+        } else {
+            let dt_s = match (self.recorded, tick) {
+                (false, _) => self.dt_s,
+                (true, 1) => 0.0,
+                (true, _) => time_s - self.time_s,
+            };
+            self.fit = self.tracker.step(dt_s, &self.readings);
+        }
+        self.time_s = time_s;
+        let (state, covariance) = (self.tracker.state(), self.tracker.covariance());
+        if !state.iter().chain(covariance).all(|value| value.is_finite()) {
+            return Err(Diverged { tick });
+        }
+        self.digest.append(tick, state, covariance);
+        Ok(())
+    }
+
+    /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
+    /// were heard lately; the others are told to stand. Sensors of a recording go their own way.
+    pub fn plan(&mut self) -> &[Command] {
+        if self.recorded {
+            return &self.commands;
+        }
+        let tick = self.next_tick.saturating_sub(1);
+        let (target, covariance) = self.tracker.predicted_position(self.dt_s);
+        self.planned.clear();
+        for (id, body) in self.bodies.iter().enumerate() {
+            if body.is_some_and(|body| tick - body.heard_at <= SILENCE_TICKS_MAX) {
+                self.planned.push(id);
+            }
+        }
+        let team = self.planned.iter().filter_map(|&id| {
+            Some(TeamMember {
+                position_m: self.bodies[id]?.position_m,
+                max_speed_mps: self.speed_limits_mps[id],
+                range_std_m: self.range_stds_m[id],
+            })
+        });
+        self.problem.pose(&covariance, Vector::new(target[0], target[1]), self.dt_s, team);
+        self.planner.plan(tick, &self.problem, &mut self.plan);
+        self.commands.fill(Command::default());
+        for ((&id, heading_rad), speed_mps) in
+            self.planned.iter().zip(&self.plan.headings_rad).zip(&self.plan.speeds_mps)
+        {
+            self.commands[id] = Command { heading_rad: *heading_rad, speed_mps: *speed_mps };
+            if let Some(body) = &mut self.bodies[id] {
+                // Where it will be if it obeys; what it says next replaces this.
+                body.position_m += Vector::from_angle(*heading_rad) * (*speed_mps * self.dt_s);
+            }
+        }
+        &self.commands
+    }
+
+    /// Commands of the last [`Self::plan`].
+    #[must_use]
+    pub fn commands(&self) -> &[Command] {
+        &self.commands
+    }
+
+    /// Time of the last tick, s.
+    #[must_use]
+    pub fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// The state, position first.
+    #[must_use]
+    pub fn state(&self) -> &[f64] {
+        self.tracker.state()
+    }
+
+    /// The covariance, n x n.
+    #[must_use]
+    pub fn covariance(&self) -> &[f64] {
+        self.tracker.covariance()
+    }
+
+    /// The last tick as observers are told it; durations and late ranges are the caller's to add.
+    #[must_use]
+    pub fn estimate(&self) -> Estimate {
+        let digest = self.digest.to_bits();
+        let mut estimate = Estimate {
+            state_dim: self.state().len() as u64,
+            nis: self.fit.nis,
+            fused: u64::from(self.fit.fused),
+            rejected: u64::from(self.fit.rejected),
+            missing: self.missing,
+            objective: self.plan.objective,
+            digest: [digest as u64, (digest >> 64) as u64],
+            ..Estimate::default()
+        };
+        estimate.state[..self.state().len()].copy_from_slice(self.state());
+        estimate.covariance[..self.covariance().len()].copy_from_slice(self.covariance());
+        estimate
+    }
+}

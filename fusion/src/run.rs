@@ -1,0 +1,265 @@
+//! The fusion centre's process: ports and loop round a [`Centre`].
+
+use std::time::{Duration, Instant};
+
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::clock::{monotonic_ns, range_deadline_ns, until};
+use rangehound_shared::message::{Command, Estimate, Header, Range};
+use rangehound_shared::record::EstimateRecord;
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
+use rangehound_shared::signal::Termination;
+use rangehound_shared::tick_log::TickLogWriter;
+
+use crate::centre::{Centre, Diverged, Report};
+use crate::planner::{PlannerError, Vector};
+
+/// Why fusion ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum FusionError {
+    /// It cannot take part in the run.
+    #[error(transparent)]
+    Rendezvous(#[from] RendezvousError),
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The planner cannot serve the team.
+    #[error(transparent)]
+    Planner(#[from] PlannerError),
+    /// The filter diverged.
+    #[error(transparent)]
+    Diverged(#[from] Diverged),
+}
+
+/// Runs the fusion centre until the run ends or until asked to end.
+///
+/// # Errors
+/// [`FusionError`].
+pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), FusionError> {
+    let hold = rendezvous.take_role(Role::Fusion)?;
+    let bus = Bus::connect(rendezvous, Role::Fusion, &hold)?;
+    let mut fusion = Fusion::new(rendezvous, &bus)?;
+    fusion.sim.ring(Call::Hello);
+    while !termination.requested() {
+        let calls = fusion.bed.sleep(fusion.time_to_wait());
+        fusion.take_ranges()?;
+        while fusion.is_ready() {
+            fusion.process_tick()?;
+        }
+        fusion.repeat_if_asked()?;
+        if (calls.has(Call::Finished) || !calls.has(Call::Data)) && rendezvous.is_finished() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+struct Fusion<'a> {
+    scenario: &'a Scenario,
+    centre: Centre,
+    /// What has come for the tick that is being gathered.
+    gathering: Gathering,
+    /// Robots that are not waited for.
+    silent: Vec<bool>,
+    /// Who was heard at the tick that was processed last.
+    fused: Vec<bool>,
+    late: u64,
+    repeat_asked: bool,
+    log: Option<TickLogWriter>,
+    ranges: Subscriber<Range>,
+    headings: Publisher<Command>,
+    estimates: Publisher<Estimate>,
+    bed: Bed,
+    robots: Bell,
+    sim: Bell,
+}
+
+/// The reports of one tick.
+#[derive(Debug, Default)]
+struct Gathering {
+    reports: Vec<Option<Report>>,
+    heard: usize,
+    time_s: f64,
+    /// When the first report came.
+    first: Option<Instant>,
+    /// When the real-time tick began.
+    began_ns: u64,
+}
+
+impl<'a> Fusion<'a> {
+    fn new(rendezvous: &'a Rendezvous, bus: &Bus) -> Result<Self, FusionError> {
+        let description = rendezvous.description();
+        let scenario = &description.scenario;
+        let robots = scenario.robots.len();
+        let log = EstimateRecord::writer(&description.out_dir, description.run_id, scenario)
+            .inspect_err(|error| log::warn!("goes on without a log: {error}"))
+            .ok();
+        Ok(Self {
+            scenario,
+            centre: Centre::new(scenario)?,
+            gathering: Gathering { reports: vec![None; robots], ..Gathering::default() },
+            silent: vec![false; robots],
+            fused: vec![false; robots],
+            late: 0,
+            repeat_asked: false,
+            log,
+            ranges: bus.subscriber()?,
+            headings: bus.publisher(robots)?,
+            estimates: bus.publisher(1)?,
+            bed: bus.sleep_as(Sleeper::Fusion)?,
+            robots: bus.bell_of(Sleeper::Robots)?,
+            sim: bus.bell_of(Sleeper::Sim)?,
+        })
+    }
+
+    /// When waiting for the rest of a tick ends, if it ever does: tick 0 waits for the whole team.
+    fn deadline(&self) -> Option<Duration> {
+        let first = self.gathering.first?;
+        if self.centre.next_tick() == 0 {
+            return None;
+        }
+        match (self.scenario.clock, self.scenario.patience) {
+            (Clock::Realtime, _) => Some(until(range_deadline_ns(self.gathering.began_ns, self.scenario.dt_s))),
+            (Clock::Lockstep, Patience::Forever) => None,
+            (Clock::Lockstep, Patience::After(limit)) => Some(limit.saturating_sub(first.elapsed())),
+        }
+    }
+
+    fn time_to_wait(&self) -> Duration {
+        self.deadline().map_or(IDLE, |left| left.min(IDLE))
+    }
+
+    /// True if the tick that is being gathered has all it will wait for.
+    fn is_ready(&self) -> bool {
+        let Gathering { reports, heard, .. } = &self.gathering;
+        if *heard == 0 {
+            return false;
+        }
+        *heard == reports.len()
+            || reports.iter().zip(&self.silent).all(|(report, silent)| report.is_some() || *silent)
+            || self.deadline().is_some_and(|left| left.is_zero())
+    }
+
+    fn take_ranges(&mut self) -> Result<(), FusionError> {
+        // The subscriber is borrowed while it drains; the rest of self is what the messages change.
+        let Self { scenario, centre, gathering, silent, fused, late, repeat_asked, ranges, .. } = self;
+        let mut ahead = None;
+        ranges.drain(|header, message| {
+            let [range] = message else { return };
+            let Some((id, report)) = sound_report(range, gathering.reports.len()) else { return };
+            if header.tick > scenario.ticks {
+                return;
+            }
+            silent[id] = false;
+            let next = centre.next_tick();
+            if header.tick > next {
+                ahead = ahead.max(Some(header.tick));
+            } else if header.tick == next {
+                gathering.take(id, report, header, range);
+            } else if header.tick + 1 == next && fused[id] {
+                *repeat_asked = true;
+            } else {
+                *late += range.present;
+                *repeat_asked |= header.tick + 1 == next;
+            }
+        })?;
+        if let Some(tick) = ahead {
+            self.catch_up(tick)?;
+        }
+        Ok(())
+    }
+
+    /// Others are ahead: this process was stopped or started late. The ticks between are gone for it;
+    /// it predicts through them, and the repeat of the present one comes by itself.
+    fn catch_up(&mut self, tick: u64) -> Result<(), FusionError> {
+        if self.gathering.heard == 0 {
+            log::warn!("missed the ticks {} to {}", self.centre.next_tick(), tick - 1);
+        }
+        while self.centre.next_tick() < tick {
+            if self.gathering.heard == 0 {
+                self.gathering.time_s = match self.scenario.source {
+                    Source::Simulated { .. } => self.centre.next_tick() as f64 * self.scenario.dt_s,
+                    Source::Recorded { .. } => self.centre.time_s(),
+                };
+            }
+            self.process_tick()?;
+        }
+        self.sim.ring(Call::Hello);
+        Ok(())
+    }
+
+    /// Update, plan, publish, put down; in that order, so that robots wait for nothing else.
+    fn process_tick(&mut self) -> Result<(), FusionError> {
+        let tick = self.centre.next_tick();
+        let began_ns = monotonic_ns();
+        self.centre.update(self.gathering.time_s, &self.gathering.reports)?;
+        let updated_ns = monotonic_ns();
+        self.centre.plan();
+        let planned_ns = monotonic_ns();
+        self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
+        self.robots.ring(Call::Data);
+
+        let estimate = Estimate {
+            late: self.late,
+            filter_ns: updated_ns - began_ns,
+            planner_ns: planned_ns - updated_ns,
+            ..self.centre.estimate()
+        };
+        self.estimates.send(tick, self.centre.time_s(), &[estimate])?;
+        let record = EstimateRecord { time_s: self.centre.time_s(), estimate };
+        if let Some(log) = &mut self.log
+            && let Err(error) = log.write(tick, record.to_words())
+        {
+            log::warn!("goes on without a log: {error}");
+            self.log = None;
+        }
+        self.late = 0;
+        for ((fused, silent), report) in self.fused.iter_mut().zip(&mut self.silent).zip(&self.gathering.reports) {
+            *fused = report.is_some();
+            *silent = report.is_none();
+        }
+        self.gathering.clear();
+        Ok(())
+    }
+
+    /// A robot that says again what was fused has missed its heading: all get it again, once.
+    fn repeat_if_asked(&mut self) -> Result<(), FusionError> {
+        if std::mem::take(&mut self.repeat_asked)
+            && let Some(last_tick) = self.centre.next_tick().checked_sub(1)
+        {
+            self.headings.send(last_tick, self.centre.time_s(), self.centre.commands())?;
+            self.robots.ring(Call::Data);
+        }
+        Ok(())
+    }
+}
+
+impl Gathering {
+    /// The first report of a robot counts; a repeat says the same.
+    fn take(&mut self, id: usize, report: Report, header: &Header, range: &Range) {
+        if self.reports[id].is_none() {
+            self.reports[id] = Some(report);
+            self.heard += 1;
+            self.time_s = header.valid_at_s;
+            self.began_ns = range.tick_began_ns;
+            self.first.get_or_insert_with(Instant::now);
+        }
+    }
+
+    fn clear(&mut self) {
+        self.reports.fill(None);
+        self.heard = 0;
+        self.first = None;
+    }
+}
+
+/// Robot and report of a message, or `None` if it is no sound report of this team's.
+fn sound_report(range: &Range, robots: usize) -> Option<(usize, Report)> {
+    let id = usize::try_from(range.robot).ok().filter(|id| *id < robots)?;
+    let numbers = [range.x_m, range.y_m, range.range_m, range.range_std_m];
+    if !numbers.iter().all(|value| value.is_finite()) || range.range_std_m <= 0.0 {
+        return None;
+    }
+    let range_m = (range.present == 1).then_some((range.range_m, range.range_std_m));
+    Some((id, Report { position_m: Vector::new(range.x_m, range.y_m), range_m }))
+}

@@ -1,0 +1,69 @@
+//! What a robot drives, pure: the heading it is given, the last one for a while, or nothing.
+
+use rangehound_shared::message::Command;
+
+/// Ticks for which a robot without a fresh heading holds its last one before it stops.
+pub const HOLD_TICKS: u64 = 3;
+
+/// The motion controller of one robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Controller {
+    speed_limit_mps: f64,
+    last: Option<(u64, Command)>,
+}
+
+impl Controller {
+    /// A controller that stands until it is given a heading.
+    #[must_use]
+    pub fn new(speed_limit_mps: f64) -> Self {
+        Self { speed_limit_mps, last: None }
+    }
+
+    /// Takes the command for a tick and returns what is driven: the speed within the robot's limit,
+    /// and nothing at all if the command is no number.
+    pub fn obey(&mut self, tick: u64, command: Command) -> Command {
+        let sound = command.heading_rad.is_finite() && command.speed_mps.is_finite();
+        let driven = if sound {
+            Command {
+                heading_rad: command.heading_rad,
+                speed_mps: command.speed_mps.clamp(0.0, self.speed_limit_mps),
+            }
+        } else {
+            Command::default()
+        };
+        self.last = Some((tick, driven));
+        driven
+    }
+
+    /// What is driven at a tick whose heading did not come in time: the last heading for
+    /// [`HOLD_TICKS`], then nothing.
+    #[must_use]
+    pub fn hold(&self, tick: u64) -> Command {
+        match self.last {
+            Some((given, command)) if tick.saturating_sub(given) <= HOLD_TICKS => command,
+            _ => Command::default(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_heading_is_held_for_a_few_ticks_and_then_dropped() {
+        let mut controller = Controller::new(10.0);
+        assert_eq!(controller.hold(1), Command::default());
+        let command = controller.obey(4, Command { heading_rad: 1.0, speed_mps: 8.0 });
+        assert_eq!(controller.hold(4 + HOLD_TICKS), command);
+        assert_eq!(controller.hold(5 + HOLD_TICKS), Command::default());
+    }
+
+    #[test]
+    fn no_command_makes_it_faster_than_it_is_or_drive_blindly() {
+        let mut controller = Controller::new(10.0);
+        assert_eq!(controller.obey(1, Command { heading_rad: 0.0, speed_mps: 99.0 }).speed_mps, 10.0);
+        assert_eq!(controller.obey(2, Command { heading_rad: 0.0, speed_mps: -1.0 }).speed_mps, 0.0);
+        assert_eq!(controller.obey(3, Command { heading_rad: f64::NAN, speed_mps: 1.0 }), Command::default());
+    }
+}

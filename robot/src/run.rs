@@ -1,0 +1,222 @@
+//! The robot's process: ports and loop round [`Sensor`] and [`Controller`].
+
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::clock::{heading_deadline_ns, monotonic_ns, until};
+use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_shared::scenario::{Clock, Scenario};
+use rangehound_shared::signal::Termination;
+
+use crate::drive::Controller;
+use crate::sensor::Sensor;
+
+/// Why a robot ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotError {
+    /// It cannot take part in the run.
+    #[error(transparent)]
+    Rendezvous(#[from] RendezvousError),
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The run has no robot with this id.
+    #[error("--id: expected 0 to {last} for this run, got {id}")]
+    NoSuchRobot {
+        /// The id asked for.
+        id: usize,
+        /// The highest id of the run.
+        last: usize,
+    },
+}
+
+/// Runs one robot until the run ends or until asked to end.
+///
+/// # Errors
+/// [`RobotError`].
+pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Result<(), RobotError> {
+    let scenario = &rendezvous.description().scenario;
+    let last = scenario.robots.len() - 1;
+    let sensor = Sensor::new(scenario, id).ok_or(RobotError::NoSuchRobot { id, last })?;
+    let hold = rendezvous.take_role(Role::Robot(id))?;
+    let bus = Bus::connect(rendezvous, Role::Robot(id), &hold)?;
+    let mut robot = Robot::new(scenario, id, sensor, &bus)?;
+    robot.sim.ring(Call::Hello);
+    while !termination.requested() {
+        let calls = robot.bed.sleep(robot.time_to_wait());
+        robot.look()?;
+        if (calls.has(Call::Finished) || robot.present.is_none() || !calls.has(Call::Data)) && rendezvous.is_finished()
+        {
+            break;
+        }
+    }
+    Ok(())
+}
+
+struct Robot<'a> {
+    scenario: &'a Scenario,
+    id: usize,
+    sensor: Sensor,
+    controller: Controller,
+    present: Option<Present>,
+    late_headings: u64,
+    ranges: Publisher<Range>,
+    drives: Publisher<Drive>,
+    worlds: Subscriber<WorldEntry>,
+    headings: Subscriber<Command>,
+    bed: Bed,
+    sim: Bell,
+    fusion: Bell,
+}
+
+/// The tick a robot is in.
+#[derive(Debug, Clone, Copy)]
+struct Present {
+    incarnation: u64,
+    tick: u64,
+    time_s: f64,
+    range: Range,
+    range_sent_ns: u64,
+    drive: Option<Drive>,
+}
+
+impl<'a> Robot<'a> {
+    fn new(scenario: &'a Scenario, id: usize, sensor: Sensor, bus: &Bus) -> Result<Self, BusError> {
+        Ok(Self {
+            scenario,
+            id,
+            sensor,
+            controller: Controller::new(scenario.robots[id].speed_mps),
+            present: None,
+            late_headings: 0,
+            ranges: bus.publisher(1)?,
+            drives: bus.publisher(1)?,
+            worlds: bus.subscriber()?,
+            headings: bus.subscriber()?,
+            bed: bus.sleep_as(Sleeper::Robots)?,
+            sim: bus.bell_of(Sleeper::Sim)?,
+            fusion: bus.bell_of(Sleeper::Fusion)?,
+        })
+    }
+
+    /// In real time, until the heading is overdue; else until called.
+    fn time_to_wait(&self) -> std::time::Duration {
+        match self.heading_deadline_ns() {
+            Some(deadline_ns) => until(deadline_ns).min(IDLE),
+            None => IDLE,
+        }
+    }
+
+    /// When the heading that is waited for will be overdue; tick 0 waits for the whole team.
+    fn heading_deadline_ns(&self) -> Option<u64> {
+        let present = self.present.as_ref()?;
+        let waits = self.scenario.clock == Clock::Realtime && present.tick > 0 && present.drive.is_none();
+        waits.then(|| heading_deadline_ns(present.range.tick_began_ns, self.scenario.dt_s))
+    }
+
+    /// Acts on whatever has come.
+    fn look(&mut self) -> Result<(), BusError> {
+        let mut newest: Option<(Header, WorldEntry)> = None;
+        self.worlds.drain(|header, entries| {
+            if let Some(entry) = entries.get(self.id) {
+                newest = Some((*header, *entry));
+            }
+        })?;
+        if let Some((header, entry)) = newest {
+            self.see_world(&header, &entry)?;
+        }
+        self.take_heading()?;
+        if self.heading_deadline_ns().is_some_and(|deadline_ns| until(deadline_ns).is_zero()) {
+            self.drive_without_heading()?;
+        }
+        Ok(())
+    }
+
+    /// A new tick is measured and told to fusion; a repeated one is answered with what was said.
+    fn see_world(&mut self, header: &Header, entry: &WorldEntry) -> Result<(), BusError> {
+        let seen = self.present.as_ref().map(|present| (present.incarnation, present.tick));
+        if seen == Some((header.incarnation, header.tick)) {
+            return self.repeat();
+        }
+        // A simulator that was started again may go back; the same one never does.
+        if seen > Some((header.incarnation, header.tick)) {
+            return Ok(());
+        }
+        let range_m = self.sensor.measure(header.tick, entry);
+        let range = Range {
+            robot: self.id as u64,
+            present: u64::from(range_m.is_some()),
+            x_m: entry.x_m,
+            y_m: entry.y_m,
+            range_m: range_m.unwrap_or(0.0),
+            range_std_m: self.sensor.std_m(),
+            tick_began_ns: header.sent_ns,
+        };
+        let range_sent_ns = self.ranges.send(header.tick, header.valid_at_s, &[range])?;
+        self.fusion.ring(Call::Data);
+        self.present = Some(Present {
+            incarnation: header.incarnation,
+            tick: header.tick,
+            time_s: header.valid_at_s,
+            range,
+            range_sent_ns,
+            drive: None,
+        });
+        Ok(())
+    }
+
+    fn repeat(&self) -> Result<(), BusError> {
+        let Some(present) = &self.present else { return Ok(()) };
+        if let Some(drive) = present.drive {
+            self.drives.send(present.tick, present.time_s, &[drive])?;
+            self.sim.ring(Call::Data);
+        } else {
+            self.ranges.send(present.tick, present.time_s, &[present.range])?;
+            self.fusion.ring(Call::Data);
+        }
+        Ok(())
+    }
+
+    fn take_heading(&mut self) -> Result<(), BusError> {
+        let Some(present) = &mut self.present else {
+            return self.headings.drain(|_, _| {});
+        };
+        let (tick, id, robots) = (present.tick, self.id, self.scenario.robots.len());
+        let mut fresh = None;
+        self.headings.drain(|header, commands| {
+            if header.tick == tick && commands.len() == robots {
+                fresh = Some(commands[id]);
+            }
+        })?;
+        let held_ns = monotonic_ns();
+        let obeyed = present.drive.is_some_and(|drive| drive.heading_held_ns != 0);
+        let Some(command) = fresh.filter(|_| !obeyed) else { return Ok(()) };
+        if present.drive.is_some() {
+            // Overdue, but the tick is not over: better late than held.
+            self.late_headings += 1;
+        }
+        let driven = self.controller.obey(tick, command);
+        self.send_drive(driven, held_ns)
+    }
+
+    fn drive_without_heading(&mut self) -> Result<(), BusError> {
+        let Some(present) = &self.present else { return Ok(()) };
+        let driven = self.controller.hold(present.tick);
+        self.send_drive(driven, 0)
+    }
+
+    fn send_drive(&mut self, driven: Command, heading_held_ns: u64) -> Result<(), BusError> {
+        let Some(present) = &mut self.present else { return Ok(()) };
+        let drive = Drive {
+            robot: self.id as u64,
+            heading_rad: driven.heading_rad,
+            speed_mps: driven.speed_mps,
+            range_sent_ns: if present.range.present == 1 { present.range_sent_ns } else { 0 },
+            heading_held_ns,
+            late_headings: self.late_headings,
+        };
+        present.drive = Some(drive);
+        self.drives.send(present.tick, present.time_s, &[drive])?;
+        self.sim.ring(Call::Data);
+        Ok(())
+    }
+}

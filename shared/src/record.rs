@@ -1,0 +1,189 @@
+//! What fusion and simulator put down of each tick, as words of a [`tick_log`](crate::tick_log).
+
+use std::path::{Path, PathBuf};
+
+use crate::message::{Drive, Estimate, WorldEntry};
+use crate::scenario::Scenario;
+use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
+
+/// Where fusion's log lies in a run folder.
+#[must_use]
+pub fn estimate_log(out_dir: &Path) -> PathBuf {
+    out_dir.join("estimate.ticks")
+}
+
+/// Where the simulator's log lies in a run folder.
+#[must_use]
+pub fn world_log(out_dir: &Path) -> PathBuf {
+    out_dir.join("world.ticks")
+}
+
+/// Fusion's words of one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EstimateRecord {
+    /// Time that the estimate is valid for, s.
+    pub time_s: f64,
+    /// The estimate and its tallies.
+    pub estimate: Estimate,
+}
+
+/// The simulator's words of one tick.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct WorldRecord {
+    /// Time of the tick, s.
+    pub time_s: f64,
+    /// When the tick was over, monotonic ns.
+    pub ended_ns: u64,
+    /// The target's true state; empty for a recording.
+    pub truth: Vec<f64>,
+    /// Each robot's part in the tick.
+    pub robots: Vec<RobotRecord>,
+}
+
+/// One robot's part in one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RobotRecord {
+    /// Where it was, m.
+    pub position_m: [f64; 2],
+    /// Its end-to-end latency, ns, if it published a range and got a heading.
+    pub latency_ns: Option<u64>,
+    /// True if its sensor had a range and it said that it published it.
+    pub range_published: bool,
+}
+
+impl EstimateRecord {
+    fn words(state_dim: usize) -> usize {
+        9 + state_dim + state_dim * state_dim
+    }
+
+    /// Opens fusion's log for writing.
+    ///
+    /// # Errors
+    /// If the file cannot be opened.
+    pub fn writer(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogWriter, TickLogError> {
+        TickLogWriter::open(&estimate_log(out_dir), run_id, Self::words(scenario.motion.state_dim()))
+    }
+
+    /// Opens fusion's log for reading.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn reader(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogReader, TickLogError> {
+        TickLogReader::open(&estimate_log(out_dir), run_id, Self::words(scenario.motion.state_dim()))
+    }
+
+    /// The record as words.
+    pub fn to_words(&self) -> impl Iterator<Item = u64> {
+        let e = &self.estimate;
+        let n = e.state_dim as usize;
+        let tallies = [
+            self.time_s.to_bits(),
+            e.nis.to_bits(),
+            e.fused,
+            e.rejected,
+            e.missing,
+            e.late,
+            e.objective.to_bits(),
+            e.digest[0],
+            e.digest[1],
+        ];
+        let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
+        tallies.into_iter().chain(numbers)
+    }
+
+    /// The record in words that [`Self::to_words`] made, for a state of this dimension.
+    #[must_use]
+    pub fn from_words(words: &[u64], state_dim: usize) -> Self {
+        let word = |index: usize| words.get(index).copied().unwrap_or(0);
+        let mut estimate = Estimate {
+            state_dim: state_dim as u64,
+            nis: f64::from_bits(word(1)),
+            fused: word(2),
+            rejected: word(3),
+            missing: word(4),
+            late: word(5),
+            objective: f64::from_bits(word(6)),
+            digest: [word(7), word(8)],
+            ..Estimate::default()
+        };
+        for (i, value) in estimate.state.iter_mut().take(state_dim).enumerate() {
+            *value = f64::from_bits(word(9 + i));
+        }
+        for (i, value) in estimate.covariance.iter_mut().take(state_dim * state_dim).enumerate() {
+            *value = f64::from_bits(word(9 + state_dim + i));
+        }
+        Self { time_s: f64::from_bits(word(0)), estimate }
+    }
+}
+
+impl WorldRecord {
+    const WORDS_PER_ROBOT: usize = 4;
+
+    fn words(scenario: &Scenario) -> usize {
+        2 + Self::truth_dim(scenario) + Self::WORDS_PER_ROBOT * scenario.robots.len()
+    }
+
+    fn truth_dim(scenario: &Scenario) -> usize {
+        match scenario.source {
+            crate::scenario::Source::Simulated { .. } => scenario.motion.state_dim(),
+            crate::scenario::Source::Recorded { .. } => 0,
+        }
+    }
+
+    /// Opens the simulator's log for writing.
+    ///
+    /// # Errors
+    /// If the file cannot be opened.
+    pub fn writer(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogWriter, TickLogError> {
+        TickLogWriter::open(&world_log(out_dir), run_id, Self::words(scenario))
+    }
+
+    /// Opens the simulator's log for reading.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn reader(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogReader, TickLogError> {
+        TickLogReader::open(&world_log(out_dir), run_id, Self::words(scenario))
+    }
+
+    /// The words of a tick, from what the simulator holds, without building a record.
+    pub fn to_words<'a>(
+        time_s: f64,
+        ended_ns: u64,
+        truth: &'a [f64],
+        world: &'a [WorldEntry],
+        drives: &'a [Option<Drive>],
+    ) -> impl Iterator<Item = u64> + 'a {
+        let robots = world.iter().zip(drives).flat_map(|(entry, drive)| {
+            // The stamp is of no use to readers, so one word tells latency and 0 for none.
+            let latency_ns = drive.and_then(|drive| drive.latency_ns()).map_or(0, |latency| latency.max(1));
+            let published = drive.is_some_and(|drive| drive.range_sent_ns != 0);
+            [entry.x_m.to_bits(), entry.y_m.to_bits(), latency_ns, u64::from(published)]
+        });
+        [time_s.to_bits(), ended_ns].into_iter().chain(truth.iter().map(|value| value.to_bits())).chain(robots)
+    }
+
+    /// The record in words that [`Self::to_words`] made in a run of this scenario.
+    #[must_use]
+    pub fn from_words(words: &[u64], scenario: &Scenario) -> Self {
+        let float = |word: &u64| f64::from_bits(*word);
+        let truth_end = 2 + Self::truth_dim(scenario);
+        Self {
+            time_s: words.first().map_or(0.0, float),
+            ended_ns: words.get(1).copied().unwrap_or(0),
+            truth: words.get(2..truth_end).unwrap_or_default().iter().map(float).collect(),
+            robots: words
+                .get(truth_end..)
+                .unwrap_or_default()
+                .as_chunks::<{ Self::WORDS_PER_ROBOT }>()
+                .0
+                .iter()
+                .map(|[x, y, latency_ns, published]| RobotRecord {
+                    position_m: [f64::from_bits(*x), f64::from_bits(*y)],
+                    latency_ns: (*latency_ns != 0).then_some(*latency_ns),
+                    range_published: *published != 0,
+                })
+                .collect(),
+        }
+    }
+}

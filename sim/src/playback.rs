@@ -1,0 +1,99 @@
+//! The recorded world: sensors where they were, ranges as they were measured.
+
+use std::path::Path;
+
+use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
+use rangehound_shared::recording::{Recording, RecordingError};
+
+use crate::world::World;
+
+/// A recording, one instant a tick from tick 1 on. As in a simulation, tick 0 carries no range.
+#[derive(Debug, Clone)]
+pub struct Playback {
+    recording: Recording,
+    next_instant: usize,
+    time_s: f64,
+    entries: Vec<WorldEntry>,
+}
+
+impl Playback {
+    /// Reads a recording.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn read(ranges: &Path) -> Result<Self, RecordingError> {
+        Ok(Self::new(Recording::read(ranges)?))
+    }
+
+    /// Plays a recording from its start.
+    #[must_use]
+    pub fn new(recording: Recording) -> Self {
+        let entries = recording
+            .sensors()
+            .iter()
+            .map(|sensor| WorldEntry {
+                x_m: sensor.first_position_m[0],
+                y_m: sensor.first_position_m[1],
+                ..WorldEntry::default()
+            })
+            .collect();
+        let time_s = recording.instant(0).map_or(0.0, |(time_s, _)| time_s);
+        Self { recording, next_instant: 0, time_s, entries }
+    }
+}
+
+impl World for Playback {
+    fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    fn entries(&self) -> &[WorldEntry] {
+        &self.entries
+    }
+
+    fn truth(&self) -> &[f64] {
+        &[]
+    }
+
+    fn advance(&mut self, _drives: &[Option<Drive>]) {
+        for entry in &mut self.entries {
+            entry.range_kind = RangeKind::Absent.to_bits();
+            entry.range_m = 0.0;
+        }
+        if let Some((time_s, readings)) = self.recording.instant(self.next_instant) {
+            self.time_s = time_s;
+            for reading in readings {
+                self.entries[reading.sensor] = WorldEntry {
+                    x_m: reading.position_m[0],
+                    y_m: reading.position_m[1],
+                    range_m: reading.range_m,
+                    range_kind: RangeKind::Measured.to_bits(),
+                };
+            }
+            self.next_instant += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_range_is_played_once_at_its_time_and_place() {
+        let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n5,1,0,0,3\n6,2,1,1,4\n6,1,0,2,5\n";
+        let recording = Recording::parse(csv.as_bytes(), Path::new("r.csv")).unwrap();
+        let mut world = Playback::new(recording);
+        let heard = |world: &Playback| -> Vec<(f64, f64, f64)> {
+            let measured = |entry: &&WorldEntry| entry.range_kind == RangeKind::Measured.to_bits();
+            world.entries().iter().filter(measured).map(|e| (e.x_m, e.y_m, e.range_m)).collect()
+        };
+        assert_eq!((world.time_s(), heard(&world)), (5.0, vec![]));
+        world.advance(&[]);
+        assert_eq!((world.time_s(), heard(&world)), (5.0, vec![(0.0, 0.0, 3.0)]));
+        world.advance(&[]);
+        assert_eq!((world.time_s(), heard(&world)), (6.0, vec![(0.0, 2.0, 5.0), (1.0, 1.0, 4.0)]));
+        world.advance(&[]);
+        assert_eq!((world.time_s(), heard(&world)), (6.0, vec![]), "the end repeats nothing");
+    }
+}

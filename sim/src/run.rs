@@ -1,0 +1,228 @@
+//! The simulator's process: ports and loop round a [`World`].
+
+use std::time::{Duration, Instant};
+
+use rangehound_shared::STATE_DIM_MAX;
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::clock::{monotonic_ns, until};
+use rangehound_shared::message::{Drive, Truth, WorldEntry};
+use rangehound_shared::record::WorldRecord;
+use rangehound_shared::recording::RecordingError;
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::signal::Termination;
+use rangehound_shared::tick_log::TickLogWriter;
+
+use crate::world::{self, World};
+
+/// After this long without all answers the tick is sent again: mends whatever was lost.
+const REPEAT: Duration = Duration::from_millis(50);
+
+/// Why the simulator ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// It cannot take part in the run.
+    #[error(transparent)]
+    Rendezvous(#[from] RendezvousError),
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+}
+
+/// Runs the simulator of a run until its last tick or until asked to end.
+///
+/// # Errors
+/// [`SimError`].
+pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), SimError> {
+    let hold = rendezvous.take_role(Role::Sim)?;
+    let bus = Bus::connect(rendezvous, Role::Sim, &hold)?;
+    let mut sim = Sim::new(rendezvous, &bus)?;
+    let ended = match sim.scenario.clock {
+        Clock::Lockstep => sim.run_in_lockstep(termination)?,
+        Clock::Realtime => sim.run_in_real_time(termination)?,
+    };
+    if ended {
+        rendezvous.finish()?;
+        sim.robots.ring(Call::Finished);
+        sim.fusion.ring(Call::Finished);
+    }
+    Ok(())
+}
+
+struct Sim<'a> {
+    scenario: &'a Scenario,
+    world: Box<dyn World>,
+    tick: u64,
+    drives: Vec<Option<Drive>>,
+    /// Robots that are not waited for.
+    silent: Vec<bool>,
+    slowest_latency_ns: u64,
+    log: Option<TickLogWriter>,
+    worlds: Publisher<WorldEntry>,
+    truths: Publisher<Truth>,
+    drives_in: Subscriber<Drive>,
+    bed: Bed,
+    robots: Bell,
+    fusion: Bell,
+}
+
+impl<'a> Sim<'a> {
+    fn new(rendezvous: &'a Rendezvous, bus: &Bus) -> Result<Self, SimError> {
+        let description = rendezvous.description();
+        let scenario = &description.scenario;
+        let robots = scenario.robots.len();
+        let log = WorldRecord::writer(&description.out_dir, description.run_id, scenario)
+            .inspect_err(|error| log::warn!("goes on without a log: {error}"))
+            .ok();
+        Ok(Self {
+            scenario,
+            world: world::for_scenario(scenario)?,
+            tick: 0,
+            drives: vec![None; robots],
+            silent: vec![false; robots],
+            slowest_latency_ns: 0,
+            log,
+            worlds: bus.publisher(robots)?,
+            truths: bus.publisher(1)?,
+            drives_in: bus.subscriber()?,
+            bed: bus.sleep_as(Sleeper::Sim)?,
+            robots: bus.bell_of(Sleeper::Robots)?,
+            fusion: bus.bell_of(Sleeper::Fusion)?,
+        })
+    }
+
+    /// Every tick starts as soon as all robots have answered the one before. True if the run came to
+    /// its end.
+    fn run_in_lockstep(&mut self, termination: &Termination) -> Result<bool, SimError> {
+        while self.tick <= self.scenario.ticks {
+            let patience = if self.tick == 0 { Patience::Forever } else { self.scenario.patience };
+            if !self.tick_until_answered(patience, termination)? {
+                return Ok(false);
+            }
+            self.end_tick();
+        }
+        Ok(true)
+    }
+
+    /// A tick every dt of wall time. Tick 0 waits for the whole team, so that the run starts when
+    /// everybody is there.
+    fn run_in_real_time(&mut self, termination: &Termination) -> Result<bool, SimError> {
+        if !self.tick_until_answered(Patience::Forever, termination)? {
+            return Ok(false);
+        }
+        let dt_ns = (self.scenario.dt_s * 1e9) as u64;
+        let mut due_ns = monotonic_ns() + dt_ns;
+        loop {
+            self.sleep_until(due_ns, termination)?;
+            if termination.requested() {
+                return Ok(false);
+            }
+            self.end_tick();
+            if self.tick > self.scenario.ticks {
+                return Ok(true);
+            }
+            self.publish()?;
+            // Time lost to a stopped process is not made up by a burst of ticks.
+            due_ns = (due_ns + dt_ns).max(monotonic_ns());
+        }
+    }
+
+    /// Publishes the present tick until every robot has answered it, or all but those whose silence
+    /// exceeds the patience while others go on. False if asked to end.
+    fn tick_until_answered(&mut self, patience: Patience, termination: &Termination) -> Result<bool, SimError> {
+        let began = Instant::now();
+        self.publish()?;
+        let mut repeat_at = began + REPEAT;
+        while !termination.requested() {
+            let calls = self.bed.sleep(repeat_at.saturating_duration_since(Instant::now()));
+            self.take_drives()?;
+            if self.leave_out_the_silent(patience, began.elapsed()) {
+                return Ok(true);
+            }
+            if calls.has(Call::Hello) || Instant::now() >= repeat_at {
+                self.publish()?;
+                repeat_at = Instant::now() + REPEAT;
+            }
+        }
+        Ok(false)
+    }
+
+    /// True once nobody is waited for any more.
+    fn leave_out_the_silent(&mut self, patience: Patience, elapsed: Duration) -> bool {
+        let answered = self.drives.iter().flatten().count();
+        if let Patience::After(limit) = patience
+            && answered > 0
+            && elapsed >= limit
+        {
+            for (id, (silent, drive)) in self.silent.iter_mut().zip(&self.drives).enumerate() {
+                if drive.is_none() && !*silent {
+                    log::warn!("tick {}: goes on without robot {id}, silent for {limit:?}", self.tick);
+                    *silent = true;
+                }
+            }
+        }
+        answered > 0 && self.drives.iter().zip(&self.silent).all(|(drive, silent)| drive.is_some() || *silent)
+    }
+
+    fn sleep_until(&mut self, due_ns: u64, termination: &Termination) -> Result<Calls, SimError> {
+        let mut calls = Calls::default();
+        while !until(due_ns).is_zero() && !termination.requested() {
+            calls = self.bed.sleep(until(due_ns).min(IDLE));
+            self.take_drives()?;
+        }
+        Ok(calls)
+    }
+
+    fn publish(&mut self) -> Result<(), SimError> {
+        let time_s = self.world.time_s();
+        self.worlds.send(self.tick, time_s, self.world.entries())?;
+        self.robots.ring(Call::Data);
+        let truth = self.world.truth();
+        let mut state = [0.0; STATE_DIM_MAX];
+        state[..truth.len()].copy_from_slice(truth);
+        let message = Truth {
+            state_dim: truth.len() as u64,
+            state,
+            ticks: self.scenario.ticks,
+            latency_ns: self.slowest_latency_ns,
+        };
+        self.truths.send(self.tick, time_s, &[message])?;
+        Ok(())
+    }
+
+    fn take_drives(&mut self) -> Result<(), SimError> {
+        let Self { tick, drives, silent, drives_in, .. } = self;
+        drives_in.drain(|header, message| {
+            if header.tick != *tick {
+                return;
+            }
+            for drive in message {
+                let id = drive.robot as usize;
+                if let (Some(slot), Some(silent)) = (drives.get_mut(id), silent.get_mut(id)) {
+                    *slot = Some(*drive);
+                    *silent = false;
+                }
+            }
+        })?;
+        Ok(())
+    }
+
+    /// Puts the tick down and advances the world by what was driven.
+    fn end_tick(&mut self) {
+        if let Some(log) = &mut self.log {
+            let world = &self.world;
+            let words = WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), &self.drives);
+            if let Err(error) = log.write(self.tick, words) {
+                log::warn!("goes on without a log: {error}");
+                self.log = None;
+            }
+        }
+        self.slowest_latency_ns = self.drives.iter().flatten().filter_map(Drive::latency_ns).max().unwrap_or(0);
+        self.world.advance(&self.drives);
+        self.drives.fill(None);
+        self.tick += 1;
+    }
+}

@@ -1,0 +1,213 @@
+//! The command line, as clap reads it.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use rangehound_shared::rendezvous::RunName;
+use rangehound_shared::scenario::PatienceKey;
+
+/// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
+/// that filters and plans, a simulator, all talking over shared memory.
+///
+/// Without a command it runs the paper's experiment (as `rangehound run`).
+#[derive(Debug, Parser)]
+#[command(name = "rangehound", version, after_help = EXAMPLES)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+}
+
+const EXAMPLES: &str = "Examples:
+  rangehound                                     the paper's experiment, 20 s in real time
+  rangehound run --clock lockstep --robots 10    ten robots, as fast as the processes can
+  rangehound scenario > mine.toml                a scenario file to start from
+  rangehound track ranges.csv --range-std 0.12   recorded ranges through the same processes
+
+Exit codes: 0 done, 1 failed while running, 2 bad usage or bad input.";
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Start simulator, fusion centre and robots, watch them, and write the run folder
+    Run(RunArgs),
+    /// Run the simulator alone: founds the run if nobody has (other nodes join it by --name)
+    Sim(SimArgs),
+    /// Run the fusion centre alone
+    Fusion(NodeArgs),
+    /// Run one robot alone
+    Robot(RobotArgs),
+    /// Attach to a run: show its progress, and write its report when it ends
+    Watch(NodeArgs),
+    /// Print the default scenario file, to start one's own from
+    Scenario,
+    /// Track recorded ranges: the same processes, one robot process for each sensor
+    Track(TrackArgs),
+}
+
+/// `run`.
+#[derive(Debug, Default, Args)]
+pub struct RunArgs {
+    /// The experiment, as a whole
+    #[command(flatten)]
+    pub experiment: ExperimentArgs,
+    /// Compose the same steps in this one process, without shared memory: same estimates, same digest
+    #[arg(long)]
+    pub in_process: bool,
+    /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
+    #[arg(long)]
+    pub write_recording: bool,
+}
+
+/// What is run, under which name, and where its folder is.
+#[derive(Debug, Default, Args)]
+pub struct ExperimentArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// Number of robots, all alike
+    #[arg(long, value_name = "N")]
+    pub robots: Option<u64>,
+    /// Number of time steps
+    #[arg(long, value_name = "N")]
+    pub ticks: Option<u64>,
+    /// Seed of all random numbers
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// What starts the next tick: wall time, or all answers
+    #[arg(long)]
+    pub clock: Option<ClockArg>,
+    /// How headings are chosen: adaptive, standard, grid or random
+    #[arg(long, value_name = "NAME")]
+    pub planner: Option<String>,
+    /// Silence after which lock step goes on without a robot: seconds or "forever"
+    #[arg(long, value_name = "SECONDS", value_parser = patience)]
+    pub patience: Option<PatienceKey>,
+    /// Name of the run: nodes find each other by it [default: the scenario's name, numbered if taken]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Run folder: report, tables, logs [default: runs/NAME]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// What starts the next tick.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum ClockArg {
+    /// Every dt of wall time, whatever is missing
+    Realtime,
+    /// As soon as all have answered
+    Lockstep,
+}
+
+/// `sim`.
+#[derive(Debug, Args)]
+pub struct SimArgs {
+    /// The experiment, if this process founds the run
+    #[command(flatten)]
+    pub experiment: ExperimentArgs,
+    /// Who to end with
+    #[command(flatten)]
+    pub parent: ParentArgs,
+}
+
+/// `fusion`, `watch`.
+#[derive(Debug, Args)]
+pub struct NodeArgs {
+    /// Name of the run to join; waits for it to be founded
+    #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
+    pub name: RunName,
+    /// Who to end with
+    #[command(flatten)]
+    pub parent: ParentArgs,
+}
+
+/// `robot`.
+#[derive(Debug, Args)]
+pub struct RobotArgs {
+    /// Which robot of the team, counted from 0
+    #[arg(long, value_name = "N")]
+    pub id: usize,
+    /// The run
+    #[command(flatten)]
+    pub node: NodeArgs,
+}
+
+/// Set by `run` for the nodes that it starts.
+#[derive(Debug, Args)]
+pub struct ParentArgs {
+    /// End when this process, the parent, ends
+    #[arg(long, value_name = "PID", hide = true)]
+    pub end_with: Option<u32>,
+}
+
+/// `track`.
+#[derive(Debug, Args)]
+pub struct TrackArgs {
+    /// Recorded ranges: CSV with time_s,sensor_id,sensor_x_m,sensor_y_m,range_m
+    pub ranges: PathBuf,
+    /// Standard deviation of a range, m
+    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    pub range_std: Option<f64>,
+    /// Spectral density of the target's acceleration, m^2/s^3
+    #[arg(long, value_name = "Q", allow_negative_numbers = true)]
+    pub accel_psd: Option<f64>,
+    /// Bias B in `measured = (1+S) true + B`, m; SENSOR=B for one sensor, repeatable
+    #[arg(long, value_name = "[SENSOR=]B", allow_hyphen_values = true)]
+    pub range_bias: Vec<PerSensor>,
+    /// Scale error S in `measured = (1+S) true + B`; SENSOR=S for one sensor, repeatable
+    #[arg(long, value_name = "[SENSOR=]S", allow_hyphen_values = true)]
+    pub range_scale: Vec<PerSensor>,
+    /// Reject a range whose innovation is more than this many standard deviations
+    #[arg(long, value_name = "SIGMA", allow_negative_numbers = true)]
+    pub gate: Option<f64>,
+    /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Compose the same steps in this one process, without shared memory
+    #[arg(long)]
+    pub in_process: bool,
+    /// Name of the run [default: after the file, numbered if taken]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Run folder: estimate.csv, report, logs [default: runs/NAME]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// A value for all sensors, or for one: `0.1` or `105=0.1`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PerSensor {
+    /// The sensor, if not all.
+    pub sensor: Option<u64>,
+    /// The value.
+    pub value: f64,
+}
+
+impl std::str::FromStr for PerSensor {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || "expected a number or SENSOR=NUMBER".to_owned();
+        let (sensor, value) = match text.split_once('=') {
+            Some((sensor, value)) => (Some(sensor.parse().map_err(|_| expected())?), value),
+            None => (None, text),
+        };
+        Ok(Self { sensor, value: value.parse().map_err(|_| expected())? })
+    }
+}
+
+fn patience(text: &str) -> Result<PatienceKey, String> {
+    Ok(match text.parse() {
+        Ok(seconds) => PatienceKey::Seconds(seconds),
+        Err(_) => PatienceKey::Word(text.to_owned()),
+    })
+}
+
+/// A usage error as one line.
+#[must_use]
+pub fn one_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let sentence: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
+    let sentence = sentence.join(" ");
+    format!("{} (try --help)", sentence.strip_prefix("error: ").unwrap_or(&sentence))
+}

@@ -1,0 +1,176 @@
+//! From the command line to a validated scenario, a run's name and its folder.
+
+use std::path::{Path, PathBuf};
+
+use rangehound_fusion::planner;
+use rangehound_shared::rendezvous::{RunDescription, RunName, living_runs};
+use rangehound_shared::scenario::{
+    FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
+};
+
+use crate::cli::{ClockArg, ExperimentArgs, PerSensor, TrackArgs};
+use crate::failure::Failure;
+
+/// The default scenario file, as `rangehound scenario` prints it.
+pub const DEFAULT_SCENARIO: &str = include_str!("../scenarios/paper.toml");
+
+/// Where run folders go unless told otherwise.
+const RUNS: &str = "runs";
+
+/// How a run gets its name when the user gives none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Naming {
+    /// The scenario's name, numbered if that is taken: no earlier result is overwritten unasked.
+    Numbered,
+    /// The scenario's name: nodes in other terminals know it.
+    Exact,
+}
+
+/// An experiment that may start: everything the user gave has been checked.
+#[derive(Debug)]
+pub struct Experiment {
+    /// Name of the run.
+    pub name: RunName,
+    /// What its nodes must know.
+    pub description: RunDescription,
+    /// The scenario file that leads here again, overrides included.
+    pub scenario_file: ScenarioFile,
+}
+
+impl Experiment {
+    /// The experiment of `run` and `sim`.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
+        let (mut file, file_name, folder) = match &args.scenario {
+            Some(path) => {
+                let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+                (ScenarioFile::read(path).map_err(Failure::input)?, path.display().to_string(), folder)
+            }
+            None => {
+                let file = ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?;
+                (file, "scenarios/paper.toml".to_owned(), PathBuf::new())
+            }
+        };
+        override_with(&mut file, args)?;
+        Self::check(file, &file_name, &folder, args.name.as_ref(), naming, args.out.as_deref())
+    }
+
+    /// The experiment of `track`.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub fn from_track(args: &TrackArgs) -> Result<Self, Failure> {
+        let ranges = args.ranges.to_str().ok_or_else(|| Failure::input("RANGES.csv: expected a name in UTF-8"))?;
+        let mut recording = RecordingTable {
+            ranges: Some(ranges.to_owned()),
+            range_std_m: args.range_std,
+            ..RecordingTable::default()
+        };
+        let mut sensors: Vec<SensorTable> = Vec::new();
+        apply(&args.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
+        apply(&args.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
+        recording.sensor = Some(sensors);
+        let file = ScenarioFile {
+            name: Some(name_after(&args.ranges)),
+            recording: Some(recording),
+            target: Some(TargetTable { noise_psd: args.accel_psd, ..TargetTable::default() }),
+            filter: Some(FilterTable { gate_sigma: args.gate }),
+            ..ScenarioFile::default()
+        };
+        let (name, out) = (args.name.as_ref(), args.out.as_deref());
+        Self::check(file, "command line", Path::new(""), name, Naming::Numbered, out)
+    }
+
+    fn check(
+        mut file: ScenarioFile,
+        file_name: &str,
+        folder: &Path,
+        name: Option<&RunName>,
+        naming: Naming,
+        out: Option<&Path>,
+    ) -> Result<Self, Failure> {
+        let scenario = Scenario::from_file(&file, file_name, folder).map_err(Failure::input)?;
+        if let (Some(recording), Source::Recorded { ranges }) = (&mut file.recording, &scenario.source) {
+            // The copy in the run folder must find it too.
+            recording.ranges = std::path::absolute(ranges)?.to_str().map(str::to_owned);
+        }
+        planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
+            .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
+        let name = match (name, naming) {
+            (Some(name), _) => name.clone(),
+            (None, Naming::Exact) => scenario.name.parse().map_err(|error| Failure::input(format!("name: {error}")))?,
+            (None, Naming::Numbered) => free_name(&scenario.name, out.is_some())?,
+        };
+        let out = out.map_or_else(|| Path::new(RUNS).join(name.to_string()), Path::to_owned);
+        let out_dir = std::path::absolute(&out).map_err(|error| Failure::input(format!("--out: {error}")))?;
+        Ok(Self { name, description: RunDescription::new(scenario, out_dir), scenario_file: file })
+    }
+}
+
+/// Puts the command line's values over the file's.
+fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), Failure> {
+    if args.robots.is_some() {
+        if file.robot.is_some() || file.recording.is_some() {
+            return Err(Failure::input("--robots: expected a scenario that counts its robots, got one that lists them"));
+        }
+        file.robots.get_or_insert_with(RobotsTable::default).count = args.robots;
+    }
+    if args.planner.is_some() {
+        file.planner.get_or_insert_with(PlannerTable::default).name.clone_from(&args.planner);
+    }
+    let clock = args.clock.map(|clock| match clock {
+        ClockArg::Realtime => "realtime".to_owned(),
+        ClockArg::Lockstep => "lockstep".to_owned(),
+    });
+    file.clock = clock.or_else(|| file.clock.take());
+    file.ticks = args.ticks.or(file.ticks);
+    file.seed = args.seed.or(file.seed);
+    file.patience_s = args.patience.clone().or_else(|| file.patience_s.take());
+    Ok(())
+}
+
+/// Sorts values for all sensors from those for one; the last word on each counts.
+fn apply(
+    values: &[PerSensor],
+    all: &mut Option<f64>,
+    sensors: &mut Vec<SensorTable>,
+    field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
+) {
+    for &PerSensor { sensor, value } in values {
+        match sensor {
+            None => *all = Some(value),
+            Some(id) => {
+                let index = sensors.iter().position(|known| known.id == id).unwrap_or_else(|| {
+                    sensors.push(SensorTable { id, ..SensorTable::default() });
+                    sensors.len() - 1
+                });
+                *field(&mut sensors[index]) = Some(value);
+            }
+        }
+    }
+}
+
+/// A run name after a recording: its file's name, or its folder's if the file is just "ranges".
+fn name_after(ranges: &Path) -> String {
+    let stem = ranges.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());
+    let best = if stem == "ranges" { folder.unwrap_or(stem) } else { stem };
+    let name: String =
+        best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
+    if name.is_empty() { "track".to_owned() } else { name }
+}
+
+/// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder
+/// is given) has a folder.
+fn free_name(wanted: &str, folder_given: bool) -> Result<RunName, Failure> {
+    let living = living_runs();
+    let short: String = wanted.chars().take(19).collect();
+    let candidates = std::iter::once(wanted.to_owned()).chain((2..10_000).map(|n| format!("{short}-{n}")));
+    let mut names = candidates.filter_map(|name| name.parse::<RunName>().ok());
+    let free = |name: &RunName| {
+        !living.contains(name) && (folder_given || !Path::new(RUNS).join(name.to_string()).exists())
+    };
+    names.find(free).ok_or_else(|| Failure::input("--name: expected a name, as all numbered ones are taken"))
+}

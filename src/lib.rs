@@ -1,0 +1,25 @@
+//! The operator's tool: starts, watches and reports runs of rangehound.
+//!
+//! The binary `rangehound` is the tool and also each node: `rangehound sim`, `rangehound fusion`,
+//! `rangehound robot --id 3`. This crate alone knows all roles.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`cli`] | the command line |
+//! | [`experiment`] | from command line to a validated scenario |
+//! | [`supervisor`] | `run`, `track`: starts the nodes, watches, ends them |
+//! | [`node`] | `sim`, `fusion`, `robot`: one node |
+//! | [`watch`] | progress of a run, as an observer sees it |
+//! | [`in_process`] | the same steps composed in one process |
+//! | [`report`], [`tables`] | what a run leaves: `report.json`, CSV |
+//! | [`failure`] | exit codes |
+
+pub mod cli;
+pub mod experiment;
+pub mod failure;
+pub mod in_process;
+pub mod node;
+pub mod report;
+pub mod supervisor;
+pub mod tables;
+pub mod watch;

@@ -1,0 +1,103 @@
+//! One node: what `sim`, `fusion` and `robot` run, started by hand or by `run`.
+
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunName};
+use rangehound_shared::signal::Termination;
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
+
+use crate::cli::{NodeArgs, ParentArgs, RobotArgs, SimArgs};
+use crate::experiment::{Experiment, Naming};
+use crate::failure::Failure;
+use crate::tables;
+
+/// `rangehound sim`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn sim(args: &SimArgs) -> Result<(), Failure> {
+    let termination = prepare(Role::Sim, &args.parent)?;
+    let rendezvous = match (&args.parent.end_with, &args.experiment.name) {
+        (Some(_), Some(name)) => join(name, &termination)?,
+        _ => found(args)?,
+    };
+    end(rangehound_sim::run::run(&rendezvous, &termination))
+}
+
+/// `rangehound fusion`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn fusion(args: &NodeArgs) -> Result<(), Failure> {
+    let termination = prepare(Role::Fusion, &args.parent)?;
+    let rendezvous = join(&args.name, &termination)?;
+    end(rangehound_fusion::run::run(&rendezvous, &termination))
+}
+
+/// `rangehound robot`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
+    let termination = prepare(Role::Robot(args.id), &args.node.parent)?;
+    let rendezvous = join(&args.node.name, &termination)?;
+    end(rangehound_robot::run::run(&rendezvous, args.id, &termination))
+}
+
+/// The simulator started by hand founds the run; started again after a kill, it goes back to it.
+fn found(args: &SimArgs) -> Result<Rendezvous, Failure> {
+    let experiment = Experiment::from_run(&args.experiment, Naming::Exact)?;
+    if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
+        eprintln!("sim: run {} goes on already; taking the simulator's place in it", experiment.name);
+        return Ok(living);
+    }
+    tables::prepare_folder(&experiment)?;
+    let name = experiment.name.clone();
+    let rendezvous = Rendezvous::found(&name, experiment.description).map_err(input_or_running)?;
+    let robots = rendezvous.description().scenario.robots.len();
+    eprintln!(
+        "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
+         rangehound robot --id 0 --name {name}   (to --id {})\n  rangehound watch --name {name}",
+        robots - 1
+    );
+    Ok(rendezvous)
+}
+
+/// Joins a run, telling the user if it must wait.
+///
+/// # Errors
+/// [`Failure`].
+pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Failure> {
+    let waiting = || eprintln!("waiting for run {name}: found it with `rangehound sim --name {name}`");
+    Rendezvous::join(name, termination, waiting).map_err(input_or_running)
+}
+
+/// Names the process, ties it to its parent, listens for requests to end.
+fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
+    let termination = Termination::listen()?;
+    // The kernel keeps 15 bytes; "rh-robot-255" fits.
+    if let Ok(title) = std::ffi::CString::new(format!("rh-{role}")) {
+        rustix::thread::set_name(&title)?;
+    }
+    if let Some(pid) = parent.end_with {
+        set_parent_process_death_signal(Some(Signal::TERM))?;
+        // The parent may have died before the line above.
+        if getppid().map(Pid::as_raw_pid) != i32::try_from(pid).ok() {
+            return Err(Failure::Running(anyhow::anyhow!("the process that started this node is gone")));
+        }
+    }
+    Ok(termination)
+}
+
+fn end<E: std::error::Error + Send + Sync + 'static>(result: Result<(), E>) -> Result<(), Failure> {
+    result.map_err(|error| Failure::Running(anyhow::Error::new(error)))
+}
+
+/// A name or role that is taken is the user's to mend; the rest is the system's.
+#[must_use]
+pub fn input_or_running(error: RendezvousError) -> Failure {
+    match error {
+        RendezvousError::Taken { .. } | RendezvousError::RoleTaken { .. } | RendezvousError::NotOurs(_) => {
+            Failure::input(error)
+        }
+        other => Failure::Running(anyhow::Error::new(other)),
+    }
+}

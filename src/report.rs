@@ -1,0 +1,373 @@
+//! The report of a run, computed from the logs of its nodes.
+
+use std::path::Path;
+
+use hdrhistogram::Histogram;
+use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::digest::Digest;
+use rangehound_shared::message::Estimate;
+use rangehound_shared::record::{EstimateRecord, RobotRecord, WorldRecord};
+use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::scenario::Scenario;
+use rangehound_shared::tick_log::TickLogError;
+use serde::Serialize;
+
+/// File name of the report in a run folder.
+pub const FILE_NAME: &str = "report.json";
+
+/// What a run came to; its fields are the keys of `report.json`.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Seed.
+    pub seed: u64,
+    /// Clock: `realtime` or `lockstep`.
+    pub clock: String,
+    /// Planner.
+    pub planner: String,
+    /// Robots (or sensors of a recording).
+    pub robots: usize,
+    /// Time steps done.
+    pub ticks: u64,
+    /// From the end of tick 0, when the team is complete, to the end of the last tick, s.
+    pub wall_s: f64,
+    /// `ticks / wall_s`.
+    pub ticks_per_s: f64,
+    /// Hash over (tick, state, covariance) bits of all ticks.
+    pub digest: String,
+    /// Root mean square of the position error, m; null where no truth is known.
+    pub position_rmse_m: Option<f64>,
+    /// Position error squared over its covariance, averaged over the ticks, per degree of freedom:
+    /// 1 for a consistent filter; null where no truth is known.
+    pub anees: Option<f64>,
+    /// Innovation squared over its covariance, averaged over the ticks, per range: 1 for a consistent
+    /// filter; null if no range was fused.
+    pub nis_mean: Option<f64>,
+    /// Trace of the position covariance.
+    pub position_trace_m2: TraceSummary,
+    /// What became of the ranges.
+    pub ranges: RangeSummary,
+    /// From publishing a range to holding the heading computed from it.
+    pub latency_us: LatencySummary,
+    /// The processes.
+    pub nodes: Vec<NodeSummary>,
+}
+
+/// Trace of the position covariance, m^2.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct TraceSummary {
+    /// After the last tick.
+    pub r#final: f64,
+    /// Median over the ticks after tick 0.
+    pub median: f64,
+}
+
+/// What became of the ranges.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct RangeSummary {
+    /// Published by robots, as they told the simulator.
+    pub published: u64,
+    /// Fused.
+    pub fused: u64,
+    /// Failed the gate.
+    pub rejected: u64,
+    /// Came after their tick had been fused.
+    pub late: u64,
+    /// Robots not heard, summed over the ticks.
+    pub missing: u64,
+}
+
+/// Percentiles of the end-to-end latency, us.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct LatencySummary {
+    /// Samples.
+    pub count: u64,
+    /// Median.
+    pub p50: f64,
+    /// 90 %.
+    pub p90: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// 99.9 %.
+    pub p99_9: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+/// One process of the run.
+#[derive(Debug, Clone, Serialize)]
+pub struct NodeSummary {
+    /// `sim`, `fusion`, `robot-0`, ...
+    pub name: String,
+    /// How often it was started.
+    pub starts: u64,
+    /// How often it was ended by a signal.
+    pub kills: u64,
+    /// How often it ended by itself before the run did.
+    pub exits: u64,
+}
+
+/// A true track: positions by time, from a file that the tracker never saw.
+#[derive(Debug, Clone)]
+pub struct Truth(Vec<(f64, Vector2<f64>)>);
+
+impl Truth {
+    /// A track of (time, position), in order of time.
+    #[must_use]
+    pub fn new(points: Vec<(f64, Vector2<f64>)>) -> Self {
+        Self(points)
+    }
+
+    /// Position at a time, by linear interpolation; `None` outside the track.
+    fn at(&self, time_s: f64) -> Option<Vector2<f64>> {
+        let after = self.0.partition_point(|(t, _)| *t < time_s);
+        let (t1, p1) = *self.0.get(after)?;
+        if t1 == time_s {
+            return Some(p1);
+        }
+        let (t0, p0) = *self.0.get(after.checked_sub(1)?)?;
+        Some(p0 + (p1 - p0) * ((time_s - t0) / (t1 - t0)))
+    }
+}
+
+/// Adds up a run tick by tick.
+#[derive(Debug)]
+pub struct Tally {
+    ticks: u64,
+    digest: Digest,
+    squared_error_m2: Mean,
+    nees: Mean,
+    nis: Mean,
+    traces_m2: Vec<f64>,
+    ranges: RangeSummary,
+    latency_ns: Histogram<u64>,
+    first_end_ns: Option<u64>,
+    last_end_ns: u64,
+}
+
+#[derive(Debug, Default)]
+struct Mean {
+    sum: f64,
+    count: f64,
+}
+
+impl Mean {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1.0;
+    }
+
+    fn value(&self) -> Option<f64> {
+        (self.count > 0.0).then(|| self.sum / self.count)
+    }
+}
+
+impl Tally {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// If the histogram cannot be made.
+    pub fn new() -> anyhow::Result<Self> {
+        Ok(Self {
+            ticks: 0,
+            digest: Digest::default(),
+            squared_error_m2: Mean::default(),
+            nees: Mean::default(),
+            nis: Mean::default(),
+            traces_m2: Vec::new(),
+            ranges: RangeSummary::default(),
+            // Grows with the largest value; 3 digits are what the report shows.
+            latency_ns: Histogram::new(3)?,
+            first_end_ns: None,
+            last_end_ns: 0,
+        })
+    }
+
+    /// Adds fusion's side of a tick; `truth_m` is the target's true position, where it is known.
+    pub fn add_estimate(&mut self, tick: u64, estimate: &Estimate, truth_m: Option<Vector2<f64>>) {
+        self.digest = Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]));
+        self.ranges.fused += estimate.fused;
+        self.ranges.rejected += estimate.rejected;
+        self.ranges.late += estimate.late;
+        self.ranges.missing += estimate.missing;
+        if estimate.fused > 0 {
+            self.nis.sum += estimate.nis;
+            self.nis.count += estimate.fused as f64;
+        }
+        if tick == 0 {
+            return;
+        }
+        self.ticks = tick;
+        let covariance = position_covariance(estimate);
+        self.traces_m2.push(covariance.trace());
+        if let Some(truth_m) = truth_m {
+            let error = Vector2::new(estimate.state[0], estimate.state[1]) - truth_m;
+            self.squared_error_m2.add(error.norm_squared());
+            if let Some(inverse) = covariance.try_inverse() {
+                self.nees.add(error.dot(&(inverse * error)) / 2.0);
+            }
+        }
+    }
+
+    /// Adds the simulator's side of a tick.
+    pub fn add_world<'a>(&mut self, ended_ns: u64, robots: impl IntoIterator<Item = &'a RobotRecord>) {
+        self.first_end_ns.get_or_insert(ended_ns);
+        self.last_end_ns = ended_ns;
+        for robot in robots {
+            self.ranges.published += u64::from(robot.range_published);
+            if let Some(latency_ns) = robot.latency_ns {
+                // Resizes as needed, so nothing can be out of its bounds.
+                let _ = self.latency_ns.record(latency_ns);
+            }
+        }
+    }
+
+    /// The report.
+    #[must_use]
+    pub fn report(mut self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
+        let wall_s = self.first_end_ns.map_or(0.0, |first| (self.last_end_ns - first) as f64 / 1e9);
+        let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
+        self.traces_m2.sort_unstable_by(f64::total_cmp);
+        let latency_us = |quantile: f64| self.latency_ns.value_at_quantile(quantile) as f64 / 1e3;
+        Report {
+            scenario: scenario.name.clone(),
+            seed: scenario.seed,
+            clock: scenario.clock.name().to_owned(),
+            planner: scenario.planner.name().to_owned(),
+            robots: scenario.robots.len(),
+            ticks: self.ticks,
+            wall_s,
+            ticks_per_s: if wall_s > 0.0 { self.ticks as f64 / wall_s } else { 0.0 },
+            digest: self.digest.to_string(),
+            position_rmse_m: self.squared_error_m2.value().map(f64::sqrt),
+            anees: self.nees.value(),
+            nis_mean: self.nis.value(),
+            position_trace_m2: TraceSummary {
+                r#final: last_trace_m2,
+                median: self.traces_m2.get(self.traces_m2.len() / 2).copied().unwrap_or(0.0),
+            },
+            ranges: self.ranges,
+            latency_us: LatencySummary {
+                count: self.latency_ns.len(),
+                p50: latency_us(0.5),
+                p90: latency_us(0.9),
+                p99: latency_us(0.99),
+                p99_9: latency_us(0.999),
+                max: self.latency_ns.max() as f64 / 1e3,
+            },
+            nodes,
+        }
+    }
+}
+
+/// The 2 x 2 block of the position.
+#[must_use]
+pub fn position_covariance(estimate: &Estimate) -> Matrix2<f64> {
+    let n = estimate.state_dim as usize;
+    let p = &estimate.covariance;
+    Matrix2::new(p[0], p[1], p[n], p[n + 1])
+}
+
+/// Computes the report of a run from its logs.
+///
+/// # Errors
+/// If a log cannot be read.
+pub fn from_logs(
+    description: &RunDescription,
+    truth: Option<&Truth>,
+    nodes: Vec<NodeSummary>,
+) -> anyhow::Result<Report> {
+    let RunDescription { run_id, scenario, out_dir } = description;
+    let mut tally = Tally::new()?;
+    let mut worlds = Worlds::open(description)?;
+    let mut estimates = EstimateRecord::reader(out_dir, *run_id, scenario)?;
+    let state_dim = scenario.motion.state_dim();
+    while let Some(record) = estimates.next() {
+        let (tick, words) = record?;
+        let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
+        let world = worlds.at(tick, &mut tally)?;
+        let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
+        let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(time_s)));
+        tally.add_estimate(tick, &estimate, truth_m);
+    }
+    worlds.at(u64::MAX, &mut tally)?;
+    Ok(tally.report(scenario, nodes))
+}
+
+/// Walks through the simulator's log beside fusion's.
+struct Worlds<'a> {
+    scenario: &'a Scenario,
+    reader: rangehound_shared::tick_log::TickLogReader,
+    last: Option<(u64, WorldRecord)>,
+}
+
+impl<'a> Worlds<'a> {
+    fn open(description: &'a RunDescription) -> Result<Self, TickLogError> {
+        let RunDescription { run_id, scenario, out_dir } = description;
+        Ok(Self { scenario, reader: WorldRecord::reader(out_dir, *run_id, scenario)?, last: None })
+    }
+
+    /// The record of a tick, if there is one; all up to it are added to the tally.
+    fn at(&mut self, tick: u64, tally: &mut Tally) -> Result<Option<&WorldRecord>, TickLogError> {
+        while self.last.as_ref().is_none_or(|(last, _)| *last < tick) {
+            let Some(record) = self.reader.next() else { break };
+            let (at, words) = record?;
+            let record = WorldRecord::from_words(words, self.scenario);
+            tally.add_world(record.ended_ns, &record.robots);
+            self.last = Some((at, record));
+        }
+        Ok(self.last.as_ref().filter(|(last, _)| *last == tick).map(|(_, record)| record))
+    }
+}
+
+/// Writes `report.json`.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
+    let path = out_dir.join(FILE_NAME);
+    std::fs::write(&path, serde_json::to_string_pretty(report)? + "\n")
+        .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+}
+
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { ranges, latency_us, .. } = self;
+        writeln!(
+            f,
+            "{} ({}, {} planner, seed {}): {} robots, {} ticks in {:.2} s ({:.0} ticks/s)",
+            self.scenario, self.clock, self.planner, self.seed, self.robots, self.ticks, self.wall_s, self.ticks_per_s
+        )?;
+        if let (Some(rmse_m), Some(anees)) = (self.position_rmse_m, self.anees) {
+            writeln!(f, "  position error   {rmse_m:.3} m RMS, consistency (ANEES) {anees:.2}, 1 is ideal")?;
+        }
+        writeln!(
+            f,
+            "  position trace   {:.3} m^2 at the end, {:.3} median",
+            self.position_trace_m2.r#final, self.position_trace_m2.median
+        )?;
+        writeln!(
+            f,
+            "  ranges           {} published: {} fused, {} rejected, {} late, {} missing; NIS {}",
+            ranges.published,
+            ranges.fused,
+            ranges.rejected,
+            ranges.late,
+            ranges.missing,
+            self.nis_mean.map_or("unknown".to_owned(), |nis| format!("{nis:.2}"))
+        )?;
+        if latency_us.count > 0 {
+            writeln!(
+                f,
+                "  range to heading {:.0} us p50, {:.0} p90, {:.0} p99, {:.0} p99.9, {:.0} max",
+                latency_us.p50, latency_us.p90, latency_us.p99, latency_us.p99_9, latency_us.max
+            )?;
+        }
+        for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
+            let NodeSummary { name, starts, kills, exits } = node;
+            writeln!(f, "  {name:<16} {starts} starts, {kills} kills, {exits} early exits")?;
+        }
+        write!(f, "  digest           {}", self.digest)
+    }
+}

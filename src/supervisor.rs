@@ -1,0 +1,258 @@
+//! `run` and `track`: starts the nodes of a run, watches them, ends them, and reports.
+
+use std::fs::File;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use rangehound_shared::bus::Bus;
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::signal::Termination;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::cli::{RunArgs, TrackArgs};
+use crate::experiment::{Experiment, Naming};
+use crate::failure::Failure;
+use crate::node::input_or_running;
+use crate::report::{self, NodeSummary, Truth};
+use crate::watch::{self, Progress, Watch};
+use crate::{in_process, tables};
+
+/// How long nodes may take to end by themselves once the run is over, and once they are asked to.
+const GRACE: Duration = Duration::from_secs(3);
+
+/// A robot that dies is started again after this long.
+const RESTART_DELAY: Duration = Duration::from_millis(20);
+
+/// `rangehound run`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &RunArgs) -> Result<(), Failure> {
+    let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
+    let keep = Keep { recording: args.write_recording, truth: None };
+    execute(experiment, args.in_process, &keep)
+}
+
+/// `rangehound track`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn track(args: &TrackArgs) -> Result<(), Failure> {
+    let experiment = Experiment::from_track(args)?;
+    let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
+    execute(experiment, args.in_process, &Keep { recording: false, truth })
+}
+
+/// What is done with a run's logs beyond the report.
+struct Keep {
+    recording: bool,
+    truth: Option<Truth>,
+}
+
+fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), Failure> {
+    tables::prepare_folder(&experiment)?;
+    let Experiment { name, description, .. } = experiment;
+    if in_process {
+        let mut progress = Progress::new(description.scenario.ticks);
+        in_process::run(&description, |tick| {
+            if tick % 4_096 == 0 {
+                progress.show(tick, "in one process");
+            }
+        })?;
+        progress.finish();
+        return report_and_tables(&description, keep, Vec::new());
+    }
+    let termination = Termination::listen()?;
+    let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
+    let _role = rendezvous.take_role(Role::Supervisor).map_err(input_or_running)?;
+    let bus = Bus::observe(&rendezvous)?;
+    let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+    let mut nodes = Nodes::start(&rendezvous, &bus)?;
+    let outcome = nodes.supervise(&termination, || watch.look());
+    nodes.end(rendezvous.is_finished());
+    watch.finish();
+    let summaries = nodes.summaries();
+    drop(bus);
+    drop(rendezvous);
+    report_and_tables(&description, keep, summaries)?;
+    outcome.map_err(Failure::Running)
+}
+
+fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<(), Failure> {
+    let report = report::from_logs(description, keep.truth.as_ref(), nodes)?;
+    tables::write_estimate_csv(description)?;
+    if keep.recording {
+        tables::write_recording(description)?;
+    }
+    report::write(&report, &description.out_dir)?;
+    println!("{report}\n  run folder       {}", description.out_dir.display());
+    Ok(())
+}
+
+/// The processes of a run.
+struct Nodes<'a> {
+    rendezvous: &'a Rendezvous,
+    bus: &'a Bus,
+    nodes: Vec<Node>,
+}
+
+/// One process, and what has become of its forerunners.
+struct Node {
+    role: Role,
+    child: Option<Child>,
+    summary: NodeSummary,
+    restart_at: Option<Instant>,
+}
+
+impl<'a> Nodes<'a> {
+    fn start(rendezvous: &'a Rendezvous, bus: &'a Bus) -> Result<Self, Failure> {
+        let roles = watch::roles(rendezvous.description().scenario.robots.len());
+        let nodes = roles.map(Node::new).collect();
+        let mut all = Self { rendezvous, bus, nodes };
+        for node in &mut all.nodes {
+            if let Err(error) = node.start(rendezvous) {
+                all.end(false);
+                return Err(Failure::Running(error));
+            }
+        }
+        Ok(all)
+    }
+
+    /// Watches until the run is finished, a node that cannot be replaced dies, or an end is asked for.
+    fn supervise<E: Into<anyhow::Error>>(
+        &mut self,
+        termination: &Termination,
+        mut look: impl FnMut() -> Result<(), E>,
+    ) -> anyhow::Result<()> {
+        while !self.rendezvous.is_finished() {
+            if termination.requested() {
+                return Err(anyhow!("ended before its last tick, as asked"));
+            }
+            std::thread::sleep(watch::LOOK);
+            look().map_err(Into::into)?;
+            self.replace_the_dead()?;
+        }
+        look().map_err(Into::into)
+    }
+
+    /// Starts robots again that have died; sim and fusion hold what a new process would not know.
+    fn replace_the_dead(&mut self) -> anyhow::Result<()> {
+        for node in &mut self.nodes {
+            if let Some(status) = node.reap(self.rendezvous)? {
+                let message = format!("{} {}", node.role, describe(status));
+                if !matches!(node.role, Role::Robot(_)) || status.code() == Some(2) {
+                    let log = node.log_path(self.rendezvous);
+                    let said = std::fs::read_to_string(&log).unwrap_or_default();
+                    let last = said.lines().last().unwrap_or("it said nothing").to_owned();
+                    return Err(anyhow!("{message}: {last}"));
+                }
+                log::warn!("{message}; it is started again");
+                node.restart_at = Some(Instant::now() + RESTART_DELAY);
+                self.bus.clean_up_after_the_dead();
+            }
+            if node.restart_at.is_some_and(|at| Instant::now() >= at) {
+                node.start(self.rendezvous)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets the nodes end by themselves if the run is over, asks those that do not, and kills those
+    /// that will not.
+    fn end(&mut self, finished: bool) {
+        if finished {
+            self.wait_for_all();
+        }
+        self.signal(Signal::TERM);
+        self.wait_for_all();
+        self.signal(Signal::KILL);
+        self.wait_for_all();
+        self.bus.clean_up_after_the_dead();
+    }
+
+    fn wait_for_all(&mut self) {
+        let began = Instant::now();
+        while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn signal(&mut self, signal: Signal) {
+        for child in self.nodes.iter_mut().filter_map(|node| node.child.as_mut()) {
+            // Reaped or not: only a child that runs still has this pid.
+            if matches!(child.try_wait(), Ok(None)) {
+                let _ = kill_process(Pid::from_child(child), signal);
+            }
+        }
+    }
+
+    fn summaries(&self) -> Vec<NodeSummary> {
+        self.nodes.iter().map(|node| node.summary.clone()).collect()
+    }
+}
+
+impl Node {
+    fn new(role: Role) -> Self {
+        let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0 };
+        Self { role, child: None, summary, restart_at: None }
+    }
+
+    fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
+        rendezvous.description().out_dir.join("logs").join(format!("{}.log", self.role))
+    }
+
+    fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
+        let program = std::env::current_exe().context("where this program is")?;
+        let log_path = self.log_path(rendezvous);
+        let log = File::options().create(true).append(true).open(&log_path);
+        let stderr = log.map_or_else(|_| Stdio::null(), Stdio::from);
+        let mut command = Command::new(program);
+        match self.role {
+            Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
+            role => command.arg(role.to_string()),
+        };
+        command
+            .args(["--name", &rendezvous.name().to_string(), "--end-with", &std::process::id().to_string()])
+            // A group of its own: Ctrl-C reaches the supervisor, which ends the nodes in order.
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(stderr);
+        let child = command.spawn().with_context(|| format!("cannot start {}", self.role))?;
+        self.child = Some(child);
+        self.summary.starts += 1;
+        self.restart_at = None;
+        Ok(())
+    }
+
+    fn is_running(&mut self) -> bool {
+        self.child.as_mut().is_some_and(|child| matches!(child.try_wait(), Ok(None)))
+    }
+
+    /// The end of the process before the run's, told once.
+    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<ExitStatus>> {
+        let Some(child) = &mut self.child else { return Ok(None) };
+        let Some(status) = child.try_wait()? else { return Ok(None) };
+        self.child = None;
+        // The run is marked as finished before any node ends by itself, so the mark is looked at after.
+        if rendezvous.is_finished() {
+            return Ok(None);
+        }
+        if status.signal().is_some() {
+            self.summary.kills += 1;
+        } else {
+            self.summary.exits += 1;
+        }
+        Ok(Some(status))
+    }
+}
+
+fn describe(status: ExitStatus) -> String {
+    match (status.signal(), status.code()) {
+        (Some(signal), _) => format!("was killed by signal {signal}"),
+        (None, Some(code)) => format!("exited with code {code}"),
+        (None, None) => "ended".to_owned(),
+    }
+}

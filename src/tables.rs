@@ -1,0 +1,132 @@
+//! The files of a run folder but for the report: scenario, CSV tables.
+//!
+//! | file | what |
+//! |---|---|
+//! | `scenario.toml` | the scenario as it was run, command line included |
+//! | `report.json` | see [`crate::report`] |
+//! | `estimate.csv` | the track: a row for each tick |
+//! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
+//! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
+//! | `logs/NODE.log` | what a node had to say |
+
+use std::io::Write;
+use std::path::Path;
+
+use nalgebra::Vector2;
+use rangehound_robot::sensor::Sensor;
+use rangehound_shared::message::{RangeKind, WorldEntry};
+use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::scenario::Source;
+
+use crate::experiment::Experiment;
+use crate::failure::Failure;
+use crate::report::{self, Truth, position_covariance};
+
+/// Makes the run folder ready: removes an earlier run's results, writes the scenario.
+///
+/// # Errors
+/// [`Failure::Input`] if the folder cannot be used.
+pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
+    let out_dir = &experiment.description.out_dir;
+    let refuse = |error: &dyn std::fmt::Display| {
+        Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", out_dir.display()))
+    };
+    std::fs::create_dir_all(out_dir.join("logs")).map_err(|error| refuse(&error))?;
+    for stale in [report::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"] {
+        let _ = std::fs::remove_file(out_dir.join(stale));
+    }
+    let text = experiment.scenario_file.to_toml()?;
+    std::fs::write(out_dir.join("scenario.toml"), text).map_err(|error| refuse(&error))
+}
+
+/// Writes `estimate.csv` from fusion's log. A recording's tick 0 is left out: it comes before the
+/// first range, when nothing is known.
+///
+/// # Errors
+/// If a file cannot be read or written.
+pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
+    let RunDescription { run_id, scenario, out_dir } = description;
+    let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
+    let mut reader = EstimateRecord::reader(out_dir, *run_id, scenario)?;
+    let mut out = create(&out_dir.join("estimate.csv"))?;
+    writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
+    while let Some(record) = reader.next() {
+        let (tick, words) = record?;
+        if tick < first_tick {
+            continue;
+        }
+        let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, scenario.motion.state_dim());
+        // Models without velocities (a random walk) take them to be zero.
+        let [x, y, vx, vy, ..] = estimate.state;
+        let p = position_covariance(&estimate);
+        writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])?;
+    }
+    out.flush()?;
+    Ok(())
+}
+
+/// Writes `ranges.csv` and `truth.csv` of a simulated run: what the robots measured, in the form of
+/// a recording, and where the target was.
+///
+/// # Errors
+/// If a file cannot be read or written.
+pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
+    let RunDescription { run_id, scenario, out_dir } = description;
+    let mut reader = WorldRecord::reader(out_dir, *run_id, scenario)?;
+    let mut ranges = create(&out_dir.join("ranges.csv"))?;
+    let mut truths = create(&out_dir.join("truth.csv"))?;
+    writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
+    writeln!(truths, "time_s,x_m,y_m")?;
+    let mut sensors: Vec<Sensor> =
+        (0..scenario.robots.len()).filter_map(|robot| Sensor::new(scenario, robot)).collect();
+    while let Some(record) = reader.next() {
+        let (tick, words) = record?;
+        let WorldRecord { time_s, truth, robots, .. } = WorldRecord::from_words(words, scenario);
+        let &[x_m, y_m, ..] = truth.as_slice() else { continue };
+        writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
+        for (id, (robot, sensor)) in robots.iter().zip(&mut sensors).enumerate() {
+            let [robot_x_m, robot_y_m] = robot.position_m;
+            // Noise is a function of (seed, robot, tick), so the range is measured again, the same.
+            let range_m = (x_m - robot_x_m).hypot(y_m - robot_y_m);
+            let entry = WorldEntry { range_m, range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
+            if let Some(range_m) = sensor.measure(tick, &entry).filter(|_| robot.range_published) {
+                writeln!(ranges, "{time_s:.4},{id},{robot_x_m:.4},{robot_y_m:.4},{:.4}", range_m.max(0.0))?;
+            }
+        }
+    }
+    ranges.flush()?;
+    truths.flush()?;
+    Ok(())
+}
+
+fn create(path: &Path) -> anyhow::Result<std::io::BufWriter<std::fs::File>> {
+    let file = std::fs::File::create(path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
+    Ok(std::io::BufWriter::new(file))
+}
+
+/// Reads a true track, `time_s,x_m,y_m`, in order of time.
+///
+/// # Errors
+/// [`Failure::Input`] with file and line of the first thing that is wrong.
+pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
+    #[derive(serde::Deserialize)]
+    struct Row {
+        time_s: f64,
+        x_m: f64,
+        y_m: f64,
+    }
+    let refuse = |problem: &dyn std::fmt::Display| Failure::input(format!("{}: {problem}", path.display()));
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|error| refuse(&error))?;
+    let mut points: Vec<(f64, Vector2<f64>)> = Vec::new();
+    for (index, row) in reader.deserialize().enumerate() {
+        let Row { time_s, x_m, y_m } = row.map_err(|error| refuse(&error))?;
+        let ordered = points.last().is_none_or(|(before_s, _)| *before_s <= time_s);
+        if !(ordered && time_s.is_finite() && x_m.is_finite() && y_m.is_finite()) {
+            return Err(refuse(&format!("row {}: expected finite numbers in order of time", index + 1)));
+        }
+        points.push((time_s, Vector2::new(x_m, y_m)));
+    }
+    Ok(Truth::new(points))
+}

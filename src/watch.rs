@@ -1,0 +1,162 @@
+//! Progress of a run, as an observer sees it: never woken, never waited for.
+
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use rangehound_shared::bus::{Bus, BusError, Subscriber};
+use rangehound_shared::message::{Estimate, Truth};
+use rangehound_shared::rendezvous::Role;
+use rangehound_shared::signal::Termination;
+
+use crate::cli::NodeArgs;
+use crate::failure::Failure;
+use crate::report::{NodeSummary, position_covariance};
+use crate::{node, report, tables};
+
+/// How often an observer looks.
+pub const LOOK: Duration = Duration::from_millis(50);
+
+/// How often a line is printed where there is no terminal.
+const LINE: Duration = Duration::from_secs(2);
+
+/// What an observer has caught of a run.
+#[derive(Debug)]
+pub struct Watch {
+    estimates: Subscriber<Estimate>,
+    truths: Subscriber<Truth>,
+    progress: Progress,
+    estimate: Option<(u64, Estimate)>,
+    /// The last few ticks' true positions: truth and estimate of a tick come at different times.
+    recent_truths: [(u64, [f64; 2]); 8],
+    latency_ns: u64,
+    error_m: Option<f64>,
+}
+
+impl Watch {
+    /// Starts to watch a run.
+    ///
+    /// # Errors
+    /// [`BusError`] if the bus refuses.
+    pub fn new(bus: &Bus, ticks: u64) -> Result<Self, BusError> {
+        Ok(Self {
+            estimates: bus.subscriber()?,
+            truths: bus.subscriber()?,
+            progress: Progress::new(ticks),
+            estimate: None,
+            recent_truths: [(u64::MAX, [0.0; 2]); 8],
+            latency_ns: 0,
+            error_m: None,
+        })
+    }
+
+    /// Looks once and shows what has changed.
+    ///
+    /// # Errors
+    /// [`BusError`] if the bus fails.
+    pub fn look(&mut self) -> Result<(), BusError> {
+        let Self { estimates, truths, recent_truths, latency_ns, estimate, error_m, .. } = self;
+        truths.drain(|header, message| {
+            if let [truth] = message {
+                *latency_ns = truth.latency_ns;
+                if truth.state_dim >= 2 {
+                    let slot = (header.tick % recent_truths.len() as u64) as usize;
+                    recent_truths[slot] = (header.tick, [truth.state[0], truth.state[1]]);
+                }
+            }
+        })?;
+        estimates.drain(|header, message| {
+            if let [newest] = message {
+                *estimate = Some((header.tick, *newest));
+                let known = recent_truths.iter().find(|(tick, _)| *tick == header.tick);
+                if let Some((_, [x_m, y_m])) = known {
+                    *error_m = Some((newest.state[0] - x_m).hypot(newest.state[1] - y_m));
+                }
+            }
+        })?;
+        if let Some((tick, estimate)) = &self.estimate {
+            let trace_m2 = position_covariance(estimate).trace();
+            let error = self.error_m.map_or(String::new(), |error_m| format!("error {error_m:.2} m  "));
+            let latency = match self.latency_ns {
+                0 => String::new(),
+                ns => format!("  latency {} us", ns / 1_000),
+            };
+            self.progress.show(*tick, &format!("{error}trace {trace_m2:.3} m^2{latency}"));
+        }
+        Ok(())
+    }
+
+    /// Ends the display.
+    pub fn finish(&mut self) {
+        self.progress.finish();
+    }
+}
+
+/// A bar on a terminal, now and then a line elsewhere.
+#[derive(Debug)]
+pub struct Progress {
+    bar: ProgressBar,
+    ticks: u64,
+    last_line: Option<Instant>,
+}
+
+impl Progress {
+    /// A display for this many ticks.
+    #[must_use]
+    pub fn new(ticks: u64) -> Self {
+        let bar = ProgressBar::new(ticks);
+        if let Ok(style) = ProgressStyle::with_template("{bar:20} tick {pos}/{len}  {msg}") {
+            bar.set_style(style);
+        }
+        Self { bar, ticks, last_line: None }
+    }
+
+    /// Takes the bar away: what follows is the report.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    /// Shows where the run is.
+    pub fn show(&mut self, tick: u64, message: &str) {
+        if std::io::stderr().is_terminal() {
+            self.bar.set_position(tick);
+            self.bar.set_message(message.to_owned());
+        } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
+            eprintln!("tick {tick}/{}  {message}", self.ticks);
+            self.last_line = Some(Instant::now());
+        }
+    }
+}
+
+/// `rangehound watch`: attaches to a run started by hand, and reports when it ends.
+///
+/// # Errors
+/// [`Failure`].
+pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
+    let termination = Termination::listen()?;
+    let rendezvous = node::join(&args.name, &termination)?;
+    let bus = Bus::observe(&rendezvous)?;
+    let description = rendezvous.description();
+    let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+    while !rendezvous.is_finished() && !termination.requested() {
+        std::thread::sleep(LOOK);
+        watch.look()?;
+    }
+    watch.finish();
+    if !rendezvous.is_finished() {
+        return Ok(());
+    }
+    let nodes = roles(description.scenario.robots.len())
+        .map(|role| NodeSummary { name: role.to_string(), starts: rendezvous.starts(role), kills: 0, exits: 0 })
+        .collect();
+    let report = report::from_logs(description, None, nodes)?;
+    report::write(&report, &description.out_dir)?;
+    tables::write_estimate_csv(description)?;
+    println!("{report}\n  run folder       {}", description.out_dir.display());
+    Ok(())
+}
+
+/// The nodes of a run.
+pub fn roles(robots: usize) -> impl Iterator<Item = Role> {
+    [Role::Sim, Role::Fusion].into_iter().chain((0..robots).map(Role::Robot))
+}
