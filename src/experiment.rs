@@ -113,7 +113,9 @@ impl Experiment {
 fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), Failure> {
     if args.robots.is_some() {
         if file.robot.is_some() || file.recording.is_some() {
-            return Err(Failure::input("--robots: expected a scenario that counts its robots, got one that lists them"));
+            return Err(Failure::input(
+                "--robots: expected a scenario that counts its robots, got one that lists them",
+            ));
         }
         file.robots.get_or_insert_with(RobotsTable::default).count = args.robots;
     }
@@ -157,8 +159,7 @@ fn name_after(ranges: &Path) -> String {
     let stem = ranges.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());
     let best = if stem == "ranges" { folder.unwrap_or(stem) } else { stem };
-    let name: String =
-        best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
+    let name: String = best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
     if name.is_empty() { "track".to_owned() } else { name }
 }
 
@@ -169,8 +170,7 @@ fn free_name(wanted: &str, folder_given: bool) -> Result<RunName, Failure> {
     let short: String = wanted.chars().take(19).collect();
     let candidates = std::iter::once(wanted.to_owned()).chain((2..10_000).map(|n| format!("{short}-{n}")));
     let mut names = candidates.filter_map(|name| name.parse::<RunName>().ok());
-    let free = |name: &RunName| {
-        !living.contains(name) && (folder_given || !Path::new(RUNS).join(name.to_string()).exists())
-    };
+    let free =
+        |name: &RunName| !living.contains(name) && (folder_given || !Path::new(RUNS).join(name.to_string()).exists());
     names.find(free).ok_or_else(|| Failure::input("--name: expected a name, as all numbered ones are taken"))
 }

@@ -3,9 +3,9 @@
 //! The same estimates to the bit as a lock-step run of the same scenario: what the processes add is
 //! only transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
 
+use rangehound_fusion::Centre;
 use rangehound_fusion::centre::{Diverged, Report};
 use rangehound_fusion::planner::{PlannerError, Vector};
-use rangehound_fusion::Centre;
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::Sensor;
 use rangehound_shared::clock::monotonic_ns;
@@ -84,8 +84,7 @@ impl Team {
     /// [`Diverged`] if the estimate is no longer finite.
     pub fn tick(&mut self) -> Result<(), Diverged> {
         let tick = self.centre.next_tick();
-        for ((report, (sensor, _)), entry) in self.reports.iter_mut().zip(&mut self.robots).zip(self.world.entries())
-        {
+        for ((report, (sensor, _)), entry) in self.reports.iter_mut().zip(&mut self.robots).zip(self.world.entries()) {
             let range_m = sensor.measure(tick, entry).map(|range_m| (range_m, sensor.std_m()));
             *report = Some(Report { position_m: Vector::new(entry.x_m, entry.y_m), range_m });
         }

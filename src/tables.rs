@@ -117,8 +117,7 @@ pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
         y_m: f64,
     }
     let refuse = |problem: &dyn std::fmt::Display| Failure::input(format!("{}: {problem}", path.display()));
-    let mut reader =
-        csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|error| refuse(&error))?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|error| refuse(&error))?;
     let mut points: Vec<(f64, Vector2<f64>)> = Vec::new();
     for (index, row) in reader.deserialize().enumerate() {
         let Row { time_s, x_m, y_m } = row.map_err(|error| refuse(&error))?;

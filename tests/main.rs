@@ -1,1 +1,17 @@
+//! The integration tests, one binary.
+//!
+//! | module | what it is for |
+//! |---|---|
+//! | `paper` | the paper's experiment, many seeds in one process: do the figures come out |
+//! | `golden` | the filter against numbers from independent implementations |
+//! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
+//! | `command_line` | what a user types: exit codes and one-line complaints |
+//! | `recordings` | recorded ranges, ours and (where present) real ones |
+//! | `support` | run names, watchdogs, temporary folders |
 
+mod command_line;
+mod golden;
+mod paper;
+mod processes;
+mod recordings;
+mod support;

@@ -1,1 +1,26 @@
+//! Problems that the benchmarks measure on; the benchmarks are in `benches/`.
 
+use nalgebra::Matrix2;
+use rangehound_fusion::planner::{Problem, TeamMember, Vector};
+
+/// A team of `robots` round a target: as far away as in the paper's runs, within reach of a step now
+/// and then, each with noise of its own.
+pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
+    (0..robots).map(|i| {
+        let (i, golden_angle) = (i as f64, 2.399_963);
+        let distance_m = 0.5 + 25.0 * (i * 0.618_034).fract();
+        TeamMember {
+            position_m: Vector::from_angle(i * golden_angle) * distance_m,
+            max_speed_mps: 10.0,
+            range_std_m: 0.5 + (i * 0.414_214).fract(),
+        }
+    })
+}
+
+/// The planning problem of [`team`] under a prior that is longer than wide.
+#[must_use]
+pub fn problem(robots: usize) -> Problem {
+    let mut problem = Problem::default();
+    problem.pose(&Matrix2::new(0.4, 0.1, 0.1, 0.2), Vector::default(), 0.1, team(robots));
+    problem
+}

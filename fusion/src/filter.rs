@@ -152,3 +152,128 @@ fn determinant(m: &Matrix2<f64>) -> f64 {
 fn symmetric<const N: usize>(m: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     (m + m.transpose()) * 0.5
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::DMatrix;
+    use proptest::prelude::*;
+    use rangehound_shared::motion::MotionModel;
+
+    fn information<const N: usize>(at: &Estimate<N>, ranges: &[(f64, f64, f64, f64)]) -> RangeInformation {
+        let mut information = RangeInformation::default();
+        for &(x, y, range_m, std_m) in ranges {
+            information.add(&at.innovation(Vector2::new(x, y), range_m, std_m));
+        }
+        information
+    }
+
+    /// Positive definite in the sense that counts: it has a Cholesky factor.
+    fn is_spd<const N: usize>(p: &SMatrix<f64, N, N>) -> bool {
+        *p == p.transpose() && DMatrix::from_fn(N, N, |i, j| p[(i, j)]).cholesky().is_some()
+    }
+
+    /// One prediction and joint update, worked out in 50-digit arithmetic.
+    #[test]
+    fn a_step_matches_high_precision_arithmetic() {
+        let start = Estimate { x: SVector::from([0.5, -0.25, 8.0, -8.0]), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
+        let model = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 };
+        let predicted = start.predict(&model.transition(0.1));
+        let ranges = [(-5.0, 0.0, 6.4, 1.0), (0.0, 4.0, 5.2, 1.0), (7.0, -3.0, 6.3, 1.0)];
+        let (updated, _) = predicted.update(&information(&predicted, &ranges));
+        let x = [1.1810777495805928, -1.0355879379168275, 7.987640874667729, -7.998502210638008];
+        let p = [
+            (0, 0, 0.625724634630599),
+            (0, 1, 0.380078908058847),
+            (1, 1, 1.086572229956757),
+            (0, 2, 0.065029119072464),
+        ];
+        assert!((updated.x - SVector::from(x)).amax() < 1e-12);
+        for (i, j, value) in p {
+            assert!((updated.p[(i, j)] - value).abs() < 1e-12, "P[{i},{j}] = {}", updated.p[(i, j)]);
+        }
+    }
+
+    proptest! {
+        /// The O(M) forms against the textbook's M x M ones.
+        #[test]
+        fn update_and_nis_equal_the_textbook_kalman_gain(
+            seed in proptest::collection::vec(-1.0..1.0_f64, 16),
+            ranges in proptest::collection::vec((-20.0..20.0_f64, -20.0..20.0_f64, 0.0..30.0_f64, 0.2..3.0_f64), 1..9),
+        ) {
+            let root = SMatrix::<f64, 4, 4>::from_iterator(seed);
+            let prior = Estimate { x: SVector::from([1.0, 2.0, 3.0, 4.0]), p: root * root.transpose() + SMatrix::identity() * 0.1 };
+            let (posterior, nis) = prior.update(&information(&prior, &ranges));
+            let m = ranges.len();
+            let mut h = DMatrix::zeros(m, 4);
+            let mut nu = DMatrix::zeros(m, 1);
+            let mut r = DMatrix::zeros(m, m);
+            for (i, &(x, y, range_m, std_m)) in ranges.iter().enumerate() {
+                let sight = prior.position() - Vector2::new(x, y);
+                h[(i, 0)] = sight.x / sight.norm();
+                h[(i, 1)] = sight.y / sight.norm();
+                nu[(i, 0)] = range_m - sight.norm();
+                r[(i, i)] = std_m * std_m;
+            }
+            let p = DMatrix::from_fn(4, 4, |i, j| prior.p[(i, j)]);
+            let s_inverse = (&h * &p * h.transpose() + r).try_inverse().unwrap();
+            let gain = &p * h.transpose() * &s_inverse;
+            let x = DMatrix::from_fn(4, 1, |i, _| prior.x[i]) + &gain * &nu;
+            let p_after = (DMatrix::identity(4, 4) - &gain * h) * &p;
+            let textbook_nis = (nu.transpose() * s_inverse * nu)[(0, 0)];
+            for i in 0..4 {
+                prop_assert!((posterior.x[i] - x[(i, 0)]).abs() < 1e-9);
+                for j in 0..4 {
+                    prop_assert!((posterior.p[(i, j)] - p_after[(i, j)]).abs() < 1e-9);
+                }
+            }
+            prop_assert!((nis - textbook_nis).abs() < 1e-8 * (1.0 + textbook_nis), "{nis} {textbook_nis}");
+        }
+
+        /// From precise to useless sensors, from near to on top of the target.
+        #[test]
+        fn the_covariance_stays_positive_definite_in_extremes(
+            log_variance in -6.0..10.0_f64, log_std in -4.0..4.0_f64, robots in 1..200_usize, spread in -9.0..3.0_f64,
+        ) {
+            let p = SMatrix::<f64, 6, 6>::identity() * 10.0_f64.powf(log_variance);
+            let mut estimate = Estimate { x: SVector::zeros(), p };
+            let model = MotionModel::IntegratorChain { order: 3, noise_psd: 0.1 };
+            for step in 0..20 {
+                estimate = estimate.predict(&model.transition(0.1));
+                let ranges: Vec<_> = (0..robots)
+                    .map(|i| {
+                        let (sin, cos) = (i as f64 * 0.7 + f64::from(step)).sin_cos();
+                        let distance_m = 10.0_f64.powf(spread);
+                        (estimate.x[0] + cos * distance_m, estimate.x[1] + sin * distance_m, distance_m, 10.0_f64.powf(log_std))
+                    })
+                    .collect();
+                estimate = estimate.update(&information(&estimate, &ranges)).0;
+                prop_assert!(is_spd(&estimate.p), "step {step}: {}", estimate.p);
+            }
+        }
+    }
+
+    #[test]
+    fn a_million_steps_keep_it_symmetric_and_positive_definite() {
+        let transition = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 }.transition::<4>(0.1);
+        let mut estimate = Estimate { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
+        for step in 0..1_000_000_u32 {
+            estimate = estimate.predict(&transition);
+            let (sin, cos) = (f64::from(step) * 0.01).sin_cos();
+            let on_top = (estimate.x[0], estimate.x[1], 0.3, 1.0);
+            let ranges = [(10.0 * cos, 10.0 * sin, 10.0, 1.0), on_top, (5.0, 0.0, 6.0, 0.5)];
+            estimate = estimate.update(&information(&estimate, &ranges)).0;
+            if step % 1_000 == 0 {
+                assert!(is_spd(&estimate.p), "step {step}");
+            }
+        }
+        assert!(is_spd(&estimate.p) && estimate.x.iter().all(|value| value.is_finite()));
+    }
+
+    #[test]
+    fn a_robot_on_the_estimate_informs_of_nothing() {
+        let prior = Estimate { x: SVector::from([3.0, 4.0]), p: SMatrix::<f64, 2, 2>::identity() };
+        let (posterior, _) = prior.update(&information(&prior, &[(3.0, 4.0, 2.0, 1.0)]));
+        assert_eq!(posterior, prior);
+    }
+}

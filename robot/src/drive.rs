@@ -24,10 +24,7 @@ impl Controller {
     pub fn obey(&mut self, tick: u64, command: Command) -> Command {
         let sound = command.heading_rad.is_finite() && command.speed_mps.is_finite();
         let driven = if sound {
-            Command {
-                heading_rad: command.heading_rad,
-                speed_mps: command.speed_mps.clamp(0.0, self.speed_limit_mps),
-            }
+            Command { heading_rad: command.heading_rad, speed_mps: command.speed_mps.clamp(0.0, self.speed_limit_mps) }
         } else {
             Command::default()
         };

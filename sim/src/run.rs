@@ -214,7 +214,8 @@ impl<'a> Sim<'a> {
     fn end_tick(&mut self) {
         if let Some(log) = &mut self.log {
             let world = &self.world;
-            let words = WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), &self.drives);
+            let words =
+                WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), &self.drives);
             if let Err(error) = log.write(self.tick, words) {
                 log::warn!("goes on without a log: {error}");
                 self.log = None;

@@ -204,9 +204,7 @@ impl Arm {
     pub fn contains(&self, v: Vector) -> bool {
         match self.extent {
             // The scalar product tells the arc from its opposite, which an arc of no width would pass.
-            Extent::Narrow => {
-                self.low.cross(v) >= 0.0 && v.cross(self.high) >= 0.0 && v.dot(self.centre) >= 0.0
-            }
+            Extent::Narrow => self.low.cross(v) >= 0.0 && v.cross(self.high) >= 0.0 && v.dot(self.centre) >= 0.0,
             Extent::Wide => !(self.high.cross(v) > 0.0 && v.cross(self.low) > 0.0),
             Extent::Circle => true,
         }

@@ -84,9 +84,9 @@ const REJECTED_SHARE: f64 = 0.3;
 /// Rejections that must be remembered as well: two outliers in a row are no lock-out.
 const REJECTED_MIN: f64 = 2.0;
 
-/// Sine of the angle between two successive ranges, below which they are taken to be of one sensor.
-/// Such a run counts once: by itself a bad sensor cannot show a lock-out.
-const SAME_SENSOR_SINE: f64 = 0.05;
+/// Successive ranges from places within this share of the range are taken to be of one sensor. Such a
+/// run counts once: by itself a bad sensor cannot show a lock-out.
+const SAME_SENSOR_SHARE: f64 = 0.05;
 
 /// Weight of a new start beside an estimate that may be locked out: small, the ranges are to decide.
 const RESTART_WEIGHT: f64 = 1e-4;
@@ -117,8 +117,8 @@ struct Hypothesis<const N: usize> {
 struct Rejections {
     ranges: f64,
     rejected: f64,
-    /// Line of sight of the last range that counted.
-    line_of_sight: Vector2<f64>,
+    /// Where the last range that counted was measured from, m.
+    position_m: Vector2<f64>,
 }
 
 /// A range as a hypothesis sees it, to second order.
@@ -167,12 +167,11 @@ impl<const N: usize> Bank<N> {
 
     /// Weighs all hypotheses by a range and updates, branches or splits them.
     fn fuse(&mut self, reading: &Reading, fit: &mut Fit) {
-        let Some(heaviest) = self.hypotheses.first() else {
+        if self.hypotheses.is_empty() {
             self.start(reading, 1.0);
             fit.fused += 1;
             return;
-        };
-        let line_of_sight = Sight::of(&heaviest.estimate, reading).innovation.line_of_sight;
+        }
         let mut nis = None;
         let mut passed_weight = 0.0;
         for index in 0..self.hypotheses.len() {
@@ -194,13 +193,13 @@ impl<const N: usize> Bank<N> {
         } else {
             fit.rejected += 1;
         }
-        self.rejections.add(line_of_sight, !passed);
+        self.rejections.add(reading, !passed);
         if self.rejections.show_lock_out() {
             self.start(reading, RESTART_WEIGHT);
         }
     }
 
-    /// Turns a hypothesis that a range passed into `w ((1 - share) p(z|X) + share outlier) p(X)`.
+    /// Multiplies a hypothesis by `p(z|X) + p(outlier)`, as far as either term weighs anything.
     fn apply(&mut self, index: usize, reading: &Reading, sight: &Sight) {
         let Hypothesis { log_weight, estimate } = self.hypotheses[index];
         let room = self.hypotheses.len() < HYPOTHESES_MAX;
@@ -395,11 +394,12 @@ impl Circle {
 }
 
 impl Rejections {
-    fn add(&mut self, line_of_sight: Vector2<f64>, rejected: bool) {
-        if self.ranges > 0.0 && line_of_sight.perp(&self.line_of_sight).abs() < SAME_SENSOR_SINE {
+    fn add(&mut self, reading: &Reading, rejected: bool) {
+        let moved_m = (reading.position_m - self.position_m).norm();
+        if self.ranges > 0.0 && moved_m <= SAME_SENSOR_SHARE * reading.range_m {
             return;
         }
-        self.line_of_sight = line_of_sight;
+        self.position_m = reading.position_m;
         self.ranges = REJECTION_DECAY * self.ranges + 1.0;
         self.rejected = REJECTION_DECAY * self.rejected + f64::from(u8::from(rejected));
     }

@@ -44,8 +44,7 @@ impl<const N: usize> Tracker for Kalman<N> {
                 rejected += 1;
             }
         }
-        let (estimate, nis) =
-            if information.count > 0 { predicted.update(&information) } else { (predicted, 0.0) };
+        let (estimate, nis) = if information.count > 0 { predicted.update(&information) } else { (predicted, 0.0) };
         self.estimate = estimate;
         Fit { nis, fused: information.count, rejected }
     }
