@@ -4,8 +4,10 @@
 //! |---|---|
 //! | [`kalman`] | a Gaussian prior: the paper's extended Kalman filter |
 //! | [`bank`] | no prior: a bank of such filters that starts from the ranges alone |
+//! | [`imm`] | recordings: two banks, one for a calm and one for a manoeuvring target |
 
 pub mod bank;
+pub mod imm;
 pub mod kalman;
 
 use nalgebra::{Matrix2, Vector2};
@@ -59,7 +61,7 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
         Prior::Gaussian { mean, covariance } => {
             Box::new(kalman::Kalman::<N>::new(motion, mean, covariance, gate))
         }
-        Prior::FromRanges => Box::new(bank::Bank::<N>::new(motion, gate)),
+        Prior::FromRanges => Box::new(imm::Imm::<N>::new(&motion, gate)),
     })
 }
 

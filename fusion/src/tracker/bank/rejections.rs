@@ -1,0 +1,45 @@
+//! When rejected ranges show that the estimate is locked out.
+
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+
+use super::super::Reading;
+
+/// Weight of a range in the account of rejections after each later range: a memory of ten ranges.
+const REJECTION_DECAY: f64 = 0.9;
+
+/// Rejected share of the ranges, of those remembered, from which on the estimate may be locked out:
+/// the mirror image of the target beside two of three sensors makes the third reject.
+const REJECTED_SHARE: f64 = 0.3;
+
+/// Rejections that must be remembered as well: two outliers in a row are no lock-out.
+const REJECTED_MIN: f64 = 2.0;
+
+/// Successive ranges from places within this share of the range are taken to be of one sensor. Such a
+/// run counts once: by itself a bad sensor cannot show a lock-out.
+const SAME_SENSOR_SHARE: f64 = 0.05;
+
+/// The account of rejected ranges, with exponential forgetting.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Rejections {
+    ranges: f64,
+    rejected: f64,
+    /// Where the last range that counted was measured from, m.
+    position_m: Vector2<f64>,
+}
+
+impl Rejections {
+    pub(super) fn add(&mut self, reading: &Reading, rejected: bool) {
+        let moved_m = (reading.position_m - self.position_m).norm();
+        if self.ranges > 0.0 && moved_m <= SAME_SENSOR_SHARE * reading.range_m {
+            return;
+        }
+        self.position_m = reading.position_m;
+        self.ranges = REJECTION_DECAY * self.ranges + 1.0;
+        self.rejected = REJECTION_DECAY * self.rejected + f64::from(u8::from(rejected));
+    }
+
+    pub(super) fn show_lock_out(&self) -> bool {
+        self.rejected > REJECTED_MIN.max(REJECTED_SHARE * self.ranges)
+    }
+}

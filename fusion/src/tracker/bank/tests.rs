@@ -1,0 +1,156 @@
+//! The bank on simulated ranges, and through hostile ones.
+
+use super::*;
+use proptest::prelude::*;
+
+const STD_M: f64 = 0.2;
+const SQUARE: [[f64; 2]; 4] = [[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]];
+
+fn bank() -> Bank<4> {
+    Bank::new(MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 }, Gate::new(Some(4.0)))
+}
+
+/// Steps through one range each 0.1 s, of the sensors in turn, with a noise of 1.7 sigma at most.
+struct Run {
+    bank: Bank<4>,
+    count: u32,
+    rejected: u32,
+}
+
+impl Run {
+    fn new() -> Self {
+        Self { bank: bank(), count: 0, rejected: 0 }
+    }
+
+    /// Returns the position error and its standard deviation, m.
+    fn range(&mut self, dt_s: f64, sensor: [f64; 2], target: [f64; 2], error_m: f64) -> (f64, f64) {
+        self.count += 1;
+        let noise_m = STD_M * 1.7 * (f64::from(self.count) * 2.399).sin();
+        let (position_m, target) = (Vector2::from(sensor), Vector2::from(target));
+        let range_m = (target - position_m).norm() + noise_m + error_m;
+        self.rejected += self.bank.step(dt_s, &[Reading { position_m, range_m, range_std_m: STD_M }]).rejected;
+        let estimate = &self.bank.estimate;
+        ((estimate.position() - target).norm(), estimate.position_covariance().trace().sqrt())
+    }
+
+    /// `seconds` of ranges from the square's corners to a still target, each tenth `outlier_m` too long.
+    fn square(&mut self, seconds: usize, target: [f64; 2], outlier_m: f64) -> (f64, f64) {
+        let mut last = (0.0, 0.0);
+        for k in 0..seconds * 10 {
+            let outlier_m = if k % 10 == 0 { outlier_m } else { 0.0 };
+            last = self.range(0.1, SQUARE[k % 4], target, outlier_m);
+        }
+        last
+    }
+}
+
+#[test]
+fn it_starts_from_the_ranges_of_fixed_sensors_alone() {
+    let mut run = Run::new();
+    assert_eq!((run.bank.state(), run.bank.covariance()[0]), (&[0.0; 4][..], 1e12));
+    let (error_m, std_m) = run.square(3, [16.0, 3.0], 0.0);
+    assert!(error_m < 0.4 && std_m < 0.6, "{error_m} {std_m}");
+    assert!(run.bank.hypotheses.len() == 1 && run.rejected < 4);
+}
+
+#[test]
+fn two_fixed_sensors_leave_both_mirror_images() {
+    let mut run = Run::new();
+    for k in 0..600 {
+        let (error_m, std_m) = run.range(0.1, SQUARE[k % 2], [8.0, 6.0], 0.0);
+        assert!(error_m < 3.0 * std_m, "{k}: {error_m} {std_m}");
+    }
+    let sides = |sign: f64| run.bank.hypotheses.iter().any(|h| (h.estimate.x[1] * sign - 6.0).abs() < 1.0);
+    assert!(sides(1.0) && sides(-1.0));
+}
+
+#[test]
+fn two_moving_sensors_resolve_the_mirror_image() {
+    let mut run = Run::new();
+    let mut last = (0.0, 0.0);
+    for k in 0..600 {
+        let t = f64::from(k) * 0.1;
+        let (sin, cos) = (0.3 * t).sin_cos();
+        let sensor = if k % 2 == 0 { [5.0 * cos, 5.0 * sin] } else { [10.0, -0.4 * t] };
+        last = run.range(0.1, sensor, [4.0 + 0.2 * t, 9.0], 0.0);
+    }
+    assert!(last.0 < 0.5 && last.1 < 1.0, "{last:?}");
+}
+
+#[test]
+fn outliers_are_rejected_the_very_first_range_included() {
+    let mut run = Run::new();
+    let (error_m, std_m) = run.square(30, [16.0, 3.0], 8.0);
+    assert!(error_m < 0.4 && std_m < 0.6, "{error_m} {std_m}");
+    assert!((25..40).contains(&run.rejected), "{}", run.rejected);
+}
+
+#[test]
+fn it_leaves_the_lock_out_after_a_jump() {
+    let mut run = Run::new();
+    run.square(10, [16.0, 3.0], 0.0);
+    let (error_m, std_m) = run.square(4, [-40.0, 70.0], 0.0);
+    assert!(error_m < 1.0 && std_m < 2.0, "{error_m} {std_m}");
+}
+
+#[test]
+fn one_bad_sensor_is_no_lock_out() {
+    let mut run = Run::new();
+    run.square(5, [16.0, 3.0], 0.0);
+    for _ in 0..30 {
+        let (error_m, std_m) = run.range(0.01, SQUARE[0], [16.0, 3.0], 15.0);
+        assert!(error_m < 0.6 && std_m < 1.0, "{error_m} {std_m}");
+    }
+}
+
+#[test]
+fn it_recovers_after_a_long_gap() {
+    let mut run = Run::new();
+    run.square(10, [16.0, 3.0], 0.0);
+    run.range(97.0, SQUARE[2], [5.0, 12.0], 0.0);
+    let (error_m, std_m) = run.square(3, [5.0, 12.0], 0.0);
+    assert!(error_m < 0.4 && std_m < 0.6, "{error_m} {std_m}");
+}
+
+fn hostile(order: usize, steps: &[(f64, f64, f64, f64, f64)]) -> Result<(), TestCaseError> {
+    let motion = MotionModel::IntegratorChain { order, noise_psd: 0.2 };
+    match order {
+        1 => survives(Bank::<2>::new(motion, Gate::new(Some(4.0))), steps),
+        2 => survives(Bank::<4>::new(motion, Gate::new(None)), steps),
+        _ => survives(Bank::<6>::new(motion, Gate::new(Some(3.0))), steps),
+    }
+}
+
+fn survives<const N: usize>(mut bank: Bank<N>, steps: &[(f64, f64, f64, f64, f64)]) -> Result<(), TestCaseError> {
+    for &(dt_s, x, y, range_m, range_std_m) in steps {
+        // Every fifth or so stands right on the estimate.
+        let position_m = if x > 0.6e8 { bank.estimate.position() } else { Vector2::new(x, y) };
+        bank.step(dt_s, &[Reading { position_m, range_m, range_std_m }]);
+        prop_assert!(bank.state().iter().all(|value| value.is_finite()));
+        prop_assert_eq!(bank.estimate.p, bank.estimate.p.transpose());
+        prop_assert!(Cholesky::new(bank.estimate.p).is_some(), "{}", bank.estimate.p);
+        prop_assert!(bank.hypotheses.capacity() == HYPOTHESES_MAX);
+        let total: f64 = bank.hypotheses.iter().map(|h| h.log_weight.exp()).sum();
+        prop_assert!((total - 1.0).abs() < 1e-4);
+    }
+    Ok(())
+}
+
+fn wild(low: i32, high: i32) -> impl Strategy<Value = f64> {
+    prop_oneof![1 => Just(0.0), 8 => (f64::from(low)..f64::from(high)).prop_map(|e| 10.0_f64.powf(e))]
+}
+
+fn coordinate() -> impl Strategy<Value = f64> {
+    prop_oneof![4 => -30.0..30.0_f64, 1 => -1e8..1e8_f64]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 16, rng_seed: proptest::test_runner::RngSeed::Fixed(1), ..ProptestConfig::default() })]
+    #[test]
+    fn the_covariance_stays_positive_definite_through_anything(
+        order in 1_usize..=3,
+        steps in proptest::collection::vec((wild(-6, 6), coordinate(), coordinate(), wild(-4, 6), wild(-4, 5)), 1..24),
+    ) {
+        hostile(order, &steps)?;
+    }
+}

@@ -1,0 +1,163 @@
+//! The tracker of recordings: interacting multiple models, one calm and one manoeuvring.
+//!
+//! One process noise does not fit a target that drives straight most of the time and turns now and
+//! then: what follows the turns is noisy on the straights. Two banks with different noise run side by
+//! side; the likelihood of the ranges says which fits, and each step starts both from what they know
+//! together (Blom & Bar-Shalom, "The Interacting Multiple Model Algorithm", 1988).
+
+use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::motion::MotionModel;
+
+use super::bank::{Bank, Hypothesis, mixture};
+use super::{Fit, Gate, Reading, Tracker};
+use crate::filter::Estimate;
+
+/// Noise of the calm model as a share of the given one, which is taken as the manoeuvring target's. The
+/// calmer, the smoother the straights, but the more a range's bias shows.
+const CALM_SHARE: f64 = 0.3;
+
+/// Mean time between a target's changes of mind, s.
+const DWELL_S: f64 = 20.0;
+
+/// Least probability of a model: it must be able to come back.
+const PROBABILITY_MIN: f64 = 1e-6;
+
+/// Two banks and how probable each model is.
+#[derive(Debug, Clone)]
+pub struct Imm<const N: usize> {
+    motion: MotionModel,
+    modes: [Mode<N>; 2],
+    estimate: Estimate<N>,
+}
+
+#[derive(Debug, Clone)]
+struct Mode<const N: usize> {
+    probability: f64,
+    bank: Bank<N>,
+}
+
+impl<const N: usize> Imm<N> {
+    /// A tracker that knows nothing of the target but the noise of its manoeuvres.
+    #[must_use]
+    pub fn new(motion: &MotionModel, gate: Gate) -> Self {
+        let calm = match motion {
+            MotionModel::IntegratorChain { order, noise_psd } => {
+                MotionModel::IntegratorChain { order: *order, noise_psd: noise_psd * CALM_SHARE }
+            }
+            custom @ MotionModel::Custom { .. } => custom.clone(),
+        };
+        let modes = [motion.clone(), calm].map(|motion| Mode { probability: 0.5, bank: Bank::new(motion, gate) });
+        let estimate = *modes[0].bank.estimate();
+        Self { motion: motion.clone(), modes, estimate }
+    }
+
+    /// Predicts the models' probabilities over a step, and gives each what both know, weighed by how
+    /// probably the target came to it from the other. Before both have settled there is no one
+    /// Gaussian to give.
+    fn interact(&mut self, dt_s: f64) {
+        let stay = 0.5 + 0.5 * (-2.0 * dt_s / DWELL_S).exp();
+        let before = [self.modes[0].probability, self.modes[1].probability];
+        let predicted = [0, 1].map(|j| stay * before[j] + (1.0 - stay) * before[1 - j]);
+        let [a, b] = &mut self.modes;
+        if let (Some(a), Some(b)) = (a.bank.settled(), b.bank.settled()) {
+            let estimates = [*a, *b];
+            let mixed = [0, 1].map(|j| {
+                let came_by = |i: usize| if i == j { stay } else { 1.0 - stay };
+                mixture(&[0, 1].map(|i| Hypothesis {
+                    log_weight: (came_by(i) * before[i]).max(f64::MIN_POSITIVE).ln(),
+                    estimate: estimates[i],
+                }))
+            });
+            [*a, *b] = mixed;
+        }
+        for (mode, probability) in self.modes.iter_mut().zip(predicted) {
+            mode.probability = probability;
+        }
+    }
+
+    /// Weighs the models by how well they foretold the ranges.
+    fn weigh(&mut self) {
+        let best = self.modes.iter().map(|mode| mode.bank.log_likelihood()).fold(f64::MIN, f64::max);
+        let weights = [0, 1].map(|j| self.modes[j].probability * (self.modes[j].bank.log_likelihood() - best).exp());
+        let total: f64 = weights.iter().sum();
+        for (mode, weight) in self.modes.iter_mut().zip(weights) {
+            mode.probability = (weight / total).clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
+        }
+        self.estimate = mixture(&[0, 1].map(|j| Hypothesis {
+            log_weight: self.modes[j].probability.ln(),
+            estimate: *self.modes[j].bank.estimate(),
+        }));
+    }
+}
+
+impl<const N: usize> Tracker for Imm<N> {
+    fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit {
+        self.interact(dt_s);
+        let fits = [0, 1].map(|j| self.modes[j].bank.step(dt_s, readings));
+        self.weigh();
+        if self.modes[0].probability >= self.modes[1].probability { fits[0] } else { fits[1] }
+    }
+
+    fn state(&self) -> &[f64] {
+        self.estimate.x.as_slice()
+    }
+
+    fn covariance(&self) -> &[f64] {
+        self.estimate.p.as_slice()
+    }
+
+    fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>) {
+        let predicted = self.estimate.predict(&self.motion.transition(dt_s));
+        (predicted.position(), predicted.position_covariance())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Ranges from four corners, ten a second, to a target that drives straight, then in circles.
+    fn probabilities_of_the_calm_model() -> (f64, f64) {
+        let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 };
+        let mut imm = Imm::<4>::new(&motion, Gate::new(Some(4.0)));
+        let (mut position, mut velocity) = (Vector2::new(5.0, 5.0), Vector2::new(0.5, 0.0));
+        let mut on_the_straight = 0.0;
+        for k in 0..1_200 {
+            if k == 600 {
+                on_the_straight = imm.modes[1].probability;
+            }
+            let turn_rad = if k < 600 { 0.0 } else { 0.15 };
+            let (sin, cos) = f64::sin_cos(turn_rad);
+            velocity = Vector2::new(cos * velocity.x - sin * velocity.y, sin * velocity.x + cos * velocity.y);
+            if k == 600 {
+                velocity *= 4.0;
+            }
+            position += velocity * 0.1;
+            let corner = [(0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0)][k % 4];
+            let position_m = Vector2::new(corner.0, corner.1);
+            let range_m = (position - position_m).norm() + 0.03 * (k as f64 * 2.399).sin();
+            imm.step(0.1, &[Reading { position_m, range_m, range_std_m: 0.05 }]);
+        }
+        assert!((imm.estimate.position() - position).norm() < 0.3);
+        (on_the_straight, imm.modes[1].probability)
+    }
+
+    #[test]
+    fn the_ranges_tell_the_calm_from_the_turning_target() {
+        let (straight, turning) = probabilities_of_the_calm_model();
+        assert!(straight > 0.8 && turning < 0.2, "{straight} {turning}");
+    }
+
+    #[test]
+    fn a_long_pause_and_steps_without_time_are_survived() {
+        let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 };
+        let mut imm = Imm::<4>::new(&motion, Gate::new(Some(4.0)));
+        for dt_s in [0.0, 0.0, 1e6, 0.0, 1.0, 1e6, 0.1] {
+            for x in [0.0, 10.0, 0.0] {
+                let position_m = Vector2::new(x, 0.0);
+                imm.step(dt_s, &[Reading { position_m, range_m: 7.0, range_std_m: 0.1 }]);
+                assert!(imm.state().iter().chain(imm.covariance()).all(|value| value.is_finite()));
+            }
+        }
+    }
+}
