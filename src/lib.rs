@@ -11,7 +11,7 @@
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`watch`] | progress of a run, as an observer sees it |
 //! | [`in_process`] | the same steps composed in one process |
-//! | [`report`], [`tables`] | what a run leaves: `report.json`, CSV |
+//! | [`report`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
 //! | [`failure`] | exit codes |
 
 pub mod cli;
@@ -19,6 +19,7 @@ pub mod experiment;
 pub mod failure;
 pub mod in_process;
 pub mod node;
+pub mod picture;
 pub mod report;
 pub mod supervisor;
 pub mod tables;

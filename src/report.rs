@@ -120,7 +120,8 @@ impl Truth {
     }
 
     /// Position at a time, by linear interpolation; `None` outside the track.
-    fn at(&self, time_s: f64) -> Option<Vector2<f64>> {
+    #[must_use]
+    pub fn at(&self, time_s: f64) -> Option<Vector2<f64>> {
         let after = self.0.partition_point(|(t, _)| *t < time_s);
         let (t1, p1) = *self.0.get(after)?;
         if t1 == time_s {

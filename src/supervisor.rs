@@ -17,7 +17,7 @@ use crate::failure::Failure;
 use crate::node::input_or_running;
 use crate::report::{self, NodeSummary, Truth};
 use crate::watch::{self, Progress, Watch};
-use crate::{in_process, tables};
+use crate::{in_process, picture, tables};
 
 /// How long nodes may take to end by themselves once the run is over, and once they are asked to.
 const GRACE: Duration = Duration::from_secs(3);
@@ -86,6 +86,7 @@ fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeS
     if keep.recording {
         tables::write_recording(description)?;
     }
+    picture::draw(description, keep.truth.as_ref())?;
     report::write(&report, &description.out_dir)?;
     println!("{report}\n  run folder       {}", description.out_dir.display());
     Ok(())

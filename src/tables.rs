@@ -5,6 +5,7 @@
 //! | `scenario.toml` | the scenario as it was run, command line included |
 //! | `report.json` | see [`crate::report`] |
 //! | `estimate.csv` | the track: a row for each tick |
+//! | `picture.svg` | see [`crate::picture`] |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
 //! | `logs/NODE.log` | what a node had to say |
@@ -21,6 +22,7 @@ use rangehound_shared::scenario::Source;
 
 use crate::experiment::Experiment;
 use crate::failure::Failure;
+use crate::picture;
 use crate::report::{self, Truth, position_covariance};
 
 /// Makes the run folder ready: removes an earlier run's results, writes the scenario.
@@ -33,7 +35,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
         Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", out_dir.display()))
     };
     std::fs::create_dir_all(out_dir.join("logs")).map_err(|error| refuse(&error))?;
-    for stale in [report::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"] {
+    for stale in [report::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"] {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }
     let text = experiment.scenario_file.to_toml()?;
