@@ -6,11 +6,15 @@
 //! | `golden` | the filter against numbers from independent implementations |
 //! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
+//! | `licences` | every dependency is free to use |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
 //! | `support` | run names, watchdogs, temporary folders |
 
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
+
 mod command_line;
 mod golden;
+mod licences;
 mod paper;
 mod processes;
 mod recordings;

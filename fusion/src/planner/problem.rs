@@ -227,6 +227,7 @@ impl Arm {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::f64::consts::PI;
 
     fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
         m.try_inverse().unwrap()
@@ -268,7 +269,7 @@ mod tests {
             let step = Step::new(&member, Vector::default(), 0.1);
             let arm = Arm::new(&member, &step);
             let eta = (step.reach_m / step.to_target_m.norm()).min(1.0).asin();
-            let half = if arm.extent == Extent::Circle { std::f64::consts::PI } else { 2.0 * eta };
+            let half = if arm.extent == Extent::Circle { PI } else { 2.0 * eta };
             let direction = arm.centre.rotated_by(Vector::from_angle(fraction * half));
             let heading = step.heading(direction, arm.centre);
             prop_assert!((heading.norm() - 1.0).abs() < 1e-9);
@@ -280,7 +281,7 @@ mod tests {
 
         #[test]
         fn the_nearest_direction_is_in_the_arc_and_nearest(
-            centre in -3.14..3.14_f64, half in 0.0..3.14_f64, goal in -3.14..3.14_f64, probe in -1.0..1.0_f64,
+            centre in -PI..PI, half in 0.0..PI, goal in -PI..PI, probe in -1.0..1.0_f64,
         ) {
             let arm = Arm::with_half_width(1.0, Vector::from_angle(centre), Vector::from_angle(half));
             let goal = Vector::from_angle(goal) * 2.5;
@@ -299,7 +300,7 @@ mod tests {
         let heading = step.heading(bearing.doubled(), step.sight.doubled());
         let end_m = (step.to_target_m - heading * step.reach_m).norm();
         let xi = bearing.cross(step.to_target_m) / step.reach_m;
-        let other = Vector::from_angle(0.2 + std::f64::consts::PI - xi.asin());
+        let other = Vector::from_angle(0.2 + PI - xi.asin());
         let other_end = step.to_target_m - other * step.reach_m;
         assert!(bearing.cross(other_end).abs() < 1e-12, "the other solution is a solution");
         assert!(end_m < other_end.norm());
