@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rangehound_shared::rendezvous::RunName;
 use rangehound_shared::scenario::PatienceKey;
@@ -65,13 +66,13 @@ pub struct ExperimentArgs {
     /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
     pub scenario: Option<PathBuf>,
     /// Number of robots, all alike
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub robots: Option<u64>,
     /// Number of time steps
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub ticks: Option<u64>,
     /// Seed of all random numbers
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// What starts the next tick: wall time, or all answers
     #[arg(long)]
@@ -80,7 +81,7 @@ pub struct ExperimentArgs {
     #[arg(long, value_name = "NAME")]
     pub planner: Option<String>,
     /// Silence after which lock step goes on without a robot: seconds or "forever"
-    #[arg(long, value_name = "SECONDS", value_parser = patience)]
+    #[arg(long, value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub patience: Option<PatienceKey>,
     /// Name of the run: nodes find each other by it [default: the scenario's name, numbered if taken]
     #[arg(long)]
@@ -125,8 +126,8 @@ pub struct NodeArgs {
 #[derive(Debug, Args)]
 pub struct RobotArgs {
     /// Which robot of the team, counted from 0
-    #[arg(long, value_name = "N")]
-    pub id: usize,
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub id: u64,
     /// The run
     #[command(flatten)]
     pub node: NodeArgs,
@@ -146,10 +147,10 @@ pub struct TrackArgs {
     /// Recorded ranges: CSV with time_s,sensor_id,sensor_x_m,sensor_y_m,range_m
     pub ranges: PathBuf,
     /// Standard deviation of a range, m
-    #[arg(long, value_name = "M", allow_negative_numbers = true)]
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub range_std: Option<f64>,
     /// Spectral density of the target's acceleration, m^2/s^3
-    #[arg(long, value_name = "Q", allow_negative_numbers = true)]
+    #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
     pub accel_psd: Option<f64>,
     /// Bias B in `measured = (1+S) true + B`, m; SENSOR=B for one sensor, repeatable
     #[arg(long, value_name = "[SENSOR=]B", allow_hyphen_values = true)]
@@ -158,7 +159,7 @@ pub struct TrackArgs {
     #[arg(long, value_name = "[SENSOR=]S", allow_hyphen_values = true)]
     pub range_scale: Vec<PerSensor>,
     /// Reject a range whose innovation is more than this many standard deviations
-    #[arg(long, value_name = "SIGMA", allow_negative_numbers = true)]
+    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
     pub gate: Option<f64>,
     /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
     #[arg(long, value_name = "FILE")]
@@ -196,6 +197,14 @@ impl std::str::FromStr for PerSensor {
     }
 }
 
+fn whole(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| "expected a whole number from 0".to_owned())
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    text.parse().map_err(|_| "expected a number".to_owned())
+}
+
 fn patience(text: &str) -> Result<PatienceKey, String> {
     Ok(match text.parse() {
         Ok(seconds) => PatienceKey::Seconds(seconds),
@@ -203,11 +212,23 @@ fn patience(text: &str) -> Result<PatienceKey, String> {
     })
 }
 
-/// A usage error as one line.
+/// A usage error as one line that says what was expected.
 #[must_use]
 pub fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
-    let sentence: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
-    let sentence = sentence.join(" ");
-    format!("{} (try --help)", sentence.strip_prefix("error: ").unwrap_or(&sentence))
+    // What clap adds after an empty line is advice and usage.
+    let said: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
+    let said = said.join(" ");
+    let said = said.strip_prefix("error: ").unwrap_or(&said);
+    let expected = match error.kind() {
+        ErrorKind::ValueValidation => return said.to_owned(),
+        ErrorKind::InvalidValue if said.contains("[possible values:") => {
+            return said.replace("[possible values:", "[expected one of:");
+        }
+        ErrorKind::InvalidValue => "one",
+        ErrorKind::InvalidSubcommand => "a command",
+        ErrorKind::MissingRequiredArgument => "all of them",
+        _ => "arguments",
+    };
+    format!("{said}: expected {expected} as in --help")
 }

@@ -1,7 +1,10 @@
 //! One node: what `sim`, `fusion` and `robot` run, started by hand or by `run`.
 
+use rangehound_fusion::run::FusionError;
+use rangehound_robot::run::RobotError;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunName};
 use rangehound_shared::signal::Termination;
+use rangehound_sim::run::SimError;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::cli::{NodeArgs, ParentArgs, RobotArgs, SimArgs};
@@ -19,7 +22,10 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
         (Some(_), Some(name)) => join(name, &termination)?,
         _ => found(args)?,
     };
-    end(rangehound_sim::run::run(&rendezvous, &termination))
+    rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
+        SimError::Rendezvous(error) => input_or_running(error),
+        other => Failure::from(other),
+    })
 }
 
 /// `rangehound fusion`.
@@ -29,7 +35,10 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
 pub fn fusion(args: &NodeArgs) -> Result<(), Failure> {
     let termination = prepare(Role::Fusion, &args.parent)?;
     let rendezvous = join(&args.name, &termination)?;
-    end(rangehound_fusion::run::run(&rendezvous, &termination))
+    rangehound_fusion::run::run(&rendezvous, &termination).map_err(|error| match error {
+        FusionError::Rendezvous(error) => input_or_running(error),
+        other => Failure::from(other),
+    })
 }
 
 /// `rangehound robot`.
@@ -37,9 +46,14 @@ pub fn fusion(args: &NodeArgs) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
-    let termination = prepare(Role::Robot(args.id), &args.node.parent)?;
+    let id = usize::try_from(args.id)?;
+    let termination = prepare(Role::Robot(id), &args.node.parent)?;
     let rendezvous = join(&args.node.name, &termination)?;
-    end(rangehound_robot::run::run(&rendezvous, args.id, &termination))
+    rangehound_robot::run::run(&rendezvous, id, &termination).map_err(|error| match error {
+        RobotError::Rendezvous(error) => input_or_running(error),
+        error @ RobotError::NoSuchRobot { .. } => Failure::input(error),
+        other => Failure::from(other),
+    })
 }
 
 /// The simulator started by hand founds the run; started again after a kill, it goes back to it.
@@ -49,9 +63,9 @@ fn found(args: &SimArgs) -> Result<Rendezvous, Failure> {
         eprintln!("sim: run {} goes on already; taking the simulator's place in it", experiment.name);
         return Ok(living);
     }
+    let name = &experiment.name;
+    let rendezvous = Rendezvous::found(name, experiment.description.clone()).map_err(input_or_running)?;
     tables::prepare_folder(&experiment)?;
-    let name = experiment.name.clone();
-    let rendezvous = Rendezvous::found(&name, experiment.description).map_err(input_or_running)?;
     let robots = rendezvous.description().scenario.robots.len();
     eprintln!(
         "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
@@ -85,10 +99,6 @@ fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
         }
     }
     Ok(termination)
-}
-
-fn end<E: std::error::Error + Send + Sync + 'static>(result: Result<(), E>) -> Result<(), Failure> {
-    result.map_err(|error| Failure::Running(anyhow::Error::new(error)))
 }
 
 /// A name or role that is taken is the user's to mend; the rest is the system's.

@@ -52,20 +52,22 @@ struct Keep {
 }
 
 fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), Failure> {
-    tables::prepare_folder(&experiment)?;
-    let Experiment { name, description, .. } = experiment;
+    let Experiment { name, description, .. } = &experiment;
     if in_process {
+        tables::prepare_folder(&experiment)?;
         let mut progress = Progress::new(description.scenario.ticks);
-        in_process::run(&description, |tick| {
+        in_process::run(description, |tick| {
             if tick % 4_096 == 0 {
                 progress.show(tick, "in one process");
             }
         })?;
         progress.finish();
-        return report_and_tables(&description, keep, Vec::new());
+        return report_and_tables(description, keep, Vec::new());
     }
     let termination = Termination::listen()?;
-    let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
+    // Only who has the name may touch the folder.
+    let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
+    tables::prepare_folder(&experiment)?;
     let _role = rendezvous.take_role(Role::Supervisor).map_err(input_or_running)?;
     let bus = Bus::observe(&rendezvous)?;
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
@@ -76,7 +78,7 @@ fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), 
     let summaries = nodes.summaries();
     drop(bus);
     drop(rendezvous);
-    report_and_tables(&description, keep, summaries)?;
+    report_and_tables(description, keep, summaries)?;
     outcome.map_err(Failure::Running)
 }
 

@@ -118,14 +118,16 @@ pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
         x_m: f64,
         y_m: f64,
     }
-    let refuse = |problem: &dyn std::fmt::Display| Failure::input(format!("{}: {problem}", path.display()));
+    let refuse = |problem: &dyn std::fmt::Display| {
+        Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()))
+    };
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|error| refuse(&error))?;
     let mut points: Vec<(f64, Vector2<f64>)> = Vec::new();
     for (index, row) in reader.deserialize().enumerate() {
         let Row { time_s, x_m, y_m } = row.map_err(|error| refuse(&error))?;
         let ordered = points.last().is_none_or(|(before_s, _)| *before_s <= time_s);
         if !(ordered && time_s.is_finite() && x_m.is_finite() && y_m.is_finite()) {
-            return Err(refuse(&format!("row {}: expected finite numbers in order of time", index + 1)));
+            return Err(refuse(&format!("row {}: not finite numbers in order of time", index + 1)));
         }
         points.push((time_s, Vector2::new(x_m, y_m)));
     }

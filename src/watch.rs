@@ -143,6 +143,10 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
         watch.look()?;
     }
     watch.finish();
+    // Fusion puts its last tick down after it has published it.
+    while rendezvous.is_finished() && rendezvous.is_held(Role::Fusion) && !termination.requested() {
+        std::thread::sleep(LOOK);
+    }
     if !rendezvous.is_finished() {
         return Ok(());
     }

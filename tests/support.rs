@@ -1,1 +1,300 @@
-//! x
+//! Runs of the real program: a name and a folder for each, and a limit on every wait.
+//!
+//! Tests run side by side, beside other users of `/dev/shm`: whatever is looked at or ended here
+//! belongs to one run, told by its name.
+
+use std::cell::Cell;
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Far above what anything here takes: only what would never come runs into it.
+const LIMIT: Duration = Duration::from_secs(120);
+
+/// How long what a failed test leaves running may take to end in order.
+const GRACE: Duration = Duration::from_secs(10);
+
+const POLL: Duration = Duration::from_millis(1);
+
+/// One run: a name that nobody else has, and a folder that the program works in. The run folder
+/// is `out` in it.
+pub(crate) struct Run {
+    pub(crate) name: String,
+    folder: TempDir,
+    started: Cell<usize>,
+}
+
+impl Run {
+    pub(crate) fn new() -> Self {
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let name = format!("t{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        Self { name, folder: TempDir::new().unwrap(), started: Cell::new(0) }
+    }
+
+    /// A path in the folder that the program works in.
+    pub(crate) fn path(&self, file: &str) -> PathBuf {
+        self.folder.path().join(file)
+    }
+
+    pub(crate) fn write(&self, file: &str, text: impl AsRef<[u8]>) {
+        std::fs::write(self.path(file), text).unwrap();
+    }
+
+    /// A file of the run folder.
+    pub(crate) fn read(&self, file: &str) -> String {
+        let path = self.path("out").join(file);
+        std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    }
+
+    /// Starts the program. Its output goes to files: a full pipe would stop it.
+    pub(crate) fn start(&self, args: &[&str]) -> Process {
+        let number = self.started.replace(self.started.get() + 1);
+        let [stdout, stderr] = ["stdout", "stderr"].map(|stream| self.path(&format!(".{number}.{stream}")));
+        let child = Command::new(env!("CARGO_BIN_EXE_rangehound"))
+            .args(args)
+            .current_dir(self.folder.path())
+            .env_remove("RUST_LOG")
+            .stdin(Stdio::null())
+            .stdout(File::create(&stdout).unwrap())
+            .stderr(File::create(&stderr).unwrap())
+            .spawn()
+            .unwrap();
+        Process { child, args: args.join(" "), stdout, stderr, shared: self.shared_folder() }
+    }
+
+    /// Starts a command, words split at spaces, on this run's name and folder.
+    pub(crate) fn command(&self, words: &str) -> Process {
+        let mut args: Vec<&str> = words.split_whitespace().collect();
+        args.extend(["--name", &self.name, "--out", "out"]);
+        self.start(&args)
+    }
+
+    /// Starts `run` in lock step.
+    pub(crate) fn lockstep(&self, words: &str) -> Process {
+        self.command(&format!("run --clock lockstep {words}"))
+    }
+
+    /// Starts a node that joins this run.
+    pub(crate) fn node(&self, words: &str) -> Process {
+        let mut args: Vec<&str> = words.split_whitespace().collect();
+        args.extend(["--name", &self.name]);
+        self.start(&args)
+    }
+
+    /// Where the run's processes meet.
+    pub(crate) fn shared_folder(&self) -> PathBuf {
+        Path::new("/dev/shm").join(format!("rh-{}-{}", rustix::process::getuid().as_raw(), self.name))
+    }
+
+    pub(crate) fn report(&self) -> Value {
+        serde_json::from_str(&self.read("report.json")).unwrap()
+    }
+
+    pub(crate) fn digest(&self) -> String {
+        self.report()["digest"].as_str().unwrap().to_owned()
+    }
+
+    /// Waits until something is so; fails with all that was said if it never is.
+    pub(crate) fn wait_until(&self, what: &str, mut so: impl FnMut() -> bool) {
+        let began = Instant::now();
+        while !so() {
+            assert!(began.elapsed() < LIMIT, "waited {LIMIT:?} in vain until {what}\n{}", self.said());
+            std::thread::sleep(POLL);
+        }
+    }
+
+    /// What the programs and their nodes told.
+    fn said(&self) -> String {
+        [self.folder.path().to_owned(), self.path("out/logs")]
+            .iter()
+            .flat_map(|folder| std::fs::read_dir(folder).into_iter().flatten().flatten())
+            .filter(|entry| entry.file_name().to_string_lossy().ends_with(['r', 'g']))
+            .filter_map(|entry| Some(format!("{:?}: {}", entry.file_name(), read_if_file(&entry.path())?)))
+            .collect()
+    }
+
+    /// The process in a role, once the role has been started so often and that start lives.
+    pub(crate) fn pid_of(&self, role: &str, starts: u64) -> Pid {
+        let file = self.shared_folder().join(format!("{role}.role"));
+        let mut found = None;
+        self.wait_until(&format!("{role} has been started {starts} times"), || {
+            let text = std::fs::read_to_string(&file).unwrap_or_default();
+            found = text.trim().split_once(' ').and_then(|(count, pid)| {
+                let pid = Pid::from_raw(pid.parse().ok()?)?;
+                // The file is rewritten in pieces: the process itself tells whose the pid is.
+                (count.parse() == Ok(starts) && is_alive(pid) && comm(pid) == format!("rh-{role}")).then_some(pid)
+            });
+            found.is_some()
+        });
+        found.unwrap()
+    }
+
+    /// Ticks that the simulator has put down, and the words of the last one's record.
+    pub(crate) fn last_world(&self) -> Option<(u64, Vec<u64>)> {
+        let file = File::open(self.path("out/world.ticks")).ok()?;
+        let words = |offset: u64, count: usize| {
+            let mut bytes = vec![0; 8 * count];
+            file.read_exact_at(&mut bytes, offset).ok()?;
+            Some(bytes.as_chunks::<8>().0.iter().map(|word| u64::from_le_bytes(*word)).collect::<Vec<u64>>())
+        };
+        let header = words(0, 3)?;
+        let record_words = 1 + header[2] as usize;
+        let ticks = (file.metadata().ok()?.len() - 24) / (8 * record_words as u64);
+        Some((ticks, words(24 + ticks.checked_sub(1)? * 8 * record_words as u64, record_words)?.split_off(1)))
+    }
+
+    pub(crate) fn wait_for_ticks(&self, ticks: u64) {
+        self.wait_until(&format!("{ticks} ticks are done"), || {
+            self.last_world().is_some_and(|(done, _)| done >= ticks)
+        });
+    }
+
+    /// Checks that the run has left `/dev/shm` as it was.
+    pub(crate) fn assert_nothing_left(&self) {
+        // Not at once: any founder looks into the folders of others, to remove those of the dead.
+        self.wait_until("the run's folder is gone", || !self.shared_folder().exists());
+        let names = |prefix: &str| -> Vec<String> {
+            let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+            let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+            names.filter(|name| name.starts_with(prefix)).collect()
+        };
+        let left = names("rh");
+        // The prefix of shared memory follows from the name alone, and a founder writes it down.
+        let founder = self.command("sim --ticks 1");
+        let config = self.shared_folder().join("iceoryx2.toml");
+        self.wait_until("the name is founded again", || config.exists());
+        let config = std::fs::read_to_string(config).unwrap();
+        let prefix = config.lines().find_map(|line| line.strip_prefix("prefix = ")).unwrap().trim_matches('"');
+        let left: Vec<&String> = left.iter().filter(|name| name.starts_with(prefix)).collect();
+        assert!(left.is_empty(), "{left:?}");
+        founder.signal(Signal::TERM);
+        founder.finish().succeeded();
+        self.wait_until("the folder is gone again", || !self.shared_folder().exists());
+        assert_eq!(names(prefix), [""; 0]);
+    }
+}
+
+/// The digest of a scenario composed in one process: what every undisturbed run must give.
+pub(crate) fn digest_in_process(words: &str) -> String {
+    let run = Run::new();
+    run.lockstep(&format!("--in-process {words}")).finish().succeeded();
+    run.digest()
+}
+
+/// A program that was started here and does not outlive the test.
+pub(crate) struct Process {
+    child: Child,
+    args: String,
+    stdout: PathBuf,
+    stderr: PathBuf,
+    shared: PathBuf,
+}
+
+/// How a program ended.
+#[derive(Debug)]
+pub(crate) struct Outcome {
+    /// `None`: by a signal.
+    pub(crate) code: Option<i32>,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Process {
+    pub(crate) fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        kill_process(self.pid(), signal).unwrap();
+    }
+
+    pub(crate) fn stderr(&self) -> String {
+        read_if_file(&self.stderr).unwrap_or_default()
+    }
+
+    /// True once the process is a member of its run: it holds the members' file.
+    pub(crate) fn has_joined(&self) -> bool {
+        let members = self.shared.join("members");
+        let open = std::fs::read_dir(format!("/proc/{}/fd", self.child.id())).into_iter().flatten().flatten();
+        open.filter_map(|entry| std::fs::read_link(entry.path()).ok()).any(|file| file == members)
+    }
+
+    /// Waits for the end.
+    pub(crate) fn finish(mut self) -> Outcome {
+        let began = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                break status;
+            }
+            assert!(began.elapsed() < LIMIT, "{} has not ended in {LIMIT:?}\n{}", self.args, self.stderr());
+            std::thread::sleep(POLL);
+        };
+        let stdout = read_if_file(&self.stdout).unwrap_or_default();
+        Outcome { code: status.code(), stdout, stderr: self.stderr() }
+    }
+}
+
+impl Drop for Process {
+    /// Ends what a failed test leaves: in order if it will, so that it takes its nodes and its
+    /// shared memory along.
+    fn drop(&mut self) {
+        if !matches!(self.child.try_wait(), Ok(None)) {
+            return;
+        }
+        let roles = std::fs::read_dir(&self.shared).into_iter().flatten().flatten();
+        let nodes = roles.filter_map(|entry| read_if_file(&entry.path())?.trim().split_once(' ')?.1.parse().ok());
+        for pid in nodes.filter_map(Pid::from_raw).filter(|pid| comm(*pid).starts_with("rh-")) {
+            let _ = kill_process(pid, Signal::CONT);
+        }
+        for signal in [Signal::CONT, Signal::TERM] {
+            let _ = kill_process(self.pid(), signal);
+        }
+        let began = Instant::now();
+        while matches!(self.child.try_wait(), Ok(None)) && began.elapsed() < GRACE {
+            std::thread::sleep(POLL);
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Outcome {
+    /// Itself, if the program did what it was told.
+    #[track_caller]
+    pub(crate) fn succeeded(self) -> Self {
+        assert_eq!(self.code, Some(0), "{self:#?}");
+        self
+    }
+
+    /// The complaints, as the tool itself gives them: progress and warnings have another beginning.
+    pub(crate) fn complaints(&self) -> Vec<&str> {
+        self.stderr.lines().filter(|line| line.starts_with("rangehound: ")).collect()
+    }
+}
+
+pub(crate) fn signal(pid: Pid, signal: Signal) {
+    kill_process(pid, signal).unwrap();
+}
+
+/// The name that a process goes by.
+pub(crate) fn comm(pid: Pid) -> String {
+    let text = std::fs::read_to_string(format!("/proc/{}/comm", pid.as_raw_pid())).unwrap_or_default();
+    text.trim_end().to_owned()
+}
+
+/// False once a process has ended, whether or not its parent has taken note.
+pub(crate) fn is_alive(pid: Pid) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_pid())).unwrap_or_default();
+    stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['Z', 'X']))
+}
+
+fn read_if_file(path: &Path) -> Option<String> {
+    path.is_file().then(|| String::from_utf8_lossy(&std::fs::read(path).unwrap_or_default()).into_owned())
+}

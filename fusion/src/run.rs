@@ -48,7 +48,9 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Fus
         }
         fusion.repeat_if_asked()?;
         if (calls.has(Call::Finished) || !calls.has(Call::Data)) && rendezvous.is_finished() {
-            break;
+            // What never came in real time is missing, but every tick has its estimate.
+            fusion.take_ranges()?;
+            return fusion.predict_up_to(fusion.scenario.ticks + 1);
         }
     }
     Ok(())
@@ -175,6 +177,13 @@ impl<'a> Fusion<'a> {
         if self.gathering.heard == 0 {
             log::warn!("missed the ticks {} to {}", self.centre.next_tick(), tick - 1);
         }
+        self.predict_up_to(tick)?;
+        self.sim.ring(Call::Hello);
+        Ok(())
+    }
+
+    /// Processes the ticks before this one with what has come of them.
+    fn predict_up_to(&mut self, tick: u64) -> Result<(), FusionError> {
         while self.centre.next_tick() < tick {
             if self.gathering.heard == 0 {
                 self.gathering.time_s = match self.scenario.source {
@@ -184,7 +193,6 @@ impl<'a> Fusion<'a> {
             }
             self.process_tick()?;
         }
-        self.sim.ring(Call::Hello);
         Ok(())
     }
 

@@ -53,7 +53,7 @@ struct Instant {
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file could not be opened or read.
-    #[error("{}: cannot read the recording: {reason}", .file.display())]
+    #[error("{}: expected a recording that can be read: {reason}", .file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
@@ -117,7 +117,12 @@ impl Recording {
         let mut rows: Vec<(f64, u64, [f64; 2], f64)> = Vec::new();
         let mut record = csv::StringRecord::new();
         let mut line = 1;
-        while reader.read_record(&mut record).map_err(unreadable)? {
+        loop {
+            match reader.read_record(&mut record) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => return Err(unreadable_row(path, rows.len() + 1, &error)),
+            }
             line = record.position().map_or(line + 1, csv::Position::line);
             let row = Row { path, row: rows.len() + 1, line, record: &record, column_index: &column_index };
             let time_s = row.number(0, f64::MIN, f64::MAX, "a finite number")?;
@@ -199,6 +204,18 @@ impl Recording {
         let Instant { time_s, readings_end } = *self.instants.get(index)?;
         let start = index.checked_sub(1).map_or(0, |before| self.instants[before].readings_end);
         Some((time_s, &self.readings[start..readings_end]))
+    }
+}
+
+/// A row that the CSV reader itself refuses.
+fn unreadable_row(path: &Path, row: usize, error: &csv::Error) -> RecordingError {
+    RecordingError::Row {
+        file: path.to_owned(),
+        row,
+        line: error.position().map_or(0, csv::Position::line),
+        column: "row",
+        expected: "text in UTF-8".to_owned(),
+        got: error.to_string(),
     }
 }
 

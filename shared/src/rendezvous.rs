@@ -240,7 +240,7 @@ impl Rendezvous {
             }
             Err(error) => return Err(error),
         };
-        let members = place.open("members")?;
+        let members = place.open_existing("members")?;
         match members.try_lock() {
             // Nobody lives: what lies here is a dead run's.
             Ok(()) => return Ok(None),
@@ -293,8 +293,10 @@ impl Rendezvous {
         }
         let incarnation = starts.parse::<u64>().unwrap_or(0) + 1;
         file.rewind().map_err(io_error)?;
-        // Padded, so that an overwrite never leaves digits of a longer number behind.
-        writeln!(file, "{incarnation:010} {:010}", std::process::id()).map_err(io_error)?;
+        // Padded, so that an overwrite never leaves digits of a longer number behind; at once, so that
+        // nobody reads half of it.
+        let text = format!("{incarnation:010} {:010}\n", std::process::id());
+        file.write_all(text.as_bytes()).map_err(io_error)?;
         Ok(RoleHold { _lock: file, incarnation })
     }
 
@@ -303,6 +305,13 @@ impl Rendezvous {
     pub fn starts(&self, role: Role) -> u64 {
         let text = std::fs::read_to_string(self.place.path(&format!("{role}.role"))).unwrap_or_default();
         text.split(' ').next().and_then(|starts| starts.parse().ok()).unwrap_or(0)
+    }
+
+    /// True while a living process holds this role.
+    #[must_use]
+    pub fn is_held(&self, role: Role) -> bool {
+        let file = File::open(self.place.path(&format!("{role}.role")));
+        file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// Marks the run as ended.
@@ -326,7 +335,7 @@ impl Drop for Rendezvous {
     fn drop(&mut self) {
         let Ok(_door) = self.place.enter(false) else { return };
         self.members = None;
-        let Ok(members) = self.place.open("members") else { return };
+        let Ok(members) = self.place.open_existing("members") else { return };
         if members.try_lock().is_ok() {
             self.place.remove();
         }
@@ -374,7 +383,8 @@ impl Place {
             if std::fs::metadata(&self.dir).map_err(dir_error)?.uid() != rustix::process::getuid().as_raw() {
                 return Err(RendezvousError::NotOurs(self.dir.clone()));
             }
-            let door = match self.open("door") {
+            // Opened, not made, by those who only look: a dead run's folder must not come back.
+            let door = match if create { self.open("door") } else { self.open_existing("door") } {
                 Err(RendezvousError::Io { source, .. }) if create && source.kind() == std::io::ErrorKind::NotFound => {
                     continue;
                 }
@@ -398,6 +408,10 @@ impl Place {
             .mode(0o600)
             .open(self.path(file))
             .map_err(|source| self.io_error(file, source))
+    }
+
+    fn open_existing(&self, file: &str) -> Result<File, RendezvousError> {
+        OpenOptions::new().read(true).write(true).open(self.path(file)).map_err(|source| self.io_error(file, source))
     }
 
     /// Writes a file whole or not at all.
@@ -452,7 +466,7 @@ pub fn living_runs() -> Vec<RunName> {
             let place = Place::of(name);
             // Behind the door, so that nobody mistakes this look for a member.
             let Ok(_door) = place.enter(false) else { return false };
-            place.open("members").is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
+            place.open_existing("members").is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
         })
         .collect()
 }
@@ -471,7 +485,7 @@ fn remove_dead_runs(but: &RunName) {
     for name in run_names().filter(|name| name != but) {
         let place = Place::of(&name);
         let Ok(_door) = place.enter(false) else { continue };
-        let Ok(members) = place.open("members") else { continue };
+        let Ok(members) = place.open_existing("members") else { continue };
         if members.try_lock().is_ok() {
             place.remove();
         }

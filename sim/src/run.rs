@@ -133,14 +133,18 @@ impl<'a> Sim<'a> {
     /// Publishes the present tick until every robot has answered it, or all but those whose silence
     /// exceeds the patience while others go on. False if asked to end.
     fn tick_until_answered(&mut self, patience: Patience, termination: &Termination) -> Result<bool, SimError> {
-        let began = Instant::now();
         self.publish()?;
-        let mut repeat_at = began + REPEAT;
+        let mut first_answer = None;
+        let mut repeat_at = Instant::now() + REPEAT;
         while !termination.requested() {
             let calls = self.bed.sleep(repeat_at.saturating_duration_since(Instant::now()));
             self.take_drives()?;
-            if self.leave_out_the_silent(patience, began.elapsed()) {
-                return Ok(true);
+            if self.drives.iter().any(Option::is_some) {
+                // Silence counts only while others go on: fusion may have been waiting until now.
+                let first_answer = *first_answer.get_or_insert_with(Instant::now);
+                if self.leave_out_the_silent(patience, first_answer.elapsed()) {
+                    return Ok(true);
+                }
             }
             if calls.has(Call::Hello) || Instant::now() >= repeat_at {
                 self.publish()?;
@@ -150,11 +154,10 @@ impl<'a> Sim<'a> {
         Ok(false)
     }
 
-    /// True once nobody is waited for any more.
+    /// Leaves out who has been silent for too long since the first answer. True once nobody is waited
+    /// for any more.
     fn leave_out_the_silent(&mut self, patience: Patience, elapsed: Duration) -> bool {
-        let answered = self.drives.iter().flatten().count();
         if let Patience::After(limit) = patience
-            && answered > 0
             && elapsed >= limit
         {
             for (id, (silent, drive)) in self.silent.iter_mut().zip(&self.drives).enumerate() {
@@ -164,7 +167,7 @@ impl<'a> Sim<'a> {
                 }
             }
         }
-        answered > 0 && self.drives.iter().zip(&self.silent).all(|(drive, silent)| drive.is_some() || *silent)
+        self.drives.iter().zip(&self.silent).all(|(drive, silent)| drive.is_some() || *silent)
     }
 
     fn sleep_until(&mut self, due_ns: u64, termination: &Termination) -> Result<Calls, SimError> {

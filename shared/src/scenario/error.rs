@@ -7,7 +7,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// The file could not be read.
-    #[error("{}: cannot read the scenario: {source}", .file.display())]
+    #[error("{}: expected a scenario file that can be read: {source}", .file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,

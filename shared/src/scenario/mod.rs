@@ -192,7 +192,8 @@ impl ScenarioFile {
             key,
             problem: error.message().lines().collect::<Vec<_>>().join("; "),
         };
-        let document = toml::Deserializer::parse(text).map_err(|error| malformed("TOML".to_owned(), &error))?;
+        let document =
+            toml::Deserializer::parse(text).map_err(|error| malformed("expected valid TOML".to_owned(), &error))?;
         serde_path_to_error::deserialize(document).map_err(|error| {
             let key = error.path().to_string();
             let key = if key == "." { "top level".to_owned() } else { key };

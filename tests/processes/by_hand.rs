@@ -1,0 +1,104 @@
+//! Nodes started one by one, each in a terminal of its own as it were.
+
+use rustix::process::Signal;
+
+use crate::support::{Process, Run, digest_in_process};
+
+const SIM: &str = "sim mine.toml";
+
+const SCENARIO: &str = "clock = \"lockstep\"\nticks = 200\nseed = 3\npatience_s = \"forever\"\n";
+
+/// Starts one node and waits until it has joined the run or says that it waits for it.
+fn start(run: &Run, words: &str) -> Process {
+    let process = if words == SIM { run.command(words) } else { run.node(words) };
+    run.wait_until(words, || process.has_joined() || process.stderr().contains("waiting for run"));
+    process
+}
+
+#[test]
+fn in_any_order_of_starting_the_run_is_the_same() {
+    let robots = ["robot --id 0", "robot --id 1", "robot --id 2"];
+    let [robot_0, robot_1, robot_2] = robots;
+    let orders = [
+        [SIM, "fusion", "watch", robot_0, robot_1, robot_2],
+        [robot_2, robot_1, robot_0, "watch", "fusion", SIM],
+        ["watch", robot_1, SIM, robot_0, robot_2, "fusion"],
+        ["fusion", robot_2, "watch", SIM, robot_0, robot_1],
+    ];
+    let oracle = Run::new();
+    oracle.write("mine.toml", SCENARIO);
+    oracle.command("run mine.toml --in-process").finish().succeeded();
+
+    for order in orders {
+        let run = Run::new();
+        run.write("mine.toml", SCENARIO);
+        let (last, first) = order.split_last().unwrap();
+        let mut nodes: Vec<Process> = first.iter().map(|words| start(&run, words)).collect();
+        // Fusion, or the node that is still to come, holds the run until the watch is there.
+        let held = if *last == SIM { first.iter().position(|words| *words == "fusion") } else { None };
+        let watch = first.iter().position(|words| *words == "watch").unwrap();
+        if let Some(held) = held {
+            nodes[held].signal(Signal::STOP);
+            nodes.push(start(&run, last));
+        }
+        run.wait_until("the watch has joined", || nodes[watch].has_joined());
+        match held {
+            Some(held) => nodes[held].signal(Signal::CONT),
+            None => nodes.push(start(&run, last)),
+        }
+        for node in nodes {
+            node.finish().succeeded();
+        }
+        assert_eq!(run.digest(), oracle.digest(), "{order:?}");
+        let report = run.report();
+        assert!(report["nodes"].as_array().unwrap().iter().all(|node| node["starts"] == 1), "{report}");
+        assert_eq!(report["ranges"]["fused"], 600, "{report}");
+        assert_eq!(run.read("estimate.csv").lines().count(), 202);
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
+fn overrides_of_a_simulator_started_by_hand_reach_the_others() {
+    let run = Run::new();
+    let words = "--ticks 30 --robots 1 --seed 4 --planner standard";
+    let sim = run.command(&format!("sim --clock lockstep {words}"));
+    let watch = run.node("watch");
+    run.wait_until("the watch has joined", || watch.has_joined());
+    let nodes = [run.node("robot --id 0"), run.node("fusion")];
+    for node in nodes.into_iter().chain([sim, watch]) {
+        node.finish().succeeded();
+    }
+    assert_eq!(run.digest(), digest_in_process(words));
+}
+
+#[test]
+fn a_role_that_is_taken_or_does_not_exist_is_refused() {
+    let run = Run::new();
+    let sim = run.command("sim --clock lockstep --ticks 30");
+    let fusion = run.node("fusion");
+    run.pid_of("sim", 1);
+    run.pid_of("fusion", 1);
+    let refusals = [("fusion", "fusion of run"), ("robot --id 3", "--id: expected 0 to 2")]
+        .map(|(words, names)| (names, run.node(words).finish()));
+    let robots = ["robot --id 0", "robot --id 1", "robot --id 2"].map(|words| run.node(words));
+    for node in robots.into_iter().chain([sim, fusion]) {
+        node.finish().succeeded();
+    }
+    run.assert_nothing_left();
+    for (names, refusal) in &refusals {
+        assert!(refusal.stderr.lines().count() == 1 && refusal.stderr.contains(names), "{refusal:#?}");
+    }
+    assert_eq!(refusals.map(|(_, refusal)| refusal.code), [Some(2); 2]);
+}
+
+#[test]
+fn a_node_that_waits_for_its_run_ends_when_asked() {
+    for words in ["fusion", "robot --id 0", "watch"] {
+        let run = Run::new();
+        let node = start(&run, words);
+        node.signal(Signal::INT);
+        assert!(node.finish().code.is_some(), "{words}");
+        assert!(!run.shared_folder().exists(), "{words}");
+    }
+}

@@ -1,0 +1,180 @@
+//! Runs whose processes are ended, stopped, or crowded by another run of their name.
+
+use rangehound_shared::record::WorldRecord;
+use rangehound_shared::scenario::{Scenario, ScenarioFile};
+use rustix::process::{Pid, Signal};
+
+use crate::support::{Run, digest_in_process, is_alive, signal};
+
+const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
+
+/// A run that no test waits out.
+const ENDLESS: &str = "--ticks 100000000 --patience forever";
+
+fn pids(run: &Run) -> Vec<Pid> {
+    ROLES.iter().map(|role| run.pid_of(role, 1)).collect()
+}
+
+#[test]
+fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
+    let words = "--ticks 500 --patience forever";
+    let run = Run::new();
+    let first = run.lockstep(words);
+    // Held, so that it lives for as long as the second needs to notice.
+    let robot = run.pid_of("robot-0", 1);
+    signal(robot, Signal::STOP);
+    let refused = run.start(&["run", "--clock", "lockstep", "--name", &run.name, "--out", "elsewhere"]).finish();
+    signal(robot, Signal::CONT);
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    assert_eq!((refused.stdout.as_str(), refused.stderr.lines().count()), ("", 1), "{refused:#?}");
+    assert!(refused.stderr.contains(&run.name), "{refused:#?}");
+    first.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_refused_run_leaves_the_folder_of_the_living_one_alone() {
+    let run = Run::new();
+    let first = run.lockstep("--ticks 50 --patience forever");
+    let robot = run.pid_of("robot-0", 1);
+    signal(robot, Signal::STOP);
+    let before = run.read("scenario.toml");
+    let refused = run.lockstep("--ticks 7 --seed 9").finish();
+    signal(robot, Signal::CONT);
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    assert_eq!(run.read("scenario.toml"), before);
+    first.finish().succeeded();
+}
+
+#[test]
+fn an_interrupt_ends_every_process_and_still_reports() {
+    let run = Run::new();
+    let supervisor = run.command(&format!("run --clock realtime {ENDLESS}"));
+    let nodes = pids(&run);
+    run.wait_for_ticks(3);
+    supervisor.signal(Signal::INT);
+    let outcome = supervisor.finish();
+    assert_eq!(outcome.code, Some(1), "{outcome:#?}");
+    assert_eq!(outcome.complaints().len(), 1, "{outcome:#?}");
+    assert!(!nodes.iter().any(|pid| is_alive(*pid)));
+    let report = run.report();
+    assert!(report["ticks"].as_u64().unwrap() >= 1, "{report}");
+    for node in report["nodes"].as_array().unwrap() {
+        assert_eq!((&node["starts"], &node["kills"]), (&1.into(), &0.into()), "{report}");
+    }
+    run.assert_nothing_left();
+}
+
+#[test]
+fn an_interrupt_ends_even_nodes_that_cannot_hear_it() {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    let nodes = pids(&run);
+    run.wait_for_ticks(3);
+    for deaf in [nodes[0], nodes[2]] {
+        signal(deaf, Signal::STOP);
+    }
+    supervisor.signal(Signal::INT);
+    assert_eq!(supervisor.finish().code, Some(1));
+    assert!(!nodes.iter().any(|pid| is_alive(*pid)));
+    run.assert_nothing_left();
+}
+
+#[test]
+fn killed_robots_are_started_again_and_change_nothing() {
+    let words = "--ticks 12000 --patience forever";
+    let run = Run::new();
+    let supervisor = run.lockstep(words);
+    run.wait_for_ticks(200);
+    // The second start of robot-1 is killed as soon as it has its role: half-way up.
+    for (role, start) in [("robot-1", 1), ("robot-1", 2), ("robot-0", 1)] {
+        signal(run.pid_of(role, start), Signal::KILL);
+    }
+    supervisor.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    let report = run.report();
+    let counts = |key: &str| -> Vec<u64> {
+        report["nodes"].as_array().unwrap().iter().filter_map(|node| node[key].as_u64()).collect()
+    };
+    assert_eq!(counts("starts"), [1, 1, 2, 3, 1]);
+    assert_eq!(counts("kills"), [0, 0, 1, 2, 0]);
+    assert_eq!(counts("exits"), [0; 5]);
+    assert_eq!(report["ranges"]["published"], 3 * 12_000);
+    run.assert_nothing_left();
+}
+
+#[test]
+fn without_simulator_or_fusion_a_run_ends_and_says_so() {
+    for role in ["fusion", "sim"] {
+        let run = Run::new();
+        let supervisor = run.lockstep(ENDLESS);
+        let nodes = pids(&run);
+        run.wait_for_ticks(10);
+        signal(run.pid_of(role, 1), Signal::KILL);
+        let outcome = supervisor.finish();
+        assert_eq!(outcome.code, Some(1), "{outcome:#?}");
+        let [complaint] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
+        assert!(complaint.contains(&format!("{role} was killed by signal 9")), "{complaint}");
+        assert!(!nodes.iter().any(|pid| is_alive(*pid)));
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
+fn the_nodes_of_a_killed_supervisor_end_and_its_name_is_free_again() {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    let nodes = pids(&run);
+    run.wait_for_ticks(10);
+    supervisor.signal(Signal::KILL);
+    assert_eq!(supervisor.finish().code, None);
+    run.wait_until("all nodes have ended", || !nodes.iter().any(|pid| is_alive(*pid)));
+    let words = "--ticks 30";
+    run.lockstep(words).finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    run.assert_nothing_left();
+}
+
+/// Stops robot 1 in a run of short patience, lets the others go on for a while, has it taken back,
+/// and ends the run.
+fn run_with_robot_1_stopped_for_a_while(run: &Run) {
+    let supervisor = run.lockstep("--ticks 100000000 --patience 0.2");
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "default", "".as_ref()).unwrap();
+    let is_heard = || {
+        run.last_world().is_some_and(|(ticks, words)| {
+            ticks > 1 && WorldRecord::from_words(&words, &scenario).robots[1].range_published
+        })
+    };
+    run.wait_until("robot 1 is heard", is_heard);
+    let robot = run.pid_of("robot-1", 1);
+    signal(robot, Signal::STOP);
+    run.wait_until("the simulator goes on without robot 1", || !is_heard());
+    // Fusion may have heard it at that tick, but at none of the next.
+    let ticks = run.last_world().unwrap().0;
+    run.wait_for_ticks(ticks + 50);
+    signal(robot, Signal::CONT);
+    run.wait_until("robot 1 is heard again", is_heard);
+    supervisor.signal(Signal::INT);
+    assert_eq!(supervisor.finish().code, Some(1));
+}
+
+#[test]
+fn a_stopped_robot_is_left_out_after_the_patience_and_taken_back() {
+    let run = Run::new();
+    run_with_robot_1_stopped_for_a_while(&run);
+    let report = run.report();
+    assert!(report["ranges"]["missing"].as_u64().unwrap() >= 48, "{report}");
+    assert_eq!(report["nodes"][3]["starts"], 1, "{report}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn only_the_stopped_robot_is_left_out() {
+    let run = Run::new();
+    run_with_robot_1_stopped_for_a_while(&run);
+    let log = run.read("logs/sim.log");
+    let left_out: Vec<&str> = log.lines().filter(|line| line.contains("goes on without")).collect();
+    assert!(!left_out.is_empty(), "{log}");
+    assert!(left_out.iter().all(|line| line.contains("without robot 1,")), "{left_out:#?}");
+}
