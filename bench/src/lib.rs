@@ -17,10 +17,12 @@ pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
     })
 }
 
-/// The planning problem of [`team`] under a prior that is longer than wide.
+/// The planning problem of [`team`] under a prior that is longer than wide, and known the better the
+/// larger the team: in steady state the prior informs as much as a few ticks' ranges do.
 #[must_use]
 pub fn problem(robots: usize) -> Problem {
     let mut problem = Problem::default();
-    problem.pose(&Matrix2::new(0.4, 0.1, 0.1, 0.2), Vector::default(), 0.1, team(robots));
+    let prior = Matrix2::new(0.4, 0.1, 0.1, 0.2) * (3.0 / robots as f64);
+    problem.pose(&prior, Vector::default(), 0.1, team(robots));
     problem
 }

@@ -35,13 +35,14 @@ impl Relaxation {
         let alpha = if problem.len() == 1 { 0.0 } else { self.alpha };
         for _ in 0..self.iterations {
             // Summed anew each cycle, so that rounding does not build up over the iterations.
-            let mut sum = problem.sum(directions);
-            let perturbation = sum * -alpha;
+            let sum = problem.sum(directions);
+            // S + V, kept current: the one chain of additions that every robot waits for.
+            let mut pull = sum - sum * alpha;
             let mut moved = false;
             for (arm, direction) in problem.arms.iter().zip(directions.iter_mut()).rev() {
-                let rest = sum - *direction * arm.lambda;
-                let turned = arm.nearest(-(rest + perturbation), *direction);
-                sum = rest + turned * arm.lambda;
+                let goal = *direction * arm.lambda - pull;
+                let turned = arm.nearest(goal, *direction);
+                pull = turned * arm.lambda - goal;
                 moved |= turned != *direction;
                 *direction = turned;
             }

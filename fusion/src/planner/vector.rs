@@ -59,7 +59,7 @@ impl Vector {
     #[must_use]
     pub fn normalised(self) -> Option<Self> {
         let norm = self.norm();
-        (norm > 0.0).then(|| self * (1.0 / norm))
+        (norm > 0.0).then(|| Self::new(self.x / norm, self.y / norm))
     }
 
     /// Complex product: adds the angles of unit vectors.
