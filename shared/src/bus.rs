@@ -335,6 +335,8 @@ impl Bed {
     /// Sleeps until called, until time runs out, or until a signal comes.
     pub fn sleep(&self, at_most: Duration) -> Calls {
         let mut calls = Calls::default();
+        // Once, let whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
+        std::thread::yield_now();
         // An error is a signal or a socket's hiccup: the loop looks at everything anyway.
         let _ = self.port.timed_wait(
             |activation| {
