@@ -14,7 +14,7 @@ use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::recording::RecordingError;
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::Scenario;
-use rangehound_sim::world::{self, World};
+use rangehound_sim::{World, world_of};
 
 /// Runs a scenario to its end in this process and puts every tick down as the nodes would.
 ///
@@ -69,7 +69,7 @@ impl Team {
             .filter_map(|id| Some((Sensor::new(scenario, id)?, Controller::new(scenario.robots[id].speed_mps))))
             .collect();
         Ok(Self {
-            world: world::for_scenario(scenario)?,
+            world: world_of(scenario)?,
             centre: Centre::new(scenario)?,
             robots,
             reports: vec![None; scenario.robots.len()],

@@ -168,13 +168,10 @@ fn draw_field(curves: &Curves, area: &Area<'_>) -> Result<(), Box<dyn std::error
     chart
         .draw_series(LineSeries::new(curves.estimate_path(), ESTIMATE.stroke_width(2)))?
         .label("estimate, 3 sigma")
-        .legend(|(x, y)| PathElement::new([(x - 12, y), (x + 12, y)], ESTIMATE.stroke_width(3)));
+        .legend(dash(ESTIMATE));
     let truth = curves.truth_path();
     if let Some(end) = truth.last().copied() {
-        chart
-            .draw_series(LineSeries::new(truth, TARGET.stroke_width(3)))?
-            .label("target")
-            .legend(|(x, y)| PathElement::new([(x - 12, y), (x + 12, y)], TARGET.stroke_width(3)));
+        chart.draw_series(LineSeries::new(truth, TARGET.stroke_width(3)))?.label("target").legend(dash(TARGET));
         chart.draw_series(std::iter::once(Circle::new(end, 9, TARGET.filled())))?;
     }
     chart
@@ -230,12 +227,12 @@ fn draw_errors(curves: &Curves, area: &Area<'_>) -> Result<(), Box<dyn std::erro
     chart
         .draw_series(LineSeries::new(deviations.into_iter().filter(drawable), ESTIMATE.stroke_width(3)))?
         .label("square root of the position trace")
-        .legend(|(x, y)| PathElement::new([(x - 12, y), (x + 12, y)], ESTIMATE.stroke_width(3)));
+        .legend(dash(ESTIMATE));
     if !errors.is_empty() {
         chart
             .draw_series(LineSeries::new(errors.into_iter().filter(drawable), TARGET.mix(0.6).stroke_width(2)))?
             .label("error")
-            .legend(|(x, y)| PathElement::new([(x - 12, y), (x + 12, y)], TARGET.mix(0.6).stroke_width(3)));
+            .legend(dash(TARGET.mix(0.6)));
     }
     chart
         .configure_series_labels()
@@ -245,6 +242,11 @@ fn draw_errors(curves: &Curves, area: &Area<'_>) -> Result<(), Box<dyn std::erro
         .label_font(labels)
         .draw()?;
     Ok(())
+}
+
+/// A line's sign in the legend.
+fn dash<C: Color + 'static>(colour: C) -> impl Fn((i32, i32)) -> PathElement<(i32, i32)> {
+    move |(x, y)| PathElement::new([(x - 12, y), (x + 12, y)], colour.stroke_width(3))
 }
 
 /// A number without the noise of its last digits.

@@ -16,4 +16,23 @@ pub mod run;
 pub mod simulation;
 pub mod world;
 
+use rangehound_shared::recording::RecordingError;
+use rangehound_shared::scenario::{Scenario, Source};
+use rangehound_shared::with_state_dim;
+
+use playback::Playback;
+use simulation::Simulation;
 pub use world::World;
+
+/// The world of a scenario at tick 0.
+///
+/// # Errors
+/// [`RecordingError`] if the recording that the scenario names cannot be read (again).
+pub fn world_of(scenario: &Scenario) -> Result<Box<dyn World>, RecordingError> {
+    Ok(match &scenario.source {
+        Source::Simulated { target_start } => {
+            with_state_dim!(target_start.len(), N => Box::new(Simulation::<N>::new(scenario, target_start)))
+        }
+        Source::Recorded { ranges } => Box::new(Playback::read(ranges)?),
+    })
+}

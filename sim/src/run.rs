@@ -13,7 +13,7 @@ use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
 
-use crate::world::{self, World};
+use crate::{World, world_of};
 
 /// After this long without all answers the tick is sent again: mends whatever was lost.
 const REPEAT: Duration = Duration::from_millis(50);
@@ -79,7 +79,7 @@ impl<'a> Sim<'a> {
             .ok();
         Ok(Self {
             scenario,
-            world: world::for_scenario(scenario)?,
+            world: world_of(scenario)?,
             tick: 0,
             drives: vec![None; robots],
             silent: vec![false; robots],

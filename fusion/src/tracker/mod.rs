@@ -3,8 +3,7 @@
 //! | tracker | for |
 //! |---|---|
 //! | [`kalman`] | a Gaussian prior: the paper's extended Kalman filter |
-//! | [`bank`] | no prior: a bank of such filters that starts from the ranges alone |
-//! | [`imm`] | recordings: two banks, one for a calm and one for a manoeuvring target |
+//! | [`imm`] | no prior, as for recordings: a calm and a manoeuvring model side by side, each with a [`bank`] of such filters that starts from the ranges alone |
 
 pub mod bank;
 pub mod imm;

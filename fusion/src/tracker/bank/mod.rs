@@ -14,11 +14,11 @@ mod sight;
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Cholesky, Matrix2, SMatrix, SVector, Vector2};
+use nalgebra::{Cholesky, SMatrix, SVector, Vector2};
 use rangehound_shared::motion::{MotionModel, Transition};
 use serde::{Deserialize, Serialize};
 
-use super::{Fit, Gate, Reading, Tracker};
+use super::{Fit, Gate, Reading};
 use crate::filter::{Estimate, Innovation, RangeInformation};
 use circle::{CIRCLE_MAX, Circle};
 use rejections::Rejections;
@@ -102,6 +102,23 @@ impl<const N: usize> Bank<N> {
             rejections: Rejections::default(),
             log_likelihood: 0.0,
         }
+    }
+
+    /// Predicts over `dt_s` seconds, then updates with the readings, taken in order.
+    pub fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit {
+        self.predict(dt_s);
+        self.log_likelihood = 0.0;
+        let mut fit = Fit::default();
+        for reading in readings {
+            let range_std_m = reading.range_std_m.max(RANGE_STD_MIN_M);
+            self.fuse(&Reading { range_std_m, ..*reading }, &mut fit);
+        }
+        self.estimate = match &self.hypotheses[..] {
+            [] => unknown(),
+            [only] => only.estimate,
+            several => mixture(several),
+        };
+        fit
     }
 
     /// The one hypothesis that is left, if only one is.
@@ -282,42 +299,6 @@ impl<const N: usize> Bank<N> {
                 light += 1;
             }
         }
-    }
-}
-
-impl<const N: usize> Tracker for Bank<N> {
-    fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit {
-        self.predict(dt_s);
-        self.log_likelihood = 0.0;
-        let mut fit = Fit::default();
-        for reading in readings {
-            let range_std_m = reading.range_std_m.max(RANGE_STD_MIN_M);
-            self.fuse(&Reading { range_std_m, ..*reading }, &mut fit);
-        }
-        self.estimate = match &self.hypotheses[..] {
-            [] => unknown(),
-            [only] => only.estimate,
-            several => mixture(several),
-        };
-        fit
-    }
-
-    fn state(&self) -> &[f64] {
-        self.estimate.x.as_slice()
-    }
-
-    fn covariance(&self) -> &[f64] {
-        self.estimate.p.as_slice()
-    }
-
-    fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>) {
-        // The model is linear: mean and covariance of the sum predict like those of one Gaussian.
-        let predicted = if self.transition.0 == dt_s {
-            self.estimate.predict(&self.transition.1)
-        } else {
-            self.estimate.predict(&self.motion.transition(dt_s))
-        };
-        (predicted.position(), predicted.position_covariance())
     }
 }
 

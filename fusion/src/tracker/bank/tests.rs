@@ -47,7 +47,7 @@ impl Run {
 #[test]
 fn it_starts_from_the_ranges_of_fixed_sensors_alone() {
     let mut run = Run::new();
-    assert_eq!((run.bank.state(), run.bank.covariance()[0]), (&[0.0; 4][..], 1e12));
+    assert_eq!((run.bank.estimate().x, run.bank.estimate().p[(0, 0)]), (SVector::zeros(), 1e12));
     let (error_m, std_m) = run.square(3, [16.0, 3.0], 0.0);
     assert!(error_m < 0.4 && std_m < 0.6, "{error_m} {std_m}");
     assert!(run.bank.hypotheses.len() == 1 && run.rejected < 4);
@@ -126,7 +126,7 @@ fn survives<const N: usize>(mut bank: Bank<N>, steps: &[(f64, f64, f64, f64, f64
         // Every fifth or so stands right on the estimate.
         let position_m = if x > 0.6e8 { bank.estimate.position() } else { Vector2::new(x, y) };
         bank.step(dt_s, &[Reading { position_m, range_m, range_std_m }]);
-        prop_assert!(bank.state().iter().all(|value| value.is_finite()));
+        prop_assert!(bank.estimate().x.iter().all(|value| value.is_finite()));
         prop_assert_eq!(bank.estimate.p, bank.estimate.p.transpose());
         prop_assert!(Cholesky::new(bank.estimate.p).is_some(), "{}", bank.estimate.p);
         prop_assert!(bank.hypotheses.capacity() == HYPOTHESES_MAX);

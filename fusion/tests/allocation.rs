@@ -1,0 +1,47 @@
+//! Once its buffers have their sizes, a tick of the fusion centre allocates nothing.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+use std::path::Path;
+
+use rangehound_fusion::Centre;
+use rangehound_fusion::centre::Report;
+use rangehound_fusion::planner::Vector;
+use rangehound_shared::scenario::{PlannerTable, RobotsTable, Scenario, ScenarioFile};
+
+fn scenario(planner: &str, robots: u64) -> Scenario {
+    let file = ScenarioFile {
+        planner: Some(PlannerTable { name: Some(planner.to_owned()), step_rad: Some(0.3), ..PlannerTable::default() }),
+        robots: Some(RobotsTable { count: Some(robots), ..RobotsTable::default() }),
+        ..ScenarioFile::default()
+    };
+    Scenario::from_file(&file, "test", Path::new("")).unwrap()
+}
+
+/// Ticks with robots on a circle round the origin, the target at its centre.
+fn tick(centre: &mut Centre, reports: &mut [Option<Report>]) {
+    let k = centre.next_tick() as f64;
+    for (i, report) in reports.iter_mut().enumerate() {
+        let position_m = Vector::from_angle(i as f64 + 0.01 * k) * 12.0;
+        *report = Some(Report { position_m, range_m: (k > 0.0).then_some((12.0, 1.0)) });
+    }
+    centre.update(0.1 * k, reports).unwrap();
+    centre.plan();
+}
+
+#[test]
+fn a_tick_allocates_nothing() {
+    for (planner, robots) in [("adaptive", 3), ("standard", 100), ("random", 10), ("grid", 3)] {
+        let mut centre = Centre::new(&scenario(planner, robots)).unwrap();
+        let mut reports = vec![None; robots as usize];
+        for _ in 0..50 {
+            tick(&mut centre, &mut reports);
+        }
+        let counted = allocation_counter::measure(|| {
+            for _ in 0..200 {
+                tick(&mut centre, &mut reports);
+            }
+        });
+        assert_eq!(counted.count_total, 0, "{planner}, {robots} robots");
+    }
+}

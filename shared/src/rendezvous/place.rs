@@ -1,0 +1,139 @@
+//! The files of a run in shared memory.
+
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use xxhash_rust::xxh3::xxh3_64;
+
+use super::{RendezvousError, RunName};
+
+/// Where shared memory lives.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// The files of one run.
+#[derive(Debug)]
+pub(super) struct Place {
+    pub(super) name: RunName,
+    dir: PathBuf,
+    /// Starts the name of every file that iceoryx2 makes for this run.
+    prefix: String,
+}
+
+impl Place {
+    pub(super) fn of(name: &RunName) -> Self {
+        let dir = Path::new(SHARED_MEMORY).join(format!("{}{name}", folder_prefix()));
+        // A hash, not the name: the names of sockets are short of room.
+        let prefix = format!("rh{:08x}_", xxh3_64(dir.as_os_str().as_encoded_bytes()) as u32);
+        Self { name: name.clone(), dir, prefix }
+    }
+
+    pub(super) fn path(&self, file: &str) -> PathBuf {
+        self.dir.join(file)
+    }
+
+    pub(super) fn io_error(&self, file: &str, source: std::io::Error) -> RendezvousError {
+        RendezvousError::Io { path: self.path(file), source }
+    }
+
+    /// Locks the door. The last one out removes the folder, so a lock counts only if the door is still
+    /// the one that the path names.
+    pub(super) fn enter(&self, create: bool) -> Result<File, RendezvousError> {
+        loop {
+            if create {
+                let made = std::fs::DirBuilder::new().mode(0o700).create(&self.dir);
+                if let Err(source) = made
+                    && source.kind() != std::io::ErrorKind::AlreadyExists
+                {
+                    return Err(RendezvousError::Io { path: self.dir.clone(), source });
+                }
+            }
+            let dir_error = |source| RendezvousError::Io { path: self.dir.clone(), source };
+            if std::fs::metadata(&self.dir).map_err(dir_error)?.uid() != rustix::process::getuid().as_raw() {
+                return Err(RendezvousError::NotOurs(self.dir.clone()));
+            }
+            // Opened, not made, by those who only look: a dead run's folder must not come back.
+            let door = match if create { self.open("door") } else { self.open_existing("door") } {
+                Err(RendezvousError::Io { source, .. }) if create && source.kind() == std::io::ErrorKind::NotFound => {
+                    continue;
+                }
+                other => other?,
+            };
+            door.lock().map_err(|source| self.io_error("door", source))?;
+            let locked = door.metadata().map_err(|source| self.io_error("door", source))?;
+            match std::fs::metadata(self.path("door")) {
+                Ok(named) if named.ino() == locked.ino() => return Ok(door),
+                _ => {}
+            }
+        }
+    }
+
+    pub(super) fn open(&self, file: &str) -> Result<File, RendezvousError> {
+        OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .open(self.path(file))
+            .map_err(|source| self.io_error(file, source))
+    }
+
+    pub(super) fn open_existing(&self, file: &str) -> Result<File, RendezvousError> {
+        OpenOptions::new().read(true).write(true).open(self.path(file)).map_err(|source| self.io_error(file, source))
+    }
+
+    /// Writes a file whole or not at all.
+    pub(super) fn write(&self, file: &str, bytes: &[u8]) -> Result<(), RendezvousError> {
+        let partial = format!("{file}.partial");
+        let write = || {
+            let mut out =
+                OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(self.path(&partial))?;
+            out.write_all(bytes)?;
+            std::fs::rename(self.path(&partial), self.path(file))
+        };
+        write().map_err(|source| self.io_error(file, source))
+    }
+
+    pub(super) fn iceoryx2_config(&self) -> String {
+        format!("[global]\nroot-path = {:?}\nprefix = {:?}\n", self.dir.display().to_string(), self.prefix)
+    }
+
+    /// Removes what a dead run of this name left, but for the locks, which the caller holds.
+    pub(super) fn remove_leftovers(&self) {
+        for entry in std::fs::read_dir(&self.dir).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            if name != "door" && name != "members" {
+                let path = entry.path();
+                let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+            }
+        }
+        for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
+            if entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes()) {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+
+    /// Removes the run. The caller holds the door and knows that nobody lives.
+    pub(super) fn remove(&self) {
+        self.remove_leftovers();
+        let _ = std::fs::remove_dir_all(&self.dir);
+    }
+}
+
+/// Starts the names of this user's run folders.
+fn folder_prefix() -> String {
+    format!("rh-{}-", rustix::process::getuid().as_raw())
+}
+
+/// Names of this user's runs, dead or alive.
+pub(super) fn run_names() -> impl Iterator<Item = RunName> {
+    let prefix = folder_prefix();
+    std::fs::read_dir(SHARED_MEMORY)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(move |entry| entry.file_name().to_str()?.strip_prefix(&prefix)?.parse().ok())
+}
