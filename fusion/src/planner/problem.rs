@@ -260,6 +260,29 @@ mod tests {
             prop_assert!((problem.max_eigenvalue_m2(objective) / largest - 1.0).abs() < 1e-8);
         }
 
+        /// Trace and largest eigenvalue put any two plans into the same order: same solution.
+        #[test]
+        fn what_is_better_in_trace_is_better_in_the_largest_eigenvalue(
+            a in 0.1..20.0_f64, c in 0.1..20.0_f64, correlation in -0.95..0.95_f64,
+            plans in proptest::collection::vec((0.0..6.3_f64, 0.0..6.3_f64, 0.0..6.3_f64), 2..9),
+        ) {
+            let b = correlation * (a * c).sqrt();
+            let prior_information = inverse(Matrix2::new(a, b, b, c));
+            // Straight from Eq. 13, without the closed forms.
+            let mut worths: Vec<(f64, f64)> = plans.iter().map(|&(t1, t2, t3)| {
+                let information = [t1, t2, t3].iter().fold(prior_information, |sum, theta| {
+                    let e = Vector::from_angle(*theta);
+                    sum + Matrix2::new(e.x * e.x, e.x * e.y, e.x * e.y, e.y * e.y)
+                });
+                let posterior = inverse(information);
+                (posterior.trace(), posterior.symmetric_eigenvalues().max())
+            }).collect();
+            worths.sort_by(|x, y| x.0.total_cmp(&y.0));
+            for pair in worths.windows(2) {
+                prop_assert!(pair[0].1 <= pair[1].1 * (1.0 + 1e-9), "{worths:?}");
+            }
+        }
+
         /// Eq. 16: the move ends on the line through the target along the bearing, at full speed.
         #[test]
         fn a_heading_realises_its_bearing(

@@ -6,6 +6,8 @@
 pub mod defaults;
 mod error;
 mod file;
+#[cfg(test)]
+mod tests;
 mod validate;
 
 use std::path::{Path, PathBuf};

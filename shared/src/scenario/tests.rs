@@ -1,0 +1,103 @@
+//! What is written is read, and what is read is checked.
+
+use std::path::Path;
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn any_number() -> impl Strategy<Value = f64> {
+    prop_oneof![Just(0.0), -1e3..1e3_f64, any::<f64>().prop_filter("finite", |value| value.is_finite())]
+}
+
+fn maybe<T: std::fmt::Debug + Clone>(value: impl Strategy<Value = T>) -> impl Strategy<Value = Option<T>> {
+    proptest::option::of(value)
+}
+
+fn target() -> impl Strategy<Value = TargetTable> {
+    let rows = || maybe(proptest::collection::vec(proptest::collection::vec(any_number(), 1..4), 1..4));
+    let model = maybe(prop_oneof!["zero_acceleration", "custom", "[a-z_]{1,12}"]);
+    (model, maybe(any_number()), maybe(proptest::collection::vec(any_number(), 0..9)), rows(), rows(), rows())
+        .prop_map(|(model, noise_psd, start, phi, g, qd)| TargetTable { model, noise_psd, start, phi, g, qd })
+}
+
+fn robot() -> impl Strategy<Value = RobotTable> {
+    (maybe(0..300_u64), maybe([any_number(), any_number()]), maybe(any_number()), maybe(any_number()))
+        .prop_map(|(id, start_m, speed_mps, range_std_m)| RobotTable { id, start_m, speed_mps, range_std_m })
+}
+
+fn file() -> impl Strategy<Value = ScenarioFile> {
+    let patience = prop_oneof![any_number().prop_map(PatienceKey::Seconds), ".{0,9}".prop_map(PatienceKey::Word)];
+    let planner = (maybe("[a-z]{1,9}"), maybe(0..99_u64), maybe(any_number()), maybe(any_number()))
+        .prop_map(|(name, iterations, alpha, step_rad)| PlannerTable { name, iterations, alpha, step_rad });
+    let covariance = prop_oneof![
+        any_number().prop_map(CovarianceKey::Scalar),
+        proptest::collection::vec(any_number(), 1..9).prop_map(CovarianceKey::Diagonal),
+    ];
+    let mean = prop_oneof![
+        "[a-z]{1,6}".prop_map(MeanKey::Word),
+        proptest::collection::vec(any_number(), 0..9).prop_map(MeanKey::State),
+    ];
+    let prior = (maybe(mean), maybe(covariance)).prop_map(|(mean, covariance)| PriorTable { mean, covariance });
+    let head =
+        (maybe(".{0,30}"), maybe(0..1_000_000_u64), maybe(any_number()), maybe(0..1_000_u64), maybe("[a-z]{1,9}"));
+    let rest = (
+        maybe(patience),
+        maybe(target()),
+        maybe(prior),
+        maybe(proptest::collection::vec(robot(), 0..4)),
+        maybe(planner),
+    );
+    (head, rest).prop_map(|((name, ticks, dt_s, seed, clock), (patience_s, target, prior, robot, planner))| {
+        ScenarioFile {
+            name,
+            ticks,
+            dt_s,
+            seed,
+            clock,
+            patience_s,
+            target,
+            prior,
+            robot,
+            planner,
+            ..ScenarioFile::default()
+        }
+    })
+}
+
+proptest! {
+    #[test]
+    fn a_file_survives_being_written_and_read(file in file()) {
+        let text = file.to_toml().unwrap();
+        prop_assert_eq!(ScenarioFile::parse(&text, "test").unwrap(), file);
+    }
+
+    /// Whatever stands in a file, it is a scenario or one line that says what was expected.
+    #[test]
+    fn every_file_is_accepted_or_refused_in_one_line(file in file()) {
+        if let Err(error) = Scenario::from_file(&file, "test", Path::new("")) {
+            let line = error.to_string();
+            prop_assert!(line.starts_with("test: ") && line.contains("expected"), "{line}");
+        }
+    }
+
+    #[test]
+    fn no_text_makes_the_parser_panic(text in ".{0,200}") {
+        let _ = ScenarioFile::parse(&text, "test");
+    }
+
+    #[test]
+    fn what_a_node_is_told_is_what_was_checked(file in file()) {
+        if let Ok(scenario) = Scenario::from_file(&file, "test", Path::new("")) {
+            let sealed = crate::sealed::seal(&scenario).unwrap();
+            prop_assert_eq!(crate::sealed::open::<Scenario>(&sealed), Ok(scenario));
+        }
+    }
+}
+
+#[test]
+fn the_default_file_says_what_an_empty_one_means() {
+    let text = include_str!("../../../scenarios/paper.toml");
+    let of = |file: &ScenarioFile| Scenario::from_file(file, "test", Path::new("")).unwrap();
+    assert_eq!(of(&ScenarioFile::parse(text, "paper.toml").unwrap()), of(&ScenarioFile::default()));
+}
