@@ -61,8 +61,8 @@ struct Fusion<'a> {
     centre: Centre,
     /// What has come for the tick that is being gathered.
     gathering: Gathering,
-    /// Robots that are not waited for.
-    silent: Vec<bool>,
+    /// Ticks in a row at which each robot was missing.
+    misses: Vec<u32>,
     /// Who was heard at the tick that was processed last.
     fused: Vec<bool>,
     late: u64,
@@ -100,7 +100,7 @@ impl<'a> Fusion<'a> {
             scenario,
             centre: Centre::new(scenario)?,
             gathering: Gathering { reports: vec![None; robots], ..Gathering::default() },
-            silent: vec![false; robots],
+            misses: vec![0; robots],
             fused: vec![false; robots],
             late: 0,
             repeat_asked: false,
@@ -127,6 +127,15 @@ impl<'a> Fusion<'a> {
         }
     }
 
+    /// Misses in a row after which a robot is not waited for until it speaks again.
+    fn misses_max(&self) -> u32 {
+        match self.scenario.clock {
+            // The deadline has cut short a busy robot now and then; a dead one costs all of them latency.
+            Clock::Realtime => 3,
+            Clock::Lockstep => 1,
+        }
+    }
+
     fn time_to_wait(&self) -> Duration {
         self.deadline().map_or(IDLE, |left| left.min(IDLE))
     }
@@ -138,13 +147,13 @@ impl<'a> Fusion<'a> {
             return false;
         }
         *heard == reports.len()
-            || reports.iter().zip(&self.silent).all(|(report, silent)| report.is_some() || *silent)
+            || reports.iter().zip(&self.misses).all(|(report, misses)| report.is_some() || *misses >= self.misses_max())
             || self.deadline().is_some_and(|left| left.is_zero())
     }
 
     fn take_ranges(&mut self) -> Result<(), FusionError> {
         // The subscriber is borrowed while it drains; the rest of self is what the messages change.
-        let Self { scenario, centre, gathering, silent, fused, late, repeat_asked, ranges, .. } = self;
+        let Self { scenario, centre, gathering, misses, fused, late, repeat_asked, ranges, .. } = self;
         let mut ahead = None;
         ranges.drain(|header, message| {
             let [range] = message else { return };
@@ -152,7 +161,7 @@ impl<'a> Fusion<'a> {
             if header.tick > scenario.ticks {
                 return;
             }
-            silent[id] = false;
+            misses[id] = 0;
             let next = centre.next_tick();
             if header.tick > next {
                 ahead = ahead.max(Some(header.tick));
@@ -222,9 +231,9 @@ impl<'a> Fusion<'a> {
             self.log = None;
         }
         self.late = 0;
-        for ((fused, silent), report) in self.fused.iter_mut().zip(&mut self.silent).zip(&self.gathering.reports) {
+        for ((fused, misses), report) in self.fused.iter_mut().zip(&mut self.misses).zip(&self.gathering.reports) {
             *fused = report.is_some();
-            *silent = report.is_none();
+            *misses = if report.is_some() { 0 } else { misses.saturating_add(1) };
         }
         self.gathering.clear();
         Ok(())
