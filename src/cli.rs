@@ -25,7 +25,7 @@ const EXAMPLES: &str = "Examples:
   rangehound scenario > mine.toml                a scenario file to start from
   rangehound track ranges.csv --range-std 0.12   recorded ranges through the same processes
 
-Exit codes: 0 done, 1 failed while running, 2 bad usage or bad input.";
+Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or bad input.";
 
 /// The commands.
 #[derive(Debug, Subcommand)]

@@ -50,7 +50,8 @@ impl Experiment {
             }
             None => {
                 let file = ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?;
-                (file, "scenarios/paper.toml".to_owned(), PathBuf::new())
+                // Of the default nothing can be wrong but what the command line puts over it.
+                (file, "command line".to_owned(), PathBuf::new())
             }
         };
         override_with(&mut file, args)?;

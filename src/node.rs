@@ -80,7 +80,7 @@ fn found(args: &SimArgs) -> Result<Rendezvous, Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Failure> {
-    let waiting = || eprintln!("waiting for run {name}: found it with `rangehound sim --name {name}`");
+    let waiting = || eprintln!("waiting for run {name}; `rangehound sim --name {name}` starts it");
     Rendezvous::join(name, termination, waiting).map_err(input_or_running)
 }
 
@@ -105,9 +105,10 @@ fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
 #[must_use]
 pub fn input_or_running(error: RendezvousError) -> Failure {
     match error {
-        RendezvousError::Taken { .. } | RendezvousError::RoleTaken { .. } | RendezvousError::NotOurs(_) => {
-            Failure::input(error)
-        }
+        RendezvousError::Taken { .. }
+        | RendezvousError::RoleTaken { .. }
+        | RendezvousError::NotOurs(_)
+        | RendezvousError::StateLost { .. } => Failure::input(error),
         other => Failure::Running(anyhow::Error::new(other)),
     }
 }

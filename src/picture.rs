@@ -49,6 +49,13 @@ struct Curves {
     robots_m: Vec<Vec<Vector2<f64>>>,
 }
 
+/// As [`draw`], for callers whose work is done without a picture.
+pub fn draw_if_possible(description: &RunDescription, truth: Option<&Truth>) {
+    if let Err(error) = draw(description, truth) {
+        log::warn!("there is no picture: {error}");
+    }
+}
+
 /// Draws the run from its logs to `picture.svg` in the run folder.
 ///
 /// # Errors
@@ -208,6 +215,7 @@ fn draw_errors(curves: &Curves, area: &Area<'_>) -> Result<(), Box<dyn std::erro
     let drawable = |&(_, value): &(f64, f64)| value.is_finite() && value > 1e-6;
     let values = deviations.iter().chain(&errors).filter(|point| drawable(point)).map(|(_, value)| *value);
     let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(value), high.max(value)));
+    let (low, high) = if low <= high { (low, high) } else { (1e-3, 1.0) };
     let (first, last) = (curves.times_s[0], curves.times_s[curves.times_s.len() - 1]);
     let mut chart = ChartBuilder::on(area)
         .margin(20)

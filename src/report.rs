@@ -4,6 +4,7 @@ use std::path::Path;
 
 use hdrhistogram::Histogram;
 use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{EstimateRecord, RobotRecord, WorldRecord};
@@ -227,7 +228,7 @@ impl Tally {
     /// The report.
     #[must_use]
     pub fn report(mut self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
-        let wall_s = self.first_end_ns.map_or(0.0, |first| (self.last_end_ns - first) as f64 / 1e9);
+        let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
         let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
         self.traces_m2.sort_unstable_by(f64::total_cmp);
         let latency_us = |quantile: f64| self.latency_ns.value_at_quantile(quantile) as f64 / 1e3;
@@ -265,7 +266,7 @@ impl Tally {
 /// The 2 x 2 block of the position.
 #[must_use]
 pub fn position_covariance(estimate: &Estimate) -> Matrix2<f64> {
-    let n = estimate.state_dim as usize;
+    let n = (estimate.state_dim as usize).clamp(2, STATE_DIM_MAX);
     let p = &estimate.covariance;
     Matrix2::new(p[0], p[1], p[n], p[n + 1])
 }
@@ -335,14 +336,17 @@ pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
 impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { ranges, latency_us, .. } = self;
+        writeln!(f, "{}: {} robots, {} planner, seed {}", self.scenario, self.robots, self.planner, self.seed)?;
         writeln!(
             f,
-            "{} ({}, {} planner, seed {}): {} robots, {} ticks in {:.2} s ({:.0} ticks/s)",
-            self.scenario, self.clock, self.planner, self.seed, self.robots, self.ticks, self.wall_s, self.ticks_per_s
+            "  {:<16} {} ticks in {:.2} s ({:.0} ticks/s)",
+            self.clock, self.ticks, self.wall_s, self.ticks_per_s
         )?;
-        if let (Some(rmse_m), Some(anees)) = (self.position_rmse_m, self.anees) {
-            writeln!(f, "  position error   {rmse_m:.3} m RMS, consistency (ANEES) {anees:.2}, 1 is ideal")?;
+        if let Some(rmse_m) = self.position_rmse_m {
+            writeln!(f, "  position error   {rmse_m:.3} m RMS")?;
         }
+        let ratio = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{value:.2}"));
+        writeln!(f, "  consistency      ANEES {}, NIS {}; 1 is ideal", ratio(self.anees), ratio(self.nis_mean))?;
         writeln!(
             f,
             "  position trace   {:.3} m^2 at the end, {:.3} median",
@@ -350,13 +354,8 @@ impl std::fmt::Display for Report {
         )?;
         writeln!(
             f,
-            "  ranges           {} published: {} fused, {} rejected, {} late, {} missing; NIS {}",
-            ranges.published,
-            ranges.fused,
-            ranges.rejected,
-            ranges.late,
-            ranges.missing,
-            self.nis_mean.map_or("unknown".to_owned(), |nis| format!("{nis:.2}"))
+            "  ranges           {} published: {} fused, {} rejected, {} late, {} missing",
+            ranges.published, ranges.fused, ranges.rejected, ranges.late, ranges.missing
         )?;
         if latency_us.count > 0 {
             writeln!(

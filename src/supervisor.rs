@@ -15,12 +15,15 @@ use crate::cli::{RunArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::input_or_running;
-use crate::report::{self, NodeSummary, Truth};
+use crate::report::{self, NodeSummary, Report, Truth};
 use crate::watch::{self, Progress, Watch};
 use crate::{in_process, picture, tables};
 
 /// How long nodes may take to end by themselves once the run is over, and once they are asked to.
 const GRACE: Duration = Duration::from_secs(3);
+
+/// A robot that ends by itself this often has a reason that starting it again does not mend.
+const EXITS_MAX: u64 = 5;
 
 /// A robot that dies is started again after this long.
 const RESTART_DELAY: Duration = Duration::from_millis(20);
@@ -57,12 +60,13 @@ fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), 
         tables::prepare_folder(&experiment)?;
         let mut progress = Progress::new(description.scenario.ticks);
         in_process::run(description, |tick| {
-            if tick % 4_096 == 0 {
+            if tick > 0 && tick % 4_096 == 0 {
                 progress.show(tick, "in one process");
             }
         })?;
         progress.finish();
-        return report_and_tables(description, keep, Vec::new());
+        report_and_tables(description, keep, Vec::new())?;
+        return Ok(());
     }
     let termination = Termination::listen()?;
     // Only who has the name may touch the folder.
@@ -78,20 +82,24 @@ fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), 
     let summaries = nodes.summaries();
     drop(bus);
     drop(rendezvous);
-    report_and_tables(description, keep, summaries)?;
-    outcome.map_err(Failure::Running)
+    let ticks = report_and_tables(description, keep, summaries)?.ticks;
+    outcome?;
+    if ticks < description.scenario.ticks {
+        return Err(Failure::Running(anyhow!("the logs end at tick {ticks}: see logs/ in the run folder")));
+    }
+    Ok(())
 }
 
-fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<(), Failure> {
+fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<Report, Failure> {
     let report = report::from_logs(description, keep.truth.as_ref(), nodes)?;
     tables::write_estimate_csv(description)?;
     if keep.recording {
         tables::write_recording(description)?;
     }
-    picture::draw(description, keep.truth.as_ref())?;
     report::write(&report, &description.out_dir)?;
     println!("{report}\n  run folder       {}", description.out_dir.display());
-    Ok(())
+    picture::draw_if_possible(description, keep.truth.as_ref());
+    Ok(report)
 }
 
 /// The processes of a run.
@@ -145,11 +153,12 @@ impl<'a> Nodes<'a> {
         for node in &mut self.nodes {
             if let Some(status) = node.reap(self.rendezvous)? {
                 let message = format!("{} {}", node.role, describe(status));
-                if !matches!(node.role, Role::Robot(_)) || status.code() == Some(2) {
+                let hopeless = status.code() == Some(2) || node.summary.exits >= EXITS_MAX;
+                if !matches!(node.role, Role::Robot(_)) || hopeless {
                     let log = node.log_path(self.rendezvous);
                     let said = std::fs::read_to_string(&log).unwrap_or_default();
-                    let last = said.lines().last().unwrap_or("it said nothing").to_owned();
-                    return Err(anyhow!("{message}: {last}"));
+                    let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
+                    return Err(anyhow!("{message}{last}"));
                 }
                 log::warn!("{message}; it is started again");
                 node.restart_at = Some(Instant::now() + RESTART_DELAY);

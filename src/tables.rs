@@ -131,5 +131,8 @@ pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
         }
         points.push((time_s, Vector2::new(x_m, y_m)));
     }
+    if points.len() < 2 {
+        return Err(refuse(&"fewer than two rows"));
+    }
     Ok(Truth::new(points))
 }

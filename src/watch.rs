@@ -12,7 +12,7 @@ use rangehound_shared::signal::Termination;
 use crate::cli::NodeArgs;
 use crate::failure::Failure;
 use crate::report::{NodeSummary, position_covariance};
-use crate::{node, report, tables};
+use crate::{node, picture, report, tables};
 
 /// How often an observer looks.
 pub const LOOK: Duration = Duration::from_millis(50);
@@ -157,6 +157,7 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
     report::write(&report, &description.out_dir)?;
     tables::write_estimate_csv(description)?;
     println!("{report}\n  run folder       {}", description.out_dir.display());
+    picture::draw_if_possible(description, None);
     Ok(())
 }
 

@@ -11,6 +11,9 @@ use crate::tracker::{self, Fit, Reading, Tracker};
 /// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
 const SILENCE_TICKS_MAX: u64 = 5;
 
+/// Beyond this, m or m^2, an estimate is no longer one; not reached by anything that moves.
+const BOUND: f64 = 1e18;
+
 /// What one robot said at a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Report {
@@ -53,7 +56,7 @@ struct Body {
     heard_at: u64,
 }
 
-/// The estimate is no longer a number.
+/// The estimate is no longer one.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("the estimate left all bounds at tick {tick}: the target model is unstable or does not fit the ranges")]
 pub struct Diverged {
@@ -102,7 +105,7 @@ impl Centre {
     /// recordings, whose steps are as long as their stamps say.
     ///
     /// # Errors
-    /// [`Diverged`] if the estimate is no longer finite.
+    /// [`Diverged`] if the estimate leaves all bounds.
     pub fn update(&mut self, time_s: f64, reports: &[Option<Report>]) -> Result<(), Diverged> {
         let tick = self.next_tick;
         self.next_tick += 1;
@@ -129,7 +132,7 @@ impl Centre {
         }
         self.time_s = time_s;
         let (state, covariance) = (self.tracker.state(), self.tracker.covariance());
-        if !state.iter().chain(covariance).all(|value| value.is_finite()) {
+        if !state.iter().chain(covariance).all(|value| value.abs() <= BOUND) {
             return Err(Diverged { tick });
         }
         self.digest.append(tick, state, covariance);
@@ -213,5 +216,40 @@ impl Centre {
         estimate.state[..self.state().len()].copy_from_slice(self.state());
         estimate.covariance[..self.covariance().len()].copy_from_slice(self.covariance());
         estimate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rangehound_shared::scenario::ScenarioFile;
+
+    /// A state that doubles each tick: said as such, long before numbers run out.
+    #[test]
+    fn an_estimate_that_leaves_all_bounds_is_told() {
+        let text = "[target]\nmodel = \"custom\"\nstart = [0.0, 0.0]\nphi = [[2.0, 0.0], [0.0, 2.0]]\n\
+                    qd = [[1.0, 0.0], [0.0, 1.0]]\n";
+        let file = ScenarioFile::parse(text, "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        let mut centre = Centre::new(&scenario).unwrap();
+        let diverged = (0..1_000).find_map(|_| centre.update(0.0, &[None; 3]).err()).unwrap();
+        assert!((20..100).contains(&diverged.tick), "{diverged}");
+    }
+
+    /// A robot that falls silent is planned for as if it obeyed, for some ticks, and then told to stand.
+    #[test]
+    fn a_silent_robot_is_told_to_stand_after_some_ticks() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        let mut centre = Centre::new(&scenario).unwrap();
+        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), range_m: None });
+        centre.update(0.0, &[heard; 3]).unwrap();
+        assert!(centre.plan().iter().all(|command| command.speed_mps == 10.0));
+        for tick in 1..=SILENCE_TICKS_MAX + 1 {
+            centre.update(0.0, &[heard, None, heard]).unwrap();
+            assert_eq!(centre.estimate().missing, 1);
+            let commands = centre.plan();
+            assert_eq!(commands[0].speed_mps, 10.0);
+            assert_eq!(commands[1].speed_mps > 0.0, tick <= SILENCE_TICKS_MAX, "tick {tick}");
+        }
     }
 }

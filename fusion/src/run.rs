@@ -96,6 +96,7 @@ impl<'a> Fusion<'a> {
         let log = EstimateRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
+        rendezvous.refuse_lost_state(Role::Fusion, log.as_ref())?;
         Ok(Self {
             scenario,
             centre: Centre::new(scenario)?,
@@ -158,7 +159,7 @@ impl<'a> Fusion<'a> {
         ranges.drain(|header, message| {
             let [range] = message else { return };
             let Some((id, report)) = sound_report(range, gathering.reports.len()) else { return };
-            if header.tick > scenario.ticks {
+            if header.tick > scenario.ticks || !header.valid_at_s.is_finite() {
                 return;
             }
             misses[id] = 0;

@@ -38,7 +38,10 @@ impl Sensor {
                 self.noise.standard_normal(tick, &mut noise);
                 Some(entry.range_m + self.std_m * noise[0])
             }
-            RangeKind::Measured => Some((entry.range_m - self.calibration.bias_m) / (1.0 + self.calibration.scale)),
+            // A range shorter than its bias is one of a target at the sensor.
+            RangeKind::Measured => {
+                Some(((entry.range_m - self.calibration.bias_m) / (1.0 + self.calibration.scale)).max(0.0))
+            }
         }
     }
 }

@@ -12,6 +12,9 @@ const COLUMNS: [&str; 5] = ["time_s", "sensor_id", "sensor_x_m", "sensor_y_m", "
 /// Largest coordinate, m: leaves room for map grids such as UTM.
 const COORDINATE_MAX_M: f64 = 1e8;
 
+/// Largest time stamp, s: three thousand years.
+const TIME_MAX_S: f64 = 1e11;
+
 /// Largest range, m.
 const RANGE_MAX_M: f64 = 1e6;
 
@@ -125,7 +128,7 @@ impl Recording {
             }
             line = record.position().map_or(line + 1, csv::Position::line);
             let row = Row { path, row: rows.len() + 1, line, record: &record, column_index: &column_index };
-            let time_s = row.number(0, f64::MIN, f64::MAX, "a finite number")?;
+            let time_s = row.number(0, -TIME_MAX_S, TIME_MAX_S, "a finite number within +-1e11")?;
             let sensor_id = row.sensor_id()?;
             let coordinate = "a finite number within +-1e8";
             let x_m = row.number(2, -COORDINATE_MAX_M, COORDINATE_MAX_M, coordinate)?;
@@ -294,6 +297,7 @@ mod tests {
         assert!(complaint("0,1,0,0,NaN\n").contains("row 1 (line 2): range_m: expected a finite number from 0"));
         assert!(complaint("0,1,0,0,-1\n").contains("range_m: expected a finite number from 0"));
         assert!(complaint("inf,1,0,0,1\n").contains("time_s: expected a finite number"));
+        assert!(complaint("1e308,1,0,0,1\n").contains("time_s: expected a finite number within"));
         assert!(complaint("0,1.5,0,0,1\n").contains("sensor_id: expected a whole number"));
         assert!(complaint("2,1,0,0,1\n1,2,0,0,1\n").contains("row 2 (line 3): time_s: expected a time not before"));
         assert!(complaint("0,1,0,0\n").contains("range_m: expected a finite number from 0 to 1e6, got \"\""));

@@ -55,6 +55,15 @@ impl TickLogWriter {
         Ok(Self { file, path: path.to_owned(), bytes: Vec::with_capacity(8 * (record_words + 1)), record_words })
     }
 
+    /// True if no tick has been written.
+    ///
+    /// # Errors
+    /// If the system does not tell.
+    pub fn is_empty(&self) -> Result<bool, TickLogError> {
+        let metadata = self.file.metadata().map_err(|error| TickLogError::new(&self.path, error))?;
+        Ok(metadata.len() <= 8 * HEADER_WORDS as u64)
+    }
+
     /// Writes the record of one tick. Of `words`, as many as a record has are kept; if there are fewer,
     /// the rest is zero.
     ///

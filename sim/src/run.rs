@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use rangehound_shared::STATE_DIM_MAX;
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::clock::{monotonic_ns, until};
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
@@ -77,6 +77,7 @@ impl<'a> Sim<'a> {
         let log = WorldRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
+        rendezvous.refuse_lost_state(Role::Sim, log.as_ref())?;
         Ok(Self {
             scenario,
             world: world_of(scenario)?,
@@ -170,13 +171,16 @@ impl<'a> Sim<'a> {
         self.drives.iter().zip(&self.silent).all(|(drive, silent)| drive.is_some() || *silent)
     }
 
-    fn sleep_until(&mut self, due_ns: u64, termination: &Termination) -> Result<Calls, SimError> {
-        let mut calls = Calls::default();
+    fn sleep_until(&mut self, due_ns: u64, termination: &Termination) -> Result<(), SimError> {
         while !until(due_ns).is_zero() && !termination.requested() {
-            calls = self.bed.sleep(until(due_ns).min(IDLE));
+            let calls = self.bed.sleep(until(due_ns).min(IDLE));
             self.take_drives()?;
+            if calls.has(Call::Hello) {
+                // Whoever has just started can still take part in this tick.
+                self.publish()?;
+            }
         }
-        Ok(calls)
+        Ok(())
     }
 
     fn publish(&mut self) -> Result<(), SimError> {

@@ -102,3 +102,25 @@ fn a_node_that_waits_for_its_run_ends_when_asked() {
         assert!(!run.shared_folder().exists(), "{words}");
     }
 }
+
+/// A fusion centre that was killed in mid-run took its state with it: another would start from the
+/// prior and write over what is there.
+#[test]
+fn a_killed_fusion_is_not_replaced_by_one_that_knows_nothing() {
+    let run = Run::new();
+    run.write("mine.toml", SCENARIO.replace("200", "100000000"));
+    let mut nodes: Vec<Process> =
+        [SIM, "robot --id 0", "robot --id 1", "robot --id 2"].map(|words| start(&run, words)).into();
+    let fusion = start(&run, "fusion");
+    run.wait_for_ticks(10);
+    fusion.signal(Signal::KILL);
+    assert_eq!(fusion.finish().code, None);
+    let refused = run.node("fusion").finish();
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    assert!(refused.stderr.contains("fusion of run") && refused.stderr.contains("expected a new run"), "{refused:#?}");
+    for node in nodes.drain(..) {
+        node.signal(Signal::INT);
+        node.finish();
+    }
+    run.assert_nothing_left();
+}

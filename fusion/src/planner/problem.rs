@@ -156,7 +156,7 @@ impl Step {
         let bearing = self.sight.rotated_by(direction.rotated_by(centre.conjugate()).halved());
         // To end on the line through the target, the move's part across the bearing is given: xi.
         let xi = (bearing.cross(self.to_target_m) / self.reach_m).clamp(-1.0, 1.0);
-        let along = (1.0 - xi * xi).sqrt();
+        let along = ((1.0 - xi) * (1.0 + xi)).sqrt();
         Vector::new(along, xi).rotated_by(bearing)
     }
 
@@ -178,7 +178,7 @@ impl Arm {
         let centre = step.sight.doubled();
         if distance_m > step.reach_m {
             let sin = step.reach_m / distance_m;
-            let cos = (1.0 - sin * sin).sqrt();
+            let cos = ((1.0 - sin) * (1.0 + sin)).sqrt();
             Self::with_half_width(lambda, centre, Vector::new(cos, sin).doubled())
         } else {
             Self::circle(lambda, centre)

@@ -29,6 +29,7 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::scenario::Scenario;
 use crate::sealed::{self, SealError};
 use crate::signal::Termination;
+use crate::tick_log::TickLogWriter;
 pub use name::{RunName, RunNameError};
 use place::{Place, run_names};
 
@@ -119,6 +120,14 @@ pub enum RendezvousError {
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
+    },
+    /// The role's process is gone, and with it what a new one would need.
+    #[error("{role} of run {name} ended after its first tick: its state is gone, expected a new run")]
+    StateLost {
+        /// The role.
+        role: Role,
+        /// The run.
+        name: RunName,
     },
     /// A request to end came while waiting for the run.
     #[error("ended while waiting for the run")]
@@ -248,7 +257,11 @@ impl Rendezvous {
         match taken {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
-                return Err(RendezvousError::RoleTaken { role, name: self.name().clone(), pid: pid.to_owned() });
+                return Err(RendezvousError::RoleTaken {
+                    role,
+                    name: self.name().clone(),
+                    pid: pid.trim_start_matches('0').to_owned(),
+                });
             }
             Err(TryLockError::Error(source)) => return Err(io_error(source)),
         }
@@ -259,6 +272,18 @@ impl Rendezvous {
         let text = format!("{incarnation:010} {:010}\n", std::process::id());
         file.write_all(text.as_bytes()).map_err(io_error)?;
         Ok(RoleHold { _lock: file, incarnation })
+    }
+
+    /// Refuses the place of a process that ended when it had already put ticks down: a new one would
+    /// start from tick 0 and write over them.
+    ///
+    /// # Errors
+    /// [`RendezvousError::StateLost`].
+    pub fn refuse_lost_state(&self, role: Role, log: Option<&TickLogWriter>) -> Result<(), RendezvousError> {
+        match log.map(TickLogWriter::is_empty) {
+            Some(Ok(false)) => Err(RendezvousError::StateLost { role, name: self.name().clone() }),
+            _ => Ok(()),
+        }
     }
 
     /// How often a role has been started in this run.
