@@ -3,6 +3,8 @@
 use std::fs::File;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{self, Sender};
+use std::thread::Scope;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -24,6 +26,10 @@ const GRACE: Duration = Duration::from_secs(3);
 
 /// A robot that ends by itself this often has a reason that starting it again does not mend.
 const EXITS_MAX: u64 = 5;
+
+/// For this long after a death, what the dead left half-made is looked for: whoever waits for it
+/// holds it open now and then, as its maker would.
+const HALF_MADE: Duration = Duration::from_secs(1);
 
 /// A robot that dies is started again after this long.
 const RESTART_DELAY: Duration = Duration::from_millis(20);
@@ -73,14 +79,15 @@ fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), 
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
     tables::prepare_folder(&experiment)?;
     let _role = rendezvous.take_role(Role::Supervisor).map_err(input_or_running)?;
-    let bus = Bus::observe(&rendezvous)?;
-    let mut watch = Watch::new(&bus, description.scenario.ticks)?;
-    let mut nodes = Nodes::start(&rendezvous, &bus)?;
-    let outcome = nodes.supervise(&termination, || watch.look());
-    nodes.end(rendezvous.is_finished());
-    watch.finish();
-    let summaries = nodes.summaries();
-    drop(bus);
+    let (summaries, outcome) = std::thread::scope(|scope| {
+        let bus = Bus::observe(&rendezvous)?;
+        let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+        let mut nodes = Nodes::start(&rendezvous, Cleaner::start(&rendezvous, scope))?;
+        let outcome = nodes.supervise(&termination, || watch.look());
+        nodes.end(rendezvous.is_finished());
+        watch.finish();
+        Ok::<_, Failure>((nodes.summaries(), outcome))
+    })?;
     drop(rendezvous);
     let ticks = report_and_tables(description, keep, summaries)?.ticks;
     outcome?;
@@ -105,8 +112,36 @@ fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeS
 /// The processes of a run.
 struct Nodes<'a> {
     rendezvous: &'a Rendezvous,
-    bus: &'a Bus,
+    cleaner: Cleaner,
     nodes: Vec<Node>,
+    last_death: Option<Instant>,
+}
+
+/// A thread that cleans up after killed nodes: it takes tens of milliseconds for each, which nobody
+/// should wait for who watches the living. Ends when dropped.
+struct Cleaner {
+    requests: Sender<()>,
+}
+
+impl Cleaner {
+    fn start<'scope>(rendezvous: &'scope Rendezvous, scope: &'scope Scope<'scope, '_>) -> Self {
+        let (requests, received) = mpsc::channel();
+        scope.spawn(move || {
+            // A node of its own: ports do not move between threads.
+            let Ok(bus) = Bus::observe(rendezvous) else { return };
+            while received.recv().is_ok() {
+                // One round for all deaths so far.
+                while received.try_recv().is_ok() {}
+                bus.clean_up_after_the_dead();
+            }
+        });
+        Self { requests }
+    }
+
+    fn request(&self) {
+        // An error means that the bus refused the cleaner, as it will refuse the nodes.
+        let _ = self.requests.send(());
+    }
 }
 
 /// One process, and what has become of its forerunners.
@@ -118,10 +153,10 @@ struct Node {
 }
 
 impl<'a> Nodes<'a> {
-    fn start(rendezvous: &'a Rendezvous, bus: &'a Bus) -> Result<Self, Failure> {
+    fn start(rendezvous: &'a Rendezvous, cleaner: Cleaner) -> Result<Self, Failure> {
         let roles = watch::roles(rendezvous.description().scenario.robots.len());
         let nodes = roles.map(Node::new).collect();
-        let mut all = Self { rendezvous, bus, nodes };
+        let mut all = Self { rendezvous, cleaner, nodes, last_death: None };
         for node in &mut all.nodes {
             if let Err(error) = node.start(rendezvous) {
                 all.end(false);
@@ -162,11 +197,16 @@ impl<'a> Nodes<'a> {
                 }
                 log::warn!("{message}; it is started again");
                 node.restart_at = Some(Instant::now() + RESTART_DELAY);
-                self.bus.clean_up_after_the_dead();
+                self.last_death = Some(Instant::now());
+                self.rendezvous.remove_half_made();
+                self.cleaner.request();
             }
             if node.restart_at.is_some_and(|at| Instant::now() >= at) {
                 node.start(self.rendezvous)?;
             }
+        }
+        if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
+            self.rendezvous.remove_half_made();
         }
         Ok(())
     }
@@ -181,7 +221,8 @@ impl<'a> Nodes<'a> {
         self.wait_for_all();
         self.signal(Signal::KILL);
         self.wait_for_all();
-        self.bus.clean_up_after_the_dead();
+        self.rendezvous.remove_half_made();
+        self.cleaner.request();
     }
 
     fn wait_for_all(&mut self) {

@@ -156,6 +156,14 @@ impl Run {
         });
     }
 
+    /// How the names of the run's shared memory start, once it has been founded.
+    pub(crate) fn shared_memory_prefix(&self) -> String {
+        let config = self.shared_folder().join("iceoryx2.toml");
+        self.wait_until("the run is founded", || config.exists());
+        let config = std::fs::read_to_string(config).unwrap();
+        config.lines().find_map(|line| line.strip_prefix("prefix = ")).unwrap().trim_matches('"').to_owned()
+    }
+
     /// Checks that the run has left `/dev/shm` as it was.
     pub(crate) fn assert_nothing_left(&self) {
         // Not at once: any founder looks into the folders of others, to remove those of the dead.
@@ -168,16 +176,13 @@ impl Run {
         let left = names("rh");
         // The prefix of shared memory follows from the name alone, and a founder writes it down.
         let founder = self.command("sim --ticks 1");
-        let config = self.shared_folder().join("iceoryx2.toml");
-        self.wait_until("the name is founded again", || config.exists());
-        let config = std::fs::read_to_string(config).unwrap();
-        let prefix = config.lines().find_map(|line| line.strip_prefix("prefix = ")).unwrap().trim_matches('"');
-        let left: Vec<&String> = left.iter().filter(|name| name.starts_with(prefix)).collect();
+        let prefix = self.shared_memory_prefix();
+        let left: Vec<&String> = left.iter().filter(|name| name.starts_with(&prefix)).collect();
         assert!(left.is_empty(), "{left:?}");
         founder.signal(Signal::TERM);
         founder.finish().succeeded();
         self.wait_until("the folder is gone again", || !self.shared_folder().exists());
-        assert_eq!(names(prefix), [""; 0]);
+        assert_eq!(names(&prefix), [""; 0]);
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
-use rangehound_shared::scenario::{Scenario, Source};
+use rangehound_shared::scenario::{Clearance, Scenario, Source};
 
 use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
 use crate::tracker::{self, Fit, Reading, Tracker};
@@ -32,6 +32,7 @@ pub struct Report {
 pub struct Centre {
     recorded: bool,
     dt_s: f64,
+    clearance: Clearance,
     speed_limits_mps: Vec<f64>,
     range_stds_m: Vec<f64>,
     tracker: Box<dyn Tracker>,
@@ -74,6 +75,7 @@ impl Centre {
         Ok(Self {
             recorded: matches!(scenario.source, Source::Recorded { .. }),
             dt_s: scenario.dt_s,
+            clearance: scenario.clearance,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
             range_stds_m: scenario.robots.iter().map(|robot| robot.range_std_m).collect(),
             tracker: tracker::for_scenario(scenario),
@@ -160,7 +162,7 @@ impl Centre {
                 range_std_m: self.range_stds_m[id],
             })
         });
-        self.problem.pose(&covariance, Vector::new(target[0], target[1]), self.dt_s, team);
+        self.problem.pose(&covariance, Vector::new(target[0], target[1]), self.dt_s, &self.clearance, team);
         self.planner.plan(tick, &self.problem, &mut self.plan);
         self.commands.fill(Command::default());
         for ((&id, heading_rad), speed_mps) in
@@ -210,6 +212,7 @@ impl Centre {
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             objective: self.plan.objective,
+            lower_bound: self.plan.lower_bound,
             digest: [digest as u64, (digest >> 64) as u64],
             ..Estimate::default()
         };

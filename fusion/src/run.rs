@@ -168,11 +168,12 @@ impl<'a> Fusion<'a> {
                 ahead = ahead.max(Some(header.tick));
             } else if header.tick == next {
                 gathering.take(id, report, header, range);
-            } else if header.tick + 1 == next && fused[id] {
-                *repeat_asked = true;
             } else {
-                *late += range.present;
-                *repeat_asked |= header.tick + 1 == next;
+                let is_of_last = header.tick + 1 == next;
+                *repeat_asked |= is_of_last;
+                if !(is_of_last && fused[id]) {
+                    *late += range.present;
+                }
             }
         })?;
         if let Some(tick) = ahead {

@@ -104,6 +104,28 @@ fn killed_robots_are_started_again_and_change_nothing() {
     run.assert_nothing_left();
 }
 
+/// What a process was about to make when it was killed has no length, and iceoryx2 would wait for it.
+#[test]
+fn half_made_shared_memory_of_the_dead_is_removed_and_that_of_the_living_is_not() {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    run.wait_for_ticks(3);
+    let prefix = run.shared_memory_prefix();
+    let half_made = |name: &str| std::path::Path::new("/dev/shm").join(format!("{prefix}{name}"));
+    let of_the_dead = half_made("half_made.connection");
+    let of_the_living = half_made("being_made.connection");
+    std::fs::write(&of_the_dead, b"").unwrap();
+    let held_open = std::fs::File::create(&of_the_living).unwrap();
+    signal(run.pid_of("robot-1", 1), Signal::KILL);
+    run.wait_until("what was half-made is gone", || !of_the_dead.exists());
+    run.pid_of("robot-1", 2);
+    assert!(of_the_living.exists());
+    drop(held_open);
+    supervisor.signal(Signal::INT);
+    supervisor.finish();
+    run.assert_nothing_left();
+}
+
 #[test]
 fn without_simulator_or_fusion_a_run_ends_and_says_so() {
     for role in ["fusion", "sim"] {

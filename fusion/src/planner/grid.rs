@@ -137,12 +137,7 @@ mod tests {
     #[test]
     fn the_innermost_loop_sees_every_combination() {
         // Three free robots of equal weight and no prior: the optimum is a balanced triangle.
-        let problem = Problem {
-            prior: Vector::default(),
-            information_trace: 10.0,
-            arms: vec![Arm::circle(1.0, Vector::new(1.0, 0.0)); 3],
-            steps: Vec::new(),
-        };
+        let problem = Problem::of_arms(Vector::default(), vec![Arm::circle(1.0, Vector::new(1.0, 0.0)); 3]);
         let mut plan = Plan::default();
         Grid::for_team(PI / 30.0, 3).unwrap().plan(0, &problem, &mut plan);
         assert!(plan.objective < 1e-12, "{plan:?}");

@@ -5,22 +5,32 @@
 //!
 //! | planner | method |
 //! |---|---|
+//! | [`certified`] | branch and bound: the global optimum, with a proof |
 //! | [`relaxation`] | the paper's adaptive relaxation, and standard relaxation as its case `alpha = 0` |
 //! | [`grid`] | exhaustive search, the paper's yardstick: exponential in the number of robots |
+//! | [`greedy`] | each robot by itself, its teammates counted where they stand |
+//! | [`pursue`] | straight to the predicted target |
 //! | [`random`] | uniformly random headings, the paper's lower end |
 //!
 //! A planner is a pure function of (tick, problem): nothing is kept from one step to the next, so
 //! a restarted fusion plans as the old one would have.
 
+mod arm;
+pub mod certified;
+pub mod greedy;
 pub mod grid;
+pub mod pair;
 mod problem;
+pub mod pursue;
 pub mod random;
+mod reach;
 pub mod relaxation;
 mod vector;
 
 use rangehound_shared::scenario::PlannerSpec;
 
-pub use problem::{Arm, Extent, Problem, TeamMember};
+pub use arm::{Arm, Extent};
+pub use problem::{Problem, TeamMember};
 pub use vector::Vector;
 
 /// The headings of one step and what they are worth.
@@ -34,6 +44,8 @@ pub struct Plan {
     pub speeds_mps: Vec<f64>,
     /// `|S|` that these directions reach, 1/m^2.
     pub objective: f64,
+    /// No directions in the arcs reach less than this; 0 from planners that prove nothing.
+    pub lower_bound: f64,
     /// Trace of the position covariance after the next ranges, m^2.
     pub position_trace_m2: f64,
 }
@@ -74,9 +86,12 @@ pub enum PlannerError {
 /// [`PlannerError`] if it could not serve a team of this size.
 pub fn for_team(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn Planner>, PlannerError> {
     Ok(match spec {
+        PlannerSpec::Certified { nodes } => Box::new(certified::Certified::new(nodes)),
         PlannerSpec::Adaptive { iterations, alpha } => Box::new(relaxation::Relaxation::adaptive(iterations, alpha)),
         PlannerSpec::Standard { iterations } => Box::new(relaxation::Relaxation::standard(iterations)),
         PlannerSpec::Grid { step_rad } => Box::new(grid::Grid::for_team(step_rad, robots)?),
+        PlannerSpec::Greedy => Box::new(greedy::Greedy),
+        PlannerSpec::Pursue => Box::new(pursue::Pursue),
         PlannerSpec::Random => Box::new(random::Random::new(seed)),
     })
 }
@@ -86,12 +101,26 @@ impl Plan {
     pub fn complete(&mut self, problem: &Problem) {
         self.headings_rad.clear();
         self.speeds_mps.clear();
-        for ((step, arm), direction) in problem.steps.iter().zip(&problem.arms).zip(&self.directions) {
-            self.headings_rad.push(step.heading(*direction, arm.centre).angle_rad());
-            self.speeds_mps.push(step.speed_mps);
+        for (reach, direction) in problem.reaches.iter().zip(&self.directions) {
+            let (heading, speed_mps) = reach.motion(*direction, &problem.corners_m);
+            self.headings_rad.push(heading.angle_rad());
+            self.speeds_mps.push(speed_mps);
         }
+        self.value(problem);
+    }
+
+    /// Derives what [`Self::directions`] are worth; proves nothing.
+    fn value(&mut self, problem: &Problem) {
         self.objective = problem.sum(&self.directions).norm();
+        self.lower_bound = 0.0;
         self.position_trace_m2 = problem.position_trace_m2(self.objective);
+    }
+
+    /// True if the bound proves that no other headings are better by more than a billionth of the sum of
+    /// all lambda.
+    #[must_use]
+    pub fn is_certified(&self, problem: &Problem) -> bool {
+        self.objective - self.lower_bound <= certified::GAP_MAX * problem.lambda_sum()
     }
 }
 
@@ -100,6 +129,7 @@ mod tests {
     use super::*;
     use nalgebra::Matrix2;
     use proptest::prelude::*;
+    use rangehound_shared::scenario::Clearance;
 
     fn random_problem(prior: (f64, f64, f64), robots: &[(f64, f64, f64, f64)]) -> Problem {
         let (a, c, correlation) = prior;
@@ -109,6 +139,7 @@ mod tests {
             &Matrix2::new(a, b, b, c),
             Vector::default(),
             0.1,
+            &Clearance::default(),
             robots.iter().map(|&(x, y, max_speed_mps, range_std_m)| TeamMember {
                 position_m: Vector::new(x, y),
                 max_speed_mps,
@@ -124,7 +155,10 @@ mod tests {
         plan
     }
 
-    const ALL: [PlannerSpec; 4] = [
+    const ALL: [PlannerSpec; 7] = [
+        PlannerSpec::Certified { nodes: 2_000 },
+        PlannerSpec::Greedy,
+        PlannerSpec::Pursue,
         PlannerSpec::Adaptive { iterations: 20, alpha: 0.5 },
         PlannerSpec::Standard { iterations: 20 },
         PlannerSpec::Grid { step_rad: 0.05 },
@@ -150,9 +184,10 @@ mod tests {
                 prop_assert!(plan.objective.is_finite() && plan.position_trace_m2 > 0.0);
                 for (i, heading) in plan.headings_rad.iter().enumerate() {
                     prop_assert!(heading.is_finite());
-                    let after = problem.steps[i].direction_after(Vector::from_angle(*heading));
-                    let end_m = (problem.steps[i].to_target_m
-                        - Vector::from_angle(*heading) * problem.steps[i].reach_m).norm();
+                    let sight_m = problem.reaches[i].to_target_m
+                        - Vector::from_angle(*heading) * (plan.speeds_mps[i] * 0.1);
+                    let end_m = sight_m.norm();
+                    let after = sight_m.normalised().unwrap_or(Vector::new(1.0, 0.0)).doubled();
                     let error = (after - plan.directions[i]).norm();
                     prop_assert!(error * end_m.min(1.0) < 1e-6, "{} robot {i}: {error}", spec.name());
                 }

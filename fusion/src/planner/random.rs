@@ -4,7 +4,6 @@ use std::f64::consts::{PI, TAU};
 
 use rangehound_shared::draws::{Draws, Stream};
 
-use super::vector::Vector;
 use super::{Plan, Planner, Problem};
 
 /// Each heading uniform on the circle, a function of (seed, tick, place in the team).
@@ -31,12 +30,12 @@ impl Planner for Random {
         self.draws.uniform(tick, &mut plan.headings_rad);
         plan.directions.clear();
         plan.speeds_mps.clear();
-        for (heading_rad, step) in plan.headings_rad.iter_mut().zip(&problem.steps) {
+        for (i, heading_rad) in plan.headings_rad.iter_mut().enumerate() {
             *heading_rad = *heading_rad * TAU - PI;
-            plan.directions.push(step.direction_after(Vector::from_angle(*heading_rad)));
-            plan.speeds_mps.push(step.speed_mps);
+            let (direction, speed_mps) = problem.after_heading(i, heading_rad);
+            plan.directions.push(direction);
+            plan.speeds_mps.push(speed_mps);
         }
-        plan.objective = problem.sum(&plan.directions).norm();
-        plan.position_trace_m2 = problem.position_trace_m2(plan.objective);
+        plan.value(problem);
     }
 }

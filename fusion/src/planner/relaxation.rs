@@ -69,18 +69,13 @@ impl Planner for Relaxation {
 
 #[cfg(test)]
 mod tests {
-    use super::super::problem::Arm;
+    use super::super::Arm;
     use super::*;
     use std::f64::consts::{FRAC_PI_4, PI, SQRT_2};
 
     /// The paper's worked example: `lambda = (sqrt 2; 1, 1)`, no constraints.
     fn worked_example() -> (Problem, Vec<Vector>) {
-        let problem = Problem {
-            prior: Vector::new(SQRT_2, 0.0),
-            information_trace: 10.0,
-            arms: vec![Arm::circle(1.0, Vector::new(1.0, 0.0)); 2],
-            steps: Vec::new(),
-        };
+        let problem = Problem::of_arms(Vector::new(SQRT_2, 0.0), vec![Arm::circle(1.0, Vector::new(1.0, 0.0)); 2]);
         // The first start is pi exactly, which no floating-point angle is.
         (problem, vec![Vector::new(-1.0, 0.0), Vector::from_angle(-5.0 * PI / 6.0)])
     }

@@ -242,6 +242,12 @@ impl Rendezvous {
         self.place.path("iceoryx2.toml")
     }
 
+    /// Removes what a killed process was about to make, so that nobody waits for it to be finished. For
+    /// a supervisor, after each death.
+    pub fn remove_half_made(&self) {
+        self.place.remove_half_made();
+    }
+
     /// Takes a role, which nobody else can until this process ends.
     ///
     /// # Errors

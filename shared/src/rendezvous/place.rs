@@ -116,11 +116,37 @@ impl Place {
         }
     }
 
+    /// Removes the shared memory that a process was about to make when it was killed: a file of this run that
+    /// has no length yet and that nobody holds open. iceoryx2 waits without end for such a file to be
+    /// finished, if it may open it at all.
+    pub(super) fn remove_half_made(&self) {
+        for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
+            let is_ours = entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes());
+            if is_ours && entry.metadata().is_ok_and(|file| file.is_file() && file.len() == 0) {
+                let path = entry.path();
+                // Looked at again after the search: whoever was making it may have finished.
+                if !is_open_elsewhere(&path) && std::fs::metadata(&path).is_ok_and(|file| file.len() == 0) {
+                    let _ = std::fs::remove_file(&path);
+                }
+            }
+        }
+    }
+
     /// Removes the run. The caller holds the door and knows that nobody lives.
     pub(super) fn remove(&self) {
         self.remove_leftovers();
         let _ = std::fs::remove_dir_all(&self.dir);
     }
+}
+
+/// True if another process that this user can see holds the file open. This one only waits for it.
+fn is_open_elsewhere(path: &Path) -> bool {
+    let me = std::process::id().to_string();
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let processes = processes.filter(|process| process.file_name() != *me);
+    let files =
+        processes.flat_map(|process| std::fs::read_dir(process.path().join("fd")).into_iter().flatten().flatten());
+    files.into_iter().any(|file| std::fs::read_link(file.path()).is_ok_and(|target| target == path))
 }
 
 /// Starts the names of this user's run folders.

@@ -33,13 +33,17 @@ pub const SPEED_MPS: f64 = 10.0;
 /// Standard deviation of a simulated range, m.
 pub const RANGE_STD_M: f64 = 1.0;
 /// Planner.
-pub const PLANNER: &str = "adaptive";
+pub const PLANNER: &str = "certified";
+/// Node budget of the certified planner: far more than any but contrived problems need.
+pub const NODES: u64 = 2_000;
 /// Iterations of the relaxations.
 pub const ITERATIONS: u64 = 20;
 /// Relaxation factor.
 pub const ALPHA: f64 = 0.5;
 /// Step of the grid search, rad.
 pub const GRID_STEP_RAD: f64 = std::f64::consts::PI / 200.0;
+/// Least distance of robots to the predicted target, m.
+pub const STAND_OFF_M: f64 = 2.0;
 /// Standard deviation of a recorded range, m.
 pub const RECORDED_RANGE_STD_M: f64 = 0.2;
 /// Spectral density of the target's acceleration in a recording, m^2/s^3.

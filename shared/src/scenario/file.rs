@@ -128,14 +128,22 @@ pub struct RobotTable {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannerTable {
-    /// `"adaptive"`, `"standard"`, `"grid"` or `"random"`.
+    /// `"certified"`, `"adaptive"`, `"standard"`, `"grid"`, `"greedy"`, `"pursue"` or `"random"`.
     pub name: Option<String>,
+    /// Node budget of the certified planner.
+    pub nodes: Option<u64>,
     /// Iterations of the relaxations.
     pub iterations: Option<u64>,
     /// Relaxation factor of the adaptive relaxation.
     pub alpha: Option<f64>,
     /// Step of the grid search on the bearing, rad.
     pub step_rad: Option<f64>,
+    /// Least distance of robots to the predicted target, m.
+    pub stand_off_m: Option<f64>,
+    /// The same as a multiple of the square root of the predicted position trace; the larger counts.
+    pub stand_off_sigma: Option<f64>,
+    /// Least distance of robots to each other, m.
+    pub separation_m: Option<f64>,
 }
 
 /// `[filter]`.

@@ -46,6 +46,8 @@ pub struct Scenario {
     pub robots: Vec<RobotSpec>,
     /// How headings are chosen.
     pub planner: PlannerSpec,
+    /// What robots keep clear of.
+    pub clearance: Clearance,
     /// Gate on a single range: rejected when its innovation is more than this many of its standard
     /// deviations, that is when its chi-square statistic (one degree of freedom) is above the
     /// square. `None`: every range is fused, as in the paper.
@@ -127,6 +129,11 @@ pub struct Calibration {
 /// How headings are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum PlannerSpec {
+    /// The global optimum, with a certificate.
+    Certified {
+        /// Most nodes of the branch and bound.
+        nodes: u32,
+    },
     /// The paper's adaptive relaxation (28)-(29).
     Adaptive {
         /// Cycles over all robots.
@@ -144,18 +151,39 @@ pub enum PlannerSpec {
         /// Step, rad.
         step_rad: f64,
     },
+    /// Each robot by itself, its teammates counted where they stand.
+    Greedy,
+    /// Straight to the predicted target.
+    Pursue,
     /// Uniformly random headings.
     Random,
 }
+
+/// What robots keep clear of; zeros keep clear of nothing, as in the paper.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Clearance {
+    /// Least distance to the predicted target, m.
+    pub stand_off_m: f64,
+    /// The same as a multiple of the square root of the predicted position trace; the larger counts.
+    pub stand_off_sigma: f64,
+    /// Least distance of robots to each other, m.
+    pub separation_m: f64,
+}
+
+/// The planners' names.
+pub const PLANNERS: [&str; 7] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random"];
 
 impl PlannerSpec {
     /// The name by which scenario and command line know it.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
+            Self::Certified { .. } => "certified",
             Self::Adaptive { .. } => "adaptive",
             Self::Standard { .. } => "standard",
             Self::Grid { .. } => "grid",
+            Self::Greedy => "greedy",
+            Self::Pursue => "pursue",
             Self::Random => "random",
         }
     }

@@ -6,9 +6,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::{
-    Calibration, Clock, CovarianceKey, MeanKey, Patience, PatienceKey, PlannerSpec, PlannerTable, Prior, PriorTable,
-    RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario, ScenarioError, ScenarioFile, Source, TargetTable,
-    defaults,
+    Calibration, Clearance, Clock, CovarianceKey, MeanKey, PLANNERS, Patience, PatienceKey, PlannerSpec, PlannerTable,
+    Prior, PriorTable, RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario, ScenarioError, ScenarioFile,
+    Source, TargetTable, defaults,
 };
 use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
@@ -55,6 +55,7 @@ impl Checker<'_> {
         let seed = raw.seed.unwrap_or(defaults::SEED);
         let dt_s = self.number("dt_s", raw.dt_s, defaults::DT_S, DT_S)?;
         let motion = self.motion(&raw.target.clone().unwrap_or_default(), raw.recording.is_some())?;
+        let planner = raw.planner.clone().unwrap_or_default();
         let mut scenario = Scenario {
             name,
             ticks: self.whole("ticks", raw.ticks, defaults::TICKS, 1..=TICKS_MAX)?,
@@ -66,7 +67,8 @@ impl Checker<'_> {
             source: Source::Simulated { target_start: Vec::new() },
             prior: Prior::FromRanges,
             robots: Vec::new(),
-            planner: self.planner(&raw.planner.clone().unwrap_or_default())?,
+            planner: self.planner(&planner)?,
+            clearance: self.clearance(&planner)?,
             gate_sigma: self.gate(raw)?,
         };
         if let Some(recording) = &raw.recording {
@@ -318,16 +320,31 @@ impl Checker<'_> {
         let alpha = self.number("planner.alpha", table.alpha, defaults::ALPHA, 0.0..=1.0)?;
         let step_rad =
             self.number("planner.step_rad", table.step_rad, defaults::GRID_STEP_RAD, 1e-6..=std::f64::consts::PI)?;
+        let nodes = self.whole("planner.nodes", table.nodes, defaults::NODES, 1..=1_000_000)? as u32;
         match table.name.as_deref().unwrap_or(defaults::PLANNER) {
+            "certified" => Ok(PlannerSpec::Certified { nodes }),
             "adaptive" => Ok(PlannerSpec::Adaptive { iterations, alpha }),
             "standard" => Ok(PlannerSpec::Standard { iterations }),
             "grid" => Ok(PlannerSpec::Grid { step_rad }),
+            "greedy" => Ok(PlannerSpec::Greedy),
+            "pursue" => Ok(PlannerSpec::Pursue),
             "random" => Ok(PlannerSpec::Random),
             other => {
-                let known = "one of \"adaptive\", \"standard\", \"grid\", \"random\"";
-                Err(self.refuse("planner.name", known, quoted(other)))
+                let known = PLANNERS.map(quoted).join(", ");
+                Err(self.refuse("planner.name", format!("one of {known}"), quoted(other)))
             }
         }
+    }
+
+    fn clearance(&self, table: &PlannerTable) -> Result<Clearance, ScenarioError> {
+        let least = |key: &str, value, default| self.number(key, value, default, 0.0..=1e6);
+        // Who asks for one measure does not get the default of the other on top.
+        let stand_off_m = if table.stand_off_sigma.is_some() { 0.0 } else { defaults::STAND_OFF_M };
+        Ok(Clearance {
+            stand_off_m: least("planner.stand_off_m", table.stand_off_m, stand_off_m)?,
+            stand_off_sigma: least("planner.stand_off_sigma", table.stand_off_sigma, 0.0)?,
+            separation_m: least("planner.separation_m", table.separation_m, 0.0)?,
+        })
     }
 
     fn point(&self, key: &str, value: Option<[f64; 2]>) -> Result<[f64; 2], ScenarioError> {
