@@ -1,16 +1,26 @@
 //! Filter and planner steps over the size of the team: `cargo bench -p rangehound-bench`.
 
 use std::hint::black_box;
+use std::time::Instant;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
-use rangehound_bench::{problem, team};
+use rangehound_bench::{paper_problems, problem, team};
 use rangehound_fusion::filter::{Estimate, RangeInformation};
-use rangehound_fusion::planner::{self, Plan, Problem, Vector};
+use rangehound_fusion::planner::{self, Plan, Problem, TeamMember, Vector};
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::scenario::PlannerSpec;
+use rangehound_shared::scenario::{Clearance, PlannerSpec};
 
-const PAPER: PlannerSpec = PlannerSpec::Adaptive { iterations: 20, alpha: 0.5 };
+const CERTIFIED: PlannerSpec = PlannerSpec::Certified { nodes: 2_000 };
+
+const PLANNERS: [PlannerSpec; 6] = [
+    CERTIFIED,
+    PlannerSpec::Adaptive { iterations: 20, alpha: 0.5 },
+    PlannerSpec::Standard { iterations: 20 },
+    PlannerSpec::Greedy,
+    PlannerSpec::Pursue,
+    PlannerSpec::Random,
+];
 
 /// Prediction and joint update of the paper's filter.
 fn filter(criterion: &mut Criterion) {
@@ -37,10 +47,10 @@ fn filter(criterion: &mut Criterion) {
     }
 }
 
-/// The relaxations, from a problem to headings.
-fn relaxation(criterion: &mut Criterion) {
-    for (name, spec) in [("adaptive", PAPER), ("standard", PlannerSpec::Standard { iterations: 20 })] {
-        let mut group = criterion.benchmark_group(format!("{name} relaxation, 20 iterations"));
+/// Every planner whose work grows slower than exponentially, from a problem to headings.
+fn planners(criterion: &mut Criterion) {
+    for spec in PLANNERS {
+        let mut group = criterion.benchmark_group(spec.name());
         for robots in [3, 10, 100, 1_000, 10_000] {
             let problem = problem(robots);
             let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
@@ -53,35 +63,69 @@ fn relaxation(criterion: &mut Criterion) {
     }
 }
 
+/// What the planners are asked in the paper's runs: the mean, and before it the percentiles of single steps.
+fn along_the_papers_trajectories(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("along the paper's trajectories, mean");
+    for (name, problems) in [("paper", paper_problems(0.0)), ("stand-off 2 m", paper_problems(2.0))] {
+        for spec in PLANNERS {
+            let Ok(mut planner) = planner::for_team(spec, 3, 1) else { continue };
+            let mut plan = Plan::default();
+            let mut nanoseconds: Vec<u128> = problems
+                .iter()
+                .map(|problem| {
+                    let began = Instant::now();
+                    planner.plan(0, black_box(problem), &mut plan);
+                    began.elapsed().as_nanos()
+                })
+                .collect();
+            nanoseconds.sort_unstable();
+            let at = |share: usize| nanoseconds[(nanoseconds.len() - 1) * share / 100];
+            println!("{} on {name}: p50 {} ns, p99 {} ns, max {} ns", spec.name(), at(50), at(99), at(100));
+            let mut next = problems.iter().cycle();
+            group.bench_function(BenchmarkId::new(spec.name(), name), |bencher| {
+                bencher.iter(|| next.next().map(|problem| planner.plan(0, black_box(problem), &mut plan)));
+            });
+        }
+    }
+}
+
 /// Posing the problem and planning, as fusion does each tick.
 fn pose_and_plan(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("pose and plan, adaptive");
-    for robots in [3, 10, 100] {
-        let Ok(mut planner) = planner::for_team(PAPER, robots, 1) else { continue };
-        let (mut problem, mut plan) = (Problem::default(), Plan::default());
-        group.bench_function(BenchmarkId::from_parameter(robots), |bencher| {
-            bencher.iter(|| {
-                problem.pose(black_box(&Matrix2::new(0.4, 0.1, 0.1, 0.2)), Vector::default(), 0.1, team(robots));
-                planner.plan(0, &problem, &mut plan);
+    for spec in PLANNERS {
+        let mut group = criterion.benchmark_group(format!("pose and plan, {}", spec.name()));
+        for robots in [3, 10, 100] {
+            let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
+            let (mut problem, mut plan) = (Problem::default(), Plan::default());
+            let clearance = Clearance { stand_off_m: 2.0, ..Clearance::default() };
+            group.bench_function(BenchmarkId::from_parameter(robots), |bencher| {
+                bencher.iter(|| {
+                    let prior = black_box(Matrix2::new(0.4, 0.1, 0.1, 0.2));
+                    problem.pose(&prior, Vector::default(), 0.1, &clearance, team(robots));
+                    planner.plan(0, &problem, &mut plan);
+                });
             });
-        });
+        }
     }
 }
 
-/// The paper's yardstick; four robots would take seconds a step.
+/// The paper's yardstick against the proven optimum, every robot within a step of the target: four
+/// robots would take the grid seconds a step.
 fn grid(criterion: &mut Criterion) {
-    let mut group = criterion.benchmark_group("grid search, pi/200");
+    let mut group = criterion.benchmark_group("without constraints");
     group.sample_size(10);
     for robots in [1, 2, 3] {
-        let problem = problem(robots);
-        let spec = PlannerSpec::Grid { step_rad: std::f64::consts::PI / 200.0 };
-        let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
-        let mut plan = Plan::default();
-        group.bench_with_input(BenchmarkId::from_parameter(robots), &problem, |bencher, problem| {
-            bencher.iter(|| planner.plan(0, black_box(problem), &mut plan));
-        });
+        let mut problem = Problem::default();
+        let near = team(robots).map(|robot| TeamMember { max_speed_mps: 1_000.0, ..robot });
+        problem.pose(&Matrix2::new(0.4, 0.1, 0.1, 0.2), Vector::default(), 0.1, &Clearance::default(), near);
+        for spec in [PlannerSpec::Grid { step_rad: std::f64::consts::PI / 200.0 }, CERTIFIED] {
+            let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
+            let mut plan = Plan::default();
+            group.bench_with_input(BenchmarkId::new(spec.name(), robots), &problem, |bencher, problem| {
+                bencher.iter(|| planner.plan(0, black_box(problem), &mut plan));
+            });
+        }
     }
 }
 
-criterion_group!(benches, filter, relaxation, pose_and_plan, grid);
+criterion_group!(benches, filter, planners, along_the_papers_trajectories, pose_and_plan, grid);
 criterion_main!(benches);

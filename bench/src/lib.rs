@@ -1,7 +1,11 @@
 //! Problems that the benchmarks measure on; the benchmarks are in `benches/`.
 
+use std::path::Path;
+
 use nalgebra::Matrix2;
+use rangehound::in_process::Team;
 use rangehound_fusion::planner::{Problem, TeamMember, Vector};
+use rangehound_shared::scenario::{Clearance, PlannerTable, Scenario, ScenarioFile};
 
 /// A team of `robots` round a target: as far away as in the paper's runs, within reach of a step now
 /// and then, each with noise of its own.
@@ -23,6 +27,33 @@ pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
 pub fn problem(robots: usize) -> Problem {
     let mut problem = Problem::default();
     let prior = Matrix2::new(0.4, 0.1, 0.1, 0.2) * (3.0 / robots as f64);
-    problem.pose(&prior, Vector::default(), 0.1, team(robots));
+    problem.pose(&prior, Vector::default(), 0.1, &Clearance::default(), team(robots));
     problem
+}
+
+/// What the planner was asked along the paper's trajectories: 20 runs of 200 ticks of its scenario.
+///
+/// # Panics
+/// If the scenario that is shipped does not run.
+#[must_use]
+pub fn paper_problems(stand_off_m: f64) -> Vec<Problem> {
+    let text = include_str!("../../scenarios/paper.toml");
+    let mut problems = Vec::new();
+    for seed in 0..20 {
+        let mut file = ScenarioFile::parse(text, "paper.toml").expect("the shipped scenario is sound");
+        file.seed = Some(seed);
+        let planner = file.planner.get_or_insert_with(PlannerTable::default);
+        planner.name = Some("certified".to_owned());
+        planner.stand_off_m = Some(stand_off_m);
+        let scenario = Scenario::from_file(&file, "paper.toml", Path::new("")).expect("the shipped scenario is sound");
+        let mut team = Team::new(&scenario).expect("the certified planner serves any team");
+        for _ in 0..200 {
+            if team.tick().is_err() {
+                break;
+            }
+            problems.push(team.centre().problem().clone());
+            team.advance();
+        }
+    }
+    problems
 }

@@ -177,6 +177,12 @@ impl Centre {
         &self.commands
     }
 
+    /// The problem that the last [`Self::plan`] solved.
+    #[must_use]
+    pub fn problem(&self) -> &Problem {
+        &self.problem
+    }
+
     /// Commands of the last [`Self::plan`].
     #[must_use]
     pub fn commands(&self) -> &[Command] {

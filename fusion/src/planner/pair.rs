@@ -68,6 +68,48 @@ fn triangle(rest: Vector, lambda_1: f64, lambda_2: f64) -> Option<[(Vector, Vect
     Some([with(Vector::new(cos_1, sin_1)), with(Vector::new(cos_1, -sin_1))])
 }
 
+/// Directions of free arms (all full circles) for which `|rest + sum lambda_i u_i|` is least.
+///
+/// If no length, `|rest|` among them, exceeds the sum of the others, they close to a polygon. It is built
+/// from the end: each arm but the last two turns until the chord that is left can still be closed by those after
+/// it, and the last two close the triangle. Otherwise all others point against the longest. O(M).
+/// False, with `directions` untouched, if an arm is not free.
+pub fn best_of_free(rest: Vector, arms: &[Arm], directions: &mut [Vector]) -> bool {
+    if arms.iter().any(|arm| arm.extent != Extent::Circle) {
+        return false;
+    }
+    // What the arms after each can close, kept where its direction will stand: longest and sum.
+    let (mut longest, mut left) = (0.0_f64, 0.0);
+    for (arm, direction) in arms.iter().zip(directions.iter_mut()).rev() {
+        *direction = Vector::new(longest, left);
+        longest = longest.max(arm.lambda);
+        left += arm.lambda;
+    }
+    let mut rest = rest;
+    for (arm, direction) in arms.iter().zip(directions.iter_mut()) {
+        let Vector { x: longest, y: left } = *direction;
+        let length = rest.norm();
+        // Those after this one close chords from what their longest leaves to their sum.
+        let chord =
+            length.max(2.0 * longest - left).min(left).max((length - arm.lambda).abs()).min(length + arm.lambda);
+        *direction = turn_to_chord(rest, length, arm, chord);
+        rest += *direction * arm.lambda;
+    }
+    true
+}
+
+/// The direction of the arm after which `|rest + lambda u|` is `chord`.
+fn turn_to_chord(rest: Vector, length: f64, arm: &Arm, chord: f64) -> Vector {
+    let double_area = 2.0 * length * arm.lambda;
+    if double_area == 0.0 {
+        return arm.centre;
+    }
+    let cos = ((chord - length) * (chord + length) - arm.lambda * arm.lambda) / double_area;
+    let cos = cos.clamp(-1.0, 1.0);
+    let sin = ((1.0 - cos) * (1.0 + cos)).sqrt();
+    (rest * length.recip()).rotated_by(Vector::new(cos, sin))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -111,6 +153,24 @@ mod tests {
         let [u1, u2] = best_pair(Vector::new(std::f64::consts::SQRT_2, 0.0), &free, &free);
         assert!((u1.angle_rad().abs() - 0.75 * PI).abs() < 1e-12);
         assert!((u1.angle_rad() + u2.angle_rad()).abs() < 1e-12);
+    }
+
+    proptest! {
+        /// The polygon closes, or is as short as the longest side leaves it.
+        #[test]
+        fn free_arms_reach_what_their_lengths_allow(
+            prior in 0.0..20.0_f64, lambdas in proptest::collection::vec(prop_oneof![0.1..10.0_f64, Just(1.0)], 0..12),
+        ) {
+            let arms: Vec<Arm> = lambdas.iter().map(|&lambda| Arm::circle(lambda, Vector::new(0.6, 0.8))).collect();
+            let mut directions = vec![Vector::default(); arms.len()];
+            prop_assert!(best_of_free(Vector::new(0.0, prior), &arms, &mut directions));
+            let sum = arms.iter().zip(&directions).fold(Vector::new(0.0, prior), |sum, (arm, u)| sum + *u * arm.lambda);
+            let total = prior + lambdas.iter().sum::<f64>();
+            let longest = lambdas.iter().fold(prior, |longest, lambda| longest.max(*lambda));
+            let least = (2.0 * longest - total).max(0.0);
+            prop_assert!((sum.norm() - least).abs() < 1e-7 * total, "{} {least}", sum.norm());
+            prop_assert!(directions.iter().all(|u| (u.norm() - 1.0).abs() < 1e-12));
+        }
     }
 
     #[test]

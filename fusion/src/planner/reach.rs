@@ -113,8 +113,13 @@ impl Reach {
         match &self.room {
             Room::Disc => self.motion_in_disc(bearing),
             Room::Cell(corners) => {
-                let (near_m, far_m) = self.chord(bearing, &corners_m[corners.clone()]);
-                self.motion_to(self.to_target_m - bearing * self.clear_of_target(near_m, far_m))
+                let cell_m = &corners_m[corners.clone()];
+                let chord = self.chord(bearing, cell_m);
+                let place = chord.map(|(near, far)| self.to_target_m - bearing * self.clear_of_target(near, far));
+                // Rounding can make the line of an end of the arc miss the cell: then the corner nearest to it.
+                let off_line = |corner: &Vector| bearing.cross(self.to_target_m - *corner).abs();
+                let nearest = || cell_m.iter().min_by(|a, b| off_line(a).total_cmp(&off_line(b))).copied();
+                self.motion_to(place.or_else(nearest).unwrap_or_default())
             }
             Room::Out(offset_m) => self.motion_to(*offset_m),
         }
@@ -207,9 +212,9 @@ impl Reach {
         };
     }
 
-    /// Least and greatest signed distance to the target on the line of this bearing within the cell; of
-    /// the corner nearest to the line if rounding makes it miss.
-    fn chord(&self, bearing: Vector, cell_m: &[Vector]) -> (f64, f64) {
+    /// Least and greatest signed distance to the target on the line of this bearing within the cell, if
+    /// the line meets it.
+    fn chord(&self, bearing: Vector, cell_m: &[Vector]) -> Option<(f64, f64)> {
         let (mut near_m, mut far_m) = (f64::INFINITY, f64::NEG_INFINITY);
         for (corner, next) in edges(cell_m) {
             let (from, to) = (self.to_target_m - corner, self.to_target_m - next);
@@ -222,14 +227,7 @@ impl Reach {
             near_m = near_m.min(rho_m);
             far_m = far_m.max(rho_m);
         }
-        if near_m > far_m {
-            let sights = cell_m.iter().map(|corner| self.to_target_m - *corner);
-            let off_line = |sight: &Vector| bearing.cross(*sight).abs();
-            let nearest = sights.min_by(|a, b| off_line(a).total_cmp(&off_line(b)));
-            let rho_m = nearest.map_or(0.0, |sight| bearing.dot(sight));
-            return (rho_m, rho_m);
-        }
-        (near_m, far_m)
+        (near_m <= far_m).then_some((near_m, far_m))
     }
 
     /// The arc of the bearings at which the cell has a place clear of the target: of several such arcs
@@ -267,8 +265,8 @@ impl Reach {
         let marks = &mut marks[..count];
         marks.sort_unstable_by(f64::total_cmp);
         let is_clear = |offset_rad: f64| {
-            let (near_m, far_m) = self.chord(self.sight.rotated_by(Vector::from_angle(offset_rad)), cell_m);
-            far_m >= s || near_m <= -s
+            let chord = self.chord(self.sight.rotated_by(Vector::from_angle(offset_rad)), cell_m);
+            chord.is_some_and(|(near_m, far_m)| far_m >= s || near_m <= -s)
         };
         let mut best: Option<(f64, f64)> = None;
         let mut open: Option<(f64, f64)> = None;
@@ -441,8 +439,8 @@ mod tests {
             let mut problem = super::super::Problem::default();
             let clearance = Clearance { stand_off_m: stand_off, stand_off_sigma: 0.0, separation_m: separation };
             let positions: Vec<Vector> = places.iter().map(|&(x, y)| Vector::new(x, y)).collect();
-            let prior = nalgebra::Matrix2::identity();
-            problem.pose(&prior, Vector::new(0.3, 0.2), DT_S, &clearance, positions.iter().map(|&position_m| TeamMember {
+            let (prior, target) = (nalgebra::Matrix2::identity(), Vector::new(0.3, 0.2));
+            problem.pose(&prior, target, DT_S, &clearance, positions.iter().map(|&position_m| TeamMember {
                 position_m, max_speed_mps: speed, range_std_m: 1.0,
             }));
             let ends: Vec<Vector> = positions.iter().enumerate().map(|(i, at)| {
@@ -450,13 +448,15 @@ mod tests {
                 let (heading, speed_mps) = problem.motion(i, direction);
                 *at + heading * (speed_mps * DT_S)
             }).collect();
+            // Who is too close to another gets out of that as far as the others leave room.
+            let crowded = positions.iter().enumerate().any(|(k, at)| {
+                positions[..k].iter().any(|other| (*at - *other).norm() < separation)
+            });
             for i in 0..ends.len() {
+                let (before_m, after_m) = ((target - positions[i]).norm(), (target - ends[i]).norm());
+                prop_assert!(crowded || after_m >= stand_off.min(before_m) - 1e-9, "{i}: {before_m} {after_m}");
                 for j in 0..i {
                     let (before_m, after_m) = ((positions[i] - positions[j]).norm(), (ends[i] - ends[j]).norm());
-                    // Too close at first: out of it as far as the others leave room.
-                    let crowded = positions.iter().enumerate().any(|(k, at)| {
-                        positions[..k].iter().any(|other| (*at - *other).norm() < separation)
-                    });
                     if !crowded {
                         prop_assert!(after_m >= separation - 1e-9, "{i} {j}: {before_m} {after_m}");
                     } else if ends.len() == 2 {

@@ -58,8 +58,9 @@ impl Vector {
     /// This direction with length one, or `None` for the zero vector.
     #[must_use]
     pub fn normalised(self) -> Option<Self> {
-        let norm = self.norm();
-        (norm > 0.0).then(|| Self::new(self.x / norm, self.y / norm))
+        let square = self.norm_squared();
+        // Root and reciprocal side by side: the relaxations wait for this chain.
+        (square >= f64::MIN_POSITIVE).then(|| self * (square.sqrt() * square.recip()))
     }
 
     /// Complex product: adds the angles of unit vectors.

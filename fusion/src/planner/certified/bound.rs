@@ -66,10 +66,6 @@ impl Hull {
         self.bound
     }
 
-    /// Distance of the nearest point that was found, at least that of the sum itself.
-    pub(super) fn distance(&self) -> f64 {
-        self.nearest.norm()
-    }
 
     /// Adds the lowest point in direction `normal` to the simplex.
     fn add_lowest(&mut self, prior: Vector, arms: &[Arm], normal: Vector) -> Vector {
@@ -138,6 +134,13 @@ impl Hull {
         if self.shares[0] == 1.0 {
             self.corners = 1;
         }
+    }
+
+    /// Arm `i`'s directions in the corners, and the corners' shares.
+    pub(super) fn corners_of(&self, i: usize) -> [(Vector, f64); 3] {
+        std::array::from_fn(
+            |k| if k < self.corners { (self.directions[k][i], self.shares[k]) } else { Default::default() },
+        )
     }
 
     /// Arm `i`'s vector over lambda in the nearest point: of length one if it lies on its arc, shorter
@@ -243,6 +246,10 @@ fn nearest_of_segment(a: Vector, b: Vector) -> (f64, Vector) {
     if share == 1.0 {
         return (1.0, b);
     }
-    // The distance of the line, from the cross product: without cancellation near the origin.
+    let point = a + along * share;
+    if point.norm_squared() >= length_squared {
+        return (share, point);
+    }
+    // A long segment near the origin: its normal is known better than the point, which has cancelled.
     (share, Vector::new(along.y, -along.x) * (a.cross(b) / length_squared))
 }

@@ -8,6 +8,7 @@
 mod bound;
 mod search;
 
+use super::pair::best_of_free;
 use super::relaxation::Relaxation;
 use super::{Plan, Planner, Problem};
 
@@ -46,7 +47,9 @@ impl Planner for Certified {
     fn plan(&mut self, tick: u64, problem: &Problem, plan: &mut Plan) {
         plan.directions.clear();
         plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
-        self.start.relax(problem, &mut plan.directions);
+        if !best_of_free(problem.prior, &problem.arms, &mut plan.directions) {
+            self.start.relax(problem, &mut plan.directions);
+        }
         let lower_bound = self.search.improve(problem, &mut plan.directions);
         plan.complete(problem);
         plan.lower_bound = lower_bound.min(plan.objective);

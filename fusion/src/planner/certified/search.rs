@@ -19,6 +19,12 @@ const RESERVED_NODES_MAX: usize = 10_000;
 /// Cycles of a descent; each ends where it no longer moves, which is mostly sooner.
 const CYCLES_MAX: usize = 20;
 
+/// Newton converges in a few steps or not at all.
+const NEWTON_STEPS_MAX: usize = 12;
+
+/// A sum this small, relative to the sum of all lambda, may be one that can be closed.
+const NEARLY_CLOSED: f64 = 0.05;
+
 /// Teams up to this size try all pairs of robots, larger ones each robot with the next.
 const ALL_PAIRS_MAX: usize = 8;
 
@@ -31,19 +37,40 @@ pub(super) struct Search {
     hull: Hull,
     /// The arcs of the node at hand.
     arms: Vec<Arm>,
+    /// The arms by number, those that are alike side by side, and where each stands in that.
+    order: Vec<usize>,
+    place: Vec<usize>,
+    /// The node's hulls' nearest point, by arm.
+    in_hull: Vec<Vector>,
     candidate: Vec<Vector>,
-    pub(super) looked_into: usize,
+    trial: Vec<Vector>,
+    path: Vec<Cut>,
+    looked_into: usize,
 }
 
-/// A part of the search space: its parent's, with one arm kept to a part of its arc.
+/// A part of the search space: its parent's, cut at a direction within one arm's arc.
 #[derive(Debug, Clone, Copy)]
 struct Node {
     parent: usize,
+    cut: Cut,
+    /// Where to cut next.
+    next: (usize, Vector),
+}
+
+/// One arm kept to the part of its arc before or after a direction. Arms that are all alike are kept in
+/// order of their directions, for every permutation of them is as good: so those before it in the
+/// order are kept before the direction too, those after it after.
+#[derive(Debug, Clone, Copy)]
+struct Cut {
     arm: usize,
-    kept: Arm,
-    /// The arm to split next, and where its vector points in the nearest point of the hulls.
-    split: usize,
-    split_at: Vector,
+    at: Vector,
+    side: Side,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Side {
+    Before,
+    After,
 }
 
 /// A node that may hold something better; the heap gives the one with the least bound first.
@@ -76,9 +103,20 @@ impl Search {
             open: BinaryHeap::with_capacity(2 * reserved + 1),
             hull: Hull::default(),
             arms: Vec::new(),
+            order: Vec::new(),
+            place: Vec::new(),
+            in_hull: Vec::new(),
             candidate: Vec::new(),
+            trial: Vec::new(),
+            path: Vec::new(),
             looked_into: 0,
         }
+    }
+
+    /// Nodes that the last search looked into; 0 if it needed none.
+    #[cfg(test)]
+    pub(super) fn looked_into(&self) -> usize {
+        self.looked_into
     }
 
     /// Improves `directions`, which must lie in their arcs, to the optimum as far as the budget
@@ -105,11 +143,15 @@ impl Search {
 
     fn search(&mut self, problem: &Problem, directions: &mut [Vector], tolerance: f64) -> f64 {
         self.looked_into = 0;
-        let mut best = descend(problem, directions);
-        // One robot that outweighs all others: what they cannot make up for.
+        // One vector that outweighs all others: what they cannot make up for.
         let total = problem.lambda_sum();
         let heaviest = problem.arms.iter().fold(problem.prior.norm(), |heaviest, arm| heaviest.max(arm.lambda));
         let floor = (heaviest - (total - heaviest)).max(0.0);
+        let mut best = problem.sum(directions).norm();
+        if best - floor <= tolerance {
+            return floor;
+        }
+        best = descend(problem, directions, &mut self.trial);
         if best - floor <= tolerance {
             return floor;
         }
@@ -117,130 +159,206 @@ impl Search {
         self.arms.extend_from_slice(&problem.arms);
         self.nodes.clear();
         self.open.clear();
-        // Bounds of what has been set aside.
-        let mut least = best;
-        let root = Node { parent: 0, arm: 0, kept: problem.arms[0], split: 0, split_at: Vector::default() };
-        self.look_into(problem, root, floor, &mut best, &mut least, directions, tolerance);
+        self.put_in_order(&problem.arms);
+        let mut answer = Answer { best, least: best, tolerance, directions };
+        let nowhere = Cut { arm: 0, at: Vector::default(), side: Side::Before };
+        self.look_into(problem, 0, nowhere, floor, &mut answer);
         self.looked_into = 1;
         if !self.open.is_empty() && problem.len() <= ALL_PAIRS_MAX {
-            self.try_ends(problem, &mut best, directions, tolerance);
+            self.try_ends(problem, &mut answer);
         }
         while let Some(Open { bound, node }) = self.open.pop() {
-            if bound >= best - tolerance || self.looked_into >= self.nodes_max {
-                least = least.min(bound);
+            if bound >= answer.enough() || self.looked_into >= self.nodes_max {
+                answer.set_aside(bound);
                 break;
             }
-            self.restrict(problem, node);
-            let Node { split, split_at, .. } = self.nodes[node];
-            let whole = self.arms[split];
-            for kept in whole.halves(split_at) {
-                self.arms[split] = kept;
-                let child = Node { parent: node, arm: split, kept, split: 0, split_at: Vector::default() };
-                self.look_into(problem, child, bound, &mut best, &mut least, directions, tolerance);
+            let (arm, at) = self.nodes[node].next;
+            for side in [Side::Before, Side::After] {
+                let cut = Cut { arm, at, side };
+                self.restrict(problem, node, cut);
+                self.look_into(problem, node, cut, bound, &mut answer);
                 self.looked_into += 1;
             }
         }
-        least.min(best)
+        answer.least.min(answer.best)
+    }
+
+    /// Puts arms that are alike side by side.
+    fn put_in_order(&mut self, arms: &[Arm]) {
+        let key = |i: usize| [arms[i].lambda, arms[i].centre.x, arms[i].centre.y, arms[i].low.x];
+        self.order.clear();
+        self.order.extend(0..arms.len());
+        self.order.sort_unstable_by(|&i, &j| {
+            let keys = key(i).into_iter().zip(key(j)).map(|(a, b)| a.total_cmp(&b));
+            keys.fold(Ordering::Equal, Ordering::then).then(i.cmp(&j))
+        });
+        self.place.clear();
+        self.place.resize(arms.len(), 0);
+        for (place, &arm) in self.order.iter().enumerate() {
+            self.place[arm] = place;
+        }
     }
 
     /// Tries each robot at each end of its arc with the others turned to suit: an optimum that one
     /// descent misses mostly has a robot there.
-    fn try_ends(&mut self, problem: &Problem, best: &mut f64, directions: &mut [Vector], tolerance: f64) {
+    fn try_ends(&mut self, problem: &Problem, answer: &mut Answer) {
         for (i, arm) in problem.arms.iter().enumerate() {
             for end in [arm.low, arm.high] {
-                if *best <= tolerance {
+                if answer.best <= answer.tolerance {
                     return;
                 }
                 self.candidate.clear();
-                self.candidate.extend_from_slice(directions);
+                self.candidate.extend_from_slice(answer.directions);
                 self.candidate[i] = end;
                 turn_pairs(problem, &mut self.candidate, Some(i));
-                let value = descend(problem, &mut self.candidate);
-                if value < *best {
-                    *best = value;
-                    directions.copy_from_slice(&self.candidate);
-                }
+                let value = descend(problem, &mut self.candidate, &mut self.trial);
+                answer.offer(value, &self.candidate);
             }
         }
     }
 
-    /// Puts the arcs of a node in place.
-    fn restrict(&mut self, problem: &Problem, node: usize) {
-        self.arms.copy_from_slice(&problem.arms);
-        // From the node up, a part seen first is the smallest.
+    /// Puts the arcs of a node and of one more cut in place.
+    fn restrict(&mut self, problem: &Problem, node: usize, cut: Cut) {
+        self.path.clear();
+        self.path.push(cut);
         let mut at = node;
         while at != 0 {
-            let Node { parent, arm, kept, .. } = self.nodes[at];
-            if self.arms[arm] == problem.arms[arm] {
-                self.arms[arm] = kept;
+            self.path.push(self.nodes[at].cut);
+            at = self.nodes[at].parent;
+        }
+        self.arms.copy_from_slice(&problem.arms);
+        while let Some(Cut { arm, at, side }) = self.path.pop() {
+            let alike = |other: usize| problem.arms[other] == problem.arms[arm];
+            let place = self.place[arm];
+            self.arms[arm] = self.arms[arm].part(at, side);
+            let (before, after) = (self.order[..place].iter().rev(), self.order[place + 1..].iter());
+            let others: &mut dyn Iterator<Item = &usize> = match side {
+                Side::Before => &mut before.take_while(|other| alike(**other)),
+                Side::After => &mut after.take_while(|other| alike(**other)),
+            };
+            for &other in others {
+                if self.arms[other].extent == Extent::Circle || self.arms[other].contains(at) {
+                    self.arms[other] = self.arms[other].part(at, side);
+                }
             }
-            at = parent;
         }
     }
 
     /// Bounds the node whose arcs are in place, tries the answer that its hulls suggest, and opens it if
     /// it may hold a better one.
-    #[expect(clippy::too_many_arguments, reason = "the state of one search, which has no other user")]
-    fn look_into(
-        &mut self,
-        problem: &Problem,
-        mut node: Node,
-        parents_bound: f64,
-        best: &mut f64,
-        least: &mut f64,
-        directions: &mut [Vector],
-        tolerance: f64,
-    ) {
+    fn look_into(&mut self, problem: &Problem, parent: usize, cut: Cut, parents_bound: f64, answer: &mut Answer) {
         self.hull.start(problem.prior, &self.arms);
-        let bound = self.hull.approach(problem.prior, &self.arms, Some(*best - tolerance), 0.1 * tolerance);
-        let mut bound = bound.max(parents_bound);
-        if bound >= *best - tolerance {
-            *least = least.min(bound);
-            return;
-        }
-        self.candidate.clear();
-        let mut largest_loss = 0.0;
-        for (i, (arm, original)) in self.arms.iter().zip(&problem.arms).enumerate() {
-            let in_hull = self.hull.direction(i);
-            let loss = arm.lambda * (1.0 - in_hull.norm());
-            if loss > largest_loss {
-                largest_loss = loss;
-                node.split = i;
-                node.split_at = in_hull;
+        let mut bound = parents_bound;
+        let (mut largest_loss, mut split);
+        loop {
+            let enough = Some(answer.enough());
+            bound = bound.max(self.hull.approach(problem.prior, &self.arms, enough, 0.1 * answer.tolerance));
+            if bound >= answer.enough() {
+                return answer.set_aside(bound);
             }
-            self.candidate.push(original.nearest(in_hull, arm.centre));
-        }
-        let value = descend(problem, &mut self.candidate);
-        if value < *best {
-            *best = value;
-            directions.copy_from_slice(&self.candidate);
-            // A better answer can close the node that led to it.
-            if self.hull.distance() >= *best - tolerance {
-                let enough = Some(*best - tolerance);
-                bound = bound.max(self.hull.approach(problem.prior, &self.arms, enough, 0.1 * tolerance));
+            self.share_out();
+            self.candidate.clear();
+            (largest_loss, split) = (0.0, 0);
+            for (i, (arm, original)) in self.arms.iter().zip(&problem.arms).enumerate() {
+                let loss = arm.lambda * (1.0 - self.in_hull[i].norm());
+                if loss > largest_loss {
+                    (largest_loss, split) = (loss, i);
+                }
+                self.candidate.push(original.nearest(self.in_hull[i], arm.centre));
+            }
+            let value = descend(problem, &mut self.candidate, &mut self.trial);
+            // A better answer asks for a better bound, and may close the node that led to it.
+            if !answer.offer(value, &self.candidate) {
+                break;
             }
         }
-        if bound >= *best - tolerance || largest_loss == 0.0 {
-            *least = least.min(bound);
-            return;
+        if bound < answer.enough() && largest_loss > 0.0 && problem.len() <= ARC_BOUND_ROBOTS_MAX {
+            bound = bound.max(arc_bound(&mut self.hull, problem.prior, &mut self.arms, split, answer.enough()));
         }
-        if problem.len() <= ARC_BOUND_ROBOTS_MAX {
-            let enough = *best - tolerance;
-            let arc = arc_bound(&mut self.hull, problem.prior, &mut self.arms, node.split, enough);
-            bound = bound.max(arc);
-            if bound >= enough {
-                *least = least.min(bound);
-                return;
-            }
+        if bound >= answer.enough() || largest_loss == 0.0 {
+            return answer.set_aside(bound);
         }
-        self.nodes.push(node);
+        let is_alone = self.run_of(self.place[split]).len() == 1;
+        let at = self.arms[split].middle(if is_alone { self.in_hull[split] } else { Vector::default() });
+        self.nodes.push(Node { parent, cut, next: (split, at) });
         self.open.push(Open { bound, node: self.nodes.len() - 1 });
+    }
+
+    /// The places of the arms round this one that are alike in this node too.
+    fn run_of(&self, place: usize) -> std::ops::Range<usize> {
+        let arm = &self.arms[self.order[place]];
+        let alike = |other: &&usize| self.arms[**other] == *arm;
+        let start = place - self.order[..place].iter().rev().take_while(alike).count();
+        start..place + self.order[place..].iter().take_while(alike).count()
+    }
+
+    /// Shares the hulls' nearest point out to the arms. Arms that are alike have the same share in it each;
+    /// the same sum comes of some at the one end of their arc, some at the other, and one or two between:
+    /// those are the only ones that leave their arcs.
+    fn share_out(&mut self) {
+        self.in_hull.clear();
+        self.in_hull.extend((0..self.arms.len()).map(|i| self.hull.direction(i)));
+        let mut place = 0;
+        while place < self.order.len() {
+            let run = self.run_of(place);
+            place = run.end;
+            let first = self.order[run.start];
+            if run.len() > 1 && self.in_hull[first].norm_squared() < 1.0 - 1e-12 {
+                let arm = self.arms[first];
+                let mut corners = self.hull.corners_of(first);
+                // In order along the arc, as the arms are.
+                let along = |v: Vector| v.rotated_by(arm.low.conjugate()).angle_rad().rem_euclid(std::f64::consts::TAU);
+                corners.sort_unstable_by(|a, b| along(a.0).total_cmp(&along(b.0)));
+                let count = run.len() as f64;
+                for (index, slot) in run.enumerate() {
+                    let (from, to) = (index as f64, index as f64 + 1.0);
+                    let mut shared = 0.0;
+                    let mut sum = Vector::default();
+                    for (direction, share) in corners {
+                        let (start, end) = (shared * count, (shared + share) * count);
+                        sum += direction * (end.min(to) - start.max(from)).max(0.0);
+                        shared += share;
+                    }
+                    self.in_hull[self.order[slot]] = sum;
+                }
+            }
+        }
+    }
+}
+
+/// The best answer so far, and what has been proven.
+struct Answer<'a> {
+    best: f64,
+    directions: &'a mut [Vector],
+    /// Least bound of the nodes that were set aside.
+    least: f64,
+    tolerance: f64,
+}
+
+impl Answer<'_> {
+    /// A bound from which on a node holds nothing worth looking for.
+    fn enough(&self) -> f64 {
+        self.best - self.tolerance
+    }
+
+    fn set_aside(&mut self, bound: f64) {
+        self.least = self.least.min(bound);
+    }
+
+    /// Takes an answer if it is better.
+    fn offer(&mut self, value: f64, directions: &[Vector]) -> bool {
+        let is_better = value < self.best;
+        if is_better {
+            self.best = value;
+            self.directions.copy_from_slice(directions);
+        }
+        is_better
     }
 }
 
 /// Turns one robot after the other, and then pairs of them, to their closed-form optimum until
 /// nothing moves; returns `|S|`, which never grows.
-fn descend(problem: &Problem, directions: &mut [Vector]) -> f64 {
+fn descend(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>) -> f64 {
     let mut value = problem.sum(directions).norm();
     for _ in 0..CYCLES_MAX {
         let before = value;
@@ -258,7 +376,48 @@ fn descend(problem: &Problem, directions: &mut [Vector]) -> f64 {
             }
         }
     }
+    let total = problem.lambda_sum();
+    if value > PRUNE * total && value < NEARLY_CLOSED * total {
+        return close(problem, directions, trial, value);
+    }
     value
+}
+
+/// Where a sum of zero seems within reach, goes there by Newton's method on all directions at once, the
+/// shortest such step: turning one or two at a time takes very long where many are nearly aligned.
+/// Returns `|S|`; `directions` are left as they are unless that is less.
+fn close(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>, value: f64) -> f64 {
+    trial.clear();
+    trial.extend_from_slice(directions);
+    let mut best = value;
+    for _ in 0..NEWTON_STEPS_MAX {
+        let sum = problem.sum(trial);
+        // The sum moves by `J delta`, whose columns are `lambda_i j u_i`; here J J^T, which is 2 x 2.
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for (arm, u) in problem.arms.iter().zip(trial.iter()) {
+            let (x, y) = (-u.y * arm.lambda, u.x * arm.lambda);
+            (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
+        }
+        let determinant = xx * yy - xy * xy;
+        if determinant <= 0.0 {
+            break;
+        }
+        let w = Vector::new(xy * sum.y - yy * sum.x, xy * sum.x - xx * sum.y) * determinant.recip();
+        for (arm, u) in problem.arms.iter().zip(trial.iter_mut()) {
+            let turn = arm.lambda * u.cross(w);
+            let turned = *u + Vector::new(-u.y, u.x) * turn.clamp(-1.0, 1.0);
+            *u = arm.nearest(turned, *u);
+        }
+        let value = problem.sum(trial).norm();
+        if value < best {
+            best = value;
+            directions.copy_from_slice(trial);
+        }
+        if best <= PRUNE * problem.lambda_sum() {
+            break;
+        }
+    }
+    best
 }
 
 /// Turns pairs of robots where that helps, but for the robot `held`; returns `|S|`.
@@ -285,20 +444,27 @@ fn turn_pairs(problem: &Problem, directions: &mut [Vector], held: Option<usize>)
 }
 
 impl Arm {
-    /// The two halves of the arc; a full circle is cut across `towards`.
-    fn halves(&self, towards: Vector) -> [Self; 2] {
-        let quarter = Vector::new(0.0, 1.0);
-        if self.extent == Extent::Circle {
-            let middle = towards.normalised().unwrap_or(self.centre);
-            return [middle, -middle].map(|centre| Self::with_half_width(self.lambda, centre, quarter));
+    /// Where to cut the arc: in the middle; a full circle across from `towards`, so that one half has it
+    /// in its middle, or where its ends meet and across from there if `towards` is zero.
+    fn middle(&self, towards: Vector) -> Vector {
+        match (self.extent, towards.normalised()) {
+            (Extent::Circle, Some(towards)) => towards.rotated_by(Vector::new(0.0, 1.0)),
+            _ => self.centre,
         }
-        let half = |low: Vector, high: Vector| Self {
-            centre: (low + high).normalised().unwrap_or(self.centre),
-            low,
-            high,
-            extent: Extent::Narrow,
-            ..*self
+    }
+
+    /// The part of the arc before or after a direction in it.
+    fn part(&self, at: Vector, side: Side) -> Self {
+        let (low, high) = match (self.extent, side) {
+            // A circle begins and ends across from the cut.
+            (Extent::Circle, Side::Before) => (-at, at),
+            (Extent::Circle, Side::After) => (at, -at),
+            (_, Side::Before) => (self.low, at),
+            (_, Side::After) => (at, self.high),
         };
-        [half(self.low, self.centre), half(self.centre, self.high)]
+        // The middle of half a turn is a quarter from its start.
+        let sum = if self.extent == Extent::Circle { low.rotated_by(Vector::new(0.0, 1.0)) } else { low + high };
+        let centre = sum.normalised().unwrap_or(self.centre);
+        Self { centre, low, high, extent: Extent::Narrow, ..*self }
     }
 }

@@ -1,5 +1,7 @@
+use super::super::grid::Grid;
 use super::super::{Arm, Vector};
 use super::*;
+use proptest::prelude::*;
 use rand::{RngExt as _, SeedableRng as _};
 use rangehound_shared::scenario::defaults;
 use std::f64::consts::PI;
@@ -18,75 +20,115 @@ fn hard_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
     Problem::of_arms(prior, arms)
 }
 
-#[test]
-fn survey() {
-    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-    for robots in [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 25, 50, 100, 150] {
-        let mut planner = Certified::new(defaults::NODES as u32);
-        let mut plan = Plan::default();
-        let mut times = Vec::new();
-        let mut nodes = Vec::new();
-        let (mut certified, mut worst, mut zero) = (0, 0.0_f64, 0);
-        let runs = 1000;
-        for _ in 0..runs {
-            let problem = hard_problem(&mut random, robots);
-            let began = std::time::Instant::now();
-            planner.plan(0, &problem, &mut plan);
-            times.push(began.elapsed().as_nanos());
-            nodes.push(planner.search.looked_into);
-            certified += u32::from(plan.is_certified(&problem));
-            zero += u32::from(plan.objective < 1e-9 * problem.lambda_sum());
-            if !plan.is_certified(&problem) {
-                println!("{} {} {problem:?}", plan.objective, plan.lower_bound);
-            }
-            worst = worst.max((plan.objective - plan.lower_bound) / problem.lambda_sum());
+fn solve(planner: &mut impl Planner, problem: &Problem) -> Plan {
+    let mut plan = Plan::default();
+    planner.plan(0, problem, &mut plan);
+    plan
+}
+
+fn certified() -> Certified {
+    Certified::new(defaults::NODES as u32)
+}
+
+/// Ways to make a hard problem harder: equal lengths, no prior, robots on one spot, some of them free, a
+/// fan of nearly equal arcs.
+const TWISTS: [fn(&mut Problem); 6] = [
+    |_| {},
+    |problem| problem.arms.iter_mut().for_each(|arm| arm.lambda = 1.0),
+    |problem| problem.prior = Vector::default(),
+    |problem| {
+        let first = problem.arms[0];
+        problem.arms.fill(first);
+    },
+    |problem| problem.arms.iter_mut().step_by(2).for_each(|arm| *arm = Arm::circle(arm.lambda, arm.centre)),
+    |problem| {
+        for (i, arm) in problem.arms.iter_mut().enumerate() {
+            *arm = Arm::with_half_width(1.0, Vector::from_angle(0.02 * i as f64), Vector::from_angle(0.4));
         }
-        times.sort_unstable();
-        nodes.sort_unstable();
-        println!(
-            "M={robots}: certified {certified}/{runs} zero {zero} worst gap {worst:.1e} ns p50 {} p90 {} p99 {} max {} nodes p50 {} p99 {} max {}",
-            times[runs / 2],
-            times[runs * 9 / 10],
-            times[runs * 99 / 100],
-            times[runs - 1],
-            nodes[runs / 2],
-            nodes[runs * 99 / 100],
-            nodes[runs - 1]
-        );
+    },
+];
+
+#[test]
+fn hard_problems_are_solved_and_proven() {
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+    let mut planner = certified();
+    for (robots, problems) in (1..=10).map(|robots| (robots, 500)).chain([(25, 100), (60, 60), (150, 30)]) {
+        let mut nodes_max = 0;
+        for twist in TWISTS.iter().flat_map(|twist| std::iter::repeat_n(twist, problems)) {
+            let mut problem = hard_problem(&mut random, robots);
+            twist(&mut problem);
+            let plan = solve(&mut planner, &problem);
+            nodes_max = nodes_max.max(planner.search.looked_into());
+            assert!(plan.is_certified(&problem), "{} {} {problem:?}", plan.objective, plan.lower_bound);
+            for (arm, direction) in problem.arms.iter().zip(&plan.directions) {
+                assert!((arm.nearest(*direction, *direction) - *direction).norm() < 1e-9, "outside its arc");
+            }
+        }
+        println!("{robots} robots: {} problems, at most {nodes_max} nodes", TWISTS.len() * problems);
     }
 }
 
+/// The budget of one node: what it says must hold all the same.
 #[test]
-fn look() {
-    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
-    let mut shown = 0;
-    for robots in [3, 4, 5, 7] {
-        let mut planner = Certified::new(defaults::NODES as u32);
-        let mut plan = Plan::default();
-        for _ in 0..3000 {
+fn a_search_cut_short_is_honest_about_its_gap() {
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(8);
+    let mut short = Certified::new(1);
+    let mut uncertified = 0;
+    for robots in [3, 4, 5, 8, 20] {
+        for _ in 0..300 {
             let problem = hard_problem(&mut random, robots);
-            planner.plan(0, &problem, &mut plan);
-            if planner.search.looked_into > 60 {
-                shown += 1;
-                let s = problem.sum(&plan.directions);
-                println!(
-                    "M={robots} nodes {} S {:.4} prior {:.3}",
-                    planner.search.looked_into,
-                    s.norm(),
-                    problem.prior.norm()
-                );
-                let u = s.normalised().unwrap();
-                for (arm, d) in problem.arms.iter().zip(&plan.directions) {
-                    let inside = if *d == arm.low || *d == arm.high { "end" } else { "inside" };
-                    println!(
-                        "   lambda {:.3} angle to S {:.4} {inside} half width {:.3}",
-                        arm.lambda,
-                        u.cross(*d).atan2(u.dot(*d)),
-                        arm.centre.cross(arm.high).atan2(arm.centre.dot(arm.high))
-                    );
-                }
-            }
+            let (cut, whole) = (solve(&mut short, &problem), solve(&mut certified(), &problem));
+            let slack = GAP_MAX * problem.lambda_sum();
+            assert!(cut.lower_bound <= whole.objective + slack && cut.objective >= whole.lower_bound - slack);
+            uncertified += u32::from(!cut.is_certified(&problem));
         }
     }
-    println!("{shown}");
+    assert!(uncertified > 0, "problems that one node solves test nothing");
+}
+
+#[test]
+fn the_answer_is_the_same_to_the_bit_whatever_was_solved_before() {
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(9);
+    let mut used = certified();
+    for robots in [3, 5, 2, 40, 1, 7] {
+        for _ in 0..50 {
+            let problem = hard_problem(&mut random, robots);
+            assert_eq!(solve(&mut used, &problem), solve(&mut certified(), &problem));
+        }
+    }
+}
+
+/// A heavy robot that can only point away from the origin: its hull is nowhere near its arc.
+#[test]
+fn a_robot_that_outweighs_the_others_is_no_trouble() {
+    let arm = |lambda, centre, half_width| {
+        Arm::with_half_width(lambda, Vector::from_angle(centre), Vector::from_angle(half_width))
+    };
+    let arms = vec![arm(10.0, 0.0, 2.4), arm(1.9, 2.0, 0.85), arm(4.4, 3.0, 1.2)];
+    let mut planner = certified();
+    let problem = Problem::of_arms(Vector::new(1.2, 1.2), arms);
+    assert!(solve(&mut planner, &problem).is_certified(&problem));
+    assert!(planner.search.looked_into() < 20, "{}", planner.search.looked_into());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    /// Neither the paper's planner nor its yardstick finds anything better, and nothing is below the bound.
+    #[test]
+    fn nothing_else_is_better(seed in any::<u64>(), robots in 1..4_usize) {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let problem = hard_problem(&mut random, robots);
+        let plan = solve(&mut certified(), &problem);
+        let adaptive = solve(&mut Relaxation::adaptive(20, 0.5), &problem);
+        let grid = solve(&mut Grid::for_team(0.03, robots).unwrap(), &problem);
+        let rounding = 1e-14 * problem.lambda_sum();
+        prop_assert!(plan.objective <= adaptive.objective + rounding, "{plan:?} {adaptive:?}");
+        prop_assert!(plan.objective <= grid.objective + GAP_MAX * problem.lambda_sum(), "{plan:?} {grid:?}");
+        prop_assert!(plan.lower_bound <= grid.objective.min(adaptive.objective) + rounding);
+        prop_assert!(hull_bound(&problem) <= plan.objective + rounding);
+        // The grid is as near the optimum as its step is wide.
+        let resolution = 0.03 * problem.arms().iter().map(|arm| arm.lambda).sum::<f64>();
+        prop_assert!(grid.objective <= plan.objective + resolution);
+    }
 }
