@@ -89,9 +89,11 @@ pub fn best_of_free(rest: Vector, arms: &[Arm], directions: &mut [Vector]) -> bo
     for (arm, direction) in arms.iter().zip(directions.iter_mut()) {
         let Vector { x: longest, y: left } = *direction;
         let length = rest.norm();
-        // Those after this one close chords from what their longest leaves to their sum.
-        let chord =
-            length.max(2.0 * longest - left).min(left).max((length - arm.lambda).abs()).min(length + arm.lambda);
+        // Those after this one close chords from what their longest leaves to their sum. In the middle of
+        // what can be had, for at the ends the triangle is flat and its angles are badly known.
+        let least = (2.0 * longest - left).max((length - arm.lambda).abs());
+        let most = left.min(length + arm.lambda);
+        let chord = if least <= most { 0.5 * (least + most) } else { most.max((length - arm.lambda).abs()) };
         *direction = turn_to_chord(rest, length, arm, chord);
         rest += *direction * arm.lambda;
     }

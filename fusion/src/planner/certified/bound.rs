@@ -66,7 +66,6 @@ impl Hull {
         self.bound
     }
 
-
     /// Adds the lowest point in direction `normal` to the simplex.
     fn add_lowest(&mut self, prior: Vector, arms: &[Arm], normal: Vector) -> Vector {
         let directions = &mut self.directions[self.corners];

@@ -2,7 +2,7 @@ use super::super::grid::Grid;
 use super::super::{Arm, Vector};
 use super::*;
 use proptest::prelude::*;
-use rand::{RngExt as _, SeedableRng as _};
+use rand::SeedableRng as _;
 use rangehound_shared::scenario::defaults;
 use std::f64::consts::PI;
 
