@@ -40,6 +40,8 @@ pub enum Command {
     Robot(RobotArgs),
     /// Attach to a run: show its progress, and write its report when it ends
     Watch(NodeArgs),
+    /// Plan one step for each JSON line of a file or of standard input, for programs of any language
+    Plan(PlanArgs),
     /// Print the default scenario file, to start one's own from
     Scenario,
     /// Track recorded ranges: the same processes, one robot process for each sensor
@@ -174,6 +176,52 @@ pub struct TrackArgs {
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
+
+/// `plan`.
+#[derive(Debug, Default, Args)]
+#[command(after_help = PLAN_EXAMPLE)]
+pub struct PlanArgs {
+    /// Problems, one JSON object a line; - or nothing for standard input
+    pub file: Option<PathBuf>,
+    /// Planner of the lines that name none: certified, adaptive, standard, grid, greedy, pursue or random
+    /// [default: certified]
+    #[arg(long, value_name = "NAME")]
+    pub planner: Option<String>,
+    /// Node budget of the certified planner
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub nodes: Option<u64>,
+    /// Iterations of the relaxations
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub iterations: Option<u64>,
+    /// Relaxation factor of the adaptive relaxation, 0 to 1
+    #[arg(long, value_name = "A", value_parser = number, allow_negative_numbers = true)]
+    pub alpha: Option<f64>,
+    /// Step of the grid search on the bearing, rad
+    #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
+    pub step_rad: Option<f64>,
+    /// Seed of the random planner, whose headings depend on it and on the line's number
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+}
+
+const PLAN_EXAMPLE: &str =
+    "A line holds the predicted position covariance (m^2), the predicted target (m), the time that robots move
+before they measure, and the team:
+
+  {\"prior_position_covariance\":[[4,0.5],[0.5,2]],\"target\":[0,0],\"time_step_s\":0.1,\"robots\":
+   [{\"position\":[20,0],\"max_speed\":10,\"range_std\":1},{\"position\":[0,15],\"max_speed\":10,\"range_std\":1}]}
+
+(in one line). It may add stand_off_m, stand_off_sigma, separation_m (clearances, 0 if absent) and planner (a name).
+Its answer is one line, in the same order:
+
+  {\"planner\":..,\"headings_rad\":[..],\"speeds_mps\":[..],\"objective\":..,\"lower_bound\":..,\"certified\":..,
+   \"position_trace_m2\":..,\"plan_us\":..}
+
+objective is |S|, no headings reach less than lower_bound; certified: the two are one but for rounding. A line that
+makes no sense is answered by {\"line\":N,\"error\":\"..\"}, told on standard error too, and the next one is read; lines
+count from 1, blank ones are skipped. Answers come at once when no more input is there.
+
+Exit codes: 0 done, 1 failed while running, 2 bad usage or a line that makes no sense.";
 
 /// A value for all sensors, or for one: `0.1` or `105=0.1`.
 #[derive(Debug, Clone, Copy, PartialEq)]

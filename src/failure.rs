@@ -7,6 +7,8 @@ use std::process::ExitCode;
 pub enum Failure {
     /// Bad usage or bad input: exit code 2.
     Input(String),
+    /// Bad input that has been told already, line by line: exit code 2.
+    ToldInput,
     /// Failed while running: exit code 1.
     Running(anyhow::Error),
 }
@@ -25,6 +27,7 @@ impl Failure {
                 eprintln!("rangehound: {problem}");
                 ExitCode::from(2)
             }
+            Self::ToldInput => ExitCode::from(2),
             Self::Running(error) => {
                 eprintln!("rangehound: {error:#}");
                 ExitCode::from(1)

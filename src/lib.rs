@@ -10,6 +10,7 @@
 //! | [`supervisor`] | `run`, `track`: starts the nodes, watches, ends them |
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`watch`] | progress of a run, as an observer sees it |
+//! | [`plan`] | one step per JSON line, for programs of any language |
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`report`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
 //! | [`failure`] | exit codes |
@@ -20,6 +21,7 @@ pub mod failure;
 pub mod in_process;
 pub mod node;
 pub mod picture;
+pub mod plan;
 pub mod report;
 pub mod supervisor;
 pub mod tables;

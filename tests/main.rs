@@ -6,6 +6,7 @@
 //! | `golden` | the filter against numbers from independent implementations |
 //! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
+//! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `licences` | every dependency is free to use |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
 //! | `support` | run names, watchdogs, temporary folders |
@@ -16,6 +17,7 @@ mod command_line;
 mod golden;
 mod licences;
 mod paper;
+mod plan;
 mod processes;
 mod recordings;
 mod support;

@@ -3,6 +3,7 @@
 //! [`ScenarioFile`] is what a person writes; [`Scenario`] is what the nodes use, with every value
 //! within bounds that keep all later arithmetic finite. Nothing downstream checks again.
 
+pub mod bounds;
 pub mod defaults;
 mod error;
 mod file;

@@ -28,8 +28,12 @@ fn robot() -> impl Strategy<Value = RobotTable> {
 
 fn file() -> impl Strategy<Value = ScenarioFile> {
     let patience = prop_oneof![any_number().prop_map(PatienceKey::Seconds), ".{0,9}".prop_map(PatienceKey::Word)];
-    let planner = (maybe("[a-z]{1,9}"), maybe(0..99_u64), maybe(any_number()), maybe(any_number()))
-        .prop_map(|(name, iterations, alpha, step_rad)| PlannerTable { name, iterations, alpha, step_rad });
+    let clearance = (maybe(any_number()), maybe(any_number()), maybe(any_number()));
+    let planner =
+        (maybe("[a-z]{1,9}"), maybe(0..99_u64), maybe(0..99_u64), maybe(any_number()), maybe(any_number()), clearance)
+            .prop_map(|(name, nodes, iterations, alpha, step_rad, (stand_off_m, stand_off_sigma, separation_m))| {
+                PlannerTable { name, nodes, iterations, alpha, step_rad, stand_off_m, stand_off_sigma, separation_m }
+            });
     let covariance = prop_oneof![
         any_number().prop_map(CovarianceKey::Scalar),
         proptest::collection::vec(any_number(), 1..9).prop_map(CovarianceKey::Diagonal),

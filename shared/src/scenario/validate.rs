@@ -5,6 +5,10 @@ use std::ops::RangeInclusive;
 use std::path::Path;
 use std::time::Duration;
 
+use super::bounds::{
+    BIAS_M, CLEARANCE, COORDINATE, DT_S, MATRIX_ENTRY, NOISE_PSD, PATIENCE_S, RELATIVE_EIGENVALUE_MIN, SCALE,
+    SPEED_MPS, STATE, STD_M, TICKS_MAX, VARIANCE,
+};
 use super::{
     Calibration, Clearance, Clock, CovarianceKey, MeanKey, PLANNERS, Patience, PatienceKey, PlannerSpec, PlannerTable,
     Prior, PriorTable, RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario, ScenarioError, ScenarioFile,
@@ -17,20 +21,6 @@ use crate::recording::Recording;
 use crate::rendezvous::RunName;
 use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
 
-/// Bounds that keep every later product and quotient finite.
-const COORDINATE: RangeInclusive<f64> = -1e8..=1e8;
-const STATE: RangeInclusive<f64> = -1e8..=1e8;
-const DT_S: RangeInclusive<f64> = 1e-4..=1e4;
-const SPEED_MPS: RangeInclusive<f64> = 0.0..=1e5;
-const STD_M: RangeInclusive<f64> = 1e-4..=1e5;
-const NOISE_PSD: RangeInclusive<f64> = 0.0..=1e9;
-const VARIANCE: RangeInclusive<f64> = 1e-9..=1e12;
-const MATRIX_ENTRY: RangeInclusive<f64> = -1e12..=1e12;
-const PATIENCE_S: RangeInclusive<f64> = 1e-3..=1e6;
-const BIAS_M: RangeInclusive<f64> = -1e5..=1e5;
-const SCALE: RangeInclusive<f64> = -0.9..=10.0;
-const TICKS_MAX: u64 = 1_000_000_000;
-
 impl Scenario {
     /// Checks a scenario file. `file` names it in errors; paths in it are relative to `folder`.
     ///
@@ -38,6 +28,26 @@ impl Scenario {
     /// [`ScenarioError`] for the first thing that is wrong.
     pub fn from_file(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Self, ScenarioError> {
         Checker { file }.scenario(raw, folder)
+    }
+}
+
+impl PlannerSpec {
+    /// Checks what a `[planner]` table says of the planner itself. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_table(table: &PlannerTable, file: &str) -> Result<Self, ScenarioError> {
+        Checker { file }.planner(table)
+    }
+}
+
+impl Clearance {
+    /// Checks what a `[planner]` table says of clearances. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_table(table: &PlannerTable, file: &str) -> Result<Self, ScenarioError> {
+        Checker { file }.clearance(table)
     }
 }
 
@@ -243,7 +253,7 @@ impl Checker<'_> {
             CovarianceKey::Rows(rows) => return Err(self.refuse(key, per_state(n, "row"), rows.len())),
         };
         match covariance.relative_min_eigenvalue() {
-            Some(minimum) if minimum > 1e-13 => {}
+            Some(minimum) if minimum > RELATIVE_EIGENVALUE_MIN => {}
             Some(_) => return Err(self.refuse(key, "a positive definite matrix", "an indefinite or singular one")),
             None => return Err(self.refuse(key, "a symmetric matrix", "an asymmetric one")),
         }
@@ -337,7 +347,7 @@ impl Checker<'_> {
     }
 
     fn clearance(&self, table: &PlannerTable) -> Result<Clearance, ScenarioError> {
-        let least = |key: &str, value, default| self.number(key, value, default, 0.0..=1e6);
+        let least = |key: &str, value, default| self.number(key, value, default, CLEARANCE);
         // Who asks for one measure does not get the default of the other on top.
         let stand_off_m = if table.stand_off_sigma.is_some() { 0.0 } else { defaults::STAND_OFF_M };
         Ok(Clearance {

@@ -1,0 +1,32 @@
+//! Bounds on what people and programs give: they keep every later product and quotient finite.
+
+use std::ops::RangeInclusive;
+
+/// A coordinate of a place, m.
+pub const COORDINATE: RangeInclusive<f64> = -1e8..=1e8;
+/// An entry of a target's state.
+pub const STATE: RangeInclusive<f64> = -1e8..=1e8;
+/// Length of a time step, s.
+pub const DT_S: RangeInclusive<f64> = 1e-4..=1e4;
+/// A speed limit, m/s.
+pub const SPEED_MPS: RangeInclusive<f64> = 0.0..=1e5;
+/// Standard deviation of a range, m.
+pub const STD_M: RangeInclusive<f64> = 1e-4..=1e5;
+/// Spectral density of a target's noise.
+pub const NOISE_PSD: RangeInclusive<f64> = 0.0..=1e9;
+/// A variance.
+pub const VARIANCE: RangeInclusive<f64> = 1e-9..=1e12;
+/// Any entry of a matrix.
+pub const MATRIX_ENTRY: RangeInclusive<f64> = -1e12..=1e12;
+/// Least eigenvalue of a covariance, relative to its largest entry: below it, inverses are noise.
+pub const RELATIVE_EIGENVALUE_MIN: f64 = 1e-13;
+/// Silence after which a robot is left out, s.
+pub const PATIENCE_S: RangeInclusive<f64> = 1e-3..=1e6;
+/// Bias of a range sensor, m.
+pub const BIAS_M: RangeInclusive<f64> = -1e5..=1e5;
+/// Scale error of a range sensor.
+pub const SCALE: RangeInclusive<f64> = -0.9..=10.0;
+/// A distance to keep, m or standard deviations.
+pub const CLEARANCE: RangeInclusive<f64> = 0.0..=1e6;
+/// Most time steps of a run.
+pub const TICKS_MAX: u64 = 1_000_000_000;

@@ -1,0 +1,273 @@
+//! One line in, one line out: a problem and its answer, without I/O.
+
+use std::fmt::Display;
+use std::ops::RangeInclusive;
+use std::time::Instant;
+
+use nalgebra::Matrix2;
+use rangehound_fusion::planner::{self, Plan, Planner, Problem, TeamMember, Vector, certified};
+use rangehound_shared::ROBOTS_MAX;
+use rangehound_shared::matrix::Matrix;
+use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
+use serde::Serialize;
+
+use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
+
+/// Longest complaint, in characters: what it quotes may be as long as a line.
+const COMPLAINT_CHARS_MAX: usize = 300;
+
+/// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
+#[derive(Debug)]
+pub struct Desk {
+    table: PlannerTable,
+    seed: u64,
+    kept: Vec<Kept>,
+    team: Vec<TeamMember>,
+    problem: Problem,
+    plan: Plan,
+}
+
+/// A planner and the team size that it was made for.
+#[derive(Debug)]
+struct Kept {
+    spec: PlannerSpec,
+    robots: usize,
+    planner: Box<dyn Planner>,
+}
+
+/// The answer to a problem.
+#[derive(Debug, Serialize)]
+struct Answer<'a> {
+    planner: &'static str,
+    headings_rad: &'a [f64],
+    speeds_mps: &'a [f64],
+    objective: f64,
+    lower_bound: f64,
+    certified: bool,
+    position_trace_m2: f64,
+    plan_us: f64,
+}
+
+/// A problem that has been checked.
+#[derive(Debug)]
+struct Step {
+    covariance_m2: Matrix2<f64>,
+    target_m: Vector,
+    time_step_s: f64,
+    spec: PlannerSpec,
+    clearance: Clearance,
+}
+
+impl Desk {
+    /// Answers with the planner of this table unless a line names another. Of the table's keys those
+    /// that a line has are ignored.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] if the table makes no sense.
+    pub fn new(table: PlannerTable, seed: u64) -> Result<Self, ScenarioError> {
+        PlannerSpec::from_table(&table, "command line")?;
+        let kept = Vec::new();
+        Ok(Self { table, seed, kept, team: Vec::new(), problem: Problem::default(), plan: Plan::default() })
+    }
+
+    /// Appends the answer to this line, itself one line; if the line makes no sense its answer says why,
+    /// as does the value.
+    ///
+    /// But for `plan_us` the answer is a function of the arguments: the random planner takes the line's
+    /// number for the tick.
+    pub fn answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Option<String> {
+        let problem = self.try_answer(number, line, answer).err().map(|problem| one_short_line(&problem))?;
+        refuse(number, &problem, answer);
+        Some(problem)
+    }
+
+    fn try_answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Result<(), String> {
+        let step = self.check(&ProblemLine::parse(line)?)?;
+        let robots = self.team.len();
+        let kept = kept_planner(&mut self.kept, step.spec, robots, self.seed)?;
+        let began = Instant::now();
+        let team = self.team.iter().copied();
+        self.problem.pose(&step.covariance_m2, step.target_m, step.time_step_s, &step.clearance, team);
+        kept.planner.plan(number, &self.problem, &mut self.plan);
+        let plan_us = began.elapsed().as_nanos() as f64 / 1e3;
+
+        let (problem, plan) = (&self.problem, &mut self.plan);
+        if !matches!(step.spec, PlannerSpec::Certified { .. }) {
+            plan.lower_bound = hull_bound(problem).min(plan.objective);
+        }
+        let position_trace_m2 = position_trace_m2(&step.covariance_m2, problem, &plan.directions);
+        let numbers = [plan.objective, plan.lower_bound, position_trace_m2];
+        if !numbers.iter().chain(&plan.headings_rad).chain(&plan.speeds_mps).all(|number| number.is_finite()) {
+            return Err("expected numbers whose products are finite, got others".to_owned());
+        }
+        let answered = Answer {
+            planner: step.spec.name(),
+            headings_rad: &plan.headings_rad,
+            speeds_mps: &plan.speeds_mps,
+            objective: plan.objective,
+            lower_bound: plan.lower_bound,
+            certified: plan.is_certified(problem),
+            position_trace_m2,
+            plan_us,
+        };
+        write_line(&answered, answer);
+        Ok(())
+    }
+
+    /// Checks every value; leaves the robots in `self.team`.
+    fn check(&mut self, raw: &ProblemLine) -> Result<Step, String> {
+        let covariance_m2 = covariance(raw.prior_position_covariance)?;
+        let target_m = place("target", raw.target)?;
+        let time_step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
+        let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "nothing"))?;
+        self.team.clear();
+        for (i, Object(robot)) in robots.iter().enumerate() {
+            self.team.push(member(robot).map_err(|problem| format!("robots[{i}].{problem}"))?);
+        }
+        let mut table = self.table.clone();
+        if let Some(name) = &raw.planner {
+            table.name = Some(name.clone());
+        }
+        // Without the key there is no stand-off, unlike in a scenario.
+        table.stand_off_m = Some(raw.stand_off_m.map_or(0.0, |Number(value)| value));
+        table.stand_off_sigma = raw.stand_off_sigma.map(|Number(value)| value);
+        table.separation_m = raw.separation_m.map(|Number(value)| value);
+        let spec = PlannerSpec::from_table(&table, "").map_err(of_line)?;
+        let clearance = Clearance::from_table(&table, "").map_err(of_line)?;
+        if clearance.separation_m > 0.0 && robots.len() > ROBOTS_MAX {
+            let none = format!("0 in a team of more than {ROBOTS_MAX} robots");
+            return Err(expected("separation_m", none, format!("{} with {}", clearance.separation_m, robots.len())));
+        }
+        Ok(Step { covariance_m2, target_m, time_step_s, spec, clearance })
+    }
+}
+
+/// Appends the answer to a line that makes no sense.
+pub fn refuse(line: u64, error: &str, answer: &mut Vec<u8>) {
+    #[derive(Serialize)]
+    struct Refusal<'a> {
+        line: u64,
+        error: &'a str,
+    }
+    write_line(&Refusal { line, error }, answer);
+}
+
+fn write_line(value: &impl Serialize, answer: &mut Vec<u8>) {
+    // Structs of numbers and texts always have a JSON, and a vector takes it.
+    let _ = serde_json::to_writer(&mut *answer, value);
+    answer.push(b'\n');
+}
+
+/// The planner of the line before if it serves this team, else a new one in its place.
+fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u64) -> Result<&mut Kept, String> {
+    let at = kept.iter().position(|known| known.spec == spec).unwrap_or(kept.len());
+    if kept.get(at).is_none_or(|known| known.robots != robots) {
+        let planner = planner::for_team(spec, robots, seed).map_err(|error| error.to_string())?;
+        let fresh = Kept { spec, robots, planner };
+        match kept.get_mut(at) {
+            Some(known) => *known = fresh,
+            None => kept.push(fresh),
+        }
+    }
+    Ok(&mut kept[at])
+}
+
+/// The bound that holds whatever a planner proves, with room for what its sums have rounded away.
+fn hull_bound(problem: &Problem) -> f64 {
+    let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * problem.lambda_sum();
+    (certified::hull_bound(problem) - rounding).max(0.0)
+}
+
+/// `tr(P+_11) = 4 T / ((T - |S|) (T + |S|))` with `T - |S|` as a sum of positive terms: where one
+/// direction is known far better than the other, the difference itself would be nothing but rounding.
+fn position_trace_m2(covariance_m2: &Matrix2<f64>, problem: &Problem, directions: &[Vector]) -> f64 {
+    let p = covariance_m2;
+    let sum = problem.sum(directions);
+    let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
+    // The axis along which most is known; across it, A = adj(P) / |P| has e^T P e / |P|.
+    let e = along.halved();
+    let variance = e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)];
+    let least = 2.0 * variance / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)]);
+    // 1 - u . s = |u - s|^2 / 2.
+    let least = problem
+        .arms()
+        .iter()
+        .zip(directions)
+        .fold(least, |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared());
+    let length = sum.norm();
+    4.0 * (least + length) / (least * (least + 2.0 * length))
+}
+
+fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> {
+    let key = "prior_position_covariance";
+    let Some(Pair([Pair([Number(xx), Number(xy)]), Pair([Number(yx), Number(yy)])])) = rows else {
+        return Err(expected(key, "two rows of two numbers", "nothing"));
+    };
+    for variance in [xx, yy] {
+        number(key, Some(Number(variance)), bounds::VARIANCE)?;
+    }
+    for entry in [xy, yx] {
+        number(key, Some(Number(entry)), bounds::MATRIX_ENTRY)?;
+    }
+    let minimum = Matrix::from_rows(&[vec![xx, xy], vec![yx, yy]]).and_then(|matrix| matrix.relative_min_eigenvalue());
+    match minimum {
+        Some(minimum) if minimum > bounds::RELATIVE_EIGENVALUE_MIN => {}
+        Some(_) => return Err(expected(key, "a positive definite matrix", "an indefinite or singular one")),
+        None => return Err(expected(key, "a symmetric matrix", "an asymmetric one")),
+    }
+    let across = 0.5 * (xy + yx);
+    Ok(Matrix2::new(xx, across, across, yy))
+}
+
+fn member(robot: &RobotLine) -> Result<TeamMember, String> {
+    Ok(TeamMember {
+        position_m: place("position", robot.position)?,
+        max_speed_mps: number("max_speed", robot.max_speed, bounds::SPEED_MPS)?,
+        range_std_m: number("range_std", robot.range_std, bounds::STD_M)?,
+    })
+}
+
+fn place(key: &str, pair: Option<Pair<Number>>) -> Result<Vector, String> {
+    let Pair([x, y]) = pair.ok_or_else(|| expected(key, "a list of two numbers", "nothing"))?;
+    Ok(Vector::new(number(key, Some(x), bounds::COORDINATE)?, number(key, Some(y), bounds::COORDINATE)?))
+}
+
+fn number(key: &str, value: Option<Number>, bounds: RangeInclusive<f64>) -> Result<f64, String> {
+    let what = || format!("a number from {} to {}", bounds.start(), bounds.end());
+    match value {
+        Some(Number(value)) if bounds.contains(&value) => Ok(value),
+        Some(Number(value)) => Err(expected(key, what(), value)),
+        None => Err(expected(key, what(), "nothing")),
+    }
+}
+
+fn expected(key: &str, expected: impl Display, got: impl Display) -> String {
+    format!("{key}: expected {expected}, got {got}")
+}
+
+/// A complaint of the scenario's checks, in the keys of a line.
+fn of_line(error: ScenarioError) -> String {
+    match error {
+        ScenarioError::Senseless { key, expected: what, got, .. } => {
+            let key = if key == "planner.name" { "planner" } else { key.trim_start_matches("planner.") };
+            expected(key, what, got)
+        }
+        other => other.to_string(),
+    }
+}
+
+/// No line break and no end of it, whatever has been quoted.
+fn one_short_line(problem: &str) -> String {
+    let mut short = String::new();
+    for (count, character) in problem.chars().enumerate() {
+        if count == COMPLAINT_CHARS_MAX {
+            short.push_str("...");
+            break;
+        }
+        if character.is_control() { short.extend(character.escape_default()) } else { short.push(character) }
+    }
+    short
+}
+
+#[cfg(test)]
+mod tests;

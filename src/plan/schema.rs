@@ -1,0 +1,164 @@
+//! The keys of a problem, and what is said of a line that does not have them.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
+
+/// A line as it is written: types right, values unchecked.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ProblemLine {
+    #[serde(default, deserialize_with = "given")]
+    pub prior_position_covariance: Option<Pair<Pair<Number>>>,
+    #[serde(default, deserialize_with = "given")]
+    pub target: Option<Pair<Number>>,
+    #[serde(default, deserialize_with = "given")]
+    pub time_step_s: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub robots: Option<Vec<Object<RobotLine>>>,
+    #[serde(default, deserialize_with = "given")]
+    pub stand_off_m: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub stand_off_sigma: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub separation_m: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub planner: Option<String>,
+}
+
+/// One of `robots`.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RobotLine {
+    #[serde(default, deserialize_with = "given")]
+    pub position: Option<Pair<Number>>,
+    #[serde(default, deserialize_with = "given")]
+    pub max_speed: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub range_std: Option<Number>,
+}
+
+/// `null` is not the same as no key: some programs write it for NaN.
+fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
+    T::deserialize(deserializer).map(Some)
+}
+
+impl ProblemLine {
+    /// Reads a line, or says in one line what it should have been.
+    pub(super) fn parse(line: &[u8]) -> Result<Self, String> {
+        let text = std::str::from_utf8(line)
+            .map_err(|error| format!("column {}: expected UTF-8, got other bytes", error.valid_up_to() + 1))?;
+        match serde_json::from_str(text) {
+            Ok(Object(problem)) => Ok(problem),
+            // Only the second reading keeps book of where it is.
+            Err(error) => Err(complaint(text, &error)),
+        }
+    }
+}
+
+fn complaint(text: &str, error: &serde_json::Error) -> String {
+    let mut deserializer = serde_json::Deserializer::from_str(text);
+    let tracked = serde_path_to_error::deserialize::<_, Object<ProblemLine>>(&mut deserializer);
+    let place = match tracked {
+        Err(tracked) if tracked.path().iter().next().is_some() => format!("{}: ", tracked.path()),
+        _ => String::new(),
+    };
+    let said = error.to_string();
+    let said = said.rsplit_once(" at line ").map_or(said.as_str(), |(said, _)| said);
+    if said.starts_with("number out of range") {
+        format!("{place}expected a finite number, got one out of range")
+    } else if !error.is_data() {
+        format!("{place}expected valid JSON, got at column {}: {said}", error.column())
+    } else if said.starts_with("duplicate field") {
+        format!("{place}expected each key once, got a {said}")
+    } else {
+        format!("{place}{}", said.replace("a sequence", "a list"))
+    }
+}
+
+/// A JSON number.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Number(pub f64);
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader;
+        impl Visitor<'_> for Reader {
+            type Value = Number;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a number")
+            }
+            fn visit_f64<E: Error>(self, value: f64) -> Result<Number, E> {
+                Ok(Number(value))
+            }
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Number, E> {
+                Ok(Number(value as f64))
+            }
+            fn visit_u64<E: Error>(self, value: u64) -> Result<Number, E> {
+                Ok(Number(value as f64))
+            }
+        }
+        deserializer.deserialize_f64(Reader)
+    }
+}
+
+/// What a [`Pair`] is made of.
+pub(super) trait Element {
+    /// What a pair of them is called.
+    const PAIR: &'static str;
+}
+
+impl Element for Number {
+    const PAIR: &'static str = "a list of two numbers";
+}
+
+impl Element for Pair<Number> {
+    const PAIR: &'static str = "a list of two rows of two numbers";
+}
+
+/// A list of two.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pair<T>(pub [T; 2]);
+
+impl<'de, T: Deserialize<'de> + Element> Deserialize<'de> for Pair<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de> + Element> Visitor<'de> for Reader<T> {
+            type Value = Pair<T>;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str(T::PAIR)
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Pair<T>, A::Error> {
+                let first = list.next_element()?.ok_or_else(|| Error::invalid_length(0, &self))?;
+                let second = list.next_element()?.ok_or_else(|| Error::invalid_length(1, &self))?;
+                match list.next_element::<IgnoredAny>()? {
+                    None => Ok(Pair([first, second])),
+                    Some(_) => Err(Error::invalid_length(3, &self)),
+                }
+            }
+        }
+        deserializer.deserialize_seq(Reader(PhantomData))
+    }
+}
+
+/// A JSON object and nothing else: the derived structs alone would take a list of their values too.
+#[derive(Debug)]
+pub(super) struct Object<T>(pub T);
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader<T>(PhantomData<T>);
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Reader<T> {
+            type Value = Object<T>;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("a JSON object")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Object<T>, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map)).map(Object)
+            }
+        }
+        deserializer.deserialize_map(Reader(PhantomData))
+    }
+}
