@@ -79,9 +79,12 @@ pub struct ExperimentArgs {
     /// What starts the next tick: wall time, or all answers
     #[arg(long)]
     pub clock: Option<ClockArg>,
-    /// How headings are chosen: adaptive, standard, grid or random
+    /// How headings are chosen: certified, adaptive, standard, grid, greedy, pursue or random
     #[arg(long, value_name = "NAME")]
     pub planner: Option<String>,
+    /// Least distance of the robots to the predicted target, m
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub stand_off: Option<f64>,
     /// Silence after which lock step goes on without a robot: seconds or "forever"
     #[arg(long, value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub patience: Option<PatienceKey>,

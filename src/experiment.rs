@@ -123,6 +123,9 @@ fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), F
     if args.planner.is_some() {
         file.planner.get_or_insert_with(PlannerTable::default).name.clone_from(&args.planner);
     }
+    if args.stand_off.is_some() {
+        file.planner.get_or_insert_with(PlannerTable::default).stand_off_m = args.stand_off;
+    }
     let clock = args.clock.map(|clock| match clock {
         ClockArg::Realtime => "realtime".to_owned(),
         ClockArg::Lockstep => "lockstep".to_owned(),

@@ -1,9 +1,5 @@
 //! What a user types: every mistake is told in one line, before anything is made.
 
-use std::path::Path;
-
-use rangehound_shared::scenario::{Scenario, ScenarioFile};
-
 use crate::support::{Outcome, Run};
 
 /// What a folder holds, but for the captured output.
@@ -248,12 +244,6 @@ fn the_printed_scenario_is_the_default_and_runs() {
     let run = Run::new();
     let printed = run.start(&["scenario"]).finish().succeeded();
     assert_eq!(printed.stderr, "");
-    let check = |text: &str| {
-        let file = ScenarioFile::parse(text, "test").unwrap();
-        Scenario::from_file(&file, "test", Path::new("")).unwrap()
-    };
-    assert_eq!(check(&printed.stdout), check(""));
-
     run.write("mine.toml", &printed.stdout);
     run.command("run mine.toml --in-process --ticks 5").finish().succeeded();
     let default = Run::new();

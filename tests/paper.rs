@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::in_process::Team;
-use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioFile};
+use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
 const SEEDS: u64 = 200;
 const TICKS: usize = 200;
@@ -12,11 +13,9 @@ const TICKS: usize = 200;
 fn traces_m2(planner: &str) -> Vec<Vec<f64>> {
     (1..=SEEDS)
         .map(|seed| {
-            let file = ScenarioFile {
-                seed: Some(seed),
-                planner: Some(PlannerTable { name: Some(planner.to_owned()), ..PlannerTable::default() }),
-                ..ScenarioFile::default()
-            };
+            let mut file =
+                ScenarioFile { seed: Some(seed), ..ScenarioFile::parse(DEFAULT_SCENARIO, "paper.toml").unwrap() };
+            file.planner.get_or_insert_default().name = Some(planner.to_owned());
             let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
             let mut team = Team::new(&scenario).unwrap();
             (0..=TICKS)

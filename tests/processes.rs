@@ -24,8 +24,8 @@ fn twenty_runs_and_one_process_give_one_digest_and_another_seed_another() {
 }
 
 #[test]
-fn teams_of_every_size_and_both_relaxations_do_as_one_process_does() {
-    for planner in ["adaptive", "standard"] {
+fn teams_of_every_size_and_every_planner_do_as_one_process_does() {
+    for planner in ["adaptive", "standard", "certified --stand-off 2"] {
         for (robots, ticks) in [(1, 100), (3, 100), (10, 50), (32, 20)] {
             let words = format!("--robots {robots} --ticks {ticks} --planner {planner}");
             let run = Run::new();

@@ -14,6 +14,9 @@ use super::vector::Vector;
 /// the speed given away at worst, is 0.2 % less.
 const DISC_CORNERS: usize = 48;
 
+/// A place this near to the predicted target, in steps, is on it but for rounding.
+const ON_TARGET: f64 = 1e-9;
+
 /// One robot's next step in the plane.
 ///
 /// Bearings are written as offsets from the line of sight; a place after the step is named by its
@@ -145,7 +148,10 @@ impl Reach {
     /// stand-off, on this side of the target if it can be; the farthest if none does.
     fn clear_of_target(&self, near_m: f64, far_m: f64) -> f64 {
         let s = self.stand_off_m;
-        if s == 0.0 || near_m >= s {
+        if s == 0.0 && near_m.abs() <= ON_TARGET * self.step_m {
+            // On the target there is no bearing.
+            far_m
+        } else if s == 0.0 || near_m >= s {
             near_m
         } else if far_m >= s {
             s
@@ -476,6 +482,14 @@ mod tests {
         let other_end = sight_after(&reach, (Vector::from_angle(0.2 + PI - xi.asin()), 10.0));
         assert!(bearing.cross(other_end).abs() < 1e-12, "the other solution is a solution");
         assert!(end_m < other_end.norm());
+    }
+
+    #[test]
+    fn a_robot_exactly_one_step_away_does_not_end_on_the_target() {
+        let reach = reach(1.0, 0.0, 10.0, 0.0);
+        let direction = Vector::from_angle(0.7);
+        let sight_m = sight_after(&reach, reach.motion(direction, &[]));
+        assert!((sight_m.normalised().unwrap().doubled() - direction).norm() < 1e-9, "{sight_m:?}");
     }
 
     #[test]

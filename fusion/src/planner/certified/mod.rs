@@ -1,7 +1,7 @@
 //! The global optimum of (25) under (26), with a certificate.
 //!
 //! The task is to find, in a Minkowski sum of arcs, the point nearest the origin. It is solved by
-//! branch and bound: each node restricts some robots to parts of their arcs, [`bound`] bounds `|S|`
+//! branch and bound: each node restricts some robots to parts of their arcs, [`hull_bound`] bounds `|S|`
 //! from below over the convex hulls of what is left, and the hull's nearest point names the robot whose
 //! arc to split next. `docs/certified.md` has the proofs.
 
@@ -44,7 +44,7 @@ impl Planner for Certified {
         "certified"
     }
 
-    fn plan(&mut self, tick: u64, problem: &Problem, plan: &mut Plan) {
+    fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
         plan.directions.clear();
         plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
         if !best_of_free(problem.prior, &problem.arms, &mut plan.directions) {
@@ -53,7 +53,6 @@ impl Planner for Certified {
         let lower_bound = self.search.improve(problem, &mut plan.directions);
         plan.complete(problem);
         plan.lower_bound = lower_bound.min(plan.objective);
-        let _ = tick;
     }
 }
 
