@@ -95,8 +95,7 @@ impl Desk {
         if !matches!(step.spec, PlannerSpec::Certified { .. }) {
             plan.lower_bound = hull_bound(problem).min(plan.objective);
         }
-        let position_trace_m2 = position_trace_m2(&step.covariance_m2, problem, &plan.directions);
-        let numbers = [plan.objective, plan.lower_bound, position_trace_m2];
+        let numbers = [plan.objective, plan.lower_bound, plan.position_trace_m2];
         if !numbers.iter().chain(&plan.headings_rad).chain(&plan.speeds_mps).all(|number| number.is_finite()) {
             return Err("expected numbers whose products are finite, got others".to_owned());
         }
@@ -107,7 +106,7 @@ impl Desk {
             objective: plan.objective,
             lower_bound: plan.lower_bound,
             certified: plan.is_certified(problem),
-            position_trace_m2,
+            position_trace_m2: plan.position_trace_m2,
             plan_us,
         };
         write_line(&answered, answer);
@@ -176,26 +175,6 @@ fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u6
 fn hull_bound(problem: &Problem) -> f64 {
     let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * problem.lambda_sum();
     (certified::hull_bound(problem) - rounding).max(0.0)
-}
-
-/// `tr(P+_11) = 4 T / ((T - |S|) (T + |S|))` with `T - |S|` as a sum of positive terms: where one
-/// direction is known far better than the other, the difference itself would be nothing but rounding.
-fn position_trace_m2(covariance_m2: &Matrix2<f64>, problem: &Problem, directions: &[Vector]) -> f64 {
-    let p = covariance_m2;
-    let sum = problem.sum(directions);
-    let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
-    // The axis along which most is known; across it, A = adj(P) / |P| has e^T P e / |P|.
-    let e = along.halved();
-    let variance = e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)];
-    let least = 2.0 * variance / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)]);
-    // 1 - u . s = |u - s|^2 / 2.
-    let least = problem
-        .arms()
-        .iter()
-        .zip(directions)
-        .fold(least, |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared());
-    let length = sum.norm();
-    4.0 * (least + length) / (least * (least + 2.0 * length))
 }
 
 fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> {

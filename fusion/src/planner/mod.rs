@@ -113,7 +113,7 @@ impl Plan {
     fn value(&mut self, problem: &Problem) {
         self.objective = problem.sum(&self.directions).norm();
         self.lower_bound = 0.0;
-        self.position_trace_m2 = problem.position_trace_m2(self.objective);
+        self.position_trace_m2 = problem.position_trace_of_m2(&self.directions);
     }
 
     /// True if the bound proves that no other headings are better by more than a billionth of the sum of

@@ -28,6 +28,7 @@ pub struct TeamMember {
 pub struct Problem {
     pub(super) prior: Vector,
     pub(super) information_trace: f64,
+    covariance_m2: Matrix2<f64>,
     pub(super) arms: Vec<Arm>,
     pub(super) reaches: Vec<Reach>,
     /// Corners of the cells that neighbours leave to robots, m.
@@ -41,8 +42,12 @@ impl Problem {
     /// directions and no headings.
     #[must_use]
     pub fn of_arms(prior: Vector, arms: Vec<Arm>) -> Self {
-        let lambda_sum = arms.iter().fold(prior.norm(), |sum, arm| sum + arm.lambda);
-        Self { prior, information_trace: lambda_sum, arms, ..Self::default() }
+        // Any information with this difference of its eigenvalues; here the lesser one is 1.
+        let trace = prior.norm() + 2.0;
+        let adjugate = Matrix2::new(trace - prior.x, -prior.y, -prior.y, trace + prior.x) * 0.5;
+        let covariance_m2 = adjugate / (prior.norm() + 1.0);
+        let information_trace = arms.iter().fold(trace, |sum, arm| sum + arm.lambda);
+        Self { prior, information_trace, covariance_m2, arms, ..Self::default() }
     }
 
     /// Poses the problem for one step, reusing this value's memory.
@@ -63,6 +68,7 @@ impl Problem {
         // A = adj(P) / |P|.
         self.prior = Vector::new((p[(1, 1)] - p[(0, 0)]) * scale, -2.0 * p[(0, 1)] * scale);
         self.information_trace = (p[(0, 0)] + p[(1, 1)]) * scale;
+        self.covariance_m2 = *p;
         self.arms.clear();
         self.reaches.clear();
         self.corners_m.clear();
@@ -159,6 +165,24 @@ impl Problem {
         4.0 * t / ((t - objective) * (t + objective))
     }
 
+    /// [`Self::position_trace_m2`] of these directions, with `T - |S|` as a sum of positive terms: where one
+    /// direction is known far better than the other, the difference itself is nothing but rounding.
+    #[must_use]
+    pub(super) fn position_trace_of_m2(&self, directions: &[Vector]) -> f64 {
+        let p = &self.covariance_m2;
+        let sum = self.sum(directions);
+        let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
+        // The axis along which most is known; across it, A = adj(P) / |P| has e^T P e / |P|.
+        let e = along.halved();
+        let variance_m2 = e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)];
+        let prior = 2.0 * variance_m2 / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)]);
+        // 1 - u . s = |u - s|^2 / 2.
+        let arms = self.arms.iter().zip(directions);
+        let least = arms.fold(prior, |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared());
+        let length = sum.norm();
+        4.0 * (least + length) / (least * (least + 2.0 * length))
+    }
+
     /// Largest eigenvalue of `P+_11`, `2 / (T - |S|)`, m^2: grows with `|S|` as the trace does, so
     /// both criteria have the same solution.
     #[must_use]
@@ -198,6 +222,7 @@ mod tests {
             let posterior = inverse(information);
             let objective = problem.sum(&directions).norm();
             let trace = problem.position_trace_m2(objective);
+            prop_assert!((problem.position_trace_of_m2(&directions) / trace - 1.0).abs() < 1e-9);
             prop_assert!((trace / posterior.trace() - 1.0).abs() < 1e-8, "{trace} {}", posterior.trace());
             let largest = posterior.symmetric_eigenvalues().max();
             prop_assert!((problem.max_eigenvalue_m2(objective) / largest - 1.0).abs() < 1e-8);
