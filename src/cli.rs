@@ -24,6 +24,7 @@ const EXAMPLES: &str = "Examples:
   rangehound run --clock lockstep --robots 10    ten robots, as fast as the processes can
   rangehound scenario > mine.toml                a scenario file to start from
   rangehound track ranges.csv --range-std 0.12   recorded ranges through the same processes
+  rangehound compare --robots 5                  all planners on the same 1000 targets, with pictures
 
 Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or bad input.";
 
@@ -46,6 +47,8 @@ pub enum Command {
     Scenario,
     /// Track recorded ranges: the same processes, one robot process for each sensor
     Track(TrackArgs),
+    /// Compare the planners: many runs of each in this one process, a table and pictures
+    Compare(CompareArgs),
 }
 
 /// `run`.
@@ -225,6 +228,47 @@ makes no sense is answered by {\"line\":N,\"error\":\"..\"}, told on standard er
 count from 1, blank ones are skipped. Answers come at once when no more input is there.
 
 Exit codes: 0 done, 1 failed while running, 2 bad usage or a line that makes no sense.";
+
+/// `compare`.
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// The same as a flag
+    #[arg(long = "scenario", value_name = "FILE", conflicts_with = "scenario")]
+    pub scenario_flag: Option<PathBuf>,
+    /// Planners to compare, separated by commas: certified, adaptive, standard, greedy, pursue, random,
+    /// and grid, which is for small teams only
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        default_value = "certified,adaptive,standard,greedy,pursue,random"
+    )]
+    pub planners: Vec<String>,
+    /// Runs of each planner; run i has the same target, noise and prior for all planners
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1_000)]
+    pub runs: u64,
+    /// Time steps of a run
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 300)]
+    pub ticks: u64,
+    /// Seed of the first run; each next run has the next seed [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+    /// Number of robots, all alike [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub robots: Option<u64>,
+    /// Least distance that robots keep to where the target is predicted, m; 0 as in the paper
+    /// [default: the scenario's]
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub stand_off: Option<f64>,
+    /// Threads to run on; no figure but the timings depends on it [default: one for each core]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub threads: Option<u64>,
+    /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
+    #[arg(long, value_name = "DIR", default_value = "runs/compare")]
+    pub out: PathBuf,
+}
 
 /// A value for all sensors, or for one: `0.1` or `105=0.1`.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -43,18 +43,7 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
-        let (mut file, file_name, folder) = match &args.scenario {
-            Some(path) => {
-                let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-                (ScenarioFile::read(path).map_err(Failure::input)?, path.display().to_string(), folder)
-            }
-            None => {
-                let file = ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?;
-                // Of the default nothing can be wrong but what the command line puts over it.
-                (file, "command line".to_owned(), PathBuf::new())
-            }
-        };
-        override_with(&mut file, args)?;
+        let Given { file, file_name, folder } = Given::from_args(args)?;
         Self::check(file, &file_name, &folder, args.name.as_ref(), naming, args.out.as_deref())
     }
 
@@ -107,6 +96,41 @@ impl Experiment {
         let out = out.map_or_else(|| Path::new(RUNS).join(name.to_string()), Path::to_owned);
         let out_dir = std::path::absolute(&out).map_err(|error| Failure::input(format!("--out: {error}")))?;
         Ok(Self { name, description: RunDescription::new(scenario, out_dir), scenario_file: file })
+    }
+}
+
+/// A scenario file with the command line's values over its own, not yet checked.
+#[derive(Debug, Clone)]
+pub struct Given {
+    /// The scenario.
+    pub file: ScenarioFile,
+    /// What to call it in errors.
+    pub file_name: String,
+    /// What paths in it are relative to.
+    pub folder: PathBuf,
+}
+
+impl Given {
+    /// The file that the user named, or the paper's experiment.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] if the file cannot be read or does not go with the flags.
+    pub fn from_args(args: &ExperimentArgs) -> Result<Self, Failure> {
+        let mut given = match &args.scenario {
+            Some(path) => Self {
+                file: ScenarioFile::read(path).map_err(Failure::input)?,
+                file_name: path.display().to_string(),
+                folder: path.parent().unwrap_or(Path::new("")).to_owned(),
+            },
+            None => Self {
+                file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
+                // Of the default nothing can be wrong but what the command line puts over it.
+                file_name: "command line".to_owned(),
+                folder: PathBuf::new(),
+            },
+        };
+        override_with(&mut given.file, args)?;
+        Ok(given)
     }
 }
 

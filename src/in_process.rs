@@ -46,6 +46,7 @@ pub struct Team {
     robots: Vec<(Sensor, Controller)>,
     reports: Vec<Option<Report>>,
     drives: Vec<Option<Drive>>,
+    planning_ns: u64,
 }
 
 /// Why a team cannot be put together.
@@ -74,6 +75,7 @@ impl Team {
             robots,
             reports: vec![None; scenario.robots.len()],
             drives: vec![None; scenario.robots.len()],
+            planning_ns: 0,
         })
     }
 
@@ -89,7 +91,9 @@ impl Team {
             *report = Some(Report { position_m: Vector::new(entry.x_m, entry.y_m), range_m });
         }
         self.centre.update(self.world.time_s(), &self.reports)?;
+        let began_ns = monotonic_ns();
         let commands = self.centre.plan();
+        self.planning_ns = monotonic_ns().saturating_sub(began_ns);
         for (id, ((drive, (_, controller)), command)) in
             self.drives.iter_mut().zip(&mut self.robots).zip(commands).enumerate()
         {
@@ -121,6 +125,12 @@ impl Team {
     #[must_use]
     pub fn centre(&self) -> &Centre {
         &self.centre
+    }
+
+    /// How long [`Centre::plan`] took at the present tick, ns.
+    #[must_use]
+    pub fn planning_ns(&self) -> u64 {
+        self.planning_ns
     }
 
     /// What the robots drive after the present tick.

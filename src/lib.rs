@@ -12,12 +12,17 @@
 //! | [`watch`] | progress of a run, as an observer sees it |
 //! | [`plan`] | one step per JSON line, for programs of any language |
 //! | [`in_process`] | the same steps composed in one process |
+//! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`report`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
+//! | [`chart`], [`field`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
 
+pub mod chart;
 pub mod cli;
+pub mod compare;
 pub mod experiment;
 pub mod failure;
+pub mod field;
 pub mod in_process;
 pub mod node;
 pub mod picture;

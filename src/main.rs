@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::Failure;
-use rangehound::{node, plan, supervisor, watch};
+use rangehound::{compare, node, plan, supervisor, watch};
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
@@ -34,6 +34,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
         Command::Plan(args) => plan::plan(&args),
+        Command::Compare(args) => compare::compare(&args),
         Command::Scenario => {
             print!("{DEFAULT_SCENARIO}");
             Ok(())

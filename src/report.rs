@@ -204,10 +204,10 @@ impl Tally {
         let covariance = position_covariance(estimate);
         self.traces_m2.push(covariance.trace());
         if let Some(truth_m) = truth_m {
-            let error = Vector2::new(estimate.state[0], estimate.state[1]) - truth_m;
-            self.squared_error_m2.add(error.norm_squared());
-            if let Some(inverse) = covariance.try_inverse() {
-                self.nees.add(error.dot(&(inverse * error)) / 2.0);
+            let (squared_error_m2, nees) = position_error(estimate, truth_m);
+            self.squared_error_m2.add(squared_error_m2);
+            if let Some(nees) = nees {
+                self.nees.add(nees / 2.0);
             }
         }
     }
@@ -269,6 +269,15 @@ pub fn position_covariance(estimate: &Estimate) -> Matrix2<f64> {
     let n = (estimate.state_dim as usize).clamp(2, STATE_DIM_MAX);
     let p = &estimate.covariance;
     Matrix2::new(p[0], p[1], p[n], p[n + 1])
+}
+
+/// Squared position error, m^2, and the same normalised by the covariance (NEES, two degrees of freedom);
+/// `None` for the latter if the covariance is singular.
+#[must_use]
+pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Option<f64>) {
+    let error_m = Vector2::new(estimate.state[0], estimate.state[1]) - truth_m;
+    let inverse = position_covariance(estimate).try_inverse();
+    (error_m.norm_squared(), inverse.map(|inverse| error_m.dot(&(inverse * error_m))))
 }
 
 /// Computes the report of a run from its logs.

@@ -64,7 +64,7 @@ fn execute(experiment: Experiment, in_process: bool, keep: &Keep) -> Result<(), 
     let Experiment { name, description, .. } = &experiment;
     if in_process {
         tables::prepare_folder(&experiment)?;
-        let mut progress = Progress::new(description.scenario.ticks);
+        let mut progress = Progress::new("tick", description.scenario.ticks);
         in_process::run(description, |tick| {
             if tick > 0 && tick % 4_096 == 0 {
                 progress.show(tick, "in one process");

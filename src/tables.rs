@@ -31,15 +31,24 @@ use crate::report::{self, Truth, position_covariance};
 /// [`Failure::Input`] if the folder cannot be used.
 pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
     let out_dir = &experiment.description.out_dir;
-    let refuse = |error: &dyn std::fmt::Display| {
-        Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", out_dir.display()))
-    };
-    std::fs::create_dir_all(out_dir.join("logs")).map_err(|error| refuse(&error))?;
+    make_folder(&out_dir.join("logs"))?;
     for stale in [report::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"] {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }
     let text = experiment.scenario_file.to_toml()?;
-    std::fs::write(out_dir.join("scenario.toml"), text).map_err(|error| refuse(&error))
+    std::fs::write(out_dir.join("scenario.toml"), text).map_err(|error| not_writable(out_dir, &error))
+}
+
+/// Makes a folder for results, unless it is there.
+///
+/// # Errors
+/// [`Failure::Input`] if it cannot be made.
+pub fn make_folder(folder: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))
+}
+
+fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
+    Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", folder.display()))
 }
 
 /// Writes `estimate.csv` from fusion's log. A recording's tick 0 is left out: it comes before the

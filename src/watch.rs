@@ -42,7 +42,7 @@ impl Watch {
         Ok(Self {
             estimates: bus.subscriber()?,
             truths: bus.subscriber()?,
-            progress: Progress::new(ticks),
+            progress: Progress::new("tick", ticks),
             estimate: None,
             recent_truths: [(u64::MAX, [0.0; 2]); 8],
             latency_ns: 0,
@@ -96,19 +96,20 @@ impl Watch {
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
-    ticks: u64,
+    step: &'static str,
+    steps: u64,
     last_line: Option<Instant>,
 }
 
 impl Progress {
-    /// A display for this many ticks.
+    /// A display for so many steps; `step` is what one is called.
     #[must_use]
-    pub fn new(ticks: u64) -> Self {
-        let bar = ProgressBar::new(ticks);
-        if let Ok(style) = ProgressStyle::with_template("{bar:20} tick {pos}/{len}  {msg}") {
+    pub fn new(step: &'static str, steps: u64) -> Self {
+        let bar = ProgressBar::new(steps).with_prefix(step);
+        if let Ok(style) = ProgressStyle::with_template("{bar:20} {prefix} {pos}/{len}  {msg}") {
             bar.set_style(style);
         }
-        Self { bar, ticks, last_line: None }
+        Self { bar, step, steps, last_line: None }
     }
 
     /// Takes the bar away: what follows is the report.
@@ -116,13 +117,13 @@ impl Progress {
         self.bar.finish_and_clear();
     }
 
-    /// Shows where the run is.
-    pub fn show(&mut self, tick: u64, message: &str) {
+    /// Shows how many steps are done.
+    pub fn show(&mut self, done: u64, message: &str) {
         if std::io::stderr().is_terminal() {
-            self.bar.set_position(tick);
+            self.bar.set_position(done);
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
-            eprintln!("tick {tick}/{}  {message}", self.ticks);
+            eprintln!("{} {done}/{}  {message}", self.step, self.steps);
             self.last_line = Some(Instant::now());
         }
     }

@@ -228,6 +228,38 @@ fn values_on_the_command_line_are_refused_by_flag_or_key() {
 }
 
 #[test]
+fn comparisons_that_make_no_sense_are_refused() {
+    refused_usage(&[
+        ("compare missing.toml", &["missing.toml"]),
+        ("compare --scenario missing.toml", &["missing.toml"]),
+        ("compare --planners certified,luck", &["--planners", "luck", "adaptive"]),
+        ("compare --planners random,random", &["--planners", "random twice"]),
+        ("compare --planners=", &["--planners"]),
+        ("compare --planners grid --robots 5", &["3.200e11"]),
+        ("compare --runs 0", &["--runs"]),
+        ("compare --runs 1000000000000", &["--runs"]),
+        ("compare --runs -1", &["--runs"]),
+        ("compare --ticks 0", &["ticks"]),
+        ("compare --seed 18446744073709551615", &["--seed"]),
+        ("compare --robots 0", &["robots"]),
+        ("compare --threads 0", &["--threads"]),
+        ("compare --stand-off -1", &["stand_off_m"]),
+        ("compare --stand-off nan", &["stand_off_m"]),
+        ("compare --stand-off near", &["--stand-off"]),
+        ("compare --runs 1 --out good.csv/out", &["--out", "good.csv/out"]),
+    ]);
+}
+
+#[test]
+fn a_recording_has_nothing_to_compare() {
+    let run = Run::new();
+    run.write("recording.toml", "[recording]\nranges = \"ranges.csv\"\n");
+    let outcome = run.start(&["compare", "recording.toml"]).finish();
+    let fault = fault(&run, &["recording.toml".to_owned()], &outcome, &["recording.toml", "recording"]);
+    assert_eq!(fault, None);
+}
+
+#[test]
 fn words_that_the_tool_does_not_know_are_refused() {
     refused_usage(&[
         ("run --fast", &["--fast"]),
@@ -266,14 +298,28 @@ fn the_tool_without_a_name_numbers_its_folders() {
 #[test]
 fn help_tells_every_flag() {
     let experiment = ["--robots", "--ticks", "--seed", "--clock", "--planner", "--patience", "--name", "--out"];
-    let cases: [(&[&str], &[&str]); 8] = [
-        (&[], &["run", "sim", "fusion", "robot", "watch", "scenario", "track", "Exit codes"]),
+    let cases: [(&[&str], &[&str]); 9] = [
+        (&[], &["run", "sim", "fusion", "robot", "watch", "scenario", "track", "compare", "Exit codes"]),
         (&["run"], &["--in-process", "--write-recording"]),
         (&["sim"], &[]),
         (&["fusion"], &["--name"]),
         (&["robot"], &["--id", "--name"]),
         (&["watch"], &["--name"]),
         (&["scenario"], &["default scenario"]),
+        (
+            &["compare"],
+            &[
+                "--scenario",
+                "--planners",
+                "--runs",
+                "--ticks",
+                "--seed",
+                "--robots",
+                "--stand-off",
+                "--threads",
+                "--out",
+            ],
+        ),
         (&["track"], &["--range-std", "--accel-psd", "--range-bias", "--range-scale", "--gate", "--truth", "--out"]),
     ];
     for (command, flags) in cases {

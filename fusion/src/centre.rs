@@ -189,6 +189,12 @@ impl Centre {
         &self.commands
     }
 
+    /// What the last [`Self::plan`] chose, and what it is worth.
+    #[must_use]
+    pub fn last_plan(&self) -> &Plan {
+        &self.plan
+    }
+
     /// Time of the last tick, s.
     #[must_use]
     pub fn time_s(&self) -> f64 {

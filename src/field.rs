@@ -1,0 +1,165 @@
+//! The field seen from above: paths of target, estimate and robots, with covariance ellipses.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix2, Vector2};
+use plotters::prelude::*;
+
+use crate::chart::{self, Area, Drawn, ESTIMATE, Plane, TARGET, dash};
+
+/// Covariance ellipses along the track.
+const ELLIPSES: usize = 16;
+
+/// Teams up to this size have each robot in the legend.
+const FEW_ROBOTS: usize = 10;
+
+/// What the colours are, for a key beside several fields.
+#[must_use]
+pub fn key(robots: usize) -> Vec<(String, RGBColor)> {
+    let bodies = [("target".to_owned(), TARGET), ("estimate, 3 sigma".to_owned(), ESTIMATE)];
+    let named = if robots <= FEW_ROBOTS { robots } else { 0 };
+    bodies.into_iter().chain((0..named).map(|id| (format!("robot {id}"), chart::robot_colour(id)))).collect()
+}
+
+/// Who was where, by tick; all in m and m^2.
+#[derive(Debug, Clone, Default)]
+pub struct Paths {
+    /// Estimated positions of the target.
+    pub estimates_m: Vec<Vector2<f64>>,
+    /// Their covariances.
+    pub covariances_m2: Vec<Matrix2<f64>>,
+    /// True positions of the target, where they are known.
+    pub truths_m: Vec<Option<Vector2<f64>>>,
+    /// A path for each robot.
+    pub robots_m: Vec<Vec<Vector2<f64>>>,
+}
+
+/// A square part of the field: the same scale in both directions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Square {
+    centre: Vector2<f64>,
+    half: f64,
+}
+
+impl Square {
+    /// The least square, with a margin, that holds these places.
+    #[must_use]
+    pub fn around<'a>(places: impl IntoIterator<Item = &'a Vector2<f64>>) -> Self {
+        let none = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
+        let (low, high) = places.into_iter().fold(none, |(low, high), place| (low.inf(place), high.sup(place)));
+        if low.x > high.x {
+            return Self { centre: Vector2::zeros(), half: 1.0 };
+        }
+        Self { centre: (low + high) * 0.5, half: ((high - low).amax() * 0.54).max(1.0) }
+    }
+
+    fn ranges(&self) -> (Range<f64>, Range<f64>) {
+        let range = |middle: f64| middle - self.half..middle + self.half;
+        (range(self.centre.x), range(self.centre.y))
+    }
+
+    /// The pieces of a path that lie inside: the backend does not clip.
+    fn pieces(&self, path: impl IntoIterator<Item = (f64, f64)>) -> Vec<Vec<(f64, f64)>> {
+        let mut pieces = vec![Vec::new()];
+        for (x, y) in path {
+            if (Vector2::new(x, y) - self.centre).amax() <= self.half {
+                if let Some(piece) = pieces.last_mut() {
+                    piece.push((x, y));
+                }
+            } else if pieces.last().is_some_and(|piece| !piece.is_empty()) {
+                pieces.push(Vec::new());
+            }
+        }
+        pieces
+    }
+}
+
+impl Paths {
+    /// No path yet of a team of this size.
+    #[must_use]
+    pub fn of_team(robots: usize) -> Self {
+        Self { robots_m: vec![Vec::new(); robots], ..Self::default() }
+    }
+
+    /// Where target and robots were.
+    pub fn bodies(&self) -> impl Iterator<Item = &Vector2<f64>> {
+        self.truths_m.iter().flatten().chain(self.robots_m.iter().flatten())
+    }
+
+    /// Draws them on a square of the field.
+    ///
+    /// # Errors
+    /// The backend's.
+    pub fn draw(&self, area: &Area<'_>, square: Square, caption: Option<(&str, RGBColor)>, legend: bool) -> Drawn {
+        let (x, y) = square.ranges();
+        let mut builder = ChartBuilder::on(area);
+        builder.margin(20).x_label_area_size(50).y_label_area_size(70);
+        if let Some((caption, colour)) = caption {
+            builder.caption(caption, chart::caption_font(&colour));
+        }
+        let mut chart = builder.build_cartesian_2d(x, y)?;
+        chart::draw_axes(&mut chart, "x, m", "y, m")?;
+        self.draw_robots(&mut chart, square)?;
+        self.draw_ellipses(&mut chart, square)?;
+        let estimates = square.pieces(self.estimates_m.iter().map(|p| (p.x, p.y)));
+        let mut label = Some("estimate, 3 sigma");
+        for piece in estimates {
+            let drawn = chart.draw_series(LineSeries::new(piece, ESTIMATE.stroke_width(2)))?;
+            if let Some(label) = label.take() {
+                drawn.label(label).legend(dash(ESTIMATE));
+            }
+        }
+        let truth: Vec<(f64, f64)> = self.truths_m.iter().flatten().map(|p| (p.x, p.y)).collect();
+        if let Some(end) = truth.last().copied() {
+            chart.draw_series(LineSeries::new(truth, TARGET.stroke_width(3)))?.label("target").legend(dash(TARGET));
+            chart.draw_series(std::iter::once(Circle::new(end, 9, TARGET.filled())))?;
+        }
+        if legend { chart::draw_legend(&mut chart, SeriesLabelPosition::UpperLeft) } else { Ok(()) }
+    }
+
+    fn draw_robots(&self, chart: &mut Plane<'_, '_>, square: Square) -> Drawn {
+        let few = self.robots_m.len() <= FEW_ROBOTS;
+        for (id, path) in self.robots_m.iter().enumerate() {
+            let colour = chart::robot_colour(id).mix(if few { 0.9 } else { 0.4 });
+            for piece in square.pieces(path.iter().map(|p| (p.x, p.y))) {
+                chart.draw_series(LineSeries::new(piece, colour.stroke_width(2)))?;
+            }
+            if let Some(last) = path.last() {
+                let marker = TriangleMarker::new((last.x, last.y), 12, colour.filled());
+                let drawn = chart.draw_series(std::iter::once(marker))?;
+                if few {
+                    drawn.label(format!("robot {id}")).legend(move |at| TriangleMarker::new(at, 10, colour.filled()));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The 3 sigma ellipses of some ticks.
+    fn draw_ellipses(&self, chart: &mut Plane<'_, '_>, square: Square) -> Drawn {
+        let every = self.estimates_m.len().div_ceil(ELLIPSES).max(1);
+        for (centre, covariance) in self.estimates_m.iter().zip(&self.covariances_m2).step_by(every) {
+            for piece in square.pieces(chart::ellipse(centre, covariance, 3.0)) {
+                chart.draw_series(std::iter::once(PathElement::new(piece, ESTIMATE.mix(0.5).stroke_width(2))))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_that_leaves_the_square_is_cut() {
+        let square = Square::around(&[Vector2::new(-1.0, -1.0), Vector2::new(1.0, 1.0)]);
+        let path = [(0.0, 0.0), (0.5, 0.0), (9.0, 0.0), (9.0, 9.0), (1.0, 1.0)];
+        assert_eq!(square.pieces(path), [vec![(0.0, 0.0), (0.5, 0.0)], vec![(1.0, 1.0)]]);
+    }
+
+    #[test]
+    fn nothing_is_nowhere_and_has_a_square_all_the_same() {
+        assert_eq!(Square::around(&[]).ranges(), (-1.0..1.0, -1.0..1.0));
+    }
+}
