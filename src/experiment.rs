@@ -148,7 +148,9 @@ fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), F
         file.planner.get_or_insert_with(PlannerTable::default).name.clone_from(&args.planner);
     }
     if args.stand_off.is_some() {
-        file.planner.get_or_insert_with(PlannerTable::default).stand_off_m = args.stand_off;
+        let planner = file.planner.get_or_insert_default();
+        // However the file says it.
+        (planner.stand_off_m, planner.stand_off_sigma) = (args.stand_off, None);
     }
     let clock = args.clock.map(|clock| match clock {
         ClockArg::Realtime => "realtime".to_owned(),

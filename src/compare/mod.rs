@@ -17,7 +17,7 @@ pub mod summary;
 use std::time::{Duration, Instant};
 
 use rangehound_fusion::planner;
-use rangehound_shared::scenario::{PLANNERS, PlannerTable, Scenario};
+use rangehound_shared::scenario::{PLANNERS, Scenario};
 
 use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::experiment::Given;
@@ -59,6 +59,7 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
         ticks: first.ticks,
         robots: first.robots.len(),
         stand_off_m: first.clearance.stand_off_m,
+        stand_off_sigma: first.clearance.stand_off_sigma,
         wall_s: began.elapsed().as_secs_f64(),
         anees_bounds: summary::anees_bounds(trials.runs),
         time_s: (1..=first.ticks).map(|tick| tick as f64 * first.dt_s).collect(),
@@ -75,19 +76,17 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
 
 /// What is to be run, and each planner's first scenario.
 fn checked(args: &CompareArgs) -> Result<(Trials, Vec<Scenario>), Failure> {
-    let mut given = Given::from_args(&ExperimentArgs {
+    let given = Given::from_args(&ExperimentArgs {
         scenario: args.scenario.clone().or_else(|| args.scenario_flag.clone()),
         robots: args.robots,
         ticks: Some(args.ticks),
         seed: args.seed,
+        stand_off: args.stand_off,
         ..ExperimentArgs::default()
     })?;
     if given.file.recording.is_some() {
         let problem = "recording: expected a simulated target: robots of a recording cannot be planned for";
         return Err(Failure::input(format!("{}: {problem}", given.file_name)));
-    }
-    if args.stand_off.is_some() {
-        given.file.planner.get_or_insert_with(PlannerTable::default).stand_off_m = args.stand_off;
     }
     for (index, name) in args.planners.iter().enumerate() {
         if !PLANNERS.contains(&name.as_str()) {

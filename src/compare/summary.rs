@@ -36,6 +36,8 @@ pub struct Comparison {
     pub robots: usize,
     /// Least distance of robots to the predicted target, m.
     pub stand_off_m: f64,
+    /// The same as a multiple of the square root of its position trace; the larger counts.
+    pub stand_off_sigma: f64,
     /// Wall time of the runs, s.
     pub wall_s: f64,
     /// Where the ANEES of a consistent filter lies at a tick with 95 %.
@@ -242,9 +244,13 @@ impl Spread {
 
 impl Display for Comparison {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        let Self { scenario, robots, runs, ticks, seed, stand_off_m, anees_bounds, .. } = self;
+        let Self { scenario, robots, runs, ticks, seed, stand_off_m, stand_off_sigma, anees_bounds, .. } = self;
+        let stand_off = match stand_off_sigma {
+            0.0 => format!("{stand_off_m} m"),
+            sigma => format!("{stand_off_m} m or {sigma} sigma"),
+        };
         let last_seed = seed.wrapping_add(runs.saturating_sub(1));
-        writeln!(f, "{scenario}: {robots} robots, stand-off {stand_off_m} m, {ticks} ticks, {runs} runs of each")?;
+        writeln!(f, "{scenario}: {robots} robots, stand-off {stand_off}, {ticks} ticks, {runs} runs of each")?;
         writeln!(f, "planner, with seeds {seed} to {last_seed}, in {:.1} s", self.wall_s)?;
         writeln!(f)?;
         writeln!(

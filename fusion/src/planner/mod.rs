@@ -111,9 +111,10 @@ impl Plan {
 
     /// Derives what [`Self::directions`] are worth; proves nothing.
     fn value(&mut self, problem: &Problem) {
-        self.objective = problem.sum(&self.directions).norm();
+        let sum = problem.sum(&self.directions);
+        self.objective = sum.norm();
         self.lower_bound = 0.0;
-        self.position_trace_m2 = problem.position_trace_of_m2(&self.directions);
+        self.position_trace_m2 = problem.position_trace_of_m2(&self.directions, sum);
     }
 
     /// True if the bound proves that no other headings are better by more than a billionth of the sum of

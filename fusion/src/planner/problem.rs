@@ -165,12 +165,11 @@ impl Problem {
         4.0 * t / ((t - objective) * (t + objective))
     }
 
-    /// [`Self::position_trace_m2`] of these directions, with `T - |S|` as a sum of positive terms: where one
+    /// [`Self::position_trace_m2`] of these directions, whose sum is `S`, with `T - |S|` as a sum of positive terms: where one
     /// direction is known far better than the other, the difference itself is nothing but rounding.
     #[must_use]
-    pub(super) fn position_trace_of_m2(&self, directions: &[Vector]) -> f64 {
+    pub(super) fn position_trace_of_m2(&self, directions: &[Vector], sum: Vector) -> f64 {
         let p = &self.covariance_m2;
-        let sum = self.sum(directions);
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
         // The axis along which most is known; across it, A = adj(P) / |P| has e^T P e / |P|.
         let e = along.halved();
@@ -222,7 +221,7 @@ mod tests {
             let posterior = inverse(information);
             let objective = problem.sum(&directions).norm();
             let trace = problem.position_trace_m2(objective);
-            prop_assert!((problem.position_trace_of_m2(&directions) / trace - 1.0).abs() < 1e-9);
+            prop_assert!((problem.position_trace_of_m2(&directions, problem.sum(&directions)) / trace - 1.0).abs() < 1e-9);
             prop_assert!((trace / posterior.trace() - 1.0).abs() < 1e-8, "{trace} {}", posterior.trace());
             let largest = posterior.symmetric_eigenvalues().max();
             prop_assert!((problem.max_eigenvalue_m2(objective) / largest - 1.0).abs() < 1e-8);

@@ -106,6 +106,6 @@ fn the_default_file_says_what_an_empty_one_means() {
     let of = |file: &ScenarioFile| Scenario::from_file(file, "test", Path::new("")).unwrap();
     let (paper, empty) = (of(&ScenarioFile::parse(text, "paper.toml").unwrap()), of(&ScenarioFile::default()));
     assert_eq!((paper.planner.name(), paper.clearance), ("adaptive", Clearance::default()));
-    assert_eq!((empty.planner.name(), empty.clearance.stand_off_m), ("certified", defaults::STAND_OFF_M));
+    assert_eq!((empty.planner.name(), empty.clearance.stand_off_sigma), ("certified", defaults::STAND_OFF_SIGMA));
     assert_eq!(Scenario { planner: empty.planner, clearance: empty.clearance, ..paper }, empty);
 }

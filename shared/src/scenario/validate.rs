@@ -349,10 +349,10 @@ impl Checker<'_> {
     fn clearance(&self, table: &PlannerTable) -> Result<Clearance, ScenarioError> {
         let least = |key: &str, value, default| self.number(key, value, default, CLEARANCE);
         // Who asks for one measure does not get the default of the other on top.
-        let stand_off_m = if table.stand_off_sigma.is_some() { 0.0 } else { defaults::STAND_OFF_M };
+        let stand_off_sigma = if table.stand_off_m.is_some() { 0.0 } else { defaults::STAND_OFF_SIGMA };
         Ok(Clearance {
-            stand_off_m: least("planner.stand_off_m", table.stand_off_m, stand_off_m)?,
-            stand_off_sigma: least("planner.stand_off_sigma", table.stand_off_sigma, 0.0)?,
+            stand_off_m: least("planner.stand_off_m", table.stand_off_m, 0.0)?,
+            stand_off_sigma: least("planner.stand_off_sigma", table.stand_off_sigma, stand_off_sigma)?,
             separation_m: least("planner.separation_m", table.separation_m, 0.0)?,
         })
     }
