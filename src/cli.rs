@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use clap::error::ErrorKind;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use rangehound_shared::rendezvous::RunName;
+use rangehound_shared::rendezvous::{Role, RunName};
 use rangehound_shared::scenario::PatienceKey;
+
+use crate::supervisor::restart::Rule;
 
 /// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
 /// that filters and plans, a simulator, all talking over shared memory.
@@ -43,6 +45,14 @@ pub enum Command {
     Watch(NodeArgs),
     /// Plan one step for each JSON line of a file or of standard input, for programs of any language
     Plan(PlanArgs),
+    /// Show a run: where it is, and each node's state, process and starts
+    Status(StatusArgs),
+    /// Kill a node of a run, as a crash would: its supervisor starts it again
+    Kill(RemoteNodeArgs),
+    /// End a node of a run in order and wait for its successor
+    Restart(RemoteNodeArgs),
+    /// End a run in order, as Ctrl-C in its terminal would
+    Stop(RemoteArgs),
     /// Print the default scenario file, to start one's own from
     Scenario,
     /// Track recorded ranges: the same processes, one robot process for each sensor
@@ -60,6 +70,10 @@ pub struct RunArgs {
     /// Compose the same steps in this one process, without shared memory: same estimates, same digest
     #[arg(long)]
     pub in_process: bool,
+    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
+    /// only, repeatable [default: always]
+    #[arg(long, value_name = "[KIND=]POLICY")]
+    pub restart: Vec<Rule>,
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
@@ -130,6 +144,35 @@ pub struct NodeArgs {
     pub parent: ParentArgs,
 }
 
+/// A run to act on from another terminal.
+#[derive(Debug, Args)]
+pub struct RemoteArgs {
+    /// Name of the run [default: the only one that goes on]
+    #[arg(long)]
+    pub name: Option<RunName>,
+}
+
+/// `status`.
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    /// The run
+    #[command(flatten)]
+    pub run: RemoteArgs,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `kill` and `restart`.
+#[derive(Debug, Args)]
+pub struct RemoteNodeArgs {
+    /// sim, fusion or robot-N
+    pub node: Role,
+    /// The run
+    #[command(flatten)]
+    pub run: RemoteArgs,
+}
+
 /// `robot`.
 #[derive(Debug, Args)]
 pub struct RobotArgs {
@@ -169,6 +212,10 @@ pub struct TrackArgs {
     /// Reject a range whose innovation is more than this many standard deviations
     #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
     pub gate: Option<f64>,
+    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
+    /// only, repeatable [default: always]
+    #[arg(long, value_name = "[KIND=]POLICY")]
+    pub restart: Vec<Rule>,
     /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,

@@ -27,6 +27,7 @@ pub mod in_process;
 pub mod node;
 pub mod picture;
 pub mod plan;
+pub mod remote;
 pub mod report;
 pub mod supervisor;
 pub mod tables;

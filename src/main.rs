@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::Failure;
-use rangehound::{compare, node, plan, supervisor, watch};
+use rangehound::{compare, node, plan, remote, supervisor, watch};
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
@@ -33,6 +33,10 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Fusion(args) => node::fusion(&args),
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
+        Command::Status(args) => remote::status(&args),
+        Command::Kill(args) => remote::kill(&args),
+        Command::Restart(args) => remote::restart(&args),
+        Command::Stop(args) => remote::stop(&args),
         Command::Plan(args) => plan::plan(&args),
         Command::Compare(args) => compare::compare(&args),
         Command::Scenario => {

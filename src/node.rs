@@ -24,6 +24,7 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
     };
     rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
         SimError::Rendezvous(error) => input_or_running(error),
+        error @ (SimError::Checkpoint(_) | SimError::Sealed(_)) => Failure::input(error),
         other => Failure::from(other),
     })
 }
@@ -37,6 +38,7 @@ pub fn fusion(args: &NodeArgs) -> Result<(), Failure> {
     let rendezvous = join(&args.name, &termination)?;
     rangehound_fusion::run::run(&rendezvous, &termination).map_err(|error| match error {
         FusionError::Rendezvous(error) => input_or_running(error),
+        error @ (FusionError::Checkpoint(_) | FusionError::Sealed(_)) => Failure::input(error),
         other => Failure::from(other),
     })
 }

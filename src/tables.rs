@@ -8,6 +8,7 @@
 //! | `picture.svg` | see [`crate::picture`] |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
+//! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
 use std::io::Write;
@@ -15,9 +16,10 @@ use std::path::Path;
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::Sensor;
+use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::rendezvous::{Role, RunDescription};
 use rangehound_shared::scenario::Source;
 
 use crate::experiment::Experiment;
@@ -32,7 +34,9 @@ use crate::report::{self, Truth, position_covariance};
 pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
     let out_dir = &experiment.description.out_dir;
     make_folder(&out_dir.join("logs"))?;
-    for stale in [report::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"] {
+    let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
+    let results = [report::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
+    for stale in results.into_iter().chain(checkpoints.iter().map(String::as_str)) {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }
     let text = experiment.scenario_file.to_toml()?;

@@ -4,6 +4,8 @@ use nalgebra::Vector2;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::scenario::{Clearance, Scenario, Source};
+use rangehound_shared::sealed::SealError;
+use serde::{Deserialize, Serialize};
 
 use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
 use crate::tracker::{self, Fit, Reading, Tracker};
@@ -48,10 +50,41 @@ pub struct Centre {
     planned: Vec<usize>,
     plan: Plan,
     commands: Vec<Command>,
+    tracker_bytes: Vec<u8>,
+}
+
+/// What [`Centre::restore`] needs, as it is written; [`Restored`] is the same as it is read.
+#[derive(Debug, Serialize)]
+pub struct Saved<'a> {
+    next_tick: u64,
+    time_s: f64,
+    digest: Digest,
+    fit: Fit,
+    missing: u64,
+    objective: f64,
+    lower_bound: f64,
+    bodies: &'a [Option<Body>],
+    commands: &'a [Command],
+    tracker: &'a [u8],
+}
+
+/// What a centre saved.
+#[derive(Debug, Deserialize)]
+pub struct Restored {
+    next_tick: u64,
+    time_s: f64,
+    digest: Digest,
+    fit: Fit,
+    missing: u64,
+    objective: f64,
+    lower_bound: f64,
+    bodies: Vec<Option<Body>>,
+    commands: Vec<Command>,
+    tracker: Vec<u8>,
 }
 
 /// Where a robot is believed to be.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Body {
     position_m: Vector,
     heard_at: u64,
@@ -91,7 +124,51 @@ impl Centre {
             planned: Vec::with_capacity(robots),
             plan: Plan::default(),
             commands: vec![Command::default(); robots],
+            tracker_bytes: Vec::new(),
         })
+    }
+
+    /// What [`Self::restore`] needs to go on from here, to the bit.
+    ///
+    /// # Errors
+    /// If the tracker cannot be encoded.
+    pub fn saved(&mut self) -> Result<Saved<'_>, SealError> {
+        self.tracker_bytes.clear();
+        self.tracker.save(&mut self.tracker_bytes)?;
+        Ok(Saved {
+            next_tick: self.next_tick,
+            time_s: self.time_s,
+            digest: self.digest,
+            fit: self.fit,
+            missing: self.missing,
+            objective: self.plan.objective,
+            lower_bound: self.plan.lower_bound,
+            bodies: &self.bodies,
+            commands: &self.commands,
+            tracker: &self.tracker_bytes,
+        })
+    }
+
+    /// Goes on from what a centre of the same scenario saved.
+    ///
+    /// # Errors
+    /// If it is not such.
+    pub fn restore(&mut self, restored: Restored) -> Result<(), SealError> {
+        let robots = self.bodies.len();
+        if restored.bodies.len() != robots || restored.commands.len() != robots {
+            return Err(SealError::Malformed);
+        }
+        self.tracker.restore(&restored.tracker)?;
+        self.next_tick = restored.next_tick;
+        self.time_s = restored.time_s;
+        self.digest = restored.digest;
+        self.fit = restored.fit;
+        self.missing = restored.missing;
+        self.plan.objective = restored.objective;
+        self.plan.lower_bound = restored.lower_bound;
+        self.bodies = restored.bodies;
+        self.commands = restored.commands;
+        Ok(())
     }
 
     /// The tick that [`Self::update`] takes next.

@@ -3,15 +3,18 @@
 use std::time::{Duration, Instant};
 
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{monotonic_ns, range_deadline_ns, until};
 use rangehound_shared::message::{Command, Estimate, Header, Range};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
+use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
+use serde::{Deserialize, Serialize};
 
-use crate::centre::{Centre, Diverged, Report};
+use crate::centre::{self, Centre, Diverged, Report};
 use crate::planner::{PlannerError, Vector};
 
 /// Why fusion ended early.
@@ -26,6 +29,12 @@ pub enum FusionError {
     /// The planner cannot serve the team.
     #[error(transparent)]
     Planner(#[from] PlannerError),
+    /// The state that a forerunner left cannot be used.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The same, found later.
+    #[error("the checkpoint {0}")]
+    Sealed(#[from] SealError),
     /// The filter diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
@@ -67,6 +76,7 @@ struct Fusion<'a> {
     fused: Vec<bool>,
     late: u64,
     repeat_asked: bool,
+    checkpoint: Option<Checkpoint>,
     log: Option<TickLogWriter>,
     ranges: Subscriber<Range>,
     headings: Publisher<Command>,
@@ -74,6 +84,24 @@ struct Fusion<'a> {
     bed: Bed,
     robots: Bell,
     sim: Bell,
+}
+
+/// What a fusion started again needs, as it is written; [`Restored`] is the same as it is read.
+#[derive(Serialize)]
+struct Saved<'a> {
+    centre: centre::Saved<'a>,
+    misses: &'a [u32],
+    fused: &'a [bool],
+    /// Of the last estimate.
+    late: u64,
+}
+
+#[derive(Deserialize)]
+struct Restored {
+    centre: centre::Restored,
+    misses: Vec<u32>,
+    fused: Vec<bool>,
+    late: u64,
 }
 
 /// The reports of one tick.
@@ -96,8 +124,8 @@ impl<'a> Fusion<'a> {
         let log = EstimateRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
-        rendezvous.refuse_lost_state(Role::Fusion, log.as_ref())?;
-        Ok(Self {
+        let (checkpoint, restored) = Checkpoint::of_role(rendezvous, Role::Fusion)?;
+        let mut fusion = Self {
             scenario,
             centre: Centre::new(scenario)?,
             gathering: Gathering { reports: vec![None; robots], ..Gathering::default() },
@@ -105,6 +133,7 @@ impl<'a> Fusion<'a> {
             fused: vec![false; robots],
             late: 0,
             repeat_asked: false,
+            checkpoint,
             log,
             ranges: bus.subscriber()?,
             headings: bus.publisher(robots)?,
@@ -112,7 +141,29 @@ impl<'a> Fusion<'a> {
             bed: bus.sleep_as(Sleeper::Fusion)?,
             robots: bus.bell_of(Sleeper::Robots)?,
             sim: bus.bell_of(Sleeper::Sim)?,
-        })
+        };
+        match restored {
+            Some(restored) => fusion.restore(restored)?,
+            None => rendezvous.refuse_lost_state(Role::Fusion, fusion.log.as_ref())?,
+        }
+        Ok(fusion)
+    }
+
+    /// Goes on from where a killed forerunner stopped. It may have published the last tick or not: who
+    /// missed the headings asks for them, and the log's record is written again.
+    fn restore(&mut self, restored: Restored) -> Result<(), FusionError> {
+        let Restored { centre, misses, fused, late } = restored;
+        self.centre.restore(centre)?;
+        self.misses = misses;
+        self.fused = fused;
+        let robots = self.scenario.robots.len();
+        self.misses.resize(robots, 0);
+        self.fused.resize(robots, false);
+        if let Some(last_tick) = self.centre.next_tick().checked_sub(1) {
+            log::info!("goes on after tick {last_tick}");
+            self.put_down(last_tick, Estimate { late, ..self.centre.estimate() });
+        }
+        Ok(())
     }
 
     /// When waiting for the rest of a tick ends, if it ever does: tick 0 waits for the whole team.
@@ -207,7 +258,8 @@ impl<'a> Fusion<'a> {
         Ok(())
     }
 
-    /// Update, plan, publish, put down; in that order, so that robots wait for nothing else.
+    /// Update, plan, checkpoint, publish, put down; in that order, so that robots wait for nothing else,
+    /// and nothing is published that a kill could make forget.
     fn process_tick(&mut self) -> Result<(), FusionError> {
         let tick = self.centre.next_tick();
         let began_ns = monotonic_ns();
@@ -215,16 +267,30 @@ impl<'a> Fusion<'a> {
         let updated_ns = monotonic_ns();
         self.centre.plan();
         let planned_ns = monotonic_ns();
+        for ((fused, misses), report) in self.fused.iter_mut().zip(&mut self.misses).zip(&self.gathering.reports) {
+            *fused = report.is_some();
+            *misses = if report.is_some() { 0 } else { misses.saturating_add(1) };
+        }
+        let late = std::mem::take(&mut self.late);
+        let centre = self.centre.saved()?;
+        let saved = Saved { centre, misses: &self.misses, fused: &self.fused, late };
+        Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
+
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
         self.robots.ring(Call::Data);
-
         let estimate = Estimate {
-            late: self.late,
+            late,
             filter_ns: updated_ns - began_ns,
             planner_ns: planned_ns - updated_ns,
             ..self.centre.estimate()
         };
         self.estimates.send(tick, self.centre.time_s(), &[estimate])?;
+        self.put_down(tick, estimate);
+        self.gathering.clear();
+        Ok(())
+    }
+
+    fn put_down(&mut self, tick: u64, estimate: Estimate) {
         let record = EstimateRecord { time_s: self.centre.time_s(), estimate };
         if let Some(log) = &mut self.log
             && let Err(error) = log.write(tick, record.to_words())
@@ -232,13 +298,6 @@ impl<'a> Fusion<'a> {
             log::warn!("goes on without a log: {error}");
             self.log = None;
         }
-        self.late = 0;
-        for ((fused, misses), report) in self.fused.iter_mut().zip(&mut self.misses).zip(&self.gathering.reports) {
-            *fused = report.is_some();
-            *misses = if report.is_some() { 0 } else { misses.saturating_add(1) };
-        }
-        self.gathering.clear();
-        Ok(())
     }
 
     /// A robot that says again what was fused has missed its heading: all get it again, once.

@@ -17,6 +17,7 @@
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
 pub mod bus;
+pub mod checkpoint;
 pub mod clock;
 pub mod digest;
 pub mod draws;

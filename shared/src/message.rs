@@ -4,6 +4,7 @@
 //! needs a new version in the type name: iceoryx2 compares names and sizes, not meanings.
 
 use iceoryx2::prelude::ZeroCopySend;
+use serde::{Deserialize, Serialize};
 
 use crate::STATE_DIM_MAX;
 
@@ -25,7 +26,7 @@ pub struct Header {
 }
 
 /// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend, Serialize, Deserialize)]
 #[repr(C)]
 #[type_name("rangehound.WorldEntry.v1")]
 pub struct WorldEntry {
@@ -90,7 +91,7 @@ pub struct Range {
 }
 
 /// Topic `heading`, an entry for each robot: what it shall drive until the next tick.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend, Serialize, Deserialize)]
 #[repr(C)]
 #[type_name("rangehound.Command.v1")]
 pub struct Command {

@@ -10,8 +10,10 @@ const MAGIC: [u8; 8] = *b"rghound\0";
 /// Format of the values that this build seals; changes whenever one of them does.
 const VERSION: u32 = 1;
 
+const CHECKSUM_LEN: usize = 8;
+
 /// Magic, version, checksum.
-const HEADER_LEN: usize = 8 + 4 + 8;
+const HEADER_LEN: usize = 8 + 4 + CHECKSUM_LEN;
 
 /// Most bytes a sealed value may take: bounds what a damaged length can make the reader allocate.
 const VALUE_LEN_MAX: usize = 1 << 24;
@@ -45,13 +47,45 @@ fn config() -> impl bincode::config::Config {
 /// # Errors
 /// [`SealError::Malformed`] if the value cannot be encoded.
 pub fn seal(value: &impl Serialize) -> Result<Vec<u8>, SealError> {
-    let body = bincode::serde::encode_to_vec(value, config()).map_err(|_| SealError::Malformed)?;
-    let mut bytes = Vec::with_capacity(HEADER_LEN + body.len());
+    let mut bytes = Vec::new();
+    seal_into(value, &mut bytes)?;
+    Ok(bytes)
+}
+
+/// [`seal`] to the end of a buffer, which it grows only if it must.
+///
+/// # Errors
+/// [`SealError::Malformed`] if the value cannot be encoded.
+pub fn seal_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), SealError> {
+    let start = bytes.len();
     bytes.extend(MAGIC);
     bytes.extend(VERSION.to_le_bytes());
-    bytes.extend(xxh3_64(&body).to_le_bytes());
-    bytes.extend(body);
-    Ok(bytes)
+    bytes.extend([0; CHECKSUM_LEN]);
+    let body = bytes.len();
+    encode_into(value, bytes)?;
+    let checksum = xxh3_64(&bytes[body..]);
+    bytes[start + HEADER_LEN - CHECKSUM_LEN..start + HEADER_LEN].copy_from_slice(&checksum.to_le_bytes());
+    Ok(())
+}
+
+/// A value's bytes without magic, version and checksum, to the end of a buffer: a part of what will be
+/// sealed.
+///
+/// # Errors
+/// [`SealError::Malformed`] if the value cannot be encoded.
+pub fn encode_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), SealError> {
+    bincode::serde::encode_into_std_write(value, bytes, config()).map(drop).map_err(|_| SealError::Malformed)
+}
+
+/// The value that [`encode_into`] wrote.
+///
+/// # Errors
+/// [`SealError::Malformed`] if these are not its bytes.
+pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
+    match bincode::serde::decode_from_slice(bytes, config()) {
+        Ok((value, used)) if used == bytes.len() => Ok(value),
+        _ => Err(SealError::Malformed),
+    }
 }
 
 /// The value in sealed bytes.
@@ -69,10 +103,7 @@ pub fn open<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
     if u64::from_le_bytes(*checksum) != xxh3_64(body) {
         return Err(SealError::Damaged);
     }
-    match bincode::serde::decode_from_slice(body, config()) {
-        Ok((value, used)) if used == body.len() => Ok(value),
-        _ => Err(SealError::Malformed),
-    }
+    decode(body)
 }
 
 #[cfg(test)]

@@ -112,6 +112,16 @@ impl TickLogReader {
         Ok(Self { input, path: path.to_owned(), words: vec![0; record_words], bytes, tick: 0 })
     }
 
+    /// The newest tick that has room in the log, written or not; `None` before the first.
+    ///
+    /// # Errors
+    /// If the system does not tell.
+    pub fn newest_tick(&self) -> Result<Option<u64>, TickLogError> {
+        let metadata = self.input.get_ref().metadata().map_err(|error| TickLogError::new(&self.path, error))?;
+        let records = metadata.len().saturating_sub(8 * HEADER_WORDS as u64) / self.bytes.len() as u64;
+        Ok(records.checked_sub(1))
+    }
+
     /// The next tick that was written, with its record; `None` at the end.
     ///
     /// # Errors

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::recording::{Recording, RecordingError};
+use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::World;
 
@@ -72,6 +73,19 @@ impl World for Playback {
             }
             self.next_instant += 1;
         }
+    }
+
+    fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError> {
+        sealed::encode_into(&(self.next_instant, self.time_s, &self.entries), bytes)
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
+        let (next_instant, time_s, entries): (usize, f64, Vec<WorldEntry>) = sealed::decode(bytes)?;
+        if entries.len() != self.entries.len() {
+            return Err(SealError::Malformed);
+        }
+        (self.next_instant, self.time_s, self.entries) = (next_instant, time_s, entries);
+        Ok(())
     }
 }
 

@@ -4,14 +4,17 @@ use std::time::{Duration, Instant};
 
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{monotonic_ns, until};
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
 use rangehound_shared::recording::RecordingError;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
+use serde::{Deserialize, Serialize};
 
 use crate::{World, world_of};
 
@@ -27,6 +30,12 @@ pub enum SimError {
     /// The bus failed.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// The state that a forerunner left cannot be used.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The same, found later.
+    #[error("the checkpoint {0}")]
+    Sealed(#[from] SealError),
     /// The recording cannot be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),
@@ -60,6 +69,8 @@ struct Sim<'a> {
     /// Robots that are not waited for.
     silent: Vec<bool>,
     slowest_latency_ns: u64,
+    world_bytes: Vec<u8>,
+    checkpoint: Option<Checkpoint>,
     log: Option<TickLogWriter>,
     worlds: Publisher<WorldEntry>,
     truths: Publisher<Truth>,
@@ -67,6 +78,21 @@ struct Sim<'a> {
     bed: Bed,
     robots: Bell,
     fusion: Bell,
+}
+
+/// What a simulator started again needs, as it is written; [`Restored`] is the same as it is read.
+#[derive(Serialize)]
+struct Saved<'a> {
+    tick: u64,
+    silent: &'a [bool],
+    world: &'a [u8],
+}
+
+#[derive(Deserialize)]
+struct Restored {
+    tick: u64,
+    silent: Vec<bool>,
+    world: Vec<u8>,
 }
 
 impl<'a> Sim<'a> {
@@ -77,14 +103,16 @@ impl<'a> Sim<'a> {
         let log = WorldRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
-        rendezvous.refuse_lost_state(Role::Sim, log.as_ref())?;
-        Ok(Self {
+        let (checkpoint, restored) = Checkpoint::of_role::<Restored>(rendezvous, Role::Sim)?;
+        let mut sim = Self {
             scenario,
             world: world_of(scenario)?,
             tick: 0,
             drives: vec![None; robots],
             silent: vec![false; robots],
             slowest_latency_ns: 0,
+            world_bytes: Vec::new(),
+            checkpoint,
             log,
             worlds: bus.publisher(robots)?,
             truths: bus.publisher(1)?,
@@ -92,7 +120,18 @@ impl<'a> Sim<'a> {
             bed: bus.sleep_as(Sleeper::Sim)?,
             robots: bus.bell_of(Sleeper::Robots)?,
             fusion: bus.bell_of(Sleeper::Fusion)?,
-        })
+        };
+        match restored {
+            Some(Restored { tick, silent, world }) => {
+                sim.world.restore(&world)?;
+                sim.tick = tick;
+                sim.silent = silent;
+                sim.silent.resize(robots, false);
+                log::info!("goes on with tick {tick}");
+            }
+            None => rendezvous.refuse_lost_state(Role::Sim, sim.log.as_ref())?,
+        }
+        Ok(sim)
     }
 
     /// Every tick starts as soon as all robots have answered the one before. True if the run came to
@@ -103,15 +142,20 @@ impl<'a> Sim<'a> {
             if !self.tick_until_answered(patience, termination)? {
                 return Ok(false);
             }
-            self.end_tick();
+            self.end_tick()?;
         }
         Ok(true)
     }
 
     /// A tick every dt of wall time. Tick 0 waits for the whole team, so that the run starts when
-    /// everybody is there.
+    /// everybody is there; a simulator that was started again waits for nobody.
     fn run_in_real_time(&mut self, termination: &Termination) -> Result<bool, SimError> {
-        if !self.tick_until_answered(Patience::Forever, termination)? {
+        if self.tick > self.scenario.ticks {
+            return Ok(true);
+        }
+        if self.tick > 0 {
+            self.publish()?;
+        } else if !self.tick_until_answered(Patience::Forever, termination)? {
             return Ok(false);
         }
         let dt_ns = (self.scenario.dt_s * 1e9) as u64;
@@ -121,7 +165,7 @@ impl<'a> Sim<'a> {
             if termination.requested() {
                 return Ok(false);
             }
-            self.end_tick();
+            self.end_tick()?;
             if self.tick > self.scenario.ticks {
                 return Ok(true);
             }
@@ -217,8 +261,9 @@ impl<'a> Sim<'a> {
         Ok(())
     }
 
-    /// Puts the tick down and advances the world by what was driven.
-    fn end_tick(&mut self) {
+    /// Puts the tick down, advances the world by what was driven, and makes a checkpoint of where it is
+    /// then: before anybody is told.
+    fn end_tick(&mut self) -> Result<(), SimError> {
         if let Some(log) = &mut self.log {
             let world = &self.world;
             let words =
@@ -232,5 +277,10 @@ impl<'a> Sim<'a> {
         self.world.advance(&self.drives);
         self.drives.fill(None);
         self.tick += 1;
+        self.world_bytes.clear();
+        self.world.save(&mut self.world_bytes)?;
+        let saved = Saved { tick: self.tick, silent: &self.silent, world: &self.world_bytes };
+        Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
+        Ok(())
     }
 }

@@ -5,6 +5,7 @@ use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::matrix::square_root;
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::scenario::Scenario;
+use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::World;
 
@@ -89,6 +90,19 @@ impl<const N: usize> World for Simulation<N> {
         self.target = self.phi * self.target + self.noise_root * normal;
         self.tick += 1;
         self.look();
+    }
+
+    fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError> {
+        sealed::encode_into(&(self.tick, &self.target, &self.entries), bytes)
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
+        let (tick, target, entries): (u64, SVector<f64, N>, Vec<WorldEntry>) = sealed::decode(bytes)?;
+        if entries.len() != self.entries.len() {
+            return Err(SealError::Malformed);
+        }
+        (self.tick, self.target, self.entries) = (tick, target, entries);
+        Ok(())
     }
 }
 

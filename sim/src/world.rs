@@ -1,6 +1,7 @@
 //! What the team lives in, pure: no I/O, no clock.
 
 use rangehound_shared::message::{Drive, WorldEntry};
+use rangehound_shared::sealed::SealError;
 
 /// The present tick and the way to the next.
 pub trait World: std::fmt::Debug + Send {
@@ -15,4 +16,16 @@ pub trait World: std::fmt::Debug + Send {
 
     /// Goes to the next tick. `drives` has an entry for each robot; one without stands still.
     fn advance(&mut self, drives: &[Option<Drive>]);
+
+    /// Appends what [`Self::restore`] needs to go on from here, to the bit.
+    ///
+    /// # Errors
+    /// If it cannot be encoded.
+    fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError>;
+
+    /// Goes on from what a world of the same scenario saved.
+    ///
+    /// # Errors
+    /// If the bytes are not such.
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError>;
 }

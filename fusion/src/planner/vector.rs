@@ -2,8 +2,10 @@
 
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
+use serde::{Deserialize, Serialize};
+
 /// A vector in the plane, or the complex number `x + jy`.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Vector {
     /// Real part.
     pub x: f64,

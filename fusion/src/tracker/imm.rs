@@ -7,8 +7,9 @@
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::MotionModel;
+use rangehound_shared::sealed::{self, SealError};
 
-use super::bank::{Bank, Hypothesis, mixture};
+use super::bank::{Bank, Hypothesis, Restored, mixture};
 use super::{Fit, Gate, Reading, Tracker};
 use crate::filter::Estimate;
 
@@ -104,6 +105,22 @@ impl<const N: usize> Tracker for Imm<N> {
 
     fn covariance(&self) -> &[f64] {
         self.estimate.p.as_slice()
+    }
+
+    fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError> {
+        let [a, b] = &self.modes;
+        let modes = [(a.probability, a.bank.saved()), (b.probability, b.bank.saved())];
+        sealed::encode_into(&(modes, &self.estimate), bytes)
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
+        let (modes, estimate): ([(f64, Restored<N>); 2], Estimate<N>) = sealed::decode(bytes)?;
+        for (mode, (probability, bank)) in self.modes.iter_mut().zip(modes) {
+            mode.probability = probability;
+            mode.bank.restore(bank);
+        }
+        self.estimate = estimate;
+        Ok(())
     }
 
     fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>) {

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::matrix::Matrix;
 use rangehound_shared::motion::{MotionModel, Transition};
+use rangehound_shared::sealed::{self, SealError};
 
 use super::{Fit, Gate, Reading, Tracker};
 use crate::filter::{Estimate, RangeInformation};
@@ -55,6 +56,15 @@ impl<const N: usize> Tracker for Kalman<N> {
 
     fn covariance(&self) -> &[f64] {
         self.estimate.p.as_slice()
+    }
+
+    fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError> {
+        sealed::encode_into(&self.estimate, bytes)
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
+        self.estimate = sealed::decode(bytes)?;
+        Ok(())
     }
 
     fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>) {

@@ -11,7 +11,9 @@ pub mod kalman;
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::scenario::{Prior, Scenario};
+use rangehound_shared::sealed::SealError;
 use rangehound_shared::with_state_dim;
+use serde::{Deserialize, Serialize};
 
 /// One range, as fused: calibrated, with the place it was measured from.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,7 +27,7 @@ pub struct Reading {
 }
 
 /// How a tick's ranges agreed with the estimate.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Fit {
     /// Normalised innovation squared of the joint update.
     pub nis: f64,
@@ -46,6 +48,18 @@ pub trait Tracker: std::fmt::Debug + Send {
 
     /// The covariance, n x n; symmetric, so its order of storage does not matter.
     fn covariance(&self) -> &[f64];
+
+    /// Appends what [`Self::restore`] needs to go on from here, to the bit.
+    ///
+    /// # Errors
+    /// If it cannot be encoded.
+    fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError>;
+
+    /// Goes on from what a tracker of the same scenario saved.
+    ///
+    /// # Errors
+    /// If the bytes are not such.
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError>;
 
     /// Position and its covariance predicted over `dt_s` seconds (k+1|k), for the planner.
     fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>);

@@ -23,6 +23,7 @@ use std::io::{Read, Seek, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
+use rustix::process::Pid;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -56,6 +57,19 @@ impl std::fmt::Display for Role {
             Self::Fusion => f.write_str("fusion"),
             Self::Robot(id) => write!(f, "robot-{id}"),
             Self::Supervisor => f.write_str("run"),
+        }
+    }
+}
+
+impl std::str::FromStr for Role {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match (text, text.strip_prefix("robot-")) {
+            ("sim", _) => Ok(Self::Sim),
+            ("fusion", _) => Ok(Self::Fusion),
+            (_, Some(id)) => id.parse().map(Self::Robot).map_err(|_| format!("expected robot-N, got {text:?}")),
+            _ => Err("expected sim, fusion or robot-N".to_owned()),
         }
     }
 }
@@ -297,6 +311,14 @@ impl Rendezvous {
     pub fn starts(&self, role: Role) -> u64 {
         let text = std::fs::read_to_string(self.place.path(&format!("{role}.role"))).unwrap_or_default();
         text.split(' ').next().and_then(|starts| starts.parse().ok()).unwrap_or(0)
+    }
+
+    /// The living process that holds this role.
+    #[must_use]
+    pub fn holder(&self, role: Role) -> Option<Pid> {
+        let text = std::fs::read_to_string(self.place.path(&format!("{role}.role"))).ok()?;
+        let pid = Pid::from_raw(text.trim().split_once(' ')?.1.parse().ok()?)?;
+        self.is_held(role).then_some(pid)
     }
 
     /// True while a living process holds this role.

@@ -87,7 +87,42 @@ pub(super) struct Hypothesis<const N: usize> {
     pub(super) estimate: Estimate<N>,
 }
 
+/// What [`Bank::restore`] needs, as it is written; [`Restored`] is the same as it is read.
+#[derive(Debug, Serialize)]
+pub(super) struct Saved<'a, const N: usize> {
+    hypotheses: &'a [Hypothesis<N>],
+    estimate: &'a Estimate<N>,
+    rejections: &'a Rejections,
+    log_likelihood: f64,
+}
+
+/// What a bank saved.
+#[derive(Debug, Deserialize)]
+pub(super) struct Restored<const N: usize> {
+    hypotheses: Vec<Hypothesis<N>>,
+    estimate: Estimate<N>,
+    rejections: Rejections,
+    log_likelihood: f64,
+}
+
 impl<const N: usize> Bank<N> {
+    /// What [`Self::restore`] needs to go on from here.
+    pub(super) fn saved(&self) -> Saved<'_, N> {
+        let Self { hypotheses, estimate, rejections, log_likelihood, .. } = self;
+        Saved { hypotheses, estimate, rejections, log_likelihood: *log_likelihood }
+    }
+
+    /// Goes on from what a bank of the same scenario saved.
+    pub(super) fn restore(&mut self, restored: Restored<N>) {
+        let Restored { hypotheses, estimate, rejections, log_likelihood } = restored;
+        // Into the memory that is there: steps allocate nothing.
+        self.hypotheses.clear();
+        self.hypotheses.extend(hypotheses.into_iter().take(HYPOTHESES_MAX));
+        self.estimate = estimate;
+        self.rejections = rejections;
+        self.log_likelihood = log_likelihood;
+    }
+
     /// A bank that knows nothing of the target.
     #[must_use]
     pub fn new(motion: MotionModel, gate: Gate) -> Self {

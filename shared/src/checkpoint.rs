@@ -1,0 +1,283 @@
+//! A node's state on file: what it needs to go on where its killed forerunner stopped.
+//!
+//! Two slots of one file take turns, each written at once and sealed with the run's id and a sequence
+//! number; the newest whole one counts. A kill in mid-write costs the slot that was being written, whose
+//! state nobody has seen yet: a node writes before it publishes what depends on it.
+
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::{FileExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::rendezvous::{Rendezvous, Role};
+use crate::sealed::{self, SealError};
+
+/// File of a role's checkpoint in the run folder.
+#[must_use]
+pub fn file_name(role: Role) -> String {
+    format!("{role}.checkpoint")
+}
+
+/// Bytes of a slot; the file is sparse, so that only what a state needs takes room.
+const SLOT_LEN: usize = 1 << 20;
+
+/// Bytes before the sealed state: its length.
+const LEN_BYTES: usize = 4;
+
+/// Why a checkpoint cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// The file holds no state of this run that this build can read.
+    #[error("{}: {reason}; it is kept as {}", .file.display(), .kept.display())]
+    Unusable {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        reason: String,
+        /// Where it has been put aside.
+        kept: PathBuf,
+    },
+    /// The system refuses.
+    #[error("{}: {source}", .file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The state is larger than a slot.
+    #[error("{}: a state of {len} bytes, expected at most {}", .file.display(), SLOT_LEN - LEN_BYTES)]
+    TooLarge {
+        /// The file.
+        file: PathBuf,
+        /// Bytes it would take.
+        len: usize,
+    },
+}
+
+/// What a slot holds.
+#[derive(Serialize, Deserialize)]
+struct Slot<T> {
+    run_id: u64,
+    sequence: u64,
+    state: T,
+}
+
+/// The checkpoint file of one role.
+#[derive(Debug)]
+pub struct Checkpoint {
+    file: File,
+    path: PathBuf,
+    run_id: u64,
+    sequence: u64,
+    bytes: Vec<u8>,
+}
+
+impl Checkpoint {
+    /// Opens the checkpoint of a role of a run, and returns the state to go on from. A folder that cannot
+    /// be written costs the checkpoint, not the run: `None`, with a warning.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Unusable`].
+    pub fn of_role<T: DeserializeOwned>(
+        rendezvous: &Rendezvous,
+        role: Role,
+    ) -> Result<(Option<Self>, Option<T>), CheckpointError> {
+        let description = rendezvous.description();
+        match Self::open(&description.out_dir.join(file_name(role)), description.run_id) {
+            Ok((checkpoint, state)) => Ok((Some(checkpoint), state)),
+            Err(error @ CheckpointError::Unusable { .. }) => Err(error),
+            Err(error) => {
+                log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+                Ok((None, None))
+            }
+        }
+    }
+
+    /// Writes a state; a failure is told and ends the checkpoint, as in [`Self::of_role`].
+    pub fn write_or_give_up(checkpoint: &mut Option<Self>, state: &impl Serialize) {
+        if let Some(file) = checkpoint
+            && let Err(error) = file.write(state)
+        {
+            log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+            *checkpoint = None;
+        }
+    }
+
+    /// Opens the checkpoint of a role and returns its newest state, if there is one. A file without a
+    /// usable state is put aside, never overwritten.
+    ///
+    /// # Errors
+    /// [`CheckpointError`].
+    pub fn open<T: DeserializeOwned>(path: &Path, run_id: u64) -> Result<(Self, Option<T>), CheckpointError> {
+        let io_error = |source| CheckpointError::Io { file: path.to_owned(), source };
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .open(path)
+            .map_err(io_error)?;
+        let len = file.metadata().map_err(io_error)?.len();
+        let mut newest: Option<Slot<T>> = None;
+        let mut refused = None;
+        for index in 0..2 {
+            match read_slot::<T>(&file, index, len).map_err(io_error)? {
+                None => {}
+                Some(Ok(slot)) if slot.run_id != run_id => refused = Some("of another run".to_owned()),
+                Some(Ok(slot)) => {
+                    if newest.as_ref().is_none_or(|newest| newest.sequence < slot.sequence) {
+                        newest = Some(slot);
+                    }
+                }
+                Some(Err(reason)) => refused = Some(reason.to_string()),
+            }
+        }
+        if let (None, Some(reason)) = (&newest, refused) {
+            let mut kept = path.as_os_str().to_owned();
+            kept.push(".refused");
+            let kept = PathBuf::from(kept);
+            std::fs::rename(path, &kept).map_err(io_error)?;
+            return Err(CheckpointError::Unusable { file: path.to_owned(), reason, kept });
+        }
+        let sequence = newest.as_ref().map_or(0, |slot| slot.sequence);
+        let checkpoint = Self { file, path: path.to_owned(), run_id, sequence, bytes: Vec::new() };
+        Ok((checkpoint, newest.map(|slot| slot.state)))
+    }
+
+    /// Writes a state over the older of the two. Allocates nothing once it has written one as large.
+    ///
+    /// # Errors
+    /// [`CheckpointError`]; the last state that was written stays usable.
+    pub fn write(&mut self, state: &impl Serialize) -> Result<(), CheckpointError> {
+        let sequence = self.sequence + 1;
+        self.bytes.clear();
+        self.bytes.extend([0; LEN_BYTES]);
+        let sealed = sealed::seal_into(&Slot { run_id: self.run_id, sequence, state }, &mut self.bytes);
+        let len = self.bytes.len() - LEN_BYTES;
+        if sealed.is_err() || self.bytes.len() > SLOT_LEN {
+            return Err(CheckpointError::TooLarge { file: self.path.clone(), len });
+        }
+        self.bytes[..LEN_BYTES].copy_from_slice(&(len as u32).to_le_bytes());
+        self.file
+            .write_all_at(&self.bytes, (sequence % 2) * SLOT_LEN as u64)
+            .map_err(|source| CheckpointError::Io { file: self.path.clone(), source })?;
+        self.sequence = sequence;
+        Ok(())
+    }
+}
+
+/// A slot's value, why it has none, or `None` if nothing was written to it.
+fn read_slot<T: DeserializeOwned>(
+    file: &File,
+    index: u64,
+    file_len: u64,
+) -> std::io::Result<Option<Result<Slot<T>, SealError>>> {
+    let start = index * SLOT_LEN as u64;
+    let room = file_len.saturating_sub(start).min(SLOT_LEN as u64) as usize;
+    let mut bytes = vec![0; room];
+    file.read_exact_at(&mut bytes, start)?;
+    if bytes.iter().all(|byte| *byte == 0) {
+        return Ok(None);
+    }
+    let sealed =
+        bytes.split_first_chunk::<LEN_BYTES>().and_then(|(len, rest)| rest.get(..u32::from_le_bytes(*len) as usize));
+    Ok(Some(sealed.ok_or(SealError::Damaged).and_then(sealed::open)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    type State = (u64, Vec<f64>);
+
+    fn open(path: &Path, run_id: u64) -> Result<(Checkpoint, Option<State>), CheckpointError> {
+        Checkpoint::open(path, run_id)
+    }
+
+    /// A file with the states 1 to `count`.
+    fn written(path: &Path, count: u64) {
+        let (mut checkpoint, _) = open(path, 7).unwrap();
+        for k in 1..=count {
+            checkpoint.write(&(k, vec![0.5 * k as f64; 40])).unwrap();
+        }
+    }
+
+    #[test]
+    fn the_newest_state_comes_back_and_writing_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        assert_eq!(open(&path, 7).unwrap().1, None);
+        for count in 1..6 {
+            written(&path, count);
+            assert_eq!(open(&path, 7).unwrap().1.unwrap().0, count);
+        }
+    }
+
+    #[test]
+    fn a_torn_newest_slot_leaves_the_one_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        for cut in [5, 40, 100, 300] {
+            let _ = std::fs::remove_file(&path);
+            written(&path, 4);
+            // State 4 stands in slot 0: its first bytes are overwritten by a fifth that was cut short.
+            let file = OpenOptions::new().write(true).open(&path).unwrap();
+            file.write_all_at(&vec![0xA5; cut], 0).unwrap();
+            assert_eq!(open(&path, 7).unwrap().1.unwrap().0, 3, "{cut}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_this_runs_is_refused_and_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        let kept = folder.path().join("checkpoint.refused");
+        written(&path, 3);
+        let error = open(&path, 8).unwrap_err().to_string();
+        assert!(error.contains("of another run") && !error.contains('\n'), "{error}");
+        assert!(kept.exists() && !path.exists());
+
+        std::fs::write(&path, b"not a checkpoint").unwrap();
+        assert!(open(&path, 7).is_err());
+        std::fs::write(&path, vec![0xFF; 3 * SLOT_LEN]).unwrap();
+        assert!(open(&path, 7).is_err());
+
+        // Of another kind: whole, but no such state.
+        let (mut checkpoint, _) = Checkpoint::open::<u8>(&path, 7).unwrap();
+        checkpoint.write(&"text").unwrap();
+        assert!(open(&path, 7).is_err());
+    }
+
+    #[test]
+    fn a_state_larger_than_a_slot_is_refused_and_the_last_one_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        written(&path, 2);
+        let (mut checkpoint, _) = open(&path, 7).unwrap();
+        assert!(checkpoint.write(&(3_u64, vec![1.0; SLOT_LEN])).is_err());
+        assert_eq!(open(&path, 7).unwrap().1.unwrap().0, 2);
+    }
+
+    proptest! {
+        /// Whatever one bit of damage does, no state comes back that was not written.
+        #[test]
+        fn no_damage_passes_for_a_state(at in 0..2_000_usize, slot in 0..2_u64, bit in 0..8_u8) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("checkpoint");
+            written(&path, 4);
+            let file = OpenOptions::new().read(true).write(true).open(&path).unwrap();
+            let offset = slot * SLOT_LEN as u64 + at as u64;
+            let mut byte = [0];
+            let _ = file.read_at(&mut byte, offset);
+            file.write_all_at(&[byte[0] ^ (1 << bit)], offset).unwrap();
+            let (k, values) = open(&path, 7).unwrap().1.unwrap();
+            prop_assert!(k == 3 || k == 4);
+            prop_assert_eq!(values, vec![0.5 * k as f64; 40]);
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Acting on a run from another terminal: `status`, `kill`, `restart`, `stop`.
+
+use std::time::{Duration, Instant};
+
+use anyhow::anyhow;
+use rangehound_shared::record::WorldRecord;
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunName, living_runs};
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+use serde::Serialize;
+
+use crate::cli::{RemoteArgs, RemoteNodeArgs, StatusArgs};
+use crate::failure::Failure;
+use crate::node::input_or_running;
+use crate::watch;
+
+/// How long what was asked for may take until it is called failed.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+const POLL: Duration = Duration::from_millis(10);
+
+/// A run as it is at the moment.
+#[derive(Debug, Serialize)]
+struct Status {
+    name: String,
+    scenario: String,
+    /// Newest tick that is over, and the run's last.
+    tick: u64,
+    ticks: u64,
+    out_dir: String,
+    nodes: Vec<NodeStatus>,
+}
+
+/// A node as it is at the moment.
+#[derive(Debug, Serialize)]
+struct NodeStatus {
+    name: String,
+    /// `running`, `stopped` (by a signal) or `gone`.
+    state: &'static str,
+    pid: Option<i32>,
+    starts: u64,
+    /// Resident memory, kB.
+    resident_kb: Option<u64>,
+}
+
+/// `rangehound status`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn status(args: &StatusArgs) -> Result<(), Failure> {
+    let run = join(&args.run)?;
+    let status = Status::of(&run);
+    if args.json {
+        println!("{}", serde_json::to_string(&status)?);
+    } else {
+        println!("{status}");
+    }
+    Ok(())
+}
+
+/// `rangehound kill`: SIGKILL, as a crash would end it.
+///
+/// # Errors
+/// [`Failure`].
+pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
+    let run = join(&args.run)?;
+    let pid = signal(&run, args.node, Signal::KILL)?;
+    println!("killed {}, process {}", args.node, pid.as_raw_pid());
+    Ok(())
+}
+
+/// `rangehound restart`: asks a node to end and waits for the one that takes its place.
+///
+/// # Errors
+/// [`Failure`].
+pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
+    let run = join(&args.run)?;
+    let starts = run.starts(args.node);
+    signal(&run, args.node, Signal::TERM)?;
+    let began = Instant::now();
+    loop {
+        if run.starts(args.node) > starts
+            && let Some(pid) = run.holder(args.node)
+        {
+            println!("{} is now process {}, start {}", args.node, pid.as_raw_pid(), run.starts(args.node));
+            return Ok(());
+        }
+        if began.elapsed() > PATIENCE {
+            let problem = format!("{} has ended, but nobody has started it again", args.node);
+            return Err(Failure::Running(anyhow!("{problem}: its run has no supervisor, or one that is not to")));
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// `rangehound stop`: ends a run in order, as Ctrl-C would.
+///
+/// # Errors
+/// [`Failure`].
+pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
+    let run = join(args)?;
+    let name = run.name().clone();
+    let robots = run.description().scenario.robots.len();
+    if run.holder(Role::Supervisor).is_some() {
+        signal(&run, Role::Supervisor, Signal::TERM)?;
+    } else {
+        for role in watch::roles(robots).filter(|role| run.is_held(*role)) {
+            signal(&run, role, Signal::TERM)?;
+        }
+    }
+    // Its members leave one by one; this one must not be the last that keeps it.
+    drop(run);
+    let began = Instant::now();
+    while living_runs().contains(&name) {
+        if began.elapsed() > PATIENCE {
+            return Err(Failure::Running(anyhow!("run {name} has not ended in {PATIENCE:?}")));
+        }
+        std::thread::sleep(POLL);
+    }
+    println!("run {name} has ended");
+    Ok(())
+}
+
+/// The run that is meant: the one of this name, or the only one there is.
+fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
+    let living = living_runs();
+    let name = match (&args.name, living.as_slice()) {
+        (Some(name), _) => name.clone(),
+        (None, [only]) => only.clone(),
+        (None, []) => return Err(Failure::input("no run is going on")),
+        (None, several) => {
+            let names: Vec<String> = several.iter().map(RunName::to_string).collect();
+            return Err(Failure::input(format!("--name: expected one of the runs {}, got none", names.join(", "))));
+        }
+    };
+    let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
+    run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
+}
+
+/// Sends a signal to the process in a role, and to no other that may get its pid.
+fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
+    if let Role::Robot(id) = role
+        && id >= run.description().scenario.robots.len()
+    {
+        let last = run.description().scenario.robots.len() - 1;
+        return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
+    }
+    let gone = || Failure::Running(anyhow!("{role} of run {} is not there", run.name()));
+    let pid = run.holder(role).ok_or_else(gone)?;
+    let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone())?;
+    // Still the holder: so what was opened is it.
+    if run.holder(role) != Some(pid) {
+        return Err(gone());
+    }
+    pidfd_send_signal(&process, signal).map_err(|_| gone())?;
+    Ok(pid)
+}
+
+impl Status {
+    fn of(run: &Rendezvous) -> Self {
+        let description = run.description();
+        let scenario = &description.scenario;
+        let log = WorldRecord::reader(&description.out_dir, description.run_id, scenario).ok();
+        let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
+        let roles = watch::roles(scenario.robots.len()).chain([Role::Supervisor]);
+        Self {
+            name: run.name().to_string(),
+            scenario: scenario.name.clone(),
+            tick,
+            ticks: scenario.ticks,
+            out_dir: description.out_dir.display().to_string(),
+            nodes: roles.map(|role| NodeStatus::of(run, role)).collect(),
+        }
+    }
+}
+
+impl NodeStatus {
+    fn of(run: &Rendezvous, role: Role) -> Self {
+        let pid = run.holder(role).map(Pid::as_raw_pid);
+        let told = pid.and_then(|pid| std::fs::read_to_string(format!("/proc/{pid}/status")).ok()).unwrap_or_default();
+        let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
+        let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
+            (None, _) | (_, Some('Z' | 'X') | None) => "gone",
+            (_, Some('T' | 't')) => "stopped",
+            _ => "running",
+        };
+        let resident_kb = field("VmRSS:").and_then(|text| text.split(' ').next()?.parse().ok());
+        Self { name: role.to_string(), state, pid, starts: run.starts(role), resident_kb }
+    }
+}
+
+impl std::fmt::Display for Status {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { name, scenario, tick, ticks, out_dir, nodes } = self;
+        writeln!(f, "run {name}: {scenario}, tick {tick} of {ticks}, in {out_dir}")?;
+        write!(f, "{:<12} {:<8} {:>8} {:>7} {:>9}", "node", "state", "pid", "starts", "memory")?;
+        for NodeStatus { name, state, pid, starts, resident_kb } in nodes {
+            let pid = pid.map_or("-".to_owned(), |pid| pid.to_string());
+            let memory = resident_kb.map_or("-".to_owned(), |kb| format!("{:.1} MB", kb as f64 / 1_024.0));
+            write!(f, "\n{name:<12} {state:<8} {pid:>8} {starts:>7} {memory:>9}")?;
+        }
+        Ok(())
+    }
+}

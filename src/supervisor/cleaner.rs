@@ -1,0 +1,34 @@
+//! Cleaning up after killed nodes, where nobody waits for it.
+
+use std::sync::mpsc::{self, Sender};
+use std::thread::Scope;
+
+use rangehound_shared::bus::Bus;
+use rangehound_shared::rendezvous::Rendezvous;
+
+/// A thread that cleans up after killed nodes: it takes tens of milliseconds for each, which nobody
+/// should wait for who watches the living. Ends when dropped.
+pub(super) struct Cleaner {
+    requests: Sender<()>,
+}
+
+impl Cleaner {
+    pub(super) fn start<'scope>(rendezvous: &'scope Rendezvous, scope: &'scope Scope<'scope, '_>) -> Self {
+        let (requests, received) = mpsc::channel();
+        scope.spawn(move || {
+            // A node of its own: ports do not move between threads.
+            let Ok(bus) = Bus::observe(rendezvous) else { return };
+            while received.recv().is_ok() {
+                // One round for all deaths so far.
+                while received.try_recv().is_ok() {}
+                bus.clean_up_after_the_dead();
+            }
+        });
+        Self { requests }
+    }
+
+    pub(super) fn request(&self) {
+        // An error means that the bus refused the cleaner, as it will refuse the nodes.
+        let _ = self.requests.send(());
+    }
+}

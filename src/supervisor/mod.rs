@@ -1,0 +1,96 @@
+//! `run` and `track`: starts the nodes of a run, watches them, ends them, and reports.
+
+mod cleaner;
+mod nodes;
+pub mod restart;
+
+use anyhow::anyhow;
+use rangehound_shared::bus::Bus;
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::signal::Termination;
+
+use crate::cli::{RunArgs, TrackArgs};
+use crate::experiment::{Experiment, Naming};
+use crate::failure::Failure;
+use crate::node::input_or_running;
+use crate::report::{self, NodeSummary, Report, Truth};
+use crate::watch::{Progress, Watch};
+use crate::{in_process, picture, tables};
+use cleaner::Cleaner;
+use nodes::Nodes;
+use restart::{Policies, Rule};
+
+/// `rangehound run`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &RunArgs) -> Result<(), Failure> {
+    let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
+    let keep = Keep { recording: args.write_recording, truth: None };
+    execute(experiment, args.in_process, &args.restart, &keep)
+}
+
+/// `rangehound track`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn track(args: &TrackArgs) -> Result<(), Failure> {
+    let experiment = Experiment::from_track(args)?;
+    let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
+    execute(experiment, args.in_process, &args.restart, &Keep { recording: false, truth })
+}
+
+/// What is done with a run's logs beyond the report.
+struct Keep {
+    recording: bool,
+    truth: Option<Truth>,
+}
+
+fn execute(experiment: Experiment, in_process: bool, restart: &[Rule], keep: &Keep) -> Result<(), Failure> {
+    let Experiment { name, description, .. } = &experiment;
+    if in_process {
+        tables::prepare_folder(&experiment)?;
+        let mut progress = Progress::new("tick", description.scenario.ticks);
+        in_process::run(description, |tick| {
+            if tick > 0 && tick % 4_096 == 0 {
+                progress.show(tick, "in one process");
+            }
+        })?;
+        progress.finish();
+        report_and_tables(description, keep, Vec::new())?;
+        return Ok(());
+    }
+    let termination = Termination::listen()?;
+    // Only who has the name may touch the folder.
+    let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
+    tables::prepare_folder(&experiment)?;
+    let _role = rendezvous.take_role(Role::Supervisor).map_err(input_or_running)?;
+    let (summaries, outcome) = std::thread::scope(|scope| {
+        let bus = Bus::observe(&rendezvous)?;
+        let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+        let mut nodes = Nodes::start(&rendezvous, Policies::new(restart), Cleaner::start(&rendezvous, scope))?;
+        let outcome = nodes.supervise(&termination, || watch.look());
+        nodes.end(rendezvous.is_finished());
+        watch.finish();
+        Ok::<_, Failure>((nodes.summaries(), outcome))
+    })?;
+    drop(rendezvous);
+    let ticks = report_and_tables(description, keep, summaries)?.ticks;
+    outcome?;
+    if ticks < description.scenario.ticks {
+        return Err(Failure::Running(anyhow!("the logs end at tick {ticks}: see logs/ in the run folder")));
+    }
+    Ok(())
+}
+
+fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<Report, Failure> {
+    let report = report::from_logs(description, keep.truth.as_ref(), nodes)?;
+    tables::write_estimate_csv(description)?;
+    if keep.recording {
+        tables::write_recording(description)?;
+    }
+    report::write(&report, &description.out_dir)?;
+    println!("{report}\n  run folder       {}", description.out_dir.display());
+    picture::draw_if_possible(description, keep.truth.as_ref());
+    Ok(report)
+}

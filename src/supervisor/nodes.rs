@@ -1,0 +1,262 @@
+//! The processes of a run: started, watched, started again, ended.
+
+use std::fs::File;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use rangehound_shared::rendezvous::{Rendezvous, Role};
+use rangehound_shared::signal::Termination;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
+
+use super::cleaner::Cleaner;
+use super::restart::{Policies, Policy};
+use crate::failure::Failure;
+use crate::report::NodeSummary;
+use crate::watch;
+
+/// How long nodes may take to end by themselves once the run is over, and once they are asked to.
+const GRACE: Duration = Duration::from_secs(3);
+
+/// A node that ends by itself this often in a row has a reason that starting it again does not mend.
+const EXITS_MAX: u32 = 5;
+
+/// A node that has lived for this long has got over what ended its forerunner.
+const SETTLED: Duration = Duration::from_secs(1);
+
+/// Wait before the second start in a row of a node that has not settled; it doubles with each further one.
+const BACK_OFF: Duration = Duration::from_millis(10);
+
+const BACK_OFF_MAX: Duration = Duration::from_secs(1);
+
+/// For this long after a death, what the dead left half-made is looked for: whoever waits for it
+/// holds it open now and then, as its maker would.
+const HALF_MADE: Duration = Duration::from_secs(1);
+
+/// The processes of a run.
+pub(super) struct Nodes<'a> {
+    rendezvous: &'a Rendezvous,
+    policies: Policies,
+    cleaner: Cleaner,
+    nodes: Vec<Node>,
+    last_death: Option<Instant>,
+}
+
+/// One role's process, and what has become of its forerunners.
+struct Node {
+    role: Role,
+    running: Option<Running>,
+    summary: NodeSummary,
+    /// Deaths since it last settled, and own exits among them.
+    deaths: u32,
+    exits: u32,
+    restart_at: Option<Instant>,
+}
+
+struct Running {
+    child: Child,
+    /// Readable once the process has ended; `None` where the kernel gives none.
+    ended: Option<OwnedFd>,
+    since: Instant,
+}
+
+impl<'a> Nodes<'a> {
+    pub(super) fn start(rendezvous: &'a Rendezvous, policies: Policies, cleaner: Cleaner) -> Result<Self, Failure> {
+        let roles = watch::roles(rendezvous.description().scenario.robots.len());
+        let nodes = roles.map(Node::new).collect();
+        let mut all = Self { rendezvous, policies, cleaner, nodes, last_death: None };
+        for node in &mut all.nodes {
+            if let Err(error) = node.start(rendezvous) {
+                all.end(false);
+                return Err(Failure::Running(error));
+            }
+        }
+        Ok(all)
+    }
+
+    /// Watches until the run is finished, a node that is not replaced dies, or an end is asked for.
+    pub(super) fn supervise<E: Into<anyhow::Error>>(
+        &mut self,
+        termination: &Termination,
+        mut look: impl FnMut() -> Result<(), E>,
+    ) -> anyhow::Result<()> {
+        let mut looked = Instant::now();
+        while !self.rendezvous.is_finished() {
+            if termination.requested() {
+                return Err(anyhow!("ended before its last tick, as asked"));
+            }
+            self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
+            if looked.elapsed() >= watch::LOOK {
+                look().map_err(Into::into)?;
+                looked = Instant::now();
+            }
+            self.replace_the_dead()?;
+        }
+        look().map_err(Into::into)
+    }
+
+    /// Sleeps until a process ends, the next restart is due, or time is up.
+    fn wait_for_a_death(&self, at_most: Duration) {
+        let now = Instant::now();
+        let due = self.nodes.iter().filter_map(|node| node.restart_at).min();
+        let wait = due.map_or(at_most, |due| at_most.min(due.saturating_duration_since(now)));
+        let ended = self.nodes.iter().filter_map(|node| node.running.as_ref()?.ended.as_ref());
+        let mut watched: Vec<PollFd<'_>> =
+            ended.map(|fd| PollFd::from_borrowed_fd(fd.as_fd(), PollFlags::IN)).collect();
+        let timeout = Timespec { tv_sec: wait.as_secs().cast_signed(), tv_nsec: wait.subsec_nanos().into() };
+        // An error is a signal: the loop looks at everything anyway.
+        let _ = poll(&mut watched, Some(&timeout));
+    }
+
+    /// Starts nodes again that have ended, as their policies say.
+    fn replace_the_dead(&mut self) -> anyhow::Result<()> {
+        for node in &mut self.nodes {
+            if let Some(status) = node.reap(self.rendezvous)? {
+                let message = format!("{} {}", node.role, describe(status));
+                self.last_death = Some(Instant::now());
+                self.rendezvous.remove_half_made();
+                self.cleaner.request();
+                let is_hopeless = status.code() == Some(2) || node.exits >= EXITS_MAX;
+                let is_replaced = match self.policies.of(node.role) {
+                    Policy::Always => true,
+                    Policy::OnFailure => !status.success(),
+                    Policy::Never => false,
+                };
+                if is_replaced && !is_hopeless {
+                    log::warn!("{message}; it is started again");
+                    node.restart_at = Some(Instant::now() + node.back_off());
+                } else if is_hopeless || !matches!(node.role, Role::Robot(_)) {
+                    let log = node.log_path(self.rendezvous);
+                    let said = std::fs::read_to_string(&log).unwrap_or_default();
+                    let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
+                    return Err(anyhow!("{message}{last}"));
+                } else {
+                    log::warn!("{message}; the others go on without it");
+                }
+            }
+            if node.restart_at.is_some_and(|at| Instant::now() >= at) {
+                node.start(self.rendezvous)?;
+            }
+        }
+        if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
+            self.rendezvous.remove_half_made();
+        }
+        Ok(())
+    }
+
+    /// Lets the nodes end by themselves if the run is over, asks those that do not, and kills those
+    /// that will not.
+    pub(super) fn end(&mut self, finished: bool) {
+        if finished {
+            self.wait_for_all();
+        }
+        self.signal(Signal::TERM);
+        self.wait_for_all();
+        self.signal(Signal::KILL);
+        self.wait_for_all();
+        self.rendezvous.remove_half_made();
+        self.cleaner.request();
+    }
+
+    fn wait_for_all(&mut self) {
+        let began = Instant::now();
+        while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn signal(&mut self, signal: Signal) {
+        for running in self.nodes.iter_mut().filter_map(|node| node.running.as_mut()) {
+            // Reaped or not: only a child that runs still has this pid.
+            if matches!(running.child.try_wait(), Ok(None)) {
+                let _ = kill_process(Pid::from_child(&running.child), signal);
+            }
+        }
+    }
+
+    pub(super) fn summaries(&self) -> Vec<NodeSummary> {
+        self.nodes.iter().map(|node| node.summary.clone()).collect()
+    }
+}
+
+impl Node {
+    fn new(role: Role) -> Self {
+        let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0 };
+        Self { role, running: None, summary, deaths: 0, exits: 0, restart_at: None }
+    }
+
+    fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
+        rendezvous.description().out_dir.join("logs").join(format!("{}.log", self.role))
+    }
+
+    fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
+        let program = std::env::current_exe().context("where this program is")?;
+        let log_path = self.log_path(rendezvous);
+        let log = File::options().create(true).append(true).open(&log_path);
+        let stderr = log.map_or_else(|_| Stdio::null(), Stdio::from);
+        let mut command = Command::new(program);
+        match self.role {
+            Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
+            role => command.arg(role.to_string()),
+        };
+        command
+            .args(["--name", &rendezvous.name().to_string(), "--end-with", &std::process::id().to_string()])
+            // A group of its own: Ctrl-C reaches the supervisor, which ends the nodes in order.
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(stderr);
+        let child = command.spawn().with_context(|| format!("cannot start {}", self.role))?;
+        let ended = pidfd_open(Pid::from_child(&child), PidfdFlags::empty()).ok();
+        self.running = Some(Running { child, ended, since: Instant::now() });
+        self.summary.starts += 1;
+        self.restart_at = None;
+        Ok(())
+    }
+
+    fn is_running(&mut self) -> bool {
+        self.running.as_mut().is_some_and(|running| matches!(running.child.try_wait(), Ok(None)))
+    }
+
+    /// The end of the process before the run's, told once.
+    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<ExitStatus>> {
+        let Some(running) = &mut self.running else { return Ok(None) };
+        let Some(status) = running.child.try_wait()? else { return Ok(None) };
+        if running.since.elapsed() >= SETTLED {
+            (self.deaths, self.exits) = (0, 0);
+        }
+        self.running = None;
+        // The run is marked as finished before any node ends by itself, so the mark is looked at after.
+        if rendezvous.is_finished() {
+            return Ok(None);
+        }
+        self.deaths += 1;
+        if status.signal().is_some() {
+            self.summary.kills += 1;
+        } else {
+            self.summary.exits += 1;
+            self.exits += 1;
+        }
+        Ok(Some(status))
+    }
+
+    /// How long to wait before it is started again: not at all after one death, longer and longer while
+    /// it does not settle.
+    fn back_off(&self) -> Duration {
+        match self.deaths.checked_sub(2) {
+            None => Duration::ZERO,
+            Some(more) => BACK_OFF.saturating_mul(1 << more.min(16)).min(BACK_OFF_MAX),
+        }
+    }
+}
+
+fn describe(status: ExitStatus) -> String {
+    match (status.signal(), status.code()) {
+        (Some(signal), _) => format!("was killed by signal {signal}"),
+        (None, Some(code)) => format!("exited with code {code}"),
+        (None, None) => "ended".to_owned(),
+    }
+}

@@ -1,0 +1,85 @@
+//! Which nodes are started again after they ended.
+
+use rangehound_shared::rendezvous::Role;
+
+/// When a node that ended is started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum Policy {
+    /// However it ended.
+    #[default]
+    Always,
+    /// If it was killed or failed.
+    OnFailure,
+    /// Not at all.
+    Never,
+}
+
+/// A policy for one kind of node, or for all: `never`, `robot=on-failure`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Rule {
+    kind: Option<Kind>,
+    policy: Policy,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Kind {
+    Sim,
+    Fusion,
+    Robot,
+}
+
+impl std::str::FromStr for Rule {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        use clap::ValueEnum as _;
+        let expected =
+            || "expected always, on-failure or never, or one of these for sim=, fusion= or robot=".to_owned();
+        let (kind, policy) = match text.split_once('=') {
+            Some((kind, policy)) => (Some(Kind::from_str(kind, false).map_err(|_| expected())?), policy),
+            None => (None, text),
+        };
+        Ok(Self { kind, policy: Policy::from_str(policy, false).map_err(|_| expected())? })
+    }
+}
+
+/// The policies of a run: later rules win.
+#[derive(Debug, Clone, Default)]
+pub struct Policies(Vec<Rule>);
+
+impl Policies {
+    /// The policies that these rules make.
+    #[must_use]
+    pub fn new(rules: &[Rule]) -> Self {
+        Self(rules.to_vec())
+    }
+
+    /// What to do when a node of this role has ended.
+    #[must_use]
+    pub fn of(&self, role: Role) -> Policy {
+        let kind = match role {
+            Role::Sim => Kind::Sim,
+            Role::Fusion => Kind::Fusion,
+            Role::Robot(_) | Role::Supervisor => Kind::Robot,
+        };
+        let rule = self.0.iter().rev().find(|rule| rule.kind.is_none_or(|of| of == kind));
+        rule.map_or(Policy::default(), |rule| rule.policy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn later_rules_win_and_nonsense_is_refused() {
+        let rules: Vec<Rule> = ["on-failure", "robot=never"].iter().map(|text| text.parse().unwrap()).collect();
+        let policies = Policies::new(&rules);
+        assert_eq!(policies.of(Role::Robot(3)), Policy::Never);
+        assert_eq!(policies.of(Role::Fusion), Policy::OnFailure);
+        assert_eq!(Policies::default().of(Role::Sim), Policy::Always);
+        for text in ["", "sometimes", "robot=", "wheel=never"] {
+            assert!(text.parse::<Rule>().unwrap_err().starts_with("expected always"), "{text}");
+        }
+    }
+}
