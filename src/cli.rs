@@ -45,6 +45,8 @@ pub enum Command {
     Watch(NodeArgs),
     /// Plan one step for each JSON line of a file or of standard input, for programs of any language
     Plan(PlanArgs),
+    /// Go on with a run all of whose processes are gone, from its checkpoints
+    Resume(ResumeArgs),
     /// Show a run: where it is, and each node's state, process and starts
     Status(StatusArgs),
     /// Kill a node of a run, as a crash would: its supervisor starts it again
@@ -142,6 +144,21 @@ pub struct NodeArgs {
     /// Who to end with
     #[command(flatten)]
     pub parent: ParentArgs,
+}
+
+/// `resume`.
+#[derive(Debug, Args)]
+pub struct ResumeArgs {
+    /// Folder of the run
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// Name of the run [default: the scenario's]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
+    /// only, repeatable [default: always]
+    #[arg(long, value_name = "[KIND=]POLICY")]
+    pub restart: Vec<Rule>,
 }
 
 /// A run to act on from another terminal.

@@ -33,6 +33,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Fusion(args) => node::fusion(&args),
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
+        Command::Resume(args) => supervisor::resume(&args),
         Command::Status(args) => remote::status(&args),
         Command::Kill(args) => remote::kill(&args),
         Command::Restart(args) => remote::restart(&args),

@@ -8,6 +8,7 @@
 //! | `picture.svg` | see [`crate::picture`] |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
+//! | `run.sealed` | what the run is, for `resume` |
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
@@ -21,11 +22,15 @@ use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::rendezvous::{Role, RunDescription};
 use rangehound_shared::scenario::Source;
+use rangehound_shared::sealed;
 
 use crate::experiment::Experiment;
 use crate::failure::Failure;
 use crate::picture;
 use crate::report::{self, Truth, position_covariance};
+
+/// What the run is, for `resume`.
+const DESCRIPTION: &str = "run.sealed";
 
 /// Makes the run folder ready: removes an earlier run's results, writes the scenario.
 ///
@@ -40,7 +45,25 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }
     let text = experiment.scenario_file.to_toml()?;
-    std::fs::write(out_dir.join("scenario.toml"), text).map_err(|error| not_writable(out_dir, &error))
+    let sealed = sealed::seal(&experiment.description)?;
+    std::fs::write(out_dir.join("scenario.toml"), text)
+        .and_then(|()| std::fs::write(out_dir.join(DESCRIPTION), sealed))
+        .map_err(|error| not_writable(out_dir, &error))
+}
+
+/// What a run is, from its folder, wherever that is now.
+///
+/// # Errors
+/// [`Failure::Input`] if the folder is not a run's.
+pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
+    let path = folder.join(DESCRIPTION);
+    let expected = |reason: &dyn std::fmt::Display| {
+        Failure::input(format!("{}: expected the folder of a run: {reason}", path.display()))
+    };
+    let sealed = std::fs::read(&path).map_err(|error| expected(&error))?;
+    let description: RunDescription = sealed::open(&sealed).map_err(|error| expected(&error))?;
+    let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
+    Ok(RunDescription { out_dir, ..description })
 }
 
 /// Makes a folder for results, unless it is there.

@@ -136,6 +136,12 @@ impl Run {
         found.unwrap()
     }
 
+    /// How often a role has been started.
+    pub(crate) fn starts(&self, role: &str) -> u64 {
+        let text = std::fs::read_to_string(self.shared_folder().join(format!("{role}.role"))).unwrap_or_default();
+        text.split(' ').next().and_then(|starts| starts.parse().ok()).unwrap_or(0)
+    }
+
     /// Ticks that the simulator has put down, and the words of the last one's record.
     pub(crate) fn last_world(&self) -> Option<(u64, Vec<u64>)> {
         let file = File::open(self.path("out/world.ticks")).ok()?;

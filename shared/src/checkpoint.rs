@@ -128,11 +128,8 @@ impl Checkpoint {
             match read_slot::<T>(&file, index, len).map_err(io_error)? {
                 None => {}
                 Some(Ok(slot)) if slot.run_id != run_id => refused = Some("of another run".to_owned()),
-                Some(Ok(slot)) => {
-                    if newest.as_ref().is_none_or(|newest| newest.sequence < slot.sequence) {
-                        newest = Some(slot);
-                    }
-                }
+                Some(Ok(slot)) if newest.as_ref().is_some_and(|newest| newest.sequence > slot.sequence) => {}
+                Some(Ok(slot)) => newest = Some(slot),
                 Some(Err(reason)) => refused = Some(reason.to_string()),
             }
         }

@@ -1,4 +1,4 @@
-//! `run` and `track`: starts the nodes of a run, watches them, ends them, and reports.
+//! `run`, `resume` and `track`: starts the nodes of a run, watches them, ends them, and reports.
 
 mod cleaner;
 mod nodes;
@@ -6,10 +6,10 @@ pub mod restart;
 
 use anyhow::anyhow;
 use rangehound_shared::bus::Bus;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
 use rangehound_shared::signal::Termination;
 
-use crate::cli::{RunArgs, TrackArgs};
+use crate::cli::{ResumeArgs, RunArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::input_or_running;
@@ -40,6 +40,19 @@ pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     execute(experiment, args.in_process, &args.restart, &Keep { recording: false, truth })
 }
 
+/// `rangehound resume`: goes on with a run all of whose processes are gone.
+///
+/// # Errors
+/// [`Failure`].
+pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
+    let description = tables::read_description(&args.folder)?;
+    let name = match &args.name {
+        Some(name) => name.clone(),
+        None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
+    };
+    supervise(&name, &description, &args.restart, &Keep { recording: false, truth: None }, || Ok(()))
+}
+
 /// What is done with a run's logs beyond the report.
 struct Keep {
     recording: bool,
@@ -60,10 +73,21 @@ fn execute(experiment: Experiment, in_process: bool, restart: &[Rule], keep: &Ke
         report_and_tables(description, keep, Vec::new())?;
         return Ok(());
     }
+    supervise(name, description, restart, keep, || tables::prepare_folder(&experiment))
+}
+
+/// Starts the processes of a run, sees to them until it ends, and reports.
+fn supervise(
+    name: &RunName,
+    description: &RunDescription,
+    restart: &[Rule],
+    keep: &Keep,
+    prepare_folder: impl FnOnce() -> Result<(), Failure>,
+) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
-    tables::prepare_folder(&experiment)?;
+    prepare_folder()?;
     let _role = rendezvous.take_role(Role::Supervisor).map_err(input_or_running)?;
     let (summaries, outcome) = std::thread::scope(|scope| {
         let bus = Bus::observe(&rendezvous)?;

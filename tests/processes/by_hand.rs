@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 
-use crate::support::{Process, Run, digest_in_process};
+use crate::support::{Process, Run, digest_in_process, signal};
 
 const SIM: &str = "sim mine.toml";
 
@@ -103,10 +103,36 @@ fn a_node_that_waits_for_its_run_ends_when_asked() {
     }
 }
 
-/// A fusion centre that was killed in mid-run took its state with it: another would start from the
-/// prior and write over what is there.
+/// A killed node's successor, started by hand too, goes on from the checkpoint.
 #[test]
-fn a_killed_fusion_is_not_replaced_by_one_that_knows_nothing() {
+fn killed_nodes_are_replaced_by_hand_and_change_nothing() {
+    let scenario = SCENARIO.replace("200", "4000");
+    let oracle = Run::new();
+    oracle.write("mine.toml", &scenario);
+    oracle.command("run mine.toml --in-process").finish().succeeded();
+    let run = Run::new();
+    run.write("mine.toml", &scenario);
+    let mut nodes: Vec<Process> =
+        [SIM, "robot --id 0", "robot --id 1", "robot --id 2", "watch"].map(|words| start(&run, words)).into();
+    nodes.push(start(&run, "fusion"));
+    for (role, words) in [("fusion", "fusion"), ("sim", SIM), ("robot-1", "robot --id 1"), ("fusion", "fusion")] {
+        let ticks = run.last_world().map_or(0, |(ticks, _)| ticks);
+        run.wait_for_ticks(ticks + 100);
+        let starts = run.starts(role);
+        signal(run.pid_of(role, starts), Signal::KILL);
+        nodes.push(start(&run, words));
+    }
+    let codes: Vec<Option<i32>> = nodes.into_iter().map(|node| node.finish().code).collect();
+    assert_eq!(codes.iter().filter(|code| code.is_none()).count(), 4, "the killed: {codes:?}");
+    assert_eq!(codes.iter().filter(|code| **code == Some(0)).count(), 6, "{codes:?}");
+    assert_eq!(run.digest(), oracle.digest());
+    assert_eq!(run.report()["ranges"]["missing"], 0);
+    run.assert_nothing_left();
+}
+
+/// Without a usable state a successor would start from the prior and write over what is there.
+#[test]
+fn a_damaged_checkpoint_is_refused_and_kept() {
     let run = Run::new();
     run.write("mine.toml", SCENARIO.replace("200", "100000000"));
     let mut nodes: Vec<Process> =
@@ -115,6 +141,12 @@ fn a_killed_fusion_is_not_replaced_by_one_that_knows_nothing() {
     run.wait_for_ticks(10);
     fusion.signal(Signal::KILL);
     assert_eq!(fusion.finish().code, None);
+    run.write("out/fusion.checkpoint", vec![7_u8; 5_000]);
+    let refused = run.node("fusion").finish();
+    assert_eq!((refused.code, refused.stderr.lines().count()), (Some(2), 1), "{refused:#?}");
+    assert!(refused.stderr.contains("fusion.checkpoint") && refused.stderr.contains("kept as"), "{refused:#?}");
+    assert!(run.path("out/fusion.checkpoint.refused").exists());
+    // It is not there any more, but neither does the next one start from the prior.
     let refused = run.node("fusion").finish();
     assert_eq!(refused.code, Some(2), "{refused:#?}");
     assert!(refused.stderr.contains("fusion of run") && refused.stderr.contains("expected a new run"), "{refused:#?}");

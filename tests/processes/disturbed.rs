@@ -82,13 +82,21 @@ fn an_interrupt_ends_even_nodes_that_cannot_hear_it() {
 }
 
 #[test]
-fn killed_robots_are_started_again_and_change_nothing() {
+fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
     let words = "--ticks 12000 --patience forever";
     let run = Run::new();
     let supervisor = run.lockstep(words);
     run.wait_for_ticks(200);
-    // The second start of robot-1 is killed as soon as it has its role: half-way up.
-    for (role, start) in [("robot-1", 1), ("robot-1", 2), ("robot-0", 1)] {
+    // The second start of a role is killed as soon as it has it: half-way up.
+    for (role, start) in
+        [("robot-1", 1), ("robot-1", 2), ("robot-0", 1), ("fusion", 1), ("fusion", 2), ("sim", 1), ("sim", 2)]
+    {
+        signal(run.pid_of(role, start), Signal::KILL);
+    }
+    let ticks = run.last_world().unwrap().0;
+    run.wait_for_ticks(ticks + 200);
+    // All at once.
+    for (role, start) in [("sim", 3), ("fusion", 3), ("robot-0", 2), ("robot-1", 3), ("robot-2", 1)] {
         signal(run.pid_of(role, start), Signal::KILL);
     }
     supervisor.finish().succeeded();
@@ -97,10 +105,70 @@ fn killed_robots_are_started_again_and_change_nothing() {
     let counts = |key: &str| -> Vec<u64> {
         report["nodes"].as_array().unwrap().iter().filter_map(|node| node[key].as_u64()).collect()
     };
-    assert_eq!(counts("starts"), [1, 1, 2, 3, 1]);
-    assert_eq!(counts("kills"), [0, 0, 1, 2, 0]);
+    assert_eq!(counts("starts"), [4, 4, 3, 4, 2]);
+    assert_eq!(counts("kills"), [3, 3, 2, 3, 1]);
     assert_eq!(counts("exits"), [0; 5]);
     assert_eq!(report["ranges"]["published"], 3 * 12_000);
+    assert_eq!(report["ranges"]["fused"], 3 * 12_000);
+    run.assert_nothing_left();
+}
+
+/// The supervisor too, so that nobody is left to start anything again.
+#[test]
+fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
+    let words = "--ticks 6000 --patience forever";
+    let run = Run::new();
+    let mut supervisor = run.lockstep(words);
+    for ticks in [500, 1_500, 3_000] {
+        run.wait_for_ticks(ticks);
+        let nodes: Vec<Pid> = ROLES.iter().map(|role| run.pid_of(role, 1)).collect();
+        supervisor.signal(Signal::KILL);
+        nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
+        supervisor.finish();
+        supervisor = run.start(&["resume", "out", "--name", &run.name]);
+    }
+    supervisor.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    assert_eq!(run.report()["ranges"]["fused"], 3 * 6_000);
+    run.assert_nothing_left();
+
+    let refused = run.start(&["resume", "nowhere"]).finish();
+    assert_eq!((refused.code, refused.stderr.lines().count()), (Some(2), 1), "{refused:#?}");
+}
+
+#[test]
+fn other_terminals_can_look_at_a_run_and_act_on_it() {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    run.wait_for_ticks(10);
+    let status = || -> serde_json::Value {
+        serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap()
+    };
+    let states = |status: &serde_json::Value| -> Vec<String> {
+        status["nodes"].as_array().unwrap().iter().map(|node| node["state"].as_str().unwrap().to_owned()).collect()
+    };
+    let before = status();
+    assert!(before["tick"].as_u64().unwrap() >= 9 && before["ticks"] == 100_000_000_u64, "{before}");
+    assert_eq!(states(&before), ["running"; 6], "{before}");
+    assert!(run.node("status").finish().succeeded().stdout.contains("robot-2"));
+
+    let robot = run.pid_of("robot-2", 1);
+    run.node("kill robot-2").finish().succeeded();
+    assert_ne!(run.pid_of("robot-2", 2), robot);
+    run.node("restart fusion").finish().succeeded();
+    run.pid_of("fusion", 2);
+    let ticks = run.last_world().unwrap().0;
+    run.wait_for_ticks(ticks + 10);
+    signal(run.pid_of("robot-0", 1), Signal::STOP);
+    assert_eq!(states(&status())[2], "stopped");
+    signal(run.pid_of("robot-0", 1), Signal::CONT);
+
+    let refused = run.node("kill robot-7").finish();
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    run.node("stop").finish().succeeded();
+    assert_eq!(supervisor.finish().code, Some(1), "ended before its last tick");
+    let gone = run.node("status").finish();
+    assert_eq!((gone.code, gone.stderr.lines().count()), (Some(2), 1), "{gone:#?}");
     run.assert_nothing_left();
 }
 
@@ -127,10 +195,10 @@ fn half_made_shared_memory_of_the_dead_is_removed_and_that_of_the_living_is_not(
 }
 
 #[test]
-fn without_simulator_or_fusion_a_run_ends_and_says_so() {
+fn without_a_restart_of_simulator_or_fusion_a_run_ends_and_says_so() {
     for role in ["fusion", "sim"] {
         let run = Run::new();
-        let supervisor = run.lockstep(ENDLESS);
+        let supervisor = run.lockstep(&format!("{ENDLESS} --restart {role}=never"));
         let nodes = pids(&run);
         run.wait_for_ticks(10);
         signal(run.pid_of(role, 1), Signal::KILL);
