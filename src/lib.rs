@@ -7,7 +7,8 @@
 //! |---|---|
 //! | [`cli`] | the command line |
 //! | [`experiment`] | from command line to a validated scenario |
-//! | [`supervisor`] | `run`, `track`: starts the nodes, watches, ends them |
+//! | [`supervisor`] | `run`, `resume`, `track`: starts the nodes, watches, starts them again, ends them |
+//! | [`remote`] | `status`, `kill`, `restart`, `stop`: acting on a run from another terminal |
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`watch`] | progress of a run, as an observer sees it |
 //! | [`plan`] | one step per JSON line, for programs of any language |
