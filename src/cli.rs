@@ -55,6 +55,8 @@ pub enum Command {
     Restart(RemoteNodeArgs),
     /// End a run in order, as Ctrl-C in its terminal would
     Stop(RemoteArgs),
+    /// Hurt a run of its own at random times, by a seed, and judge whether it kept its promises
+    Chaos(ChaosArgs),
     /// Print the default scenario file, to start one's own from
     Scenario,
     /// Track recorded ranges: the same processes, one robot process for each sensor
@@ -188,6 +190,58 @@ pub struct RemoteNodeArgs {
     /// The run
     #[command(flatten)]
     pub run: RemoteArgs,
+}
+
+/// `chaos`.
+#[derive(Debug, Args)]
+#[command(after_help = CHAOS_EXITS)]
+pub struct ChaosArgs {
+    /// The experiment; in lock step, the default here, with endless patience
+    #[command(flatten)]
+    pub experiment: ExperimentArgs,
+    /// Number of faults; a run that ends before them is followed by one of the next seed
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 50)]
+    pub faults: u64,
+    /// Kinds of faults, separated by commas
+    #[arg(long, value_name = "KINDS", value_delimiter = ',', default_value = "all")]
+    pub kinds: Vec<KindArg>,
+    /// Who is hurt: sim, fusion, robot, separated by commas
+    #[arg(long, value_name = "ROLES", value_delimiter = ',', default_value = "sim,fusion,robot")]
+    pub roles: Vec<RoleArg>,
+    /// Faults a second in the mean; the gaps are exponential
+    #[arg(long, value_name = "PER_S", value_parser = number, allow_negative_numbers = true, default_value_t = 10.0)]
+    pub rate: f64,
+    /// Seed of the faults
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
+    pub chaos_seed: u64,
+}
+
+const CHAOS_EXITS: &str = "Exit codes: 0 all promises kept, 1 one broken or ended by Ctrl-C, 2 bad usage or bad input.";
+
+/// A kind of fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum KindArg {
+    /// One node is killed
+    Kill,
+    /// One node is stopped for 10 to 500 ms
+    Stop,
+    /// One node is killed, and its successors as soon as they have its role, 3 to 5 times
+    Storm,
+    /// Two or more nodes are killed at once
+    Several,
+    /// All of these
+    All,
+}
+
+/// A kind of node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RoleArg {
+    /// The simulator
+    Sim,
+    /// The fusion centre
+    Fusion,
+    /// Any robot
+    Robot,
 }
 
 /// `robot`.

@@ -195,7 +195,7 @@ fn name_after(ranges: &Path) -> String {
 
 /// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder
 /// is given) has a folder.
-fn free_name(wanted: &str, folder_given: bool) -> Result<RunName, Failure> {
+pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<RunName, Failure> {
     let living = living_runs();
     let short: String = wanted.chars().take(19).collect();
     let candidates = std::iter::once(wanted.to_owned()).chain((2..10_000).map(|n| format!("{short}-{n}")));

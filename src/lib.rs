@@ -12,12 +12,14 @@
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`watch`] | progress of a run, as an observer sees it |
 //! | [`plan`] | one step per JSON line, for programs of any language |
+//! | [`chaos`] | campaigns of faults on a live run |
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`report`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
 //! | [`chart`], [`field`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
 
+pub mod chaos;
 pub mod chart;
 pub mod cli;
 pub mod compare;

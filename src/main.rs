@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::Failure;
-use rangehound::{compare, node, plan, remote, supervisor, watch};
+use rangehound::{chaos, compare, node, plan, remote, supervisor, watch};
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
@@ -38,6 +38,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Kill(args) => remote::kill(&args),
         Command::Restart(args) => remote::restart(&args),
         Command::Stop(args) => remote::stop(&args),
+        Command::Chaos(args) => chaos::chaos(&args),
         Command::Plan(args) => plan::plan(&args),
         Command::Compare(args) => compare::compare(&args),
         Command::Scenario => {

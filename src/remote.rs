@@ -20,7 +20,7 @@ const POLL: Duration = Duration::from_millis(10);
 
 /// A run as it is at the moment.
 #[derive(Debug, Serialize)]
-struct Status {
+pub(crate) struct Status {
     name: String,
     scenario: String,
     /// Newest tick that is over, and the run's last.
@@ -137,7 +137,7 @@ fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
 }
 
 /// Sends a signal to the process in a role, and to no other that may get its pid.
-fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
+pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
     if let Role::Robot(id) = role
         && id >= run.description().scenario.robots.len()
     {
@@ -156,7 +156,7 @@ fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> 
 }
 
 impl Status {
-    fn of(run: &Rendezvous) -> Self {
+    pub(crate) fn of(run: &Rendezvous) -> Self {
         let description = run.description();
         let scenario = &description.scenario;
         let log = WorldRecord::reader(&description.out_dir, description.run_id, scenario).ok();

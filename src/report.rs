@@ -65,7 +65,7 @@ pub struct TraceSummary {
 }
 
 /// What became of the ranges.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
     /// Published by robots, as they told the simulator.
     pub published: u64,

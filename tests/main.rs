@@ -5,6 +5,7 @@
 //! | `paper` | the paper's experiment, many seeds in one process: do the figures come out |
 //! | `golden` | the filter against numbers from independent implementations |
 //! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
+//! | `chaos` | campaigns of faults: every promise kept, nothing left behind |
 //! | `comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
@@ -14,6 +15,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
 
+mod chaos;
 mod command_line;
 mod comparison;
 mod golden;

@@ -20,6 +20,8 @@ pub enum Stream {
     PriorMean,
     /// Headings of the random planner.
     RandomPlanner,
+    /// Faults of a campaign, which has a seed of its own.
+    Faults,
     /// Noise of one robot's range.
     RangeNoise {
         /// The robot's id.
@@ -33,6 +35,7 @@ impl Stream {
             Self::TargetNoise => 0,
             Self::PriorMean => 1,
             Self::RandomPlanner => 2,
+            Self::Faults => 3,
             // Far above the fixed purposes, so that a new purpose moves no robot's noise.
             Self::RangeNoise { robot } => 1_000 + robot as u64,
         }

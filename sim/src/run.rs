@@ -129,7 +129,11 @@ impl<'a> Sim<'a> {
                 sim.silent.resize(robots, false);
                 log::info!("goes on with tick {tick}");
             }
-            None => rendezvous.refuse_lost_state(Role::Sim, sim.log.as_ref())?,
+            None => {
+                rendezvous.refuse_lost_state(Role::Sim, sim.log.as_ref())?;
+                // Before tick 0 is put down: killed between that and its checkpoint, it would be refused.
+                sim.save()?;
+            }
         }
         Ok(sim)
     }
@@ -277,6 +281,10 @@ impl<'a> Sim<'a> {
         self.world.advance(&self.drives);
         self.drives.fill(None);
         self.tick += 1;
+        self.save()
+    }
+
+    fn save(&mut self) -> Result<(), SimError> {
         self.world_bytes.clear();
         self.world.save(&mut self.world_bytes)?;
         let saved = Saved { tick: self.tick, silent: &self.silent, world: &self.world_bytes };

@@ -21,13 +21,14 @@ use crate::watch;
 /// How long nodes may take to end by themselves once the run is over, and once they are asked to.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// A node that ends by itself this often in a row has a reason that starting it again does not mend.
-const EXITS_MAX: u32 = 5;
+/// A node that fails by itself this often in a row has a reason that starting it again does not mend.
+const FAILURES_MAX: u32 = 5;
 
 /// A node that has lived for this long has got over what ended its forerunner.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// Wait before the second start in a row of a node that has not settled; it doubles with each further one.
+/// Wait before the second start in a row of a node that has not settled; it doubles with each further
+/// failure. A kill is somebody else's doing and does not make it longer.
 const BACK_OFF: Duration = Duration::from_millis(10);
 
 const BACK_OFF_MAX: Duration = Duration::from_secs(1);
@@ -50,9 +51,9 @@ struct Node {
     role: Role,
     running: Option<Running>,
     summary: NodeSummary,
-    /// Deaths since it last settled, and own exits among them.
+    /// Deaths since it last settled, and own failures among them: exits and crashes.
     deaths: u32,
-    exits: u32,
+    failures: u32,
     restart_at: Option<Instant>,
 }
 
@@ -119,7 +120,7 @@ impl<'a> Nodes<'a> {
                 self.last_death = Some(Instant::now());
                 self.rendezvous.remove_half_made();
                 self.cleaner.request();
-                let is_hopeless = status.code() == Some(2) || node.exits >= EXITS_MAX;
+                let is_hopeless = status.code() == Some(2) || node.failures >= FAILURES_MAX;
                 let is_replaced = match self.policies.of(node.role) {
                     Policy::Always => true,
                     Policy::OnFailure => !status.success(),
@@ -185,7 +186,7 @@ impl<'a> Nodes<'a> {
 impl Node {
     fn new(role: Role) -> Self {
         let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0 };
-        Self { role, running: None, summary, deaths: 0, exits: 0, restart_at: None }
+        Self { role, running: None, summary, deaths: 0, failures: 0, restart_at: None }
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -226,7 +227,7 @@ impl Node {
         let Some(running) = &mut self.running else { return Ok(None) };
         let Some(status) = running.child.try_wait()? else { return Ok(None) };
         if running.since.elapsed() >= SETTLED {
-            (self.deaths, self.exits) = (0, 0);
+            (self.deaths, self.failures) = (0, 0);
         }
         self.running = None;
         // The run is marked as finished before any node ends by itself, so the mark is looked at after.
@@ -234,22 +235,24 @@ impl Node {
             return Ok(None);
         }
         self.deaths += 1;
+        if !status.success() && status.signal() != Some(Signal::KILL.as_raw()) {
+            self.failures += 1;
+        }
         if status.signal().is_some() {
             self.summary.kills += 1;
         } else {
             self.summary.exits += 1;
-            self.exits += 1;
         }
         Ok(Some(status))
     }
 
     /// How long to wait before it is started again: not at all after one death, longer and longer while
-    /// it does not settle.
+    /// it fails before it has settled.
     fn back_off(&self) -> Duration {
-        match self.deaths.checked_sub(2) {
-            None => Duration::ZERO,
-            Some(more) => BACK_OFF.saturating_mul(1 << more.min(16)).min(BACK_OFF_MAX),
+        if self.deaths <= 1 {
+            return Duration::ZERO;
         }
+        BACK_OFF.saturating_mul(1 << self.failures.saturating_sub(1).min(16)).min(BACK_OFF_MAX)
     }
 }
 

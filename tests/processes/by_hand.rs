@@ -130,6 +130,30 @@ fn killed_nodes_are_replaced_by_hand_and_change_nothing() {
     run.assert_nothing_left();
 }
 
+/// The first checkpoint stands before the first tick is put down: a simulator killed between a tick's
+/// record and the checkpoint after it is replaced too.
+#[test]
+fn a_simulator_killed_after_its_first_record_is_replaced() {
+    let run = Run::new();
+    run.write("mine.toml", SCENARIO);
+    // Without the team, tick 0 is never over.
+    let sim = start(&run, SIM);
+    let checkpoint = run.path("out/sim.checkpoint");
+    run.wait_until("the first checkpoint", || std::fs::metadata(&checkpoint).is_ok_and(|file| file.len() > 0));
+    let robots = ["robot --id 0", "robot --id 1", "robot --id 2"].map(|words| start(&run, words));
+    sim.signal(Signal::KILL);
+    sim.finish();
+    // As if it had put tick 0 down: longer than its header.
+    let log = std::fs::OpenOptions::new().append(true).open(run.path("out/world.ticks")).unwrap();
+    log.set_len(24 + 8 * 19).unwrap();
+    let nodes = [start(&run, SIM), start(&run, "watch"), start(&run, "fusion")];
+    for node in robots.into_iter().chain(nodes) {
+        node.finish().succeeded();
+    }
+    assert_eq!(run.report()["ranges"]["fused"], 600);
+    run.assert_nothing_left();
+}
+
 /// Without a usable state a successor would start from the prior and write over what is there.
 #[test]
 fn a_damaged_checkpoint_is_refused_and_kept() {

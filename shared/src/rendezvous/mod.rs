@@ -369,6 +369,12 @@ pub fn living_runs() -> Vec<RunName> {
         .collect()
 }
 
+/// What lies in shared memory of the run of this name: nothing once its last member has left.
+#[must_use]
+pub fn files_of(name: &RunName) -> Vec<PathBuf> {
+    Place::of(name).files()
+}
+
 /// Removes this user's runs of which nobody lives, but for the one that is about to be founded.
 fn remove_dead_runs(but: &RunName) {
     for name in run_names().filter(|name| name != but) {

@@ -132,6 +132,15 @@ impl Place {
         }
     }
 
+    /// What lies in shared memory of this run.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten().map(|entry| entry.path());
+        let is_segment = |path: &Path| {
+            path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(self.prefix.as_bytes()))
+        };
+        entries.filter(|path| *path == self.dir || is_segment(path)).collect()
+    }
+
     /// Removes the run. The caller holds the door and knows that nobody lives.
     pub(super) fn remove(&self) {
         self.remove_leftovers();

@@ -1,0 +1,491 @@
+//! The live part of a campaign: runs that are started, hurt, and waited for.
+
+use std::fs::File;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of};
+use rangehound_shared::signal::Termination;
+use rangehound_shared::tick_log::TickLogReader;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::faults::{Fault, Faults, Kind};
+use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
+use crate::experiment::Experiment;
+use crate::failure::Failure;
+use crate::node::input_or_running;
+use crate::remote::{Status, signal};
+use crate::watch::Progress;
+use crate::{in_process, report};
+
+const POLL: Duration = Duration::from_millis(1);
+
+/// A run that has not completed a tick for so long after the last fault is called hung.
+const HUNG: Duration = Duration::from_secs(30);
+
+/// A run that has not completed a tick for so long is hurt no more until it does: a fault could end a
+/// hang that should be seen.
+const STILL: Duration = Duration::from_secs(2);
+
+/// How long a run may take to end once it is finished or asked to.
+const ENDING: Duration = Duration::from_secs(30);
+
+/// A campaign of faults, over as many runs as it takes.
+pub(super) struct Campaign<'a> {
+    experiment: &'a Experiment,
+    faults: Faults,
+    count: u64,
+    termination: &'a Termination,
+    progress: Progress,
+    /// The next fault, and what is left of the time before it.
+    next: Fault,
+    next_number: u64,
+    wait: Duration,
+    injected: Vec<Injected>,
+    rounds: usize,
+}
+
+impl<'a> Campaign<'a> {
+    pub(super) fn new(
+        experiment: &'a Experiment,
+        mut faults: Faults,
+        count: u64,
+        termination: &'a Termination,
+    ) -> Self {
+        let next = faults.at(0);
+        let (wait, progress) = (next.gap, Progress::new("fault", count));
+        let (next_number, injected, rounds) = (0, Vec::new(), 0);
+        Self { experiment, faults, count, termination, progress, next, next_number, wait, injected, rounds }
+    }
+
+    /// True until all faults are in.
+    pub(super) fn goes_on(&self) -> bool {
+        self.next_number < self.count
+    }
+
+    pub(super) fn injected(&self) -> &[Injected] {
+        &self.injected
+    }
+
+    /// One run, from its start to its end.
+    ///
+    /// # Errors
+    /// [`Failure`] if the run cannot be started or looked at.
+    pub(super) fn round(&mut self) -> Result<Round, Failure> {
+        let Experiment { name, description, .. } = self.experiment;
+        let seed = description.scenario.seed.wrapping_add(self.rounds as u64);
+        self.rounds += 1;
+        let out_dir = description.out_dir.join(format!("round-{}", self.rounds));
+        let mut run = Run::start(self.experiment, seed, &out_dir)?;
+        let began = Instant::now();
+        let (joined, mut ended) = self.hurt(&mut run)?;
+        self.progress.finish();
+        let code = run.end(ended == Ended::Done)?;
+        if ended == Ended::Done && code != Some(0) {
+            ended = Ended::Failed;
+        }
+        let said = if ended == Ended::Done { String::new() } else { run.last_words() };
+        let Some(joined) = joined else {
+            // It ended before it was a run: what it complains about is the user's to mend.
+            return Err(if code == Some(2) { Failure::input(said) } else { Failure::Running(anyhow::anyhow!(said)) });
+        };
+        let processes_left = processes_of(name);
+        // Told, but not left.
+        for pid in processes_left.iter().filter_map(|pid| Pid::from_raw(*pid)) {
+            let _ = kill_process(pid, Signal::KILL);
+        }
+        let alone = (ended == Ended::Done && is_repeatable(&joined.scenario)).then(|| alone(&joined)).transpose()?;
+        Ok(Round {
+            seed,
+            ended,
+            said,
+            wall_s: began.elapsed().as_secs_f64(),
+            // A run that ended early may have left no logs.
+            tally: tally(&joined).unwrap_or_default(),
+            alone,
+            without_heading: without_heading(&joined).unwrap_or(0),
+            files_left: files_of(name).iter().map(|path| path.display().to_string()).collect(),
+            processes_left,
+        })
+    }
+
+    /// Joins the run and hurts it until it ends. Membership ends with this, so that the run's last own
+    /// member cleans up as it would without us.
+    fn hurt(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
+        let name = &self.experiment.name;
+        let rendezvous = loop {
+            if let Some(rendezvous) = Rendezvous::join_if_alive(name).map_err(input_or_running)? {
+                break rendezvous;
+            }
+            if run.has_ended()? {
+                return Ok((None, Ended::Failed));
+            }
+            std::thread::sleep(POLL);
+        };
+        let description = rendezvous.description().clone();
+        let ended = self.hurt_until_it_ends(run, &rendezvous)?;
+        Ok((Some(description), ended))
+    }
+
+    fn hurt_until_it_ends(&mut self, run: &mut Run, rendezvous: &Rendezvous) -> Result<Ended, Failure> {
+        let mut live = Live::new(rendezvous, self.rounds);
+        let mut due = live.began + self.wait;
+        let ended = loop {
+            if rendezvous.is_finished() {
+                break Ended::Done;
+            }
+            if run.has_ended()? {
+                break Ended::Failed;
+            }
+            if self.termination.requested() {
+                break Ended::Interrupted;
+            }
+            live.look(&mut self.injected);
+            let idle = live.ticks.since.elapsed();
+            if idle >= STILL {
+                // Its first tick after a stillness is not met by what would have come meanwhile.
+                due = due.max(Instant::now() + self.next.gap);
+            }
+            if self.goes_on()
+                && Instant::now() >= due
+                && idle < STILL
+                && live.inject(self.next_number, &self.next, &mut self.injected)
+            {
+                self.next_number += 1;
+                self.next = self.faults.at(self.next_number);
+                due = Instant::now() + self.next.gap;
+            }
+            if idle > HUNG && live.last_fault.elapsed() > HUNG {
+                eprintln!("{}", Status::of(rendezvous));
+                break Ended::Hung;
+            }
+            let message = format!("run {}, tick {}", self.rounds, live.ticks.newest);
+            self.progress.show(self.next_number, &message);
+            std::thread::sleep(POLL);
+        };
+        self.wait = due.saturating_duration_since(Instant::now());
+        live.continue_all();
+        Ok(ended)
+    }
+}
+
+/// The child that supervises a run.
+struct Run {
+    child: Child,
+    log: PathBuf,
+}
+
+impl Run {
+    fn start(experiment: &Experiment, seed: u64, out_dir: &Path) -> anyhow::Result<Self> {
+        std::fs::create_dir_all(out_dir).with_context(|| out_dir.display().to_string())?;
+        let scenario = out_dir.join("asked.toml");
+        std::fs::write(&scenario, experiment.scenario_file.to_toml()?)?;
+        let log = out_dir.join("run.log");
+        let output = File::create(&log)?;
+        let child = Command::new(std::env::current_exe().context("where this program is")?)
+            .arg("run")
+            .arg(&scenario)
+            .args(["--name", &experiment.name.to_string(), "--seed", &seed.to_string()])
+            .arg("--out")
+            .arg(out_dir)
+            // A group of its own: Ctrl-C reaches this process, which ends the run in order.
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(output.try_clone()?)
+            .stderr(output)
+            .spawn()
+            .context("cannot start the run")?;
+        Ok(Self { child, log })
+    }
+
+    fn has_ended(&mut self) -> std::io::Result<bool> {
+        Ok(self.child.try_wait()?.is_some())
+    }
+
+    /// Waits for the end, asks for it if the run is not over, and forces it in the end. The exit code, if
+    /// it came to one.
+    fn end(&mut self, is_over: bool) -> std::io::Result<Option<i32>> {
+        for attempt in usize::from(!is_over).. {
+            match attempt {
+                0 => {}
+                1 if !self.has_ended()? => drop(kill_process(Pid::from_child(&self.child), Signal::TERM)),
+                1 => {}
+                _ => drop(self.child.kill()),
+            }
+            let began = Instant::now();
+            while began.elapsed() < ENDING {
+                if let Some(status) = self.child.try_wait()? {
+                    return Ok(status.code());
+                }
+                std::thread::sleep(POLL);
+            }
+        }
+        Ok(None)
+    }
+
+    fn last_words(&self) -> String {
+        let text = std::fs::read_to_string(&self.log).unwrap_or_default();
+        let complaint = text.lines().rev().find(|line| line.starts_with("rangehound: "));
+        complaint.or(text.lines().last()).unwrap_or_default().trim_start_matches("rangehound: ").to_owned()
+    }
+}
+
+impl Drop for Run {
+    /// An error on our side must not leave a run behind.
+    fn drop(&mut self) {
+        if matches!(self.has_ended(), Ok(false)) {
+            let _ = self.end(false);
+        }
+    }
+}
+
+/// A run while it is being hurt.
+struct Live<'a> {
+    run: &'a Rendezvous,
+    round: usize,
+    began: Instant,
+    last_fault: Instant,
+    ticks: Ticks<'a>,
+    /// Who is to be continued, and when.
+    stopped: Vec<(Instant, Role)>,
+    storms: Vec<Storm>,
+    recovering: Vec<Recovering>,
+}
+
+struct Storm {
+    hit: usize,
+    role: Role,
+    /// Starts of the role at the last kill.
+    starts: u64,
+    left: u32,
+}
+
+struct Recovering {
+    hit: usize,
+    role: Role,
+    killed: Instant,
+    starts: u64,
+    /// What counted as heard of the role when its successor was there.
+    heard_before: Option<u64>,
+}
+
+impl<'a> Live<'a> {
+    fn new(run: &'a Rendezvous, round: usize) -> Self {
+        let now = Instant::now();
+        let (stopped, storms, recovering) = (Vec::new(), Vec::new(), Vec::new());
+        Self { run, round, began: now, last_fault: now, ticks: Ticks::of(run), stopped, storms, recovering }
+    }
+
+    /// Does a fault to those of its nodes that are there. False if none is: to be tried again.
+    fn inject(&mut self, fault: u64, what: &Fault, injected: &mut Vec<Injected>) -> bool {
+        let mut is_done = false;
+        for &role in &what.roles {
+            let hit = injected.len();
+            let is_hit = match what.kind {
+                Kind::Stop => signal(self.run, role, Signal::STOP).is_ok(),
+                Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
+            };
+            if !is_hit {
+                continue;
+            }
+            is_done = true;
+            match what.kind {
+                Kind::Stop => self.stopped.push((Instant::now() + what.stop, role)),
+                Kind::Storm => {
+                    let starts = self.recovering.last().map_or(0, |last| last.starts);
+                    self.storms.push(Storm { hit, role, starts, left: what.kills - 1 });
+                }
+                Kind::Kill | Kind::Several => {}
+            }
+            let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
+            let round = self.round;
+            injected.push(Injected {
+                fault,
+                round,
+                at_s,
+                tick,
+                kind: what.kind,
+                role,
+                restart_ms: None,
+                recovery_ms: None,
+            });
+        }
+        if is_done {
+            self.last_fault = Instant::now();
+        }
+        is_done
+    }
+
+    /// Kills a node, for the hit of this number; an earlier one that it has not got over counts no more.
+    fn kill(&mut self, role: Role, hit: usize) -> bool {
+        let starts = self.run.starts(role);
+        if signal(self.run, role, Signal::KILL).is_err() {
+            return false;
+        }
+        self.recovering.retain(|earlier| earlier.role != role);
+        self.recovering.push(Recovering { hit, role, killed: Instant::now(), starts, heard_before: None });
+        true
+    }
+
+    /// Does what is due of earlier faults, and notes who has recovered.
+    fn look(&mut self, injected: &mut [Injected]) {
+        let now = Instant::now();
+        self.ticks.look();
+        let run = self.run;
+        self.stopped.retain(|(due, role)| {
+            let is_due = now >= *due;
+            if is_due {
+                // A node that was killed meanwhile has a successor, which this does no harm.
+                let _ = signal(run, *role, Signal::CONT);
+            }
+            !is_due
+        });
+        for mut storm in std::mem::take(&mut self.storms) {
+            let successor = run.starts(storm.role);
+            if successor > storm.starts && self.kill(storm.role, storm.hit) {
+                (storm.starts, storm.left) = (successor, storm.left - 1);
+                self.last_fault = now;
+            }
+            if storm.left > 0 {
+                self.storms.push(storm);
+            }
+        }
+        let ticks = &self.ticks;
+        self.recovering.retain_mut(|node| {
+            let heard = ticks.heard(node.role);
+            match node.heard_before {
+                None if run.starts(node.role) > node.starts => {
+                    node.heard_before = Some(heard);
+                    injected[node.hit].restart_ms = Some(1e3 * node.killed.elapsed().as_secs_f64());
+                }
+                Some(before) if heard > before => {
+                    injected[node.hit].recovery_ms = Some(1e3 * node.killed.elapsed().as_secs_f64());
+                    return false;
+                }
+                _ => {}
+            }
+            true
+        });
+    }
+
+    fn continue_all(&mut self) {
+        for (_, role) in self.stopped.drain(..) {
+            let _ = signal(self.run, role, Signal::CONT);
+        }
+    }
+}
+
+/// What the run's logs tell while they grow.
+struct Ticks<'a> {
+    description: &'a RunDescription,
+    world: Option<TickLogReader>,
+    estimate: Option<TickLogReader>,
+    /// Newest tick that is over.
+    newest: u64,
+    /// Since when.
+    since: Instant,
+    newest_estimate: u64,
+    /// Newest tick that was read, and for each robot the newest with a range of it.
+    read: Option<u64>,
+    heard: Vec<u64>,
+}
+
+impl<'a> Ticks<'a> {
+    fn of(run: &'a Rendezvous) -> Self {
+        let description = run.description();
+        let heard = vec![0; description.scenario.robots.len()];
+        let (newest, newest_estimate, since) = (0, 0, Instant::now());
+        Self { description, world: None, estimate: None, newest, since, newest_estimate, read: None, heard }
+    }
+
+    fn look(&mut self) {
+        let RunDescription { run_id, scenario, out_dir } = self.description;
+        // A log is there once its node has started.
+        if self.world.is_none() {
+            self.world = WorldRecord::reader(out_dir, *run_id, scenario).ok();
+        }
+        if self.estimate.is_none() {
+            self.estimate = EstimateRecord::reader(out_dir, *run_id, scenario).ok();
+        }
+        let newest = |log: &TickLogReader| log.newest_tick().ok().flatten();
+        if let Some(tick) = self.estimate.as_ref().and_then(newest) {
+            self.newest_estimate = tick;
+        }
+        let Some(log) = &mut self.world else { return };
+        let Some(tick) = newest(log) else { return };
+        if tick > self.newest {
+            (self.newest, self.since) = (tick, Instant::now());
+        }
+        // Never beyond the records that are whole.
+        while self.read.is_none_or(|read| read < tick) {
+            let Some(Ok((read, words))) = log.next() else { break };
+            self.read = Some(read);
+            let record = WorldRecord::from_words(words, scenario);
+            for (heard, robot) in self.heard.iter_mut().zip(&record.robots) {
+                if robot.range_published {
+                    *heard = read;
+                }
+            }
+        }
+    }
+
+    /// The newest tick that shows this role at work. In lock step no tick ends without all.
+    fn heard(&self, role: Role) -> u64 {
+        match role {
+            _ if is_repeatable(&self.description.scenario) => self.newest,
+            Role::Robot(id) => self.heard.get(id).copied().unwrap_or(0),
+            Role::Fusion => self.newest_estimate,
+            Role::Sim | Role::Supervisor => self.newest,
+        }
+    }
+}
+
+fn tally(description: &RunDescription) -> anyhow::Result<Tally> {
+    let report = report::from_logs(description, None, Vec::new())?;
+    Ok(Tally { ticks: report.ticks, digest: report.digest, ranges: report.ranges })
+}
+
+/// The same run left alone, composed in this process.
+fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
+    let out_dir = description.out_dir.join("alone");
+    std::fs::create_dir_all(&out_dir).with_context(|| out_dir.display().to_string())?;
+    let alone = RunDescription { out_dir, ..description.clone() };
+    in_process::run(&alone, |_| {})?;
+    tally(&alone)
+}
+
+/// How often a robot published a range and drove without the heading of that tick.
+fn without_heading(description: &RunDescription) -> anyhow::Result<u64> {
+    let RunDescription { run_id, scenario, out_dir } = description;
+    let mut log = WorldRecord::reader(out_dir, *run_id, scenario)?;
+    let mut count = 0;
+    while let Some(record) = log.next() {
+        let record = WorldRecord::from_words(record?.1, scenario);
+        count += record.robots.iter().filter(|robot| robot.range_published && robot.latency_ns.is_none()).count();
+    }
+    Ok(count as u64)
+}
+
+/// Living processes of this program that go by this run's name, but for this one.
+fn processes_of(name: &RunName) -> Vec<i32> {
+    let program = std::env::current_exe().ok();
+    let name = name.to_string();
+    let is_of_run = |pid: &i32| {
+        let arguments = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        let mut arguments = arguments.split(|byte| *byte == 0);
+        arguments.any(|argument| argument == b"--name") && arguments.next() == Some(name.as_bytes())
+    };
+    std::fs::read_dir("/proc")
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok())
+        .filter(|pid| Some(*pid) != i32::try_from(std::process::id()).ok())
+        .filter(|pid| std::fs::read_link(format!("/proc/{pid}/exe")).ok() == program)
+        .filter(is_of_run)
+        .collect()
+}

@@ -1,0 +1,192 @@
+//! The faults of a campaign, as a pure function of its seed.
+
+use std::time::Duration;
+
+use rangehound_shared::draws::{Draws, Stream};
+use rangehound_shared::rendezvous::Role;
+use serde::Serialize;
+
+use crate::cli::{ChaosArgs, KindArg, RoleArg};
+use crate::failure::Failure;
+
+/// What is done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Kind {
+    /// One node is killed.
+    Kill,
+    /// One node is stopped for a while.
+    Stop,
+    /// One node is killed, and its successors half-way up.
+    Storm,
+    /// Several nodes are killed at once.
+    Several,
+}
+
+impl Kind {
+    /// All kinds.
+    pub(super) const ALL: [Self; 4] = [Self::Kill, Self::Stop, Self::Storm, Self::Several];
+}
+
+/// One fault.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Fault {
+    /// Time since the fault before.
+    pub(super) gap: Duration,
+    /// What is done.
+    pub(super) kind: Kind,
+    /// Whom it is done to: one node, but for [`Kind::Several`].
+    pub(super) roles: Vec<Role>,
+    /// How long a stop lasts.
+    pub(super) stop: Duration,
+    /// How many kills a storm has.
+    pub(super) kills: u32,
+}
+
+/// The faults of a seed: each a function of its number, however many came before.
+#[derive(Debug, Clone)]
+pub(super) struct Faults {
+    draws: Draws,
+    kinds: Vec<Kind>,
+    /// By kind of node, so that a large team does not save the simulator from being hurt.
+    nodes: Vec<Vec<Role>>,
+    rate_per_s: f64,
+}
+
+/// Uniform numbers that a fault takes before those that choose among several nodes.
+const FIXED_DRAWS: usize = 5;
+
+impl Faults {
+    /// The faults that the command line asks for, in a team of so many robots.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] if a number makes no sense.
+    pub(super) fn new(args: &ChaosArgs, robots: usize) -> Result<Self, Failure> {
+        if args.faults == 0 {
+            return Err(Failure::input("--faults: expected at least 1, got 0"));
+        }
+        if !(0.01..=1_000.0).contains(&args.rate) {
+            return Err(Failure::input(format!("--rate: expected 0.01 to 1000 a second, got {}", args.rate)));
+        }
+        let asked = |kind: &Kind| args.kinds.iter().any(|arg| *arg == KindArg::All || Some(*kind) == kind_of(*arg));
+        let nodes_of = |kind: RoleArg| match kind {
+            RoleArg::Sim => vec![Role::Sim],
+            RoleArg::Fusion => vec![Role::Fusion],
+            RoleArg::Robot => (0..robots).map(Role::Robot).collect(),
+        };
+        let kinds_of_node = [RoleArg::Sim, RoleArg::Fusion, RoleArg::Robot];
+        Ok(Self {
+            draws: Draws::new(args.chaos_seed, Stream::Faults),
+            kinds: Kind::ALL.into_iter().filter(asked).collect(),
+            nodes: kinds_of_node.into_iter().filter(|kind| args.roles.contains(kind)).map(nodes_of).collect(),
+            rate_per_s: args.rate,
+        })
+    }
+
+    /// The fault of this number.
+    pub(super) fn at(&mut self, index: u64) -> Fault {
+        let all: Vec<Role> = self.nodes.concat();
+        let mut uniform = vec![0.0; FIXED_DRAWS + all.len()];
+        self.draws.uniform(index, &mut uniform);
+        let (fixed, by_node) = uniform.split_at(FIXED_DRAWS);
+        let kind = self.kinds[below(self.kinds.len(), fixed[1])];
+        let roles = if kind == Kind::Several {
+            let at_least = all.len().min(2);
+            let count = at_least + below(all.len() - at_least + 1, fixed[2]);
+            let mut order: Vec<(Role, f64)> = all.into_iter().zip(by_node.iter().copied()).collect();
+            order.sort_by(|a, b| a.1.total_cmp(&b.1));
+            order.into_iter().take(count).map(|(role, _)| role).collect()
+        } else {
+            let nodes = &self.nodes[below(self.nodes.len(), fixed[2])];
+            vec![nodes[below(nodes.len(), fixed[3])]]
+        };
+        Fault {
+            // The draw is below 1, so this is at most 37 times the mean.
+            gap: Duration::from_secs_f64(-(1.0 - fixed[0]).ln() / self.rate_per_s),
+            kind,
+            roles,
+            stop: Duration::from_secs_f64(0.010 + 0.490 * fixed[4]),
+            kills: 3 + below(3, fixed[4]) as u32,
+        }
+    }
+}
+
+fn kind_of(arg: KindArg) -> Option<Kind> {
+    match arg {
+        KindArg::Kill => Some(Kind::Kill),
+        KindArg::Stop => Some(Kind::Stop),
+        KindArg::Storm => Some(Kind::Storm),
+        KindArg::Several => Some(Kind::Several),
+        KindArg::All => None,
+    }
+}
+
+/// An index below `count` from a uniform draw.
+fn below(count: usize, uniform: f64) -> usize {
+    ((uniform * count as f64) as usize).min(count.saturating_sub(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn args(words: &str) -> ChaosArgs {
+        use clap::Parser as _;
+        let words = ["rangehound", "chaos"].into_iter().chain(words.split_whitespace());
+        match crate::cli::Cli::try_parse_from(words).unwrap().command {
+            Some(crate::cli::Command::Chaos(args)) => args,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn faults(words: &str, robots: usize) -> Vec<Fault> {
+        let mut faults = Faults::new(&args(words), robots).unwrap();
+        (0..2_000).map(|index| faults.at(index)).collect()
+    }
+
+    #[test]
+    fn the_seed_decides_the_faults() {
+        assert_eq!(faults("", 3), faults("", 3));
+        assert_ne!(faults("", 3), faults("--chaos-seed 2", 3));
+    }
+
+    #[test]
+    fn gaps_have_the_mean_that_the_rate_asks_for() {
+        let mean_s = |words| faults(words, 3).iter().map(|fault| fault.gap.as_secs_f64()).sum::<f64>() / 2_000.0;
+        assert!((mean_s("--rate 10") - 0.1).abs() < 0.01);
+        assert!((mean_s("--rate 100") - 0.01).abs() < 0.001);
+    }
+
+    #[test]
+    fn every_kind_hits_every_role_and_nobody_else() {
+        let all = faults("", 2);
+        for kind in Kind::ALL {
+            for role in [Role::Sim, Role::Fusion, Role::Robot(0), Role::Robot(1)] {
+                assert!(all.iter().any(|fault| fault.kind == kind && fault.roles.contains(&role)), "{kind:?} {role}");
+            }
+        }
+        assert!(all.iter().all(|fault| (3..=5).contains(&fault.kills)));
+        assert!(all.iter().all(|fault| fault.stop.as_millis() >= 10 && fault.stop.as_millis() <= 500));
+        let only = faults("--kinds kill,stop --roles robot", 256);
+        assert!(only.iter().all(|fault| matches!(fault.kind, Kind::Kill | Kind::Stop)));
+        assert!(only.iter().all(|fault| matches!(fault.roles[..], [Role::Robot(_)])));
+    }
+
+    #[test]
+    fn several_are_at_least_two_and_different() {
+        for fault in faults("--kinds several", 3) {
+            let mut roles = fault.roles.clone();
+            roles.sort();
+            roles.dedup();
+            assert!(roles.len() == fault.roles.len() && (2..=5).contains(&roles.len()), "{fault:?}");
+        }
+        assert!(faults("--kinds several --roles sim", 3).iter().all(|fault| fault.roles == [Role::Sim]));
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        for words in ["--faults 0", "--rate 0", "--rate -1", "--rate nan", "--rate inf"] {
+            assert!(matches!(Faults::new(&args(words), 3), Err(Failure::Input(_))), "{words}");
+        }
+    }
+}

@@ -1,0 +1,378 @@
+//! What a campaign came to: `chaos.json`, a table, and which promises broke.
+
+use std::path::Path;
+
+use rangehound_shared::rendezvous::Role;
+use rangehound_shared::scenario::{Clock, Scenario};
+use serde::Serialize;
+
+use super::faults::Kind;
+use crate::cli::ChaosArgs;
+use crate::report::RangeSummary;
+
+/// File name of the outcome in the campaign's folder.
+pub(super) const FILE_NAME: &str = "chaos.json";
+
+/// What a campaign came to; its fields are the keys of `chaos.json`.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Outcome {
+    /// Name of the scenario.
+    pub(super) scenario: String,
+    /// Clock: `realtime` or `lockstep`.
+    pub(super) clock: &'static str,
+    /// Robots.
+    pub(super) robots: usize,
+    /// Seed of the faults.
+    pub(super) chaos_seed: u64,
+    /// Faults that were asked for.
+    pub(super) faults_asked: u64,
+    /// Faults by role and kind: how many nodes each hit.
+    pub(super) faults: Vec<RoleSummary>,
+    /// Time steps done.
+    pub(super) ticks: u64,
+    /// What became of the ranges.
+    pub(super) ranges: RangeSummary,
+    /// Ranges published for which the robot got no heading in their tick.
+    pub(super) without_heading: u64,
+    /// Whether all estimates are those of the run left alone; null if that is not to be asked.
+    pub(super) digest_equal: Option<bool>,
+    /// What lies in shared memory after the end.
+    pub(super) files_left: Vec<String>,
+    /// Processes that live after the end.
+    pub(super) processes_left: Vec<i32>,
+    /// Promises that broke.
+    pub(super) broken: Vec<String>,
+    /// The runs.
+    pub(super) rounds: Vec<Round>,
+    /// Every fault and node that it hit.
+    pub(super) injected: Vec<Injected>,
+}
+
+/// What hit the nodes of one kind, and how long they took to recover from kills.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct RoleSummary {
+    /// `sim`, `fusion` or `robot`.
+    pub(super) role: &'static str,
+    /// Killed alone.
+    pub(super) kill: usize,
+    /// Stopped for a while.
+    pub(super) stop: usize,
+    /// Killed again and again while starting.
+    pub(super) storm: usize,
+    /// Killed with others.
+    pub(super) several: usize,
+    /// From a kill to the first tick with the successor; `None` before the first.
+    pub(super) recovery_ms: Option<Percentiles>,
+}
+
+/// Percentiles of a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct Percentiles {
+    /// Sample size.
+    pub(super) count: usize,
+    /// Median.
+    pub p50: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// Largest.
+    pub(super) max: f64,
+}
+
+impl Percentiles {
+    fn of(mut sample: Vec<f64>) -> Option<Self> {
+        sample.sort_by(f64::total_cmp);
+        let at = |part: f64| sample.get(((sample.len() as f64 * part).ceil() as usize).saturating_sub(1)).copied();
+        Some(Self { count: sample.len(), p50: at(0.5)?, p99: at(0.99)?, max: at(1.0)? })
+    }
+}
+
+/// One node hit by one fault.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Injected {
+    /// Number of the fault; those of one number came at once.
+    pub(super) fault: u64,
+    /// Which run, counted from 1.
+    pub(super) round: usize,
+    /// Since the run's start, s.
+    pub(super) at_s: f64,
+    /// Newest tick that was over.
+    pub(super) tick: u64,
+    /// What.
+    pub(super) kind: Kind,
+    /// Whom.
+    #[serde(serialize_with = "by_name")]
+    pub(super) role: Role,
+    /// From the (last) kill to the successor's taking its role, ms.
+    pub(super) restart_ms: Option<f64>,
+    /// From the (last) kill to the first tick with the successor, which in lock step waits for all others too, ms; `None` for a stop, and if the node was
+    /// killed again first or the run ended.
+    pub(super) recovery_ms: Option<f64>,
+}
+
+fn by_name<S: serde::Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(role)
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Ended {
+    /// With its last tick.
+    Done,
+    /// Before that.
+    Failed,
+    /// Not by itself.
+    Hung,
+    /// As asked.
+    Interrupted,
+}
+
+/// One run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Round {
+    /// Seed of the run.
+    pub(super) seed: u64,
+    /// How it ended.
+    pub(super) ended: Ended,
+    /// The last it said, if it did not end well.
+    pub(super) said: String,
+    /// Wall time, s.
+    pub(super) wall_s: f64,
+    /// What its logs tell.
+    pub(super) tally: Tally,
+    /// The same of the run left alone, in lock step.
+    pub(super) alone: Option<Tally>,
+    /// Ranges published for which the robot got no heading in their tick.
+    pub(super) without_heading: u64,
+    /// What lies in shared memory after the end.
+    pub(super) files_left: Vec<String>,
+    /// Processes that live after the end.
+    pub(super) processes_left: Vec<i32>,
+}
+
+/// What a run's logs tell.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub(super) struct Tally {
+    /// Time steps done.
+    pub(super) ticks: u64,
+    /// Hash over all estimates.
+    pub(super) digest: String,
+    /// What became of the ranges.
+    pub(super) ranges: RangeSummary,
+}
+
+impl Outcome {
+    /// Nothing yet.
+    #[must_use]
+    pub(super) fn new(scenario: &Scenario, args: &ChaosArgs) -> Self {
+        Self {
+            scenario: scenario.name.clone(),
+            clock: scenario.clock.name(),
+            robots: scenario.robots.len(),
+            chaos_seed: args.chaos_seed,
+            faults_asked: args.faults,
+            faults: Vec::new(),
+            ticks: 0,
+            ranges: RangeSummary::default(),
+            without_heading: 0,
+            digest_equal: None,
+            files_left: Vec::new(),
+            processes_left: Vec::new(),
+            broken: Vec::new(),
+            rounds: Vec::new(),
+            injected: Vec::new(),
+        }
+    }
+
+    /// Adds a run.
+    pub(super) fn add(&mut self, round: Round) {
+        let ranges = &round.tally.ranges;
+        self.ticks += round.tally.ticks;
+        self.ranges.published += ranges.published;
+        self.ranges.fused += ranges.fused;
+        self.ranges.rejected += ranges.rejected;
+        self.ranges.late += ranges.late;
+        self.ranges.missing += ranges.missing;
+        self.without_heading += round.without_heading;
+        self.files_left.extend_from_slice(&round.files_left);
+        self.processes_left.extend_from_slice(&round.processes_left);
+        if let Some(alone) = &round.alone {
+            self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.tally.digest == alone.digest);
+        }
+        self.rounds.push(round);
+    }
+
+    /// Sums up the faults, and finds what broke.
+    pub(super) fn judge(&mut self) {
+        self.faults = ["sim", "fusion", "robot"].map(|role| self.of_role(role)).to_vec();
+        self.broken = self.rounds.iter().flat_map(Round::broken).collect();
+    }
+
+    fn of_role(&self, role: &'static str) -> RoleSummary {
+        let hits = || self.injected.iter().filter(|hit| kind_of_node(hit.role) == role);
+        let count = |kind: Kind| hits().filter(|hit| hit.kind == kind).count();
+        RoleSummary {
+            role,
+            kill: count(Kind::Kill),
+            stop: count(Kind::Stop),
+            storm: count(Kind::Storm),
+            several: count(Kind::Several),
+            recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
+        }
+    }
+
+    /// Writes `chaos.json`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub(super) fn write(&self, out_dir: &Path) -> anyhow::Result<()> {
+        let path = out_dir.join(FILE_NAME);
+        std::fs::write(&path, serde_json::to_string_pretty(self)? + "\n")
+            .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    }
+}
+
+fn kind_of_node(role: Role) -> &'static str {
+    match role {
+        Role::Sim => "sim",
+        Role::Fusion => "fusion",
+        Role::Robot(_) => "robot",
+        Role::Supervisor => "run",
+    }
+}
+
+impl Round {
+    /// The promises that this run broke. What it says of ticks, ranges and digest counts in lock step
+    /// only: real time goes on without whom it misses.
+    fn broken(&self) -> Vec<String> {
+        let mut broken = Vec::new();
+        match self.ended {
+            Ended::Done => {}
+            Ended::Failed => broken.push(format!("the run failed: {}", self.said)),
+            Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
+            Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
+        }
+        if let Some(alone) = &self.alone {
+            let (got, expected) = (&self.tally, alone);
+            for (what, got, expected) in [
+                ("ticks", got.ticks, expected.ticks),
+                ("ranges published", got.ranges.published, expected.ranges.published),
+                ("ranges fused", got.ranges.fused, expected.ranges.fused),
+                ("ranges missing", got.ranges.missing, expected.ranges.missing),
+            ] {
+                if got != expected {
+                    broken.push(format!("{got} {what}, expected {expected}"));
+                }
+            }
+            if got.digest != expected.digest {
+                broken.push(format!("digest {}, expected {}", got.digest, expected.digest));
+            }
+        }
+        if !self.files_left.is_empty() {
+            broken.push(format!("left in shared memory: {}", self.files_left.join(", ")));
+        }
+        if !self.processes_left.is_empty() {
+            broken.push(format!("left running: processes {:?}", self.processes_left));
+        }
+        broken.iter().map(|what| format!("seed {}: {what}", self.seed)).collect()
+    }
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { scenario, clock, robots, chaos_seed, ticks, ranges, without_heading, .. } = self;
+        let done = self.injected.iter().map(|hit| hit.fault + 1).max().unwrap_or(0);
+        let wall_s: f64 = self.rounds.iter().map(|round| round.wall_s).sum();
+        writeln!(f, "chaos: {scenario}, {robots} robots, {done} of {} faults, seed {chaos_seed}", self.faults_asked)?;
+        writeln!(f, "  {clock:<16} {ticks} ticks in {} runs, {wall_s:.1} s", self.rounds.len())?;
+        writeln!(
+            f,
+            "  {:<8} {:>6} {:>6} {:>6} {:>8}   recovery ms: p50 {:>9} {:>9}",
+            "hit", "kill", "stop", "storm", "several", "p99", "max"
+        )?;
+        for RoleSummary { role, kill, stop, storm, several, recovery_ms } in &self.faults {
+            write!(f, "  {role:<8} {kill:>6} {stop:>6} {storm:>6} {several:>8}")?;
+            match recovery_ms {
+                Some(Percentiles { p50, p99, max, .. }) => writeln!(f, "   {p50:>16.1} {p99:>9.1} {max:>9.1}")?,
+                None => writeln!(f, "   {:>16} {:>9} {:>9}", "-", "-", "-")?,
+            }
+        }
+        let RangeSummary { published, fused, missing, .. } = ranges;
+        writeln!(f, "  ranges           {published} published: {fused} fused, {missing} missing")?;
+        writeln!(f, "  without heading  {without_heading}")?;
+        let digest = match self.digest_equal {
+            Some(true) => "that of the run left alone",
+            Some(false) => "NOT that of the run left alone",
+            None => "not compared",
+        };
+        writeln!(f, "  digest           {digest}")?;
+        writeln!(f, "  left over        {} files, {} processes", self.files_left.len(), self.processes_left.len())?;
+        match self.broken.as_slice() {
+            [] => write!(f, "  promises         all kept"),
+            broken => write!(f, "  promises         {} broken", broken.len()),
+        }
+    }
+}
+
+/// True if a run of this clock must come to what it comes to when left alone.
+#[must_use]
+pub(super) fn is_repeatable(scenario: &Scenario) -> bool {
+    scenario.clock == Clock::Lockstep
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round() -> Round {
+        let ranges = RangeSummary { published: 30, fused: 30, ..RangeSummary::default() };
+        let tally = Tally { ticks: 10, digest: "a".to_owned(), ranges };
+        Round {
+            seed: 1,
+            ended: Ended::Done,
+            said: String::new(),
+            wall_s: 1.0,
+            tally: tally.clone(),
+            alone: Some(tally),
+            without_heading: 0,
+            files_left: Vec::new(),
+            processes_left: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn each_broken_promise_is_told() {
+        assert_eq!(round().broken(), [""; 0]);
+        type Hurt = fn(&mut Round);
+        let hurt: [(Hurt, &str); 8] = [
+            (|round| round.tally.digest = "b".to_owned(), "seed 1: digest b, expected a"),
+            (|round| round.tally.ranges.published = 29, "seed 1: 29 ranges published, expected 30"),
+            (|round| round.tally.ranges.fused = 29, "seed 1: 29 ranges fused, expected 30"),
+            (|round| round.tally.ranges.missing = 1, "seed 1: 1 ranges missing, expected 0"),
+            (|round| round.ended = Ended::Hung, "seed 1: the run hung after tick 10"),
+            (|round| round.ended = Ended::Failed, "seed 1: the run failed: "),
+            (|round| round.files_left.push("x".to_owned()), "seed 1: left in shared memory: x"),
+            (|round| round.processes_left.push(7), "seed 1: left running: processes [7]"),
+        ];
+        for (hurt, expected) in hurt {
+            let mut round = round();
+            hurt(&mut round);
+            assert_eq!(round.broken(), [expected]);
+        }
+    }
+
+    /// Real time may miss ranges: there is no run to compare with.
+    #[test]
+    fn real_time_may_miss_ranges() {
+        let mut round = Round { alone: None, ..round() };
+        round.tally.ranges.missing = 5;
+        assert_eq!(round.broken(), [""; 0]);
+    }
+
+    #[test]
+    fn percentiles_are_of_the_sample() {
+        assert_eq!(Percentiles::of(Vec::new()), None);
+        let sample = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(Percentiles::of(sample), Some(Percentiles { count: 100, p50: 50.0, p99: 99.0, max: 100.0 }));
+    }
+}

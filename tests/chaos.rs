@@ -1,0 +1,65 @@
+//! Campaigns of faults on live runs.
+
+use serde_json::Value;
+
+use crate::support::Run;
+
+fn outcome(run: &Run) -> Value {
+    serde_json::from_str(&run.read("chaos.json")).unwrap()
+}
+
+fn hits(outcome: &Value, key: &str) -> Vec<String> {
+    let injected = outcome["injected"].as_array().unwrap();
+    injected.iter().map(|hit| hit[key].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn faults_of_all_kinds_break_no_promise_in_lock_step() {
+    let run = Run::new();
+    let said = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 3000").finish().succeeded();
+    assert!(said.stdout.contains("all kept"), "{said:#?}");
+    assert!(said.stdout.lines().take(12).all(|line| line.len() <= 100), "{said:#?}");
+    let outcome = outcome(&run);
+    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
+    assert_eq!(outcome["ranges"]["missing"], 0, "{outcome:#}");
+    assert_eq!(outcome["broken"].as_array().unwrap().len(), 0, "{outcome:#}");
+    assert_eq!(outcome["injected"].as_array().unwrap().last().unwrap()["fault"], 11, "{outcome:#}");
+    for kind in hits(&outcome, "kind") {
+        assert!(["kill", "stop", "storm", "several"].contains(&kind.as_str()), "{kind}");
+    }
+    for key in ["clock", "robots", "chaos_seed", "faults", "ticks", "without_heading", "files_left", "rounds"] {
+        assert!(!outcome[key].is_null(), "{key} in {outcome:#}");
+    }
+    run.assert_nothing_left();
+}
+
+#[test]
+fn killed_robots_come_back_in_real_time() {
+    let run = Run::new();
+    run.write("fast.toml", "dt_s = 0.02\n");
+    let words = "chaos fast.toml --clock realtime --kinds kill --roles robot --faults 5 --rate 5 --ticks 200";
+    run.command(words).finish().succeeded();
+    let outcome = outcome(&run);
+    assert!(outcome["digest_equal"].is_null(), "{outcome:#}");
+    assert!(hits(&outcome, "kind").iter().all(|kind| kind == "kill"), "{outcome:#}");
+    assert!(hits(&outcome, "role").iter().all(|role| role.starts_with("robot-")), "{outcome:#}");
+    assert!(outcome["faults"][2]["recovery_ms"]["count"].as_u64() > Some(0), "{outcome:#}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn nonsense_is_refused_before_anything_starts() {
+    for (words, expected) in [
+        ("chaos --faults 0", "--faults: expected at least 1"),
+        ("chaos --rate 0", "--rate: expected 0.01 to 1000"),
+        ("chaos --kinds flood", "expected one of: kill, stop, storm, several, all"),
+        ("chaos --patience 1", "--patience: expected forever"),
+    ] {
+        let run = Run::new();
+        let refused = run.command(words).finish();
+        assert_eq!(refused.code, Some(2), "{refused:#?}");
+        let [complaint] = refused.complaints()[..] else { panic!("{refused:#?}") };
+        assert!(complaint.contains(expected), "{complaint}");
+        assert!(!run.path("out").exists());
+    }
+}
