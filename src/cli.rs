@@ -361,6 +361,7 @@ pub struct CompareArgs {
         long,
         value_name = "NAMES",
         value_delimiter = ',',
+        value_parser = trimmed,
         default_value = "certified,adaptive,standard,greedy,pursue,random"
     )]
     pub planners: Vec<String>,
@@ -408,6 +409,11 @@ impl std::str::FromStr for PerSensor {
         };
         Ok(Self { sensor, value: value.parse().map_err(|_| expected())? })
     }
+}
+
+#[expect(clippy::unnecessary_wraps, reason = "the shape that the parser asks for")]
+fn trimmed(text: &str) -> Result<String, String> {
+    Ok(text.trim().to_owned())
 }
 
 fn whole(text: &str) -> Result<u64, String> {

@@ -169,6 +169,16 @@ impl Problem {
     /// direction is known far better than the other, the difference itself is nothing but rounding.
     #[must_use]
     pub(super) fn position_trace_of_m2(&self, directions: &[Vector], sum: Vector) -> f64 {
+        let (least, length) = (self.least_information(directions, sum), sum.norm());
+        4.0 * (least + length) / (least * (least + 2.0 * length))
+    }
+
+    /// `T - |S|` of these directions, twice the least eigenvalue of the information.
+    pub(super) fn uncertainty(&self, directions: &[Vector]) -> f64 {
+        self.least_information(directions, self.sum(directions))
+    }
+
+    fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
         let p = &self.covariance_m2;
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
         // The axis along which most is known; across it, A = adj(P) / |P| has e^T P e / |P|.
@@ -177,9 +187,7 @@ impl Problem {
         let prior = 2.0 * variance_m2 / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)]);
         // 1 - u . s = |u - s|^2 / 2.
         let arms = self.arms.iter().zip(directions);
-        let least = arms.fold(prior, |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared());
-        let length = sum.norm();
-        4.0 * (least + length) / (least * (least + 2.0 * length))
+        arms.fold(prior, |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared())
     }
 
     /// Largest eigenvalue of `P+_11`, `2 / (T - |S|)`, m^2: grows with `|S|` as the trace does, so

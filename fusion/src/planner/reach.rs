@@ -14,8 +14,11 @@ use super::vector::Vector;
 /// the speed given away at worst, is 0.2 % less.
 const DISC_CORNERS: usize = 48;
 
-/// A place this near to the predicted target, in steps, is on it but for rounding.
-const ON_TARGET: f64 = 1e-9;
+/// A place nearer to the predicted target than this, in steps, has no bearing worth the name.
+const ON_TARGET: f64 = 1e-6;
+
+/// A target whose distance is one step but for this share of it is exactly one step away.
+const ONE_STEP: f64 = 1e-12;
 
 /// One robot's next step in the plane.
 ///
@@ -88,6 +91,9 @@ impl Reach {
         if d == 0.0 {
             // On the target all ways out are alike.
             (r == 0.0).then_some(Vector::new(1.0, 0.0))
+        } else if s == 0.0 && (d - r).abs() <= ONE_STEP * r {
+            // All bearings but the one across, which only the target itself would have.
+            Some(Vector::new(ON_TARGET, ((1.0 - ON_TARGET) * (1.0 + ON_TARGET)).sqrt()))
         } else if s >= d + r {
             // Straight out is all that is left.
             Some(Vector::new(1.0, 0.0))
@@ -190,14 +196,14 @@ impl Reach {
     /// Clips the room by what the neighbours leave: the buffered Voronoi cell. Appends its corners.
     pub(super) fn separate(
         &mut self,
-        limits: impl Iterator<Item = Limit>,
+        limits: impl Iterator<Item = Limit> + Clone,
         corners_m: &mut Vec<Vector>,
         scratch_m: &mut Vec<Vector>,
     ) {
         let start = corners_m.len();
         let mut away = Vector::default();
         let mut is_limited = false;
-        for limit in limits.filter(|limit| limit.offset_m < self.step_m) {
+        for limit in limits.clone().filter(|limit| limit.offset_m < self.step_m) {
             if !is_limited {
                 is_limited = true;
                 corners_m.extend(
@@ -214,7 +220,13 @@ impl Reach {
         self.room = if corners_m.len() > start {
             Room::Cell(start..corners_m.len())
         } else {
-            Room::Out(away.normalised().unwrap_or(-self.sight) * self.step_m)
+            // As far as the worst of them asks for, but not into another.
+            let away = away.normalised().unwrap_or_default();
+            let asked_m = limits.clone().fold(0.0_f64, |asked, limit| asked.max(-limit.offset_m));
+            let free_m = limits
+                .filter(|limit| limit.normal.dot(away) > 0.0)
+                .fold(self.step_m, |free, limit| free.min(limit.offset_m.max(0.0) / limit.normal.dot(away)));
+            Room::Out(away * asked_m.min(free_m))
         };
     }
 

@@ -13,6 +13,12 @@ use super::bound::{ARC_BOUND_ROBOTS_MAX, Hull, arc_bound};
 /// tenth of what a certificate allows.
 const PRUNE: f64 = 1e-10;
 
+/// The same relative to `T - |S|`, which makes it an error of the trace.
+const TRACE: f64 = 1e-8;
+
+/// A sum that is zero but for rounding, relative to the sum of all lambda.
+const CLOSED: f64 = 1e-15;
+
 /// Memory reserved at once; larger budgets grow into theirs.
 const RESERVED_NODES_MAX: usize = 10_000;
 
@@ -35,6 +41,9 @@ pub(super) struct Search {
     nodes: Vec<Node>,
     open: BinaryHeap<Open>,
     hull: Hull,
+    /// The arcs of the root. A circle among others that are alike is an arc of a whole turn, which begins at
+    /// one place for all of them: cuts keep them in an order.
+    whole: Vec<Arm>,
     /// The arcs of the node at hand.
     arms: Vec<Arm>,
     /// The arms by number, those that are alike side by side, and where each stands in that.
@@ -102,6 +111,7 @@ impl Search {
             nodes: Vec::with_capacity(2 * reserved + 1),
             open: BinaryHeap::with_capacity(2 * reserved + 1),
             hull: Hull::default(),
+            whole: Vec::new(),
             arms: Vec::new(),
             order: Vec::new(),
             place: Vec::new(),
@@ -137,29 +147,31 @@ impl Search {
         let total = problem.lambda_sum();
         // What adding up M vectors can have rounded away: a bound must hold in spite of it.
         let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * total;
-        let bound = self.search(problem, directions, PRUNE * total);
+        let bound = self.search(problem, directions, rounding);
         (bound - rounding).max(0.0)
     }
 
-    fn search(&mut self, problem: &Problem, directions: &mut [Vector], tolerance: f64) -> f64 {
+    fn search(&mut self, problem: &Problem, directions: &mut [Vector], rounding: f64) -> f64 {
         self.looked_into = 0;
         // One vector that outweighs all others: what they cannot make up for.
         let total = problem.lambda_sum();
         let heaviest = problem.arms.iter().fold(problem.prior.norm(), |heaviest, arm| heaviest.max(arm.lambda));
         let floor = (heaviest - (total - heaviest)).max(0.0);
         let mut best = problem.sum(directions).norm();
-        if best - floor <= tolerance {
+        if best - floor <= rounding {
             return floor;
         }
         best = descend(problem, directions, &mut self.trial);
+        // The trace goes with 1 / (T - |S|): where one robot knows nearly all, the last digits of |S| count.
+        let tolerance = (PRUNE * total).min(TRACE * problem.uncertainty(directions)).max(rounding);
         if best - floor <= tolerance {
             return floor;
         }
-        self.arms.clear();
-        self.arms.extend_from_slice(&problem.arms);
         self.nodes.clear();
         self.open.clear();
         self.put_in_order(&problem.arms);
+        self.arms.clear();
+        self.arms.extend_from_slice(&self.whole);
         let mut answer = Answer { best, least: best, tolerance, directions };
         let nowhere = Cut { arm: 0, at: Vector::default(), side: Side::Before };
         self.look_into(problem, 0, nowhere, floor, &mut answer);
@@ -175,7 +187,7 @@ impl Search {
             let (arm, at) = self.nodes[node].next;
             for side in [Side::Before, Side::After] {
                 let cut = Cut { arm, at, side };
-                self.restrict(problem, node, cut);
+                self.restrict(node, cut);
                 self.look_into(problem, node, cut, bound, &mut answer);
                 self.looked_into += 1;
             }
@@ -194,8 +206,15 @@ impl Search {
         });
         self.place.clear();
         self.place.resize(arms.len(), 0);
+        self.whole.clear();
+        self.whole.extend_from_slice(arms);
         for (place, &arm) in self.order.iter().enumerate() {
             self.place[arm] = place;
+            let neighbours = [place.wrapping_sub(1), place + 1];
+            let is_alike = |other: usize| self.order.get(other).is_some_and(|&other| arms[other] == arms[arm]);
+            if arms[arm].extent == Extent::Circle && neighbours.into_iter().any(is_alike) {
+                self.whole[arm].extent = Extent::Wide;
+            }
         }
     }
 
@@ -218,7 +237,7 @@ impl Search {
     }
 
     /// Puts the arcs of a node and of one more cut in place.
-    fn restrict(&mut self, problem: &Problem, node: usize, cut: Cut) {
+    fn restrict(&mut self, node: usize, cut: Cut) {
         self.path.clear();
         self.path.push(cut);
         let mut at = node;
@@ -226,9 +245,9 @@ impl Search {
             self.path.push(self.nodes[at].cut);
             at = self.nodes[at].parent;
         }
-        self.arms.copy_from_slice(&problem.arms);
+        self.arms.copy_from_slice(&self.whole);
         while let Some(Cut { arm, at, side }) = self.path.pop() {
-            let alike = |other: usize| problem.arms[other] == problem.arms[arm];
+            let alike = |other: usize| self.whole[other] == self.whole[arm];
             let place = self.place[arm];
             self.arms[arm] = self.arms[arm].part(at, side);
             let (before, after) = (self.order[..place].iter().rev(), self.order[place + 1..].iter());
@@ -237,7 +256,7 @@ impl Search {
                 Side::After => &mut after.take_while(|other| alike(**other)),
             };
             for &other in others {
-                if self.arms[other].extent == Extent::Circle || self.arms[other].contains(at) {
+                if self.arms[other].contains(at) {
                     self.arms[other] = self.arms[other].part(at, side);
                 }
             }
@@ -377,7 +396,7 @@ fn descend(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>
         }
     }
     let total = problem.lambda_sum();
-    if value > PRUNE * total && value < NEARLY_CLOSED * total {
+    if value > CLOSED * total && value < NEARLY_CLOSED * total {
         return close(problem, directions, trial, value);
     }
     value
@@ -413,7 +432,7 @@ fn close(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>, 
             best = value;
             directions.copy_from_slice(trial);
         }
-        if best <= PRUNE * problem.lambda_sum() {
+        if best <= CLOSED * problem.lambda_sum() {
             break;
         }
     }
@@ -462,9 +481,76 @@ impl Arm {
             (_, Side::Before) => (self.low, at),
             (_, Side::After) => (at, self.high),
         };
-        // The middle of half a turn is a quarter from its start.
-        let sum = if self.extent == Extent::Circle { low.rotated_by(Vector::new(0.0, 1.0)) } else { low + high };
-        let centre = sum.normalised().unwrap_or(self.centre);
-        Self { centre, low, high, extent: Extent::Narrow, ..*self }
+        let sum = (low + high).normalised();
+        // From `low` counter-clockwise to `high`: at most half a turn if that is to the left. Circles are halved.
+        let is_narrow = self.extent != Extent::Wide || low.cross(high) >= 0.0;
+        let centre = match sum {
+            Some(sum) if is_narrow => sum,
+            Some(sum) => -sum,
+            None => low.rotated_by(Vector::new(0.0, 1.0)),
+        };
+        let extent = if is_narrow { Extent::Narrow } else { Extent::Wide };
+        Self { centre, low, high, extent, ..*self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::f64::consts::{PI, TAU};
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(3_000))]
+
+        /// Whatever is cut where, a configuration with alike robots in order is in one of the two parts.
+        #[test]
+        fn cuts_lose_no_configuration(
+            groups in proptest::collection::vec((1..5_usize, -PI..PI, prop_oneof![Just(PI), 0.1..3.1_f64]), 1..4),
+            places in proptest::collection::vec(0.0..1.0_f64, 16),
+            cuts in proptest::collection::vec((any::<prop::sample::Index>(), -PI..PI), 1..20),
+        ) {
+            let mut arms = Vec::new();
+            let mut widths = Vec::new();
+            for (count, centre, half) in groups {
+                let centre = Vector::from_angle(centre);
+                let arm = if half == PI { Arm::circle(1.0, centre) } else { Arm::with_half_width(1.0, centre, Vector::from_angle(half)) };
+                arms.extend(std::iter::repeat_n(arm, count));
+                widths.extend(std::iter::repeat_n(2.0 * half, count));
+            }
+            let problem = Problem::of_arms(Vector::default(), arms);
+            let mut search = Search::new(100);
+            search.put_in_order(&problem.arms);
+            search.arms = search.whole.clone();
+            // Alike robots in order of their directions along the arc.
+            let mut shares: Vec<f64> = places[..problem.len()].to_vec();
+            let order = search.order.clone();
+            for run in order.chunk_by(|&i, &j| problem.arms[i] == problem.arms[j]) {
+                let mut sorted: Vec<f64> = run.iter().map(|&i| shares[i]).collect();
+                sorted.sort_by(f64::total_cmp);
+                run.iter().zip(sorted).for_each(|(&i, share)| shares[i] = share);
+            }
+            let configuration: Vec<Vector> = (0..problem.len())
+                .map(|i| search.whole[i].low.rotated_by(Vector::from_angle((shares[i] * widths[i]).min(TAU - 1e-9))))
+                .collect();
+            let is_in = |arm: &Arm, u: Vector| (arm.nearest(u, u) - u).norm() < 1e-9;
+            let nowhere = Cut { arm: 0, at: Vector::default(), side: Side::Before };
+            search.nodes.push(Node { parent: 0, cut: nowhere, next: (0, Vector::default()) });
+            let mut parent = 0;
+            for (which, towards) in cuts {
+                let arm = which.index(problem.len());
+                let is_alone = search.run_of(search.place[arm]).len() == 1;
+                let at = search.arms[arm].middle(if is_alone { Vector::from_angle(towards) } else { Vector::default() });
+                let before = search.arms[arm].part(at, Side::Before);
+                let side = if is_in(&before, configuration[arm]) { Side::Before } else { Side::After };
+                let cut = Cut { arm, at, side };
+                search.restrict(parent, cut);
+                for (arm, u) in search.arms.iter().zip(&configuration) {
+                    prop_assert!(is_in(arm, *u), "{arm:?} {u:?}");
+                }
+                search.nodes.push(Node { parent, cut, next: (0, Vector::default()) });
+                parent = search.nodes.len() - 1;
+            }
+        }
     }
 }

@@ -111,6 +111,23 @@ fn a_robot_that_outweighs_the_others_is_no_trouble() {
     assert!(planner.search.looked_into() < 20, "{}", planner.search.looked_into());
 }
 
+/// Groups of robots that are alike, with arcs of more than half a turn: cut in order, none may be lost.
+#[test]
+fn groups_of_alike_robots_with_wide_arcs_reach_zero() {
+    let groups = [
+        (6, 3.764_112_085_529_67, 2.469_476_122_627_652, 1.795_765_236_226_040_6),
+        (8, 0.245_858_926_373_675_48, 0.588_549_225_721_102_2, 2.255_581_073_667_92),
+        (1, 0.187_238_414_479_293_18, 0.003_348_971_380_373_166, 2.193_043_466_723_901_6),
+    ];
+    let arms = groups.iter().flat_map(|&(count, lambda, centre, half)| {
+        let arm = Arm::with_half_width(lambda, Vector::from_angle(centre), Vector::from_angle(half));
+        std::iter::repeat_n(arm, count)
+    });
+    let problem = Problem::of_arms(Vector::new(-10.551_803_167_099_35, -7.578_521_696_350_839_5), arms.collect());
+    let plan = solve(&mut certified(), &problem);
+    assert!(plan.objective < 1e-9 && plan.is_certified(&problem), "{} {}", plan.objective, plan.lower_bound);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
