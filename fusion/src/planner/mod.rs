@@ -225,6 +225,32 @@ mod tests {
         }
     }
 
+    /// Where one robot knows nearly all, the trace hangs on the last digits of `|S|`.
+    #[test]
+    fn a_robot_far_better_than_the_others_costs_no_digits_of_the_trace() {
+        let mut problem = Problem::default();
+        let team = [
+            (-0.482_433_146_599_289_2, 0.131_370_693_315_932_26, 5.595_414_034_410_357),
+            (-0.299_080_932_670_315_77, -0.400_687_653_557_049_44, 0.004_804_632_835_105_804),
+            (-0.559_669_938_380_347_1, 1.050_553_144_249_981_7, 6.914_948_079_180_636),
+        ];
+        let prior = Matrix2::new(
+            170.404_441_755_723_18,
+            35.931_023_846_944_925,
+            35.931_023_846_944_925,
+            202.318_016_559_546_24,
+        );
+        let team = team.map(|(x, y, range_std_m)| TeamMember {
+            position_m: Vector::new(x, y),
+            max_speed_mps: 10.0,
+            range_std_m,
+        });
+        problem.pose(&prior, Vector::default(), 0.1, &Clearance::default(), team);
+        let plan = solve(PlannerSpec::Certified { nodes: 2_000 }, &problem);
+        // Found by many restarts of a general optimiser.
+        assert!(plan.position_trace_m2 < 16.763_387 && plan.is_certified(&problem), "{plan:?}");
+    }
+
     #[test]
     fn no_robots_make_an_empty_plan() {
         let problem = random_problem((1.0, 2.0, 0.0), &[]);
