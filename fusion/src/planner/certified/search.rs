@@ -481,14 +481,18 @@ impl Arm {
             (_, Side::Before) => (self.low, at),
             (_, Side::After) => (at, self.high),
         };
-        let sum = (low + high).normalised();
         // From `low` counter-clockwise to `high`: at most half a turn if that is to the left. Circles are halved.
         let is_narrow = self.extent != Extent::Wide || low.cross(high) >= 0.0;
-        let centre = match sum {
-            Some(sum) if is_narrow => sum,
-            Some(sum) => -sum,
-            None => low.rotated_by(Vector::new(0.0, 1.0)),
+        // The middle lies across the chord and along the sum of the ends: whichever has not cancelled tells.
+        let (chord, sum) = (high - low, low + high);
+        let middle = if chord.norm_squared() > sum.norm_squared() {
+            Vector::new(chord.y, -chord.x)
+        } else if is_narrow {
+            sum
+        } else {
+            -sum
         };
+        let centre = middle.normalised().unwrap_or(self.centre);
         let extent = if is_narrow { Extent::Narrow } else { Extent::Wide };
         Self { centre, low, high, extent, ..*self }
     }
