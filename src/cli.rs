@@ -74,10 +74,9 @@ pub struct RunArgs {
     /// Compose the same steps in this one process, without shared memory: same estimates, same digest
     #[arg(long)]
     pub in_process: bool,
-    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
-    /// only, repeatable [default: always]
-    #[arg(long, value_name = "[KIND=]POLICY")]
-    pub restart: Vec<Rule>,
+    /// Who is started again
+    #[command(flatten)]
+    pub restart: RestartArgs,
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
@@ -148,6 +147,15 @@ pub struct NodeArgs {
     pub parent: ParentArgs,
 }
 
+/// Which nodes a supervisor starts again.
+#[derive(Debug, Default, Args)]
+pub struct RestartArgs {
+    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
+    /// only, repeatable [default: always]
+    #[arg(long = "restart", value_name = "[KIND=]POLICY")]
+    pub rules: Vec<Rule>,
+}
+
 /// `resume`.
 #[derive(Debug, Args)]
 pub struct ResumeArgs {
@@ -157,10 +165,9 @@ pub struct ResumeArgs {
     /// Name of the run [default: the scenario's]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
-    /// only, repeatable [default: always]
-    #[arg(long, value_name = "[KIND=]POLICY")]
-    pub restart: Vec<Rule>,
+    /// Who is started again
+    #[command(flatten)]
+    pub restart: RestartArgs,
 }
 
 /// A run to act on from another terminal.
@@ -283,10 +290,9 @@ pub struct TrackArgs {
     /// Reject a range whose innovation is more than this many standard deviations
     #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
     pub gate: Option<f64>,
-    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
-    /// only, repeatable [default: always]
-    #[arg(long, value_name = "[KIND=]POLICY")]
-    pub restart: Vec<Rule>,
+    /// Who is started again
+    #[command(flatten)]
+    pub restart: RestartArgs,
     /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,

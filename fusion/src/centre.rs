@@ -1,5 +1,7 @@
 //! One tick of the fusion centre, pure: what the robots said in, estimate and commands out.
 
+use std::borrow::Cow;
+
 use nalgebra::Vector2;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
@@ -53,8 +55,8 @@ pub struct Centre {
     tracker_bytes: Vec<u8>,
 }
 
-/// What [`Centre::restore`] needs, as it is written; [`Restored`] is the same as it is read.
-#[derive(Debug, Serialize)]
+/// What [`Centre::restore`] needs: borrowed as it is written, owned as it is read.
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Saved<'a> {
     next_tick: u64,
     time_s: f64,
@@ -63,24 +65,9 @@ pub struct Saved<'a> {
     missing: u64,
     objective: f64,
     lower_bound: f64,
-    bodies: &'a [Option<Body>],
-    commands: &'a [Command],
-    tracker: &'a [u8],
-}
-
-/// What a centre saved.
-#[derive(Debug, Deserialize)]
-pub struct Restored {
-    next_tick: u64,
-    time_s: f64,
-    digest: Digest,
-    fit: Fit,
-    missing: u64,
-    objective: f64,
-    lower_bound: f64,
-    bodies: Vec<Option<Body>>,
-    commands: Vec<Command>,
-    tracker: Vec<u8>,
+    bodies: Cow<'a, [Option<Body>]>,
+    commands: Cow<'a, [Command]>,
+    tracker: Cow<'a, [u8]>,
 }
 
 /// Where a robot is believed to be.
@@ -143,9 +130,9 @@ impl Centre {
             missing: self.missing,
             objective: self.plan.objective,
             lower_bound: self.plan.lower_bound,
-            bodies: &self.bodies,
-            commands: &self.commands,
-            tracker: &self.tracker_bytes,
+            bodies: Cow::Borrowed(&self.bodies),
+            commands: Cow::Borrowed(&self.commands),
+            tracker: Cow::Borrowed(&self.tracker_bytes),
         })
     }
 
@@ -153,7 +140,7 @@ impl Centre {
     ///
     /// # Errors
     /// If it is not such.
-    pub fn restore(&mut self, restored: Restored) -> Result<(), SealError> {
+    pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
         if restored.bodies.len() != robots || restored.commands.len() != robots {
             return Err(SealError::Malformed);
@@ -166,8 +153,8 @@ impl Centre {
         self.missing = restored.missing;
         self.plan.objective = restored.objective;
         self.plan.lower_bound = restored.lower_bound;
-        self.bodies = restored.bodies;
-        self.commands = restored.commands;
+        self.bodies = restored.bodies.into_owned();
+        self.commands = restored.commands.into_owned();
         Ok(())
     }
 

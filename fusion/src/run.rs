@@ -1,5 +1,6 @@
 //! The fusion centre's process: ports and loop round a [`Centre`].
 
+use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
@@ -86,21 +87,13 @@ struct Fusion<'a> {
     sim: Bell,
 }
 
-/// What a fusion started again needs, as it is written; [`Restored`] is the same as it is read.
-#[derive(Serialize)]
+/// What a fusion started again needs: borrowed as it is written, owned as it is read.
+#[derive(Serialize, Deserialize)]
 struct Saved<'a> {
     centre: centre::Saved<'a>,
-    misses: &'a [u32],
-    fused: &'a [bool],
+    misses: Cow<'a, [u32]>,
+    fused: Cow<'a, [bool]>,
     /// Of the last estimate.
-    late: u64,
-}
-
-#[derive(Deserialize)]
-struct Restored {
-    centre: centre::Restored,
-    misses: Vec<u32>,
-    fused: Vec<bool>,
     late: u64,
 }
 
@@ -124,7 +117,7 @@ impl<'a> Fusion<'a> {
         let log = EstimateRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
-        let (checkpoint, restored) = Checkpoint::of_role(rendezvous, Role::Fusion)?;
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Fusion)?;
         let mut fusion = Self {
             scenario,
             centre: Centre::new(scenario)?,
@@ -151,11 +144,11 @@ impl<'a> Fusion<'a> {
 
     /// Goes on from where a killed forerunner stopped. It may have published the last tick or not: who
     /// missed the headings asks for them, and the log's record is written again.
-    fn restore(&mut self, restored: Restored) -> Result<(), FusionError> {
-        let Restored { centre, misses, fused, late } = restored;
+    fn restore(&mut self, restored: Saved<'_>) -> Result<(), FusionError> {
+        let Saved { centre, misses, fused, late } = restored;
         self.centre.restore(centre)?;
-        self.misses = misses;
-        self.fused = fused;
+        self.misses = misses.into_owned();
+        self.fused = fused.into_owned();
         let robots = self.scenario.robots.len();
         self.misses.resize(robots, 0);
         self.fused.resize(robots, false);
@@ -273,7 +266,7 @@ impl<'a> Fusion<'a> {
         }
         let late = std::mem::take(&mut self.late);
         let centre = self.centre.saved()?;
-        let saved = Saved { centre, misses: &self.misses, fused: &self.fused, late };
+        let saved = Saved { centre, misses: Cow::Borrowed(&self.misses), fused: Cow::Borrowed(&self.fused), late };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
 
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;

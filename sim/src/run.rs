@@ -1,5 +1,6 @@
 //! The simulator's process: ports and loop round a [`World`].
 
+use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use rangehound_shared::STATE_DIM_MAX;
@@ -80,19 +81,12 @@ struct Sim<'a> {
     fusion: Bell,
 }
 
-/// What a simulator started again needs, as it is written; [`Restored`] is the same as it is read.
-#[derive(Serialize)]
+/// What a simulator started again needs: borrowed as it is written, owned as it is read.
+#[derive(Serialize, Deserialize)]
 struct Saved<'a> {
     tick: u64,
-    silent: &'a [bool],
-    world: &'a [u8],
-}
-
-#[derive(Deserialize)]
-struct Restored {
-    tick: u64,
-    silent: Vec<bool>,
-    world: Vec<u8>,
+    silent: Cow<'a, [bool]>,
+    world: Cow<'a, [u8]>,
 }
 
 impl<'a> Sim<'a> {
@@ -103,7 +97,7 @@ impl<'a> Sim<'a> {
         let log = WorldRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
-        let (checkpoint, restored) = Checkpoint::of_role::<Restored>(rendezvous, Role::Sim)?;
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim)?;
         let mut sim = Self {
             scenario,
             world: world_of(scenario)?,
@@ -122,10 +116,10 @@ impl<'a> Sim<'a> {
             fusion: bus.bell_of(Sleeper::Fusion)?,
         };
         match restored {
-            Some(Restored { tick, silent, world }) => {
+            Some(Saved { tick, silent, world }) => {
                 sim.world.restore(&world)?;
                 sim.tick = tick;
-                sim.silent = silent;
+                sim.silent = silent.into_owned();
                 sim.silent.resize(robots, false);
                 log::info!("goes on with tick {tick}");
             }
@@ -287,7 +281,8 @@ impl<'a> Sim<'a> {
     fn save(&mut self) -> Result<(), SimError> {
         self.world_bytes.clear();
         self.world.save(&mut self.world_bytes)?;
-        let saved = Saved { tick: self.tick, silent: &self.silent, world: &self.world_bytes };
+        let (silent, world) = (Cow::Borrowed(&self.silent[..]), Cow::Borrowed(&self.world_bytes[..]));
+        let saved = Saved { tick: self.tick, silent, world };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
         Ok(())
     }

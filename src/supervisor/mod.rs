@@ -27,7 +27,7 @@ use restart::{Policies, Rule};
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
     let keep = Keep { recording: args.write_recording, truth: None };
-    execute(experiment, args.in_process, &args.restart, &keep)
+    execute(experiment, args.in_process, &args.restart.rules, &keep)
 }
 
 /// `rangehound track`.
@@ -37,7 +37,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    execute(experiment, args.in_process, &args.restart, &Keep { recording: false, truth })
+    execute(experiment, args.in_process, &args.restart.rules, &Keep { recording: false, truth })
 }
 
 /// `rangehound resume`: goes on with a run all of whose processes are gone.
@@ -50,7 +50,7 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
-    supervise(&name, &description, &args.restart, &Keep { recording: false, truth: None }, || Ok(()))
+    supervise(&name, &description, &args.restart.rules, &Keep { recording: false, truth: None }, || Ok(()))
 }
 
 /// What is done with a run's logs beyond the report.

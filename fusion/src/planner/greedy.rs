@@ -13,12 +13,12 @@ impl Planner for Greedy {
     }
 
     fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
-        let standing = problem.standing();
-        let sum = problem.arms.iter().zip(standing).fold(problem.prior, |sum, (arm, u)| sum + u * arm.lambda);
         plan.directions.clear();
-        let standing = problem.standing();
-        plan.directions
-            .extend(problem.arms.iter().zip(standing).map(|(arm, u)| arm.nearest(u * arm.lambda - sum, arm.centre)));
+        plan.directions.extend(problem.standing());
+        let sum = problem.sum(&plan.directions);
+        for (arm, direction) in problem.arms.iter().zip(&mut plan.directions) {
+            *direction = arm.nearest(*direction * arm.lambda - sum, arm.centre);
+        }
         plan.complete(problem);
     }
 }

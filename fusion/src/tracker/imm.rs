@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::sealed::{self, SealError};
 
-use super::bank::{Bank, Hypothesis, Restored, mixture};
+use super::bank::{Bank, Hypothesis, Saved, mixture};
 use super::{Fit, Gate, Reading, Tracker};
 use crate::filter::Estimate;
 
@@ -114,7 +114,7 @@ impl<const N: usize> Tracker for Imm<N> {
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
-        let (modes, estimate): ([(f64, Restored<N>); 2], Estimate<N>) = sealed::decode(bytes)?;
+        let (modes, estimate): ([(f64, Saved<'_, N>); 2], Estimate<N>) = sealed::decode(bytes)?;
         for (mode, (probability, bank)) in self.modes.iter_mut().zip(modes) {
             mode.probability = probability;
             mode.bank.restore(bank);

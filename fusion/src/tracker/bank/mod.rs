@@ -12,6 +12,7 @@ mod circle;
 mod rejections;
 mod sight;
 
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 
 use nalgebra::{Cholesky, SMatrix, SVector, Vector2};
@@ -87,19 +88,10 @@ pub(super) struct Hypothesis<const N: usize> {
     pub(super) estimate: Estimate<N>,
 }
 
-/// What [`Bank::restore`] needs, as it is written; [`Restored`] is the same as it is read.
-#[derive(Debug, Serialize)]
+/// What [`Bank::restore`] needs: borrowed as it is written, owned as it is read.
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Saved<'a, const N: usize> {
-    hypotheses: &'a [Hypothesis<N>],
-    estimate: &'a Estimate<N>,
-    rejections: &'a Rejections,
-    log_likelihood: f64,
-}
-
-/// What a bank saved.
-#[derive(Debug, Deserialize)]
-pub(super) struct Restored<const N: usize> {
-    hypotheses: Vec<Hypothesis<N>>,
+    hypotheses: Cow<'a, [Hypothesis<N>]>,
     estimate: Estimate<N>,
     rejections: Rejections,
     log_likelihood: f64,
@@ -108,16 +100,16 @@ pub(super) struct Restored<const N: usize> {
 impl<const N: usize> Bank<N> {
     /// What [`Self::restore`] needs to go on from here.
     pub(super) fn saved(&self) -> Saved<'_, N> {
-        let Self { hypotheses, estimate, rejections, log_likelihood, .. } = self;
-        Saved { hypotheses, estimate, rejections, log_likelihood: *log_likelihood }
+        let Self { ref hypotheses, estimate, rejections, log_likelihood, .. } = *self;
+        Saved { hypotheses: Cow::Borrowed(hypotheses), estimate, rejections, log_likelihood }
     }
 
     /// Goes on from what a bank of the same scenario saved.
-    pub(super) fn restore(&mut self, restored: Restored<N>) {
-        let Restored { hypotheses, estimate, rejections, log_likelihood } = restored;
+    pub(super) fn restore(&mut self, restored: Saved<'_, N>) {
+        let Saved { hypotheses, estimate, rejections, log_likelihood } = restored;
         // Into the memory that is there: steps allocate nothing.
         self.hypotheses.clear();
-        self.hypotheses.extend(hypotheses.into_iter().take(HYPOTHESES_MAX));
+        self.hypotheses.extend(hypotheses.iter().take(HYPOTHESES_MAX));
         self.estimate = estimate;
         self.rejections = rejections;
         self.log_likelihood = log_likelihood;
