@@ -85,31 +85,34 @@ pub fn best_of_free(rest: Vector, arms: &[Arm], directions: &mut [Vector]) -> bo
         longest = longest.max(arm.lambda);
         left += arm.lambda;
     }
-    let mut rest = rest;
+    let (mut rest, mut length) = (rest, rest.norm());
     for (arm, direction) in arms.iter().zip(directions.iter_mut()) {
         let Vector { x: longest, y: left } = *direction;
-        let length = rest.norm();
         // Those after this one close chords from what their longest leaves to their sum. In the middle of
         // what can be had, for at the ends the triangle is flat and its angles are badly known.
         let least = (2.0 * longest - left).max((length - arm.lambda).abs());
         let most = left.min(length + arm.lambda);
         let chord = if least <= most { 0.5 * (least + most) } else { most.max((length - arm.lambda).abs()) };
-        *direction = turn_to_chord(rest, length, arm, chord);
+        *direction = match rest.normalised() {
+            Some(along) => along.rotated_by(turn_to_chord(length, arm.lambda, chord)),
+            None => arm.centre,
+        };
         rest += *direction * arm.lambda;
+        // The chord, not what rounding made of it: so no arm's triangle waits for the one before.
+        length = if length > 0.0 { chord } else { arm.lambda };
     }
     true
 }
 
-/// The direction of the arm after which `|rest + lambda u|` is `chord`.
-fn turn_to_chord(rest: Vector, length: f64, arm: &Arm, chord: f64) -> Vector {
-    let double_area = 2.0 * length * arm.lambda;
-    if double_area == 0.0 {
-        return arm.centre;
+/// The direction, from that of the rest, in which an arm turns a rest of this length into one of length `chord`.
+fn turn_to_chord(length: f64, lambda: f64, chord: f64) -> Vector {
+    let double_area = 2.0 * length * lambda;
+    if double_area < f64::MIN_POSITIVE {
+        return Vector::new(1.0, 0.0);
     }
-    let cos = ((chord - length) * (chord + length) - arm.lambda * arm.lambda) / double_area;
+    let cos = ((chord - length) * (chord + length) - lambda * lambda) / double_area;
     let cos = cos.clamp(-1.0, 1.0);
-    let sin = ((1.0 - cos) * (1.0 + cos)).sqrt();
-    (rest * length.recip()).rotated_by(Vector::new(cos, sin))
+    Vector::new(cos, ((1.0 - cos) * (1.0 + cos)).sqrt())
 }
 
 #[cfg(test)]

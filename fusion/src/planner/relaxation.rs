@@ -33,11 +33,11 @@ impl Relaxation {
     pub fn relax(&self, problem: &Problem, directions: &mut [Vector]) {
         // One robot alone has a closed form and no local minimum to be shaken out of.
         let alpha = if problem.len() == 1 { 0.0 } else { self.alpha };
+        let mut sum = problem.sum(directions);
         for _ in 0..self.iterations {
-            // Summed anew each cycle, so that rounding does not build up over the iterations.
-            let sum = problem.sum(directions);
             // S + V, kept current: the one chain of additions that every robot waits for.
-            let mut pull = sum - sum * alpha;
+            let perturbation = sum * -alpha;
+            let mut pull = sum + perturbation;
             let mut moved = false;
             for (arm, direction) in problem.arms.iter().zip(directions.iter_mut()).rev() {
                 let goal = *direction * arm.lambda - pull;
@@ -50,6 +50,7 @@ impl Relaxation {
                 // A fixed point to the bit: every further cycle would repeat this one.
                 break;
             }
+            sum = pull - perturbation;
         }
     }
 }

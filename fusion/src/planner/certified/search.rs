@@ -147,14 +147,13 @@ impl Search {
         let total = problem.lambda_sum();
         // What adding up M vectors can have rounded away: a bound must hold in spite of it.
         let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * total;
-        let bound = self.search(problem, directions, rounding);
+        let bound = self.search(problem, directions, total, rounding);
         (bound - rounding).max(0.0)
     }
 
-    fn search(&mut self, problem: &Problem, directions: &mut [Vector], rounding: f64) -> f64 {
+    fn search(&mut self, problem: &Problem, directions: &mut [Vector], total: f64, rounding: f64) -> f64 {
         self.looked_into = 0;
         // One vector that outweighs all others: what they cannot make up for.
-        let total = problem.lambda_sum();
         let heaviest = problem.arms.iter().fold(problem.prior.norm(), |heaviest, arm| heaviest.max(arm.lambda));
         let floor = (heaviest - (total - heaviest)).max(0.0);
         let mut best = problem.sum(directions).norm();
