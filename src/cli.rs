@@ -8,6 +8,7 @@ use rangehound_shared::rendezvous::{Role, RunName};
 use rangehound_shared::scenario::PatienceKey;
 
 use crate::supervisor::restart::Rule;
+use rangehound_fusion::run::STANDBYS_MAX;
 
 /// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
 /// that filters and plans, a simulator, all talking over shared memory.
@@ -38,7 +39,7 @@ pub enum Command {
     /// Run the simulator alone: founds the run if nobody has (other nodes join it by --name)
     Sim(SimArgs),
     /// Run the fusion centre alone
-    Fusion(NodeArgs),
+    Fusion(FusionArgs),
     /// Run one robot alone
     Robot(RobotArgs),
     /// Attach to a run: show its progress, and write its report when it ends
@@ -74,9 +75,9 @@ pub struct RunArgs {
     /// Compose the same steps in this one process, without shared memory: same estimates, same digest
     #[arg(long)]
     pub in_process: bool,
-    /// Who is started again
+    /// Who is started, and started again
     #[command(flatten)]
-    pub restart: RestartArgs,
+    pub supervision: SupervisionArgs,
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
@@ -136,7 +137,18 @@ pub struct SimArgs {
     pub parent: ParentArgs,
 }
 
-/// `fusion`, `watch`.
+/// `fusion`.
+#[derive(Debug, Args)]
+pub struct FusionArgs {
+    /// Which run
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Stand by: follow the run, and lead as soon as nobody does or who leads hangs
+    #[arg(long)]
+    pub standby: bool,
+}
+
+/// `watch`, and what the nodes have in common.
 #[derive(Debug, Args)]
 pub struct NodeArgs {
     /// Name of the run to join; waits for it to be founded
@@ -147,9 +159,12 @@ pub struct NodeArgs {
     pub parent: ParentArgs,
 }
 
-/// Which nodes a supervisor starts again.
+/// What a supervisor starts, and starts again.
 #[derive(Debug, Default, Args)]
-pub struct RestartArgs {
+pub struct SupervisionArgs {
+    /// Fusion processes that stand by to take over from the one that leads
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
+    pub standby: usize,
     /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
     /// only, repeatable [default: always]
     #[arg(long = "restart", value_name = "[KIND=]POLICY")]
@@ -165,9 +180,9 @@ pub struct ResumeArgs {
     /// Name of the run [default: the scenario's]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Who is started again
+    /// Who is started, and started again
     #[command(flatten)]
-    pub restart: RestartArgs,
+    pub supervision: SupervisionArgs,
 }
 
 /// A run to act on from another terminal.
@@ -290,9 +305,9 @@ pub struct TrackArgs {
     /// Reject a range whose innovation is more than this many standard deviations
     #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
     pub gate: Option<f64>,
-    /// Who is started again
+    /// Who is started, and started again
     #[command(flatten)]
-    pub restart: RestartArgs,
+    pub supervision: SupervisionArgs,
     /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
@@ -424,6 +439,11 @@ fn trimmed(text: &str) -> Result<String, String> {
 
 fn whole(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| "expected a whole number from 0".to_owned())
+}
+
+fn standbys(text: &str) -> Result<usize, String> {
+    let expected = || format!("expected a whole number from 0 to {STANDBYS_MAX}");
+    text.parse().ok().filter(|count| *count <= STANDBYS_MAX).ok_or_else(expected)
 }
 
 fn number(text: &str) -> Result<f64, String> {

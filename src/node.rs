@@ -7,7 +7,7 @@ use rangehound_shared::signal::Termination;
 use rangehound_sim::run::SimError;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-use crate::cli::{NodeArgs, ParentArgs, RobotArgs, SimArgs};
+use crate::cli::{FusionArgs, ParentArgs, RobotArgs, SimArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::tables;
@@ -33,10 +33,11 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
 ///
 /// # Errors
 /// [`Failure`].
-pub fn fusion(args: &NodeArgs) -> Result<(), Failure> {
-    let termination = prepare(Role::Fusion, &args.parent)?;
-    let rendezvous = join(&args.name, &termination)?;
-    rangehound_fusion::run::run(&rendezvous, &termination).map_err(|error| match error {
+pub fn fusion(args: &FusionArgs) -> Result<(), Failure> {
+    let termination = prepare(Role::Fusion, &args.node.parent)?;
+    let rendezvous = join(&args.node.name, &termination)?;
+    let run = if args.standby { rangehound_fusion::run::run_standby } else { rangehound_fusion::run::run };
+    run(&rendezvous, &termination).map_err(|error| match error {
         FusionError::Rendezvous(error) => input_or_running(error),
         error @ (FusionError::Checkpoint(_) | FusionError::Sealed(_)) => Failure::input(error),
         other => Failure::from(other),

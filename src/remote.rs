@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
+use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::record::WorldRecord;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunName, living_runs};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
@@ -74,14 +75,14 @@ pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
 /// [`Failure`].
 pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
     let run = join(&args.run)?;
-    let starts = run.starts(args.node);
+    let starts = run.roster().starts(args.node);
     signal(&run, args.node, Signal::TERM)?;
     let began = Instant::now();
     loop {
-        if run.starts(args.node) > starts
-            && let Some(pid) = run.holder(args.node)
+        if run.roster().starts(args.node) > starts
+            && let Some(pid) = run.roster().holder(args.node)
         {
-            println!("{} is now process {}, start {}", args.node, pid.as_raw_pid(), run.starts(args.node));
+            println!("{} is now process {}, start {}", args.node, pid.as_raw_pid(), run.roster().starts(args.node));
             return Ok(());
         }
         if began.elapsed() > PATIENCE {
@@ -100,10 +101,11 @@ pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
     let run = join(args)?;
     let name = run.name().clone();
     let robots = run.description().scenario.robots.len();
-    if run.holder(Role::Supervisor).is_some() {
+    if run.roster().holder(Role::Supervisor).is_some() {
         signal(&run, Role::Supervisor, Signal::TERM)?;
     } else {
-        for role in watch::roles(robots).filter(|role| run.is_held(*role)) {
+        let standbys = (1..=STANDBYS_MAX).map(Role::Standby);
+        for role in watch::roles(robots).chain(standbys).filter(|role| run.roster().is_held(*role)) {
             signal(&run, role, Signal::TERM)?;
         }
     }
@@ -145,10 +147,10 @@ pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid
         return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
     }
     let gone = || Failure::Running(anyhow!("{role} of run {} is not there", run.name()));
-    let pid = run.holder(role).ok_or_else(gone)?;
+    let pid = run.roster().holder(role).ok_or_else(gone)?;
     let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone())?;
     // Still the holder: so what was opened is it.
-    if run.holder(role) != Some(pid) {
+    if run.roster().holder(role) != Some(pid) {
         return Err(gone());
     }
     pidfd_send_signal(&process, signal).map_err(|_| gone())?;
@@ -161,7 +163,8 @@ impl Status {
         let scenario = &description.scenario;
         let log = WorldRecord::reader(&description.out_dir, description.run_id, scenario).ok();
         let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
-        let roles = watch::roles(scenario.robots.len()).chain([Role::Supervisor]);
+        let standbys = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| run.roster().starts(*role) > 0);
+        let roles = watch::roles(scenario.robots.len()).chain(standbys).chain([Role::Supervisor]);
         Self {
             name: run.name().to_string(),
             scenario: scenario.name.clone(),
@@ -175,7 +178,7 @@ impl Status {
 
 impl NodeStatus {
     fn of(run: &Rendezvous, role: Role) -> Self {
-        let pid = run.holder(role).map(Pid::as_raw_pid);
+        let pid = run.roster().holder(role).map(Pid::as_raw_pid);
         let told = pid.and_then(|pid| std::fs::read_to_string(format!("/proc/{pid}/status")).ok()).unwrap_or_default();
         let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
         let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
@@ -184,7 +187,7 @@ impl NodeStatus {
             _ => "running",
         };
         let resident_kb = field("VmRSS:").and_then(|text| text.split(' ').next()?.parse().ok());
-        Self { name: role.to_string(), state, pid, starts: run.starts(role), resident_kb }
+        Self { name: role.to_string(), state, pid, starts: run.roster().starts(role), resident_kb }
     }
 }
 

@@ -136,7 +136,7 @@ impl Progress {
 pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     let rendezvous = node::join(&args.name, &termination)?;
-    let bus = Bus::observe(&rendezvous)?;
+    let bus = Bus::connect(&rendezvous, "observer")?;
     let description = rendezvous.description();
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
     while !rendezvous.is_finished() && !termination.requested() {
@@ -145,14 +145,19 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
     }
     watch.finish();
     // Fusion puts its last tick down after it has published it.
-    while rendezvous.is_finished() && rendezvous.is_held(Role::Fusion) && !termination.requested() {
+    while rendezvous.is_finished() && rendezvous.roster().is_held(Role::Fusion) && !termination.requested() {
         std::thread::sleep(LOOK);
     }
     if !rendezvous.is_finished() {
         return Ok(());
     }
     let nodes = roles(description.scenario.robots.len())
-        .map(|role| NodeSummary { name: role.to_string(), starts: rendezvous.starts(role), kills: 0, exits: 0 })
+        .map(|role| NodeSummary {
+            name: role.to_string(),
+            starts: rendezvous.roster().starts(role),
+            kills: 0,
+            exits: 0,
+        })
         .collect();
     let report = report::from_logs(description, None, nodes)?;
     report::write(&report, &description.out_dir)?;

@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::bus::{Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{monotonic_ns, range_deadline_ns, until};
 use rangehound_shared::message::{Command, Estimate, Header, Range};
 use rangehound_shared::record::EstimateRecord;
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
@@ -17,6 +17,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::centre::{self, Centre, Diverged, Report};
 use crate::planner::{PlannerError, Vector};
+
+/// Most standbys of a run.
+pub const STANDBYS_MAX: usize = 8;
+
+/// How often a standby looks whether who leads gives signs of life.
+const STANDBY_LOOK: Duration = Duration::from_millis(50);
+
+/// Looks in a row without a sign of life after which who leads is deposed. Counted in looks, so that a
+/// standby that was stopped too, or a clock that jumps, deposes nobody.
+const SILENT_LOOKS_MAX: u32 = 10;
 
 /// Why fusion ended early.
 #[derive(Debug, thiserror::Error)]
@@ -39,6 +49,9 @@ pub enum FusionError {
     /// The filter diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
+    /// Another process took its role while it gave no sign of life.
+    #[error("gave no sign of life and was deposed")]
+    Deposed,
 }
 
 /// Runs the fusion centre until the run ends or until asked to end.
@@ -46,27 +59,49 @@ pub enum FusionError {
 /// # Errors
 /// [`FusionError`].
 pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), FusionError> {
-    let hold = rendezvous.take_role(Role::Fusion)?;
-    let bus = Bus::connect(rendezvous, Role::Fusion, &hold)?;
-    let mut fusion = Fusion::new(rendezvous, &bus)?;
-    fusion.sim.ring(Call::Hello);
-    while !termination.requested() {
-        let calls = fusion.bed.sleep(fusion.time_to_wait());
-        fusion.take_ranges()?;
-        while fusion.is_ready() {
-            fusion.process_tick()?;
-        }
-        fusion.repeat_if_asked()?;
-        if (calls.has(Call::Finished) || !calls.has(Call::Data)) && rendezvous.is_finished() {
-            // What never came in real time is missing, but every tick has its estimate.
-            fusion.take_ranges()?;
-            return fusion.predict_up_to(fusion.scenario.ticks + 1);
+    let hold = rendezvous.roster().take(Role::Fusion)?;
+    let bus = Bus::of_role(rendezvous, Role::Fusion, &hold)?;
+    Fusion::new(rendezvous, &bus)?.lead(hold, termination)
+}
+
+/// Runs a standby: a fusion centre that waits until nobody leads, or until who leads gives no sign of life,
+/// and goes on from its checkpoint. Deposed in its turn, it stands by again.
+///
+/// # Errors
+/// [`FusionError`].
+pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), FusionError> {
+    loop {
+        let (role, standby) = take_free_standby(rendezvous)?;
+        let bus = Bus::connect(rendezvous, &role.to_string())?;
+        let mut fusion = Fusion::new(rendezvous, &bus)?;
+        let Some(hold) = fusion.stand_by(&standby, termination)? else { return Ok(()) };
+        drop(standby);
+        bus.speak_as(hold.incarnation);
+        match fusion.lead(hold, termination) {
+            Err(FusionError::Deposed) => log::warn!("{}; stands by", FusionError::Deposed),
+            ended => return ended,
         }
     }
-    Ok(())
+}
+
+fn take_free_standby(rendezvous: &Rendezvous) -> Result<(Role, RoleHold), FusionError> {
+    let mut number = 1;
+    loop {
+        match rendezvous.roster().take(Role::Standby(number)) {
+            Ok(hold) => return Ok((Role::Standby(number), hold)),
+            Err(RendezvousError::RoleTaken { .. }) if number < STANDBYS_MAX => number += 1,
+            Err(error) => return Err(error.into()),
+        }
+    }
 }
 
 struct Fusion<'a> {
+    rendezvous: &'a Rendezvous,
+    bus: &'a Bus,
+    /// The lead, once it has it.
+    hold: Option<RoleHold>,
+    /// The first tick of its lead.
+    first_tick: u64,
     scenario: &'a Scenario,
     centre: Centre,
     /// What has come for the tick that is being gathered.
@@ -82,7 +117,6 @@ struct Fusion<'a> {
     ranges: Subscriber<Range>,
     headings: Publisher<Command>,
     estimates: Publisher<Estimate>,
-    bed: Bed,
     robots: Bell,
     sim: Bell,
 }
@@ -110,15 +144,14 @@ struct Gathering {
 }
 
 impl<'a> Fusion<'a> {
-    fn new(rendezvous: &'a Rendezvous, bus: &Bus) -> Result<Self, FusionError> {
-        let description = rendezvous.description();
-        let scenario = &description.scenario;
+    fn new(rendezvous: &'a Rendezvous, bus: &'a Bus) -> Result<Self, FusionError> {
+        let scenario = &rendezvous.description().scenario;
         let robots = scenario.robots.len();
-        let log = EstimateRecord::writer(&description.out_dir, description.run_id, scenario)
-            .inspect_err(|error| log::warn!("goes on without a log: {error}"))
-            .ok();
-        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Fusion)?;
-        let mut fusion = Self {
+        Ok(Self {
+            rendezvous,
+            bus,
+            hold: None,
+            first_tick: 0,
             scenario,
             centre: Centre::new(scenario)?,
             gathering: Gathering { reports: vec![None; robots], ..Gathering::default() },
@@ -126,20 +159,86 @@ impl<'a> Fusion<'a> {
             fused: vec![false; robots],
             late: 0,
             repeat_asked: false,
-            checkpoint,
-            log,
+            checkpoint: None,
+            log: None,
             ranges: bus.subscriber()?,
             headings: bus.publisher(robots)?,
             estimates: bus.publisher(1)?,
-            bed: bus.sleep_as(Sleeper::Fusion)?,
             robots: bus.bell_of(Sleeper::Robots)?,
             sim: bus.bell_of(Sleeper::Sim)?,
-        };
-        match restored {
-            Some(restored) => fusion.restore(restored)?,
-            None => rendezvous.refuse_lost_state(Role::Fusion, fusion.log.as_ref())?,
+        })
+    }
+
+    /// Waits for the lead; `None` if the run ends first. It keeps its ports as ready as if it led: the newest
+    /// ranges wait in their buffers.
+    fn stand_by(&mut self, standby: &RoleHold, termination: &Termination) -> Result<Option<RoleHold>, FusionError> {
+        let roster = self.rendezvous.roster();
+        let mut leader = roster.starts(Role::Fusion);
+        let mut succession = roster.succeed(Role::Fusion);
+        let mut last_sign = roster.last_sign(Role::Fusion);
+        let mut silent_looks = 0;
+        while !termination.requested() && !self.rendezvous.is_finished() {
+            if let Some(hold) = roster.take_in_succession(Role::Fusion, &succession, STANDBY_LOOK)? {
+                return Ok(Some(hold));
+            }
+            standby.sign();
+            self.ranges.keep_up()?;
+            let sign = roster.last_sign(Role::Fusion);
+            silent_looks = if sign == last_sign { silent_looks + 1 } else { 0 };
+            last_sign = sign;
+            if silent_looks >= SILENT_LOOKS_MAX
+                && let Some(sign) = sign
+                && let Some(hold) = roster.depose(Role::Fusion, sign)?
+            {
+                log::warn!("fusion gave no sign of life for {:?}: deposed it", STANDBY_LOOK * SILENT_LOOKS_MAX);
+                return Ok(Some(hold));
+            }
+            if roster.starts(Role::Fusion) != leader {
+                // The file whose lock is waited for may be that of a deposed one.
+                leader = roster.starts(Role::Fusion);
+                succession = roster.succeed(Role::Fusion);
+            }
         }
-        Ok(fusion)
+        Ok(None)
+    }
+
+    /// Leads until the run ends, until asked to end, or until deposed.
+    fn lead(mut self, hold: RoleHold, termination: &Termination) -> Result<(), FusionError> {
+        self.hold = Some(hold);
+        // A standby has none: every ring would cost the ringer a wake-up of it.
+        let bed = self.bus.sleep_as(Sleeper::Fusion)?;
+        self.go_on_from_checkpoint()?;
+        self.first_tick = self.centre.next_tick();
+        self.take_ranges()?;
+        self.sim.ring(Call::Hello);
+        while !termination.requested() {
+            let calls = bed.sleep(self.time_to_wait());
+            self.require_lead()?;
+            self.take_ranges()?;
+            while self.is_ready() {
+                self.process_tick()?;
+            }
+            self.repeat_if_asked()?;
+            if (calls.has(Call::Finished) || !calls.has(Call::Data)) && self.rendezvous.is_finished() {
+                // What never came in real time is missing, but every tick has its estimate.
+                self.take_ranges()?;
+                return self.predict_up_to(self.scenario.ticks + 1);
+            }
+        }
+        Ok(())
+    }
+
+    fn go_on_from_checkpoint(&mut self) -> Result<(), FusionError> {
+        let description = self.rendezvous.description();
+        self.log = EstimateRecord::writer(&description.out_dir, description.run_id, self.scenario)
+            .inspect_err(|error| log::warn!("goes on without a log: {error}"))
+            .ok();
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion)?;
+        self.checkpoint = checkpoint;
+        match restored {
+            Some(restored) => self.restore(restored),
+            None => Ok(self.rendezvous.refuse_lost_state(Role::Fusion, self.log.as_ref())?),
+        }
     }
 
     /// Goes on from where a killed forerunner stopped. It may have published the last tick or not: who
@@ -198,12 +297,16 @@ impl<'a> Fusion<'a> {
 
     fn take_ranges(&mut self) -> Result<(), FusionError> {
         // The subscriber is borrowed while it drains; the rest of self is what the messages change.
-        let Self { scenario, centre, gathering, misses, fused, late, repeat_asked, ranges, .. } = self;
+        let Self { scenario, centre, gathering, misses, fused, late, repeat_asked, ranges, first_tick, .. } = self;
         let mut ahead = None;
         ranges.drain(|header, message| {
             let [range] = message else { return };
             let Some((id, report)) = sound_report(range, gathering.reports.len()) else { return };
             if header.tick > scenario.ticks || !header.valid_at_s.is_finite() {
+                return;
+            }
+            if header.tick + 1 < *first_tick {
+                // A forerunner had it; it waited here in case that one had not.
                 return;
             }
             misses[id] = 0;
@@ -269,6 +372,7 @@ impl<'a> Fusion<'a> {
         let saved = Saved { centre, misses: Cow::Borrowed(&self.misses), fused: Cow::Borrowed(&self.fused), late };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
 
+        self.require_lead()?;
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
         self.robots.ring(Call::Data);
         let estimate = Estimate {
@@ -281,6 +385,18 @@ impl<'a> Fusion<'a> {
         self.put_down(tick, estimate);
         self.gathering.clear();
         Ok(())
+    }
+
+    /// Gives a sign of life, and sees that nobody has taken the lead meanwhile: after each sleep, and before
+    /// anything is commanded. The robots check too: they obey nobody who leads no more.
+    fn require_lead(&self) -> Result<(), FusionError> {
+        match &self.hold {
+            Some(hold) if hold.is_current() => {
+                hold.sign();
+                Ok(())
+            }
+            _ => Err(FusionError::Deposed),
+        }
     }
 
     fn put_down(&mut self, tick: u64, estimate: Estimate) {
@@ -298,6 +414,7 @@ impl<'a> Fusion<'a> {
         if std::mem::take(&mut self.repeat_asked)
             && let Some(last_tick) = self.centre.next_tick().checked_sub(1)
         {
+            self.require_lead()?;
             self.headings.send(last_tick, self.centre.time_s(), self.centre.commands())?;
             self.robots.ring(Call::Data);
         }

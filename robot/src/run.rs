@@ -37,11 +37,12 @@ pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Res
     let scenario = &rendezvous.description().scenario;
     let last = scenario.robots.len() - 1;
     let sensor = Sensor::new(scenario, id).ok_or(RobotError::NoSuchRobot { id, last })?;
-    let hold = rendezvous.take_role(Role::Robot(id))?;
-    let bus = Bus::connect(rendezvous, Role::Robot(id), &hold)?;
-    let mut robot = Robot::new(scenario, id, sensor, &bus)?;
+    let hold = rendezvous.roster().take(Role::Robot(id))?;
+    let bus = Bus::of_role(rendezvous, Role::Robot(id), &hold)?;
+    let mut robot = Robot::new(scenario, id, sensor, &bus, rendezvous.roster().starts(Role::Fusion))?;
     robot.sim.ring(Call::Hello);
     while !termination.requested() {
+        hold.sign();
         let calls = robot.bed.sleep(robot.time_to_wait());
         robot.look()?;
         if (calls.has(Call::Finished) || robot.present.is_none() || !calls.has(Call::Data)) && rendezvous.is_finished()
@@ -58,7 +59,9 @@ struct Robot<'a> {
     sensor: Sensor,
     controller: Controller,
     present: Option<Present>,
-    late_headings: u64,
+    /// Greatest incarnation of fusion that has been heard or counted: none before it is obeyed.
+    fusion_incarnation: u64,
+    headings_refused: u64,
     ranges: Publisher<Range>,
     drives: Publisher<Drive>,
     worlds: Subscriber<WorldEntry>,
@@ -80,14 +83,21 @@ struct Present {
 }
 
 impl<'a> Robot<'a> {
-    fn new(scenario: &'a Scenario, id: usize, sensor: Sensor, bus: &Bus) -> Result<Self, BusError> {
+    fn new(
+        scenario: &'a Scenario,
+        id: usize,
+        sensor: Sensor,
+        bus: &Bus,
+        fusion_incarnation: u64,
+    ) -> Result<Self, BusError> {
         Ok(Self {
             scenario,
             id,
             sensor,
             controller: Controller::new(scenario.robots[id].speed_mps),
             present: None,
-            late_headings: 0,
+            fusion_incarnation,
+            headings_refused: 0,
             ranges: bus.publisher(1)?,
             drives: bus.publisher(1)?,
             worlds: bus.subscriber()?,
@@ -141,6 +151,10 @@ impl<'a> Robot<'a> {
         if seen > Some((header.incarnation, header.tick)) {
             return Ok(());
         }
+        // What the last drive has told of is told.
+        if let Some(told) = self.present.and_then(|present| present.drive) {
+            self.headings_refused -= told.headings_refused;
+        }
         let range_m = self.sensor.measure(header.tick, entry);
         let range = Range {
             robot: self.id as u64,
@@ -181,30 +195,35 @@ impl<'a> Robot<'a> {
             return self.headings.drain(|_, _| {});
         };
         let (tick, id, robots) = (present.tick, self.id, self.scenario.robots.len());
+        let (leader, mut refused) = (&mut self.fusion_incarnation, 0);
         let mut fresh = None;
         self.headings.drain(|header, commands| {
+            if header.incarnation < *leader {
+                refused += 1;
+                return;
+            }
+            *leader = header.incarnation;
             if header.tick == tick && commands.len() == robots {
                 fresh = Some(commands[id]);
             }
         })?;
+        self.headings_refused += refused + self.headings.take_impostors();
         let held_ns = monotonic_ns();
         let obeyed = present.drive.is_some_and(|drive| drive.heading_held_ns != 0);
         let Some(command) = fresh.filter(|_| !obeyed) else { return Ok(()) };
-        if present.drive.is_some() {
-            // Overdue, but the tick is not over: better late than held.
-            self.late_headings += 1;
-        }
+        // Overdue, but the tick is not over: better late than held.
+        let is_late = present.drive.is_some();
         let driven = self.controller.obey(tick, command);
-        self.send_drive(driven, held_ns)
+        self.send_drive(driven, held_ns, is_late)
     }
 
     fn drive_without_heading(&mut self) -> Result<(), BusError> {
         let Some(present) = &self.present else { return Ok(()) };
         let driven = self.controller.hold(present.tick);
-        self.send_drive(driven, 0)
+        self.send_drive(driven, 0, false)
     }
 
-    fn send_drive(&mut self, driven: Command, heading_held_ns: u64) -> Result<(), BusError> {
+    fn send_drive(&mut self, driven: Command, heading_held_ns: u64, is_late: bool) -> Result<(), BusError> {
         let Some(present) = &mut self.present else { return Ok(()) };
         let drive = Drive {
             robot: self.id as u64,
@@ -212,7 +231,8 @@ impl<'a> Robot<'a> {
             speed_mps: driven.speed_mps,
             range_sent_ns: if present.range.present == 1 { present.range_sent_ns } else { 0 },
             heading_held_ns,
-            late_headings: self.late_headings,
+            heading_late: u64::from(is_late),
+            headings_refused: self.headings_refused,
         };
         present.drive = Some(drive);
         self.drives.send(present.tick, present.time_s, &[drive])?;

@@ -3,6 +3,9 @@
 //! Two slots of one file take turns, each written at once and sealed with the run's id and a sequence
 //! number; the newest whole one counts. A kill in mid-write costs the slot that was being written, whose
 //! state nobody has seen yet: a node writes before it publishes what depends on it.
+//!
+//! A successor goes on in a new file that takes the old one's name: whatever a forerunner that was
+//! deposed and not dead still writes goes to a file that has none.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
@@ -25,6 +28,9 @@ const SLOT_LEN: usize = 1 << 20;
 
 /// Bytes before the sealed state: its length.
 const LEN_BYTES: usize = 4;
+
+/// Bytes of a slot that are read to see whether anything was written to it.
+const FIRST_READ: usize = 4_096;
 
 /// Why a checkpoint cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -124,23 +130,24 @@ impl Checkpoint {
         let len = file.metadata().map_err(io_error)?.len();
         let mut newest: Option<Slot<T>> = None;
         let mut refused = None;
+        let mut newest_bytes = Vec::new();
         for index in 0..2 {
-            match read_slot::<T>(&file, index, len).map_err(io_error)? {
-                None => {}
-                Some(Ok(slot)) if slot.run_id != run_id => refused = Some("of another run".to_owned()),
-                Some(Ok(slot)) if newest.as_ref().is_some_and(|newest| newest.sequence > slot.sequence) => {}
-                Some(Ok(slot)) => newest = Some(slot),
-                Some(Err(reason)) => refused = Some(reason.to_string()),
+            let Some(bytes) = read_slot(&file, index, len).map_err(io_error)? else { continue };
+            match unseal(&bytes) {
+                Ok(slot) if slot.run_id != run_id => refused = Some("of another run".to_owned()),
+                Ok(slot) if newest.as_ref().is_some_and(|newest| newest.sequence > slot.sequence) => {}
+                Ok(slot) => (newest, newest_bytes) = (Some(slot), bytes),
+                Err(reason) => refused = Some(reason.to_string()),
             }
         }
         if let (None, Some(reason)) = (&newest, refused) {
-            let mut kept = path.as_os_str().to_owned();
-            kept.push(".refused");
-            let kept = PathBuf::from(kept);
+            let kept = beside(path, ".refused");
             std::fs::rename(path, &kept).map_err(io_error)?;
             return Err(CheckpointError::Unusable { file: path.to_owned(), reason, kept });
         }
         let sequence = newest.as_ref().map_or(0, |slot| slot.sequence);
+        // On a full disk the old file may be all there is room for.
+        let file = replace(path, sequence, &newest_bytes).unwrap_or(file);
         let checkpoint = Self { file, path: path.to_owned(), run_id, sequence, bytes: Vec::new() };
         Ok((checkpoint, newest.map(|slot| slot.state)))
     }
@@ -160,29 +167,57 @@ impl Checkpoint {
         }
         self.bytes[..LEN_BYTES].copy_from_slice(&(len as u32).to_le_bytes());
         self.file
-            .write_all_at(&self.bytes, (sequence % 2) * SLOT_LEN as u64)
+            .write_all_at(&self.bytes, slot_start(sequence % 2))
             .map_err(|source| CheckpointError::Io { file: self.path.clone(), source })?;
         self.sequence = sequence;
         Ok(())
     }
 }
 
-/// A slot's value, why it has none, or `None` if nothing was written to it.
-fn read_slot<T: DeserializeOwned>(
-    file: &File,
-    index: u64,
-    file_len: u64,
-) -> std::io::Result<Option<Result<Slot<T>, SealError>>> {
-    let start = index * SLOT_LEN as u64;
-    let room = file_len.saturating_sub(start).min(SLOT_LEN as u64) as usize;
-    let mut bytes = vec![0; room];
-    file.read_exact_at(&mut bytes, start)?;
+fn slot_start(index: u64) -> u64 {
+    index * SLOT_LEN as u64
+}
+
+/// A file of another name in the same folder.
+fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    PathBuf::from(name)
+}
+
+/// A new file in the place of the old one, with its newest slot.
+fn replace(path: &Path, sequence: u64, slot: &[u8]) -> std::io::Result<File> {
+    let partial = beside(path, ".partial");
+    let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(&partial)?;
+    file.write_all_at(slot, slot_start(sequence % 2))?;
+    std::fs::rename(&partial, path)?;
+    Ok(file)
+}
+
+/// What was written to a slot, as far as its length says; `None` if nothing was.
+fn read_slot(file: &File, index: u64, file_len: u64) -> std::io::Result<Option<Vec<u8>>> {
+    let room = file_len.saturating_sub(slot_start(index)).min(SLOT_LEN as u64) as usize;
+    let mut bytes = vec![0; room.min(FIRST_READ)];
+    file.read_exact_at(&mut bytes, slot_start(index))?;
     if bytes.iter().all(|byte| *byte == 0) {
         return Ok(None);
     }
-    let sealed =
-        bytes.split_first_chunk::<LEN_BYTES>().and_then(|(len, rest)| rest.get(..u32::from_le_bytes(*len) as usize));
-    Ok(Some(sealed.ok_or(SealError::Damaged).and_then(sealed::open)))
+    let len = bytes.first_chunk::<LEN_BYTES>().map_or(0, |len| u32::from_le_bytes(*len) as usize);
+    let first = bytes.len();
+    bytes.resize((LEN_BYTES + len).min(room), 0);
+    if first < bytes.len() {
+        file.read_exact_at(&mut bytes[first..], slot_start(index) + first as u64)?;
+    }
+    Ok(Some(bytes))
+}
+
+/// The value in what was written to a slot.
+fn unseal<T: DeserializeOwned>(bytes: &[u8]) -> Result<Slot<T>, SealError> {
+    let (len, sealed) = bytes.split_first_chunk::<LEN_BYTES>().ok_or(SealError::Damaged)?;
+    if sealed.len() != u32::from_le_bytes(*len) as usize {
+        return Err(SealError::Damaged);
+    }
+    sealed::open(sealed)
 }
 
 #[cfg(test)]

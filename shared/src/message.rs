@@ -104,7 +104,7 @@ pub struct Command {
 /// Topic `drive`: what one robot carries out until the next tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
 #[repr(C)]
-#[type_name("rangehound.Drive.v1")]
+#[type_name("rangehound.Drive.v2")]
 pub struct Drive {
     /// Id of the robot.
     pub robot: u64,
@@ -116,8 +116,10 @@ pub struct Drive {
     pub range_sent_ns: u64,
     /// When it held the heading of this tick, monotonic ns; 0 if it drives without one.
     pub heading_held_ns: u64,
-    /// Headings that came after their tick was over, since the robot started.
-    pub late_headings: u64,
+    /// 1 if the heading came when it was overdue.
+    pub heading_late: u64,
+    /// Headings refused since the drive before: from a fusion that was deposed, or a process that never led.
+    pub headings_refused: u64,
 }
 
 /// Topic `estimate`: what fusion knows after a tick.
@@ -205,7 +207,7 @@ const _: () = {
     assert!(size_of::<WorldEntry>() == 32);
     assert!(size_of::<Range>() == 56);
     assert!(size_of::<Command>() == 16);
-    assert!(size_of::<Drive>() == 48);
+    assert!(size_of::<Drive>() == 56);
     assert!(size_of::<Estimate>() == 672);
     assert!(size_of::<Truth>() == 88);
 };

@@ -49,6 +49,37 @@ pub struct RobotRecord {
     pub latency_ns: Option<u64>,
     /// True if its sensor had a range and it said that it published it.
     pub range_published: bool,
+    /// What it drove by.
+    pub heading: Heading,
+    /// Headings that it refused, since the tick before.
+    pub headings_refused: u64,
+}
+
+/// What a robot drove by in one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Heading {
+    /// Nothing is known: it did not answer.
+    #[default]
+    Unknown,
+    /// This tick's heading.
+    Fresh,
+    /// This tick's heading, which came when it was overdue.
+    Late,
+    /// None for this tick: it held the last one, or stood.
+    None,
+}
+
+impl Heading {
+    const ALL: [Self; 4] = [Self::Unknown, Self::Fresh, Self::Late, Self::None];
+
+    fn of(drive: Option<Drive>) -> Self {
+        match drive {
+            None => Self::Unknown,
+            Some(drive) if drive.heading_held_ns == 0 => Self::None,
+            Some(drive) if drive.heading_late != 0 => Self::Late,
+            Some(_) => Self::Fresh,
+        }
+    }
 }
 
 impl EstimateRecord {
@@ -117,7 +148,7 @@ impl EstimateRecord {
 }
 
 impl WorldRecord {
-    const WORDS_PER_ROBOT: usize = 4;
+    const WORDS_PER_ROBOT: usize = 6;
 
     fn words(scenario: &Scenario) -> usize {
         2 + Self::truth_dim(scenario) + Self::WORDS_PER_ROBOT * scenario.robots.len()
@@ -158,7 +189,8 @@ impl WorldRecord {
             // The stamp is of no use to readers, so one word tells latency and 0 for none.
             let latency_ns = drive.and_then(|drive| drive.latency_ns()).map_or(0, |latency| latency.max(1));
             let published = drive.is_some_and(|drive| drive.range_sent_ns != 0);
-            [entry.x_m.to_bits(), entry.y_m.to_bits(), latency_ns, u64::from(published)]
+            let (heading, refused) = (Heading::of(*drive) as u64, drive.map_or(0, |drive| drive.headings_refused));
+            [entry.x_m.to_bits(), entry.y_m.to_bits(), latency_ns, u64::from(published), heading, refused]
         });
         [time_s.to_bits(), ended_ns].into_iter().chain(truth.iter().map(|value| value.to_bits())).chain(robots)
     }
@@ -178,10 +210,12 @@ impl WorldRecord {
                 .as_chunks::<{ Self::WORDS_PER_ROBOT }>()
                 .0
                 .iter()
-                .map(|[x, y, latency_ns, published]| RobotRecord {
+                .map(|[x, y, latency_ns, published, heading, refused]| RobotRecord {
                     position_m: [f64::from_bits(*x), f64::from_bits(*y)],
                     latency_ns: (*latency_ns != 0).then_some(*latency_ns),
                     range_published: *published != 0,
+                    heading: Heading::ALL.get(*heading as usize).copied().unwrap_or_default(),
+                    headings_refused: *refused,
                 })
                 .collect(),
         }

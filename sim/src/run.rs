@@ -10,7 +10,7 @@ use rangehound_shared::clock::{monotonic_ns, until};
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
 use rangehound_shared::recording::RecordingError;
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
@@ -47,9 +47,9 @@ pub enum SimError {
 /// # Errors
 /// [`SimError`].
 pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), SimError> {
-    let hold = rendezvous.take_role(Role::Sim)?;
-    let bus = Bus::connect(rendezvous, Role::Sim, &hold)?;
-    let mut sim = Sim::new(rendezvous, &bus)?;
+    let hold = rendezvous.roster().take(Role::Sim)?;
+    let bus = Bus::of_role(rendezvous, Role::Sim, &hold)?;
+    let mut sim = Sim::new(rendezvous, &bus, hold)?;
     let ended = match sim.scenario.clock {
         Clock::Lockstep => sim.run_in_lockstep(termination)?,
         Clock::Realtime => sim.run_in_real_time(termination)?,
@@ -63,6 +63,7 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Sim
 }
 
 struct Sim<'a> {
+    hold: RoleHold,
     scenario: &'a Scenario,
     world: Box<dyn World>,
     tick: u64,
@@ -90,7 +91,7 @@ struct Saved<'a> {
 }
 
 impl<'a> Sim<'a> {
-    fn new(rendezvous: &'a Rendezvous, bus: &Bus) -> Result<Self, SimError> {
+    fn new(rendezvous: &'a Rendezvous, bus: &Bus, hold: RoleHold) -> Result<Self, SimError> {
         let description = rendezvous.description();
         let scenario = &description.scenario;
         let robots = scenario.robots.len();
@@ -99,6 +100,7 @@ impl<'a> Sim<'a> {
             .ok();
         let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim)?;
         let mut sim = Self {
+            hold,
             scenario,
             world: world_of(scenario)?,
             tick: 0,
@@ -181,6 +183,7 @@ impl<'a> Sim<'a> {
         let mut repeat_at = Instant::now() + REPEAT;
         while !termination.requested() {
             let calls = self.bed.sleep(repeat_at.saturating_duration_since(Instant::now()));
+            self.hold.sign();
             self.take_drives()?;
             if self.drives.iter().any(Option::is_some) {
                 // Silence counts only while others go on: fusion may have been waiting until now.
@@ -216,6 +219,7 @@ impl<'a> Sim<'a> {
     fn sleep_until(&mut self, due_ns: u64, termination: &Termination) -> Result<(), SimError> {
         while !until(due_ns).is_zero() && !termination.requested() {
             let calls = self.bed.sleep(until(due_ns).min(IDLE));
+            self.hold.sign();
             self.take_drives()?;
             if calls.has(Call::Hello) {
                 // Whoever has just started can still take part in this tick.

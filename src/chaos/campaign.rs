@@ -322,7 +322,7 @@ impl<'a> Live<'a> {
 
     /// Kills a node, for the hit of this number; an earlier one that it has not got over counts no more.
     fn kill(&mut self, role: Role, hit: usize) -> bool {
-        let starts = self.run.starts(role);
+        let starts = self.run.roster().starts(role);
         if signal(self.run, role, Signal::KILL).is_err() {
             return false;
         }
@@ -345,7 +345,7 @@ impl<'a> Live<'a> {
             !is_due
         });
         for mut storm in std::mem::take(&mut self.storms) {
-            let successor = run.starts(storm.role);
+            let successor = run.roster().starts(storm.role);
             if successor > storm.starts && self.kill(storm.role, storm.hit) {
                 (storm.starts, storm.left) = (successor, storm.left - 1);
                 self.last_fault = now;
@@ -358,7 +358,7 @@ impl<'a> Live<'a> {
         self.recovering.retain_mut(|node| {
             let heard = ticks.heard(node.role);
             match node.heard_before {
-                None if run.starts(node.role) > node.starts => {
+                None if run.roster().starts(node.role) > node.starts => {
                     node.heard_before = Some(heard);
                     injected[node.hit].restart_ms = Some(1e3 * node.killed.elapsed().as_secs_f64());
                 }
@@ -438,7 +438,7 @@ impl<'a> Ticks<'a> {
         match role {
             _ if is_repeatable(&self.description.scenario) => self.newest,
             Role::Robot(id) => self.heard.get(id).copied().unwrap_or(0),
-            Role::Fusion => self.newest_estimate,
+            Role::Fusion | Role::Standby(_) => self.newest_estimate,
             Role::Sim | Role::Supervisor => self.newest,
         }
     }

@@ -236,6 +236,7 @@ fn kind_of_node(role: Role) -> &'static str {
     match role {
         Role::Sim => "sim",
         Role::Fusion => "fusion",
+        Role::Standby(_) => "standby",
         Role::Robot(_) => "robot",
         Role::Supervisor => "run",
     }

@@ -17,7 +17,7 @@ impl Cleaner {
         let (requests, received) = mpsc::channel();
         scope.spawn(move || {
             // A node of its own: ports do not move between threads.
-            let Ok(bus) = Bus::observe(rendezvous) else { return };
+            let Ok(bus) = Bus::connect(rendezvous, "observer") else { return };
             while received.recv().is_ok() {
                 // One round for all deaths so far.
                 while received.try_recv().is_ok() {}

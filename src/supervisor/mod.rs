@@ -9,7 +9,7 @@ use rangehound_shared::bus::Bus;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
 use rangehound_shared::signal::Termination;
 
-use crate::cli::{ResumeArgs, RunArgs, TrackArgs};
+use crate::cli::{ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::input_or_running;
@@ -18,7 +18,6 @@ use crate::watch::{Progress, Watch};
 use crate::{in_process, picture, tables};
 use cleaner::Cleaner;
 use nodes::Nodes;
-use restart::{Policies, Rule};
 
 /// `rangehound run`.
 ///
@@ -27,7 +26,7 @@ use restart::{Policies, Rule};
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
     let keep = Keep { recording: args.write_recording, truth: None };
-    execute(experiment, args.in_process, &args.restart.rules, &keep)
+    execute(experiment, args.in_process, &args.supervision, &keep)
 }
 
 /// `rangehound track`.
@@ -37,7 +36,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    execute(experiment, args.in_process, &args.restart.rules, &Keep { recording: false, truth })
+    execute(experiment, args.in_process, &args.supervision, &Keep { recording: false, truth })
 }
 
 /// `rangehound resume`: goes on with a run all of whose processes are gone.
@@ -50,7 +49,7 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
-    supervise(&name, &description, &args.restart.rules, &Keep { recording: false, truth: None }, || Ok(()))
+    supervise(&name, &description, &args.supervision, &Keep { recording: false, truth: None }, || Ok(()))
 }
 
 /// What is done with a run's logs beyond the report.
@@ -59,7 +58,12 @@ struct Keep {
     truth: Option<Truth>,
 }
 
-fn execute(experiment: Experiment, in_process: bool, restart: &[Rule], keep: &Keep) -> Result<(), Failure> {
+fn execute(
+    experiment: Experiment,
+    in_process: bool,
+    supervision: &SupervisionArgs,
+    keep: &Keep,
+) -> Result<(), Failure> {
     let Experiment { name, description, .. } = &experiment;
     if in_process {
         tables::prepare_folder(&experiment)?;
@@ -73,14 +77,14 @@ fn execute(experiment: Experiment, in_process: bool, restart: &[Rule], keep: &Ke
         report_and_tables(description, keep, Vec::new())?;
         return Ok(());
     }
-    supervise(name, description, restart, keep, || tables::prepare_folder(&experiment))
+    supervise(name, description, supervision, keep, || tables::prepare_folder(&experiment))
 }
 
 /// Starts the processes of a run, sees to them until it ends, and reports.
 fn supervise(
     name: &RunName,
     description: &RunDescription,
-    restart: &[Rule],
+    supervision: &SupervisionArgs,
     keep: &Keep,
     prepare_folder: impl FnOnce() -> Result<(), Failure>,
 ) -> Result<(), Failure> {
@@ -88,11 +92,11 @@ fn supervise(
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
     prepare_folder()?;
-    let _role = rendezvous.take_role(Role::Supervisor).map_err(input_or_running)?;
+    let _role = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
     let (summaries, outcome) = std::thread::scope(|scope| {
-        let bus = Bus::observe(&rendezvous)?;
+        let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
-        let mut nodes = Nodes::start(&rendezvous, Policies::new(restart), Cleaner::start(&rendezvous, scope))?;
+        let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
         let outcome = nodes.supervise(&termination, || watch.look());
         nodes.end(rendezvous.is_finished());
         watch.finish();

@@ -14,6 +14,7 @@ use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
 use super::cleaner::Cleaner;
 use super::restart::{Policies, Policy};
+use crate::cli::SupervisionArgs;
 use crate::failure::Failure;
 use crate::report::NodeSummary;
 use crate::watch;
@@ -49,6 +50,8 @@ pub(super) struct Nodes<'a> {
 /// One role's process, and what has become of its forerunners.
 struct Node {
     role: Role,
+    /// True if there are standbys: then fusion is one of those too, for another may lead when it comes back.
+    has_standbys: bool,
     running: Option<Running>,
     summary: NodeSummary,
     /// Deaths since it last settled, and own failures among them: exits and crashes.
@@ -65,9 +68,15 @@ struct Running {
 }
 
 impl<'a> Nodes<'a> {
-    pub(super) fn start(rendezvous: &'a Rendezvous, policies: Policies, cleaner: Cleaner) -> Result<Self, Failure> {
+    pub(super) fn start(
+        rendezvous: &'a Rendezvous,
+        supervision: &SupervisionArgs,
+        cleaner: Cleaner,
+    ) -> Result<Self, Failure> {
+        let policies = Policies::new(&supervision.rules);
         let roles = watch::roles(rendezvous.description().scenario.robots.len());
-        let nodes = roles.map(Node::new).collect();
+        let roles = roles.chain((1..=supervision.standby).map(Role::Standby));
+        let nodes = roles.map(|role| Node::new(role, supervision.standby > 0)).collect();
         let mut all = Self { rendezvous, policies, cleaner, nodes, last_death: None };
         for node in &mut all.nodes {
             if let Err(error) = node.start(rendezvous) {
@@ -114,7 +123,9 @@ impl<'a> Nodes<'a> {
 
     /// Starts nodes again that have ended, as their policies say.
     fn replace_the_dead(&mut self) -> anyhow::Result<()> {
-        for node in &mut self.nodes {
+        for index in 0..self.nodes.len() {
+            let can_lead = self.nodes.iter_mut().map(|node| usize::from(node.can_lead() && node.is_running())).sum();
+            let node = &mut self.nodes[index];
             if let Some(status) = node.reap(self.rendezvous)? {
                 let message = format!("{} {}", node.role, describe(status));
                 self.last_death = Some(Instant::now());
@@ -129,7 +140,7 @@ impl<'a> Nodes<'a> {
                 if is_replaced && !is_hopeless {
                     log::warn!("{message}; it is started again");
                     node.restart_at = Some(Instant::now() + node.back_off());
-                } else if is_hopeless || !matches!(node.role, Role::Robot(_)) {
+                } else if is_hopeless && !node.can_lead() || !node.is_spare(can_lead) {
                     let log = node.log_path(self.rendezvous);
                     let said = std::fs::read_to_string(&log).unwrap_or_default();
                     let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
@@ -184,9 +195,9 @@ impl<'a> Nodes<'a> {
 }
 
 impl Node {
-    fn new(role: Role) -> Self {
+    fn new(role: Role, has_standbys: bool) -> Self {
         let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0 };
-        Self { role, running: None, summary, deaths: 0, failures: 0, restart_at: None }
+        Self { role, has_standbys, running: None, summary, deaths: 0, failures: 0, restart_at: None }
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -201,6 +212,7 @@ impl Node {
         let mut command = Command::new(program);
         match self.role {
             Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
+            Role::Fusion | Role::Standby(_) if self.has_standbys => command.args(["fusion", "--standby"]),
             role => command.arg(role.to_string()),
         };
         command
@@ -216,6 +228,15 @@ impl Node {
         self.summary.starts += 1;
         self.restart_at = None;
         Ok(())
+    }
+
+    fn can_lead(&self) -> bool {
+        matches!(self.role, Role::Fusion | Role::Standby(_))
+    }
+
+    /// True if the run goes on without it, with this many others that can lead.
+    fn is_spare(&self, can_lead: usize) -> bool {
+        matches!(self.role, Role::Robot(_)) || self.can_lead() && can_lead > 0
     }
 
     fn is_running(&mut self) -> bool {

@@ -59,7 +59,7 @@ impl Policies {
     pub fn of(&self, role: Role) -> Policy {
         let kind = match role {
             Role::Sim => Kind::Sim,
-            Role::Fusion => Kind::Fusion,
+            Role::Fusion | Role::Standby(_) => Kind::Fusion,
             Role::Robot(_) | Role::Supervisor => Kind::Robot,
         };
         let rule = self.0.iter().rev().find(|rule| rule.kind.is_none_or(|of| of == kind));

@@ -8,7 +8,7 @@
 //! | `members` | locked (shared) by every living member: exclusive success means nobody lives |
 //! | `run` | the sealed [`RunDescription`] |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
-//! | `<role>.role` | locked by the one process in that role; holds its count of starts and its pid |
+//! | `<role>.role` | locked by the one process in that role; see [`Roster`] |
 //! | `finished` | there once the simulator has ended the run |
 //!
 //! All locks are the kernel's: a process that dies, however it dies, lets go of them at once. The
@@ -17,13 +17,12 @@
 
 mod name;
 mod place;
+mod roster;
 
 use std::fs::{File, TryLockError};
-use std::io::{Read, Seek, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use rustix::process::Pid;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -33,6 +32,7 @@ use crate::signal::Termination;
 use crate::tick_log::TickLogWriter;
 pub use name::{RunName, RunNameError};
 use place::{Place, run_names};
+pub use roster::{RoleHold, Roster, Succession};
 
 /// How often a joiner looks whether its run has been founded.
 const JOIN_POLL: Duration = Duration::from_millis(20);
@@ -44,6 +44,8 @@ pub enum Role {
     Sim,
     /// Filters and plans.
     Fusion,
+    /// Ready to be fusion, by number from 1.
+    Standby(usize),
     /// One robot, by id.
     Robot(usize),
     /// Starts and ends the nodes.
@@ -55,6 +57,7 @@ impl std::fmt::Display for Role {
         match self {
             Self::Sim => f.write_str("sim"),
             Self::Fusion => f.write_str("fusion"),
+            Self::Standby(number) => write!(f, "standby-{number}"),
             Self::Robot(id) => write!(f, "robot-{id}"),
             Self::Supervisor => f.write_str("run"),
         }
@@ -65,11 +68,13 @@ impl std::str::FromStr for Role {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        match (text, text.strip_prefix("robot-")) {
-            ("sim", _) => Ok(Self::Sim),
-            ("fusion", _) => Ok(Self::Fusion),
-            (_, Some(id)) => id.parse().map(Self::Robot).map_err(|_| format!("expected robot-N, got {text:?}")),
-            _ => Err("expected sim, fusion or robot-N".to_owned()),
+        let expected = |_| format!("expected sim, fusion, standby-N or robot-N, got {text:?}");
+        match text.split_once('-') {
+            None if text == "sim" => Ok(Self::Sim),
+            None if text == "fusion" => Ok(Self::Fusion),
+            Some(("standby", number)) => number.parse().map(Self::Standby).map_err(expected),
+            Some(("robot", id)) => id.parse().map(Self::Robot).map_err(expected),
+            _ => Err(format!("expected sim, fusion, standby-N or robot-N, got {text:?}")),
         }
     }
 }
@@ -152,16 +157,9 @@ pub enum RendezvousError {
 #[derive(Debug)]
 pub struct Rendezvous {
     place: Place,
+    roster: Roster,
     description: RunDescription,
     members: Option<File>,
-}
-
-/// One process's hold on its role.
-#[derive(Debug)]
-pub struct RoleHold {
-    _lock: File,
-    /// Which start of the role this is, counted from 1.
-    pub incarnation: u64,
 }
 
 impl Rendezvous {
@@ -186,7 +184,7 @@ impl Rendezvous {
             .map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
         place.write("run", &sealed)?;
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        Ok(Self { place, description, members: Some(members) })
+        Ok(Self { roster: Roster::of(&place), place, description, members: Some(members) })
     }
 
     /// Joins the run of this name, waiting for it to be founded. `waiting` is called once if that is
@@ -235,7 +233,7 @@ impl Rendezvous {
         let sealed = std::fs::read(place.path("run")).map_err(|source| place.io_error("run", source))?;
         let description =
             sealed::open(&sealed).map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
-        Ok(Some(Self { place, description, members: Some(members) }))
+        Ok(Some(Self { roster: Roster::of(&place), place, description, members: Some(members) }))
     }
 
     /// The run.
@@ -262,36 +260,10 @@ impl Rendezvous {
         self.place.remove_half_made();
     }
 
-    /// Takes a role, which nobody else can until this process ends.
-    ///
-    /// # Errors
-    /// [`RendezvousError::RoleTaken`] if a living process has it.
-    pub fn take_role(&self, role: Role) -> Result<RoleHold, RendezvousError> {
-        let file_name = format!("{role}.role");
-        let mut file = self.place.open(&file_name)?;
-        let io_error = |source| self.place.io_error(&file_name, source);
-        let mut text = String::new();
-        let taken = file.try_lock();
-        file.read_to_string(&mut text).map_err(io_error)?;
-        let (starts, pid) = text.trim().split_once(' ').unwrap_or(("0", "unknown"));
-        match taken {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(RendezvousError::RoleTaken {
-                    role,
-                    name: self.name().clone(),
-                    pid: pid.trim_start_matches('0').to_owned(),
-                });
-            }
-            Err(TryLockError::Error(source)) => return Err(io_error(source)),
-        }
-        let incarnation = starts.parse::<u64>().unwrap_or(0) + 1;
-        file.rewind().map_err(io_error)?;
-        // Padded, so that an overwrite never leaves digits of a longer number behind; at once, so that
-        // nobody reads half of it.
-        let text = format!("{incarnation:010} {:010}\n", std::process::id());
-        file.write_all(text.as_bytes()).map_err(io_error)?;
-        Ok(RoleHold { _lock: file, incarnation })
+    /// Who holds which role.
+    #[must_use]
+    pub fn roster(&self) -> &Roster {
+        &self.roster
     }
 
     /// Refuses the place of a process that ended when it had already put ticks down: a new one would
@@ -304,28 +276,6 @@ impl Rendezvous {
             Some(Ok(false)) => Err(RendezvousError::StateLost { role, name: self.name().clone() }),
             _ => Ok(()),
         }
-    }
-
-    /// How often a role has been started in this run.
-    #[must_use]
-    pub fn starts(&self, role: Role) -> u64 {
-        let text = std::fs::read_to_string(self.place.path(&format!("{role}.role"))).unwrap_or_default();
-        text.split(' ').next().and_then(|starts| starts.parse().ok()).unwrap_or(0)
-    }
-
-    /// The living process that holds this role.
-    #[must_use]
-    pub fn holder(&self, role: Role) -> Option<Pid> {
-        let text = std::fs::read_to_string(self.place.path(&format!("{role}.role"))).ok()?;
-        let pid = Pid::from_raw(text.trim().split_once(' ')?.1.parse().ok()?)?;
-        self.is_held(role).then_some(pid)
-    }
-
-    /// True while a living process holds this role.
-    #[must_use]
-    pub fn is_held(&self, role: Role) -> bool {
-        let file = File::open(self.place.path(&format!("{role}.role")));
-        file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// Marks the run as ended.

@@ -13,7 +13,7 @@ use super::{RendezvousError, RunName};
 const SHARED_MEMORY: &str = "/dev/shm";
 
 /// The files of one run.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Place {
     pub(super) name: RunName,
     dir: PathBuf,

@@ -15,27 +15,38 @@
 //! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
 //! are never woken: they look when they like.
 
+mod senders;
+
+use std::cell::Cell;
+use std::rc::Rc;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event;
+use rustix::process::Pid;
 
 use crate::ROBOTS_MAX;
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
+use senders::{Senders, Standing};
 
 /// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
 const PORTS_MAX: usize = ROBOTS_MAX + 32;
+
+/// Most messages that are taken at once: who sends faster than they can be refused must not keep the
+/// others from being heard.
+const DRAIN_MAX: usize = 16 * PORTS_MAX;
 
 /// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
 
 /// Longest sleep of a node: how soon it sees that the run has ended if nobody calls.
-pub const IDLE: Duration = Duration::from_millis(200);
+pub const IDLE: Duration = Duration::from_millis(100);
 
 /// A payload with the topic it travels on.
 pub trait Topic: Copy + std::fmt::Debug + ZeroCopySend + 'static {
@@ -43,24 +54,32 @@ pub trait Topic: Copy + std::fmt::Debug + ZeroCopySend + 'static {
     const NAME: &'static str;
     /// True if every robot publishes, false if one node does.
     const FROM_ROBOTS: bool;
+
+    /// The role that an entry speaks for.
+    fn sender(&self) -> Role;
 }
 
 macro_rules! topics {
-    ($($payload:ty => $name:literal, from_robots: $from_robots:literal;)*) => {
+    ($($payload:ty => $name:literal, from_robots: $from_robots:literal, $entry:pat => $sender:expr;)*) => {
         $(impl Topic for $payload {
             const NAME: &'static str = $name;
             const FROM_ROBOTS: bool = $from_robots;
+
+            fn sender(&self) -> Role {
+                let $entry = self;
+                $sender
+            }
         })*
     };
 }
 
 topics! {
-    WorldEntry => "world", from_robots: false;
-    Range => "range", from_robots: true;
-    Command => "heading", from_robots: false;
-    Drive => "drive", from_robots: true;
-    Estimate => "estimate", from_robots: false;
-    Truth => "truth", from_robots: false;
+    WorldEntry => "world", from_robots: false, _ => Role::Sim;
+    Range => "range", from_robots: true, range => Role::Robot(range.robot as usize);
+    Command => "heading", from_robots: false, _ => Role::Fusion;
+    Drive => "drive", from_robots: true, drive => Role::Robot(drive.robot as usize);
+    Estimate => "estimate", from_robots: false, _ => Role::Fusion;
+    Truth => "truth", from_robots: false, _ => Role::Sim;
 }
 
 /// Who can be woken: one event service each.
@@ -134,28 +153,28 @@ impl BusError {
 pub struct Bus {
     node: Node<ipc::Service>,
     run_id: u64,
-    incarnation: u64,
+    incarnation: Rc<Cell<u64>>,
+    senders: Rc<Senders>,
 }
 
 impl Bus {
-    /// Connects a node. Must be the process's first use of iceoryx2, whose global configuration it
-    /// sets: iceoryx2 falls back to that one when it cleans up after half-started nodes.
+    /// Connects the process that holds a role.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
-    pub fn connect(run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<Self, BusError> {
-        Self::connect_as(run, &role.to_string(), hold.incarnation)
+    pub fn of_role(run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<Self, BusError> {
+        let bus = Self::connect(run, &role.to_string())?;
+        bus.speak_as(hold.incarnation);
+        Ok(bus)
     }
 
-    /// Connects an observer, which has no role.
+    /// Connects a process, under the name of its role or another. Must be the process's first use of
+    /// iceoryx2, whose global configuration it sets: iceoryx2 falls back to that one when it cleans up
+    /// after half-started nodes.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
-    pub fn observe(run: &Rendezvous) -> Result<Self, BusError> {
-        Self::connect_as(run, "observer", 0)
-    }
-
-    fn connect_as(run: &Rendezvous, name: &str, incarnation: u64) -> Result<Self, BusError> {
+    pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
         set_log_level_from_env_or(LogLevel::Fatal);
         let config_path = run.iceoryx2_config_path().display().to_string();
         let config_error = |reason: &dyn std::fmt::Debug| BusError::new(&config_path, format!("{reason:?}"));
@@ -174,7 +193,13 @@ impl Bus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|error| node_error(&error))?;
-        Ok(Self { node, run_id: run.description().run_id, incarnation })
+        let senders = Rc::new(Senders::new(run.roster().clone()));
+        Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders })
+    }
+
+    /// From now on everything this process sends carries this incarnation of its role.
+    pub fn speak_as(&self, incarnation: u64) {
+        self.incarnation.set(incarnation);
     }
 
     /// Removes what killed nodes of this run left behind, so that their places become free. Takes tens
@@ -218,7 +243,7 @@ impl Bus {
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
             .map_err(|error| BusError::new(format!("publisher of {}", T::NAME), error))?;
-        Ok(Publisher { port, run_id: self.run_id, incarnation: self.incarnation })
+        Ok(Publisher { port, run_id: self.run_id, incarnation: Rc::clone(&self.incarnation) })
     }
 
     /// A subscriber, which finds the newest earlier message waiting once its publisher sends again.
@@ -233,7 +258,7 @@ impl Bus {
             .history_request(1)
             .create()
             .map_err(|error| BusError::new(format!("subscriber of {}", T::NAME), error))?;
-        Ok(Subscriber { port, run_id: self.run_id })
+        Ok(Subscriber { port, run_id: self.run_id, senders: Rc::clone(&self.senders), impostors: Cell::new(0) })
     }
 
     fn event(&self, sleeper: Sleeper) -> Result<event::PortFactory<ipc::Service>, BusError> {
@@ -281,7 +306,7 @@ impl Bus {
 pub struct Publisher<T: Topic> {
     port: iceoryx2::port::publisher::Publisher<ipc::Service, [T], Header>,
     run_id: u64,
-    incarnation: u64,
+    incarnation: Rc<Cell<u64>>,
 }
 
 impl<T: Topic> Publisher<T> {
@@ -297,7 +322,7 @@ impl<T: Topic> Publisher<T> {
         let sample = self.port.loan_slice_uninit(entries.len()).map_err(|error| failed(&error))?;
         let mut sample = sample.write_from_slice(entries);
         *sample.user_header_mut() =
-            Header { run_id: self.run_id, incarnation: self.incarnation, tick, valid_at_s, sent_ns };
+            Header { run_id: self.run_id, incarnation: self.incarnation.get(), tick, valid_at_s, sent_ns };
         sample.send().map_err(|error| failed(&error))?;
         Ok(sent_ns)
     }
@@ -308,20 +333,45 @@ impl<T: Topic> Publisher<T> {
 pub struct Subscriber<T: Topic> {
     port: iceoryx2::port::subscriber::Subscriber<ipc::Service, [T], Header>,
     run_id: u64,
+    senders: Rc<Senders>,
+    impostors: Cell<u64>,
 }
 
 impl<T: Topic> Subscriber<T> {
-    /// Hands every waiting message of this run to `take`, in order of each sender.
+    /// Hands the waiting messages of this run to `take`, in order of each sender: those whose entries all
+    /// speak for the role that the sender's process holds.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 cannot reach a publisher.
     pub fn drain(&self, mut take: impl FnMut(&Header, &[T])) -> Result<(), BusError> {
-        while let Some(sample) = self.port.receive().map_err(|error| BusError::new(T::NAME, error))? {
-            if sample.user_header().run_id == self.run_id {
-                take(sample.user_header(), sample.payload());
+        for _ in 0..DRAIN_MAX {
+            let Some(sample) = self.port.receive().map_err(|error| BusError::new(T::NAME, error))? else { break };
+            if sample.user_header().run_id != self.run_id {
+                continue;
+            }
+            let node = sample.header().node_id();
+            let pid = || Pid::from_raw(node.pid::<ipc::Service>().ok()?.value());
+            let standing = |entry: &T| self.senders.standing(entry.sender(), node.value(), pid);
+            match sample.payload().iter().map(standing).find(|standing| *standing != Standing::Holder) {
+                None => take(sample.user_header(), sample.payload()),
+                Some(Standing::Impostor) => self.impostors.set(self.impostors.get() + 1),
+                Some(_) => {}
             }
         }
         Ok(())
+    }
+
+    /// Connects to publishers that have come since, and takes nothing: the newest messages wait.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 cannot reach a publisher.
+    pub fn keep_up(&self) -> Result<(), BusError> {
+        self.port.update_connections().map_err(|error| BusError::new(T::NAME, error))
+    }
+
+    /// Messages since the last call that came from processes without the role they spoke for.
+    pub fn take_impostors(&self) -> u64 {
+        self.impostors.take()
     }
 }
 

@@ -1,0 +1,221 @@
+//! Who holds which role: a locked file each.
+//!
+//! The lock says who holds a role, and ends with its process. The file's text counts how often the role has
+//! been taken and names the holder's process; its time of change is the holder's last sign of life.
+//!
+//! A role is passed on in two ways. A holder that ends lets go of the lock, and whoever waits for it has it. A
+//! holder that hangs keeps its lock and is deposed: a new file takes the name of the old one, whose lock
+//! then counts for nothing. Each holder has a greater incarnation than all before it.
+
+use std::cell::Cell;
+use std::fs::{File, TryLockError};
+use std::io::{Read, Seek, Write};
+use std::os::unix::fs::MetadataExt;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant, SystemTime};
+
+use rustix::process::Pid;
+
+use super::place::Place;
+use super::{RendezvousError, Role};
+
+/// How often a holder gives a sign of life, if it is called or wakes up often enough.
+const SIGN: Duration = Duration::from_millis(50);
+
+/// Whoever looks whether a role is held has its lock for a moment: not at once taken for a holder.
+const GLANCE: Duration = Duration::from_millis(20);
+
+/// The roles of one run.
+#[derive(Debug, Clone)]
+pub struct Roster {
+    place: Place,
+}
+
+/// One process's hold on its role.
+#[derive(Debug)]
+pub struct RoleHold {
+    file: File,
+    /// Which holder of the role this is, counted from 1: its fencing token.
+    pub incarnation: u64,
+    signed: Cell<Instant>,
+}
+
+/// A wait for a role to become free.
+#[derive(Debug)]
+pub struct Succession {
+    freed: Receiver<File>,
+}
+
+impl Roster {
+    pub(super) fn of(place: &Place) -> Self {
+        Self { place: place.clone() }
+    }
+
+    /// Takes a role, which nobody else can until this process ends or is deposed.
+    ///
+    /// # Errors
+    /// [`RendezvousError::RoleTaken`] if a living process has it.
+    pub fn take(&self, role: Role) -> Result<RoleHold, RendezvousError> {
+        let began = Instant::now();
+        loop {
+            let file = self.place.open(&file_name(role))?;
+            match file.try_lock() {
+                Ok(()) if is_current(&file) => return self.sign_up(role, file),
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) if began.elapsed() < GLANCE => {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Err(TryLockError::WouldBlock) => {
+                    let pid = self.entry(role).map_or("unknown".to_owned(), |(_, pid)| pid.to_string());
+                    return Err(RendezvousError::RoleTaken { role, name: self.place.name.clone(), pid });
+                }
+                Err(TryLockError::Error(source)) => return Err(self.place.io_error(&file_name(role), source)),
+            }
+        }
+    }
+
+    /// Waits for a role in the background, to have it as soon as the kernel says that its holder is gone.
+    #[must_use]
+    pub fn succeed(&self, role: Role) -> Succession {
+        let (send, freed) = mpsc::channel();
+        let place = self.place.clone();
+        // Ends with the process if not before: a wait for a lock has no time limit.
+        std::thread::spawn(move || {
+            while let Ok(file) = place.open(&file_name(role)) {
+                if file.lock().is_ok() && is_current(&file) {
+                    // If nobody waits for it any more, the file is closed and the lock is free again.
+                    let _ = send.send(file);
+                    return;
+                }
+            }
+        });
+        Succession { freed }
+    }
+
+    /// Takes a role, within the time, from a holder that ends.
+    ///
+    /// # Errors
+    /// If the role's file cannot be written.
+    pub fn take_in_succession(
+        &self,
+        role: Role,
+        succession: &Succession,
+        at_most: Duration,
+    ) -> Result<Option<RoleHold>, RendezvousError> {
+        match succession.freed.recv_timeout(at_most) {
+            Ok(file) => self.sign_up(role, file).map(Some),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => {
+                std::thread::sleep(at_most);
+                Ok(None)
+            }
+        }
+    }
+
+    /// Takes a role from a holder that has given no sign of life since this one. `None` if it has, or if
+    /// another was faster.
+    ///
+    /// # Errors
+    /// If the role's file cannot be written.
+    pub fn depose(&self, role: Role, last_sign: SystemTime) -> Result<Option<RoleHold>, RendezvousError> {
+        let _door = self.place.enter(false)?;
+        if self.last_sign(role) != Some(last_sign) {
+            return Ok(None);
+        }
+        let (name, partial) = (file_name(role), format!("{}.partial", file_name(role)));
+        let io_error = |source| self.place.io_error(&name, source);
+        let mut file = self.place.open(&partial)?;
+        file.lock().map_err(io_error)?;
+        let incarnation = self.starts(role) + 1;
+        // Signed before it has the name: nobody sees a role that is not counted.
+        write_entry(&mut file, incarnation).map_err(io_error)?;
+        std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
+        Ok(Some(RoleHold { file, incarnation, signed: Cell::new(Instant::now()) }))
+    }
+
+    /// Counts a start of the role and names this process in its file, whose lock it has.
+    fn sign_up(&self, role: Role, mut file: File) -> Result<RoleHold, RendezvousError> {
+        let io_error = |source| self.place.io_error(&file_name(role), source);
+        let mut text = String::new();
+        file.read_to_string(&mut text).map_err(io_error)?;
+        let incarnation = parse_entry(&text).map_or(0, |(starts, _)| starts) + 1;
+        write_entry(&mut file, incarnation).map_err(io_error)?;
+        Ok(RoleHold { file, incarnation, signed: Cell::new(Instant::now()) })
+    }
+
+    fn entry(&self, role: Role) -> Option<(u64, i32)> {
+        parse_entry(&std::fs::read_to_string(self.place.path(&file_name(role))).ok()?)
+    }
+
+    /// How often a role has been taken in this run.
+    #[must_use]
+    pub fn starts(&self, role: Role) -> u64 {
+        self.entry(role).map_or(0, |(starts, _)| starts)
+    }
+
+    /// The process that took this role last, alive or not.
+    #[must_use]
+    pub fn last_holder(&self, role: Role) -> Option<Pid> {
+        Pid::from_raw(self.entry(role)?.1)
+    }
+
+    /// The living process that holds this role.
+    #[must_use]
+    pub fn holder(&self, role: Role) -> Option<Pid> {
+        let pid = self.last_holder(role)?;
+        self.is_held(role).then_some(pid)
+    }
+
+    /// True while a living process holds this role.
+    #[must_use]
+    pub fn is_held(&self, role: Role) -> bool {
+        let file = File::open(self.place.path(&file_name(role)));
+        file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+    }
+
+    /// When the holder of this role last gave a sign of life: only whether it changes means anything, for
+    /// the wall clock may jump.
+    #[must_use]
+    pub fn last_sign(&self, role: Role) -> Option<SystemTime> {
+        std::fs::metadata(self.place.path(&file_name(role))).ok()?.modified().ok()
+    }
+}
+
+impl RoleHold {
+    /// False once another process has taken the role from this one: whatever it does then counts for nothing.
+    #[must_use]
+    pub fn is_current(&self) -> bool {
+        is_current(&self.file)
+    }
+
+    /// Gives a sign of life now and then; to be called in each round of a node's loop.
+    pub fn sign(&self) {
+        if self.signed.get().elapsed() >= SIGN {
+            self.signed.set(Instant::now());
+            // A failure shows as silence.
+            let _ = self.file.set_modified(SystemTime::now());
+        }
+    }
+}
+
+fn file_name(role: Role) -> String {
+    format!("{role}.role")
+}
+
+/// True while the locked file has a name.
+fn is_current(file: &File) -> bool {
+    file.metadata().is_ok_and(|file| file.nlink() > 0)
+}
+
+/// Starts of the role and pid of its last holder.
+fn parse_entry(text: &str) -> Option<(u64, i32)> {
+    let (starts, pid) = text.trim().split_once(' ')?;
+    Some((starts.parse().ok()?, pid.parse().ok()?))
+}
+
+fn write_entry(file: &mut File, incarnation: u64) -> std::io::Result<()> {
+    file.rewind()?;
+    // Padded, so that an overwrite never leaves digits of a longer number behind; at once, so that
+    // nobody reads half of it.
+    file.write_all(format!("{incarnation:010} {:010}\n", std::process::id()).as_bytes())
+}
