@@ -90,10 +90,7 @@ pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Fai
 /// Names the process, ties it to its parent, listens for requests to end.
 fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
     let termination = Termination::listen()?;
-    // The kernel keeps 15 bytes; "rh-robot-255" fits.
-    if let Ok(title) = std::ffi::CString::new(format!("rh-{role}")) {
-        rustix::thread::set_name(&title)?;
-    }
+    role.name_process();
     if let Some(pid) = parent.end_with {
         set_parent_process_death_signal(Some(Signal::TERM))?;
         // The parent may have died before the line above.

@@ -136,6 +136,12 @@ impl Run {
         found.unwrap()
     }
 
+    /// True while a process holds this role.
+    pub(crate) fn is_held(&self, role: &str) -> bool {
+        let file = File::open(self.shared_folder().join(format!("{role}.role")));
+        file.is_ok_and(|file| file.try_lock_shared().is_err())
+    }
+
     /// How often a role has been started.
     pub(crate) fn starts(&self, role: &str) -> u64 {
         let text = std::fs::read_to_string(self.shared_folder().join(format!("{role}.role"))).unwrap_or_default();

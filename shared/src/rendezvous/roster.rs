@@ -130,17 +130,17 @@ impl Roster {
         // Signed before it has the name: nobody sees a role that is not counted.
         write_entry(&mut file, incarnation).map_err(io_error)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
-        Ok(Some(RoleHold { file, incarnation, signed: Cell::new(Instant::now()) }))
+        Ok(Some(RoleHold::new(role, file, incarnation)))
     }
 
-    /// Counts a start of the role and names this process in its file, whose lock it has.
+    /// Counts a start of the role and puts this process down in its file, whose lock it has.
     fn sign_up(&self, role: Role, mut file: File) -> Result<RoleHold, RendezvousError> {
         let io_error = |source| self.place.io_error(&file_name(role), source);
         let mut text = String::new();
         file.read_to_string(&mut text).map_err(io_error)?;
         let incarnation = parse_entry(&text).map_or(0, |(starts, _)| starts) + 1;
         write_entry(&mut file, incarnation).map_err(io_error)?;
-        Ok(RoleHold { file, incarnation, signed: Cell::new(Instant::now()) })
+        Ok(RoleHold::new(role, file, incarnation))
     }
 
     fn entry(&self, role: Role) -> Option<(u64, i32)> {
@@ -182,6 +182,11 @@ impl Roster {
 }
 
 impl RoleHold {
+    fn new(role: Role, file: File, incarnation: u64) -> Self {
+        role.name_process();
+        Self { file, incarnation, signed: Cell::new(Instant::now()) }
+    }
+
     /// False once another process has taken the role from this one: whatever it does then counts for nothing.
     #[must_use]
     pub fn is_current(&self) -> bool {
@@ -218,4 +223,67 @@ fn write_entry(file: &mut File, incarnation: u64) -> std::io::Result<()> {
     // Padded, so that an overwrite never leaves digits of a longer number behind; at once, so that
     // nobody reads half of it.
     file.write_all(format!("{incarnation:010} {:010}\n", std::process::id()).as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Rendezvous, RunDescription, RunName};
+    use super::*;
+    use crate::scenario::{Scenario, ScenarioFile};
+
+    fn run(name: &str) -> Rendezvous {
+        let name: RunName = format!("{name}-{}", std::process::id()).parse().unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        Rendezvous::found(&name, RunDescription::new(scenario, std::path::PathBuf::new())).unwrap()
+    }
+
+    #[test]
+    fn a_role_is_held_once_and_every_hold_is_counted() {
+        let run = run("roster-take");
+        let roster = run.roster();
+        let first = roster.take(Role::Sim).unwrap();
+        assert!(matches!(roster.take(Role::Sim), Err(RendezvousError::RoleTaken { .. })));
+        assert_eq!(roster.holder(Role::Sim), Some(rustix::process::getpid()));
+        drop(first);
+        assert_eq!((roster.holder(Role::Sim), roster.starts(Role::Sim)), (None, 1));
+        assert_eq!(roster.take(Role::Sim).unwrap().incarnation, 2);
+    }
+
+    #[test]
+    fn who_waits_for_a_role_has_it_once_it_is_free() {
+        let run = run("roster-succeed");
+        let roster = run.roster();
+        let first = roster.take(Role::Fusion).unwrap();
+        let succession = roster.succeed(Role::Fusion);
+        let short = Duration::from_millis(20);
+        assert!(roster.take_in_succession(Role::Fusion, &succession, short).unwrap().is_none());
+        drop(first);
+        let second = roster.take_in_succession(Role::Fusion, &succession, Duration::from_secs(60)).unwrap().unwrap();
+        assert_eq!(second.incarnation, 2);
+        assert!(roster.is_held(Role::Fusion));
+    }
+
+    #[test]
+    fn who_gives_no_sign_is_deposed_and_who_does_is_not() {
+        let run = run("roster-depose");
+        let roster = run.roster();
+        let old = roster.take(Role::Fusion).unwrap();
+        let silence = roster.last_sign(Role::Fusion).unwrap();
+        std::thread::sleep(2 * SIGN);
+        old.sign();
+        assert!(roster.depose(Role::Fusion, silence).unwrap().is_none() && old.is_current());
+
+        let silence = roster.last_sign(Role::Fusion).unwrap();
+        let new = roster.depose(Role::Fusion, silence).unwrap().unwrap();
+        assert!(new.is_current() && !old.is_current());
+        assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
+        // Neither its signs nor its end are the role's any more.
+        let silence = roster.last_sign(Role::Fusion);
+        std::thread::sleep(2 * SIGN);
+        old.sign();
+        assert_eq!(roster.last_sign(Role::Fusion), silence);
+        drop(old);
+        assert!(roster.is_held(Role::Fusion));
+        assert!(matches!(roster.take(Role::Fusion), Err(RendezvousError::RoleTaken { .. })));
+    }
 }

@@ -1,0 +1,95 @@
+//! Fusions that stand by: who leads, who takes over, and that nobody obeys two.
+
+use rustix::process::Signal;
+
+use crate::support::{Run, digest_in_process, is_alive, signal};
+
+/// Waits until the lead has been taken for this time, and the run goes on under it.
+fn wait_for_lead(run: &Run, start: u64) {
+    run.pid_of("fusion", start);
+    let (ticks, _) = run.last_world().unwrap();
+    run.wait_for_ticks(ticks + 20);
+}
+
+#[test]
+fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
+    let words = "--ticks 8000 --patience forever";
+    let run = Run::new();
+    let supervisor = run.lockstep(&format!("{words} --standby 2"));
+    run.wait_for_ticks(50);
+    for start in 1..=6 {
+        let leader = run.pid_of("fusion", start);
+        // So that somebody else can have the lead before the killed one is started again.
+        run.wait_until("a standby is there", || run.is_held("standby-1") || run.is_held("standby-2"));
+        signal(leader, Signal::KILL);
+        wait_for_lead(&run, start + 1);
+    }
+    supervisor.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    let report = run.report();
+    assert_eq!(report["ranges"]["fused"], 24_000, "{report}");
+    let names: Vec<&str> = report["nodes"].as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
+    assert!(names.ends_with(&["standby-1", "standby-2"]), "{names:?}");
+    run.assert_nothing_left();
+}
+
+/// Stopped at any moment, it is deposed; continued, it commands nobody and stands by.
+#[test]
+fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
+    let words = "--ticks 20000 --patience forever";
+    let run = Run::new();
+    let supervisor = run.lockstep(&format!("{words} --standby 1"));
+    run.wait_for_ticks(50);
+    for start in 1..=4 {
+        let leader = run.pid_of("fusion", start);
+        run.wait_until("a standby is there", || run.is_held("standby-1"));
+        signal(leader, Signal::STOP);
+        wait_for_lead(&run, start + 1);
+        assert!(is_alive(leader));
+        signal(leader, Signal::CONT);
+        run.wait_until("the deposed stands by", || run.is_held("standby-1"));
+    }
+    supervisor.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    assert_eq!(run.report()["ranges"]["fused"], 60_000);
+    run.assert_nothing_left();
+}
+
+/// In real time robots hold their headings while nobody leads: with a standby for a tick at most each time.
+#[test]
+fn in_real_time_a_standby_leaves_no_robot_long_without_a_heading() {
+    let run = Run::new();
+    run.write("mine.toml", "ticks = 300\ndt_s = 0.02\nclock = \"realtime\"\n");
+    let supervisor = run.command("run mine.toml --standby 1");
+    run.wait_for_ticks(20);
+    let kills = 5;
+    for start in 1..=kills {
+        let leader = run.pid_of("fusion", start);
+        run.wait_until("a standby is there", || run.is_held("standby-1"));
+        signal(leader, Signal::KILL);
+        wait_for_lead(&run, start + 1);
+    }
+    supervisor.finish().succeeded();
+    let held = run.report()["headings"]["none"].as_u64().unwrap();
+    // A loaded machine may add a tick or two of its own; without a take-over each kill would cost several.
+    assert!(held <= 3 * 3 * kills, "{held} times a robot had no heading");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_standby_started_by_hand_leads_if_nobody_does() {
+    let run = Run::new();
+    let sim = run.command("sim --clock lockstep --ticks 3000 --patience forever");
+    let mut nodes: Vec<_> = (0..3).map(|id| run.node(&format!("robot --id {id}"))).collect();
+    let first = run.node("fusion --standby");
+    run.wait_for_ticks(5);
+    let second = run.node("fusion --standby");
+    run.wait_until("the second stands by", || run.is_held("standby-1"));
+    first.signal(Signal::KILL);
+    assert_eq!(first.finish().code, None);
+    nodes.extend([sim, second]);
+    for node in nodes {
+        node.finish().succeeded();
+    }
+    run.assert_nothing_left();
+}
