@@ -2,6 +2,7 @@
 
 mod by_hand;
 mod disturbed;
+mod rogue;
 mod standby;
 
 use std::collections::BTreeSet;

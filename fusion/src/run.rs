@@ -204,21 +204,19 @@ impl<'a> Fusion<'a> {
 
     /// Leads until the run ends, until asked to end, or until deposed.
     fn lead(mut self, hold: RoleHold, termination: &Termination) -> Result<(), FusionError> {
+        let began = Instant::now();
+        self.go_on_from_checkpoint(&hold)?;
         self.hold = Some(hold);
-        // A standby has none: every ring would cost the ringer a wake-up of it.
-        let bed = self.bus.sleep_as(Sleeper::Fusion)?;
-        self.go_on_from_checkpoint()?;
         self.first_tick = self.centre.next_tick();
-        self.take_ranges()?;
+        // What has waited for a standby is answered before anything else is set up.
+        self.act()?;
+        log::info!("leads from tick {}, {:?} after it could", self.first_tick, began.elapsed());
+        // Not before: each ring would cost the ringer a wake-up of every standby.
+        let bed = self.bus.sleep_as(Sleeper::Fusion)?;
         self.sim.ring(Call::Hello);
         while !termination.requested() {
             let calls = bed.sleep(self.time_to_wait());
-            self.require_lead()?;
-            self.take_ranges()?;
-            while self.is_ready() {
-                self.process_tick()?;
-            }
-            self.repeat_if_asked()?;
+            self.act()?;
             if (calls.has(Call::Finished) || !calls.has(Call::Data)) && self.rendezvous.is_finished() {
                 // What never came in real time is missing, but every tick has its estimate.
                 self.take_ranges()?;
@@ -228,12 +226,22 @@ impl<'a> Fusion<'a> {
         Ok(())
     }
 
-    fn go_on_from_checkpoint(&mut self) -> Result<(), FusionError> {
+    /// Acts on whatever has come.
+    fn act(&mut self) -> Result<(), FusionError> {
+        self.require_lead()?;
+        self.take_ranges()?;
+        while self.is_ready() {
+            self.process_tick()?;
+        }
+        self.repeat_if_asked()
+    }
+
+    fn go_on_from_checkpoint(&mut self, hold: &RoleHold) -> Result<(), FusionError> {
         let description = self.rendezvous.description();
         self.log = EstimateRecord::writer(&description.out_dir, description.run_id, self.scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
-        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion)?;
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion, hold)?;
         self.checkpoint = checkpoint;
         match restored {
             Some(restored) => self.restore(restored),

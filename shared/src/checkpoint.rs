@@ -4,8 +4,8 @@
 //! number; the newest whole one counts. A kill in mid-write costs the slot that was being written, whose
 //! state nobody has seen yet: a node writes before it publishes what depends on it.
 //!
-//! A successor goes on in a new file that takes the old one's name: whatever a forerunner that was
-//! deposed and not dead still writes goes to a file that has none.
+//! Who deposes a forerunner that may yet wake up goes on in a new file that takes the old one's name:
+//! whatever the forerunner still writes goes to a file that has none.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::rendezvous::{Rendezvous, Role};
+use crate::rendezvous::{Rendezvous, Role, RoleHold};
 use crate::sealed::{self, SealError};
 
 /// File of a role's checkpoint in the run folder.
@@ -90,10 +90,18 @@ impl Checkpoint {
     pub fn of_role<T: DeserializeOwned>(
         rendezvous: &Rendezvous,
         role: Role,
+        hold: &RoleHold,
     ) -> Result<(Option<Self>, Option<T>), CheckpointError> {
         let description = rendezvous.description();
         match Self::open(&description.out_dir.join(file_name(role)), description.run_id) {
-            Ok((checkpoint, state)) => Ok((Some(checkpoint), state)),
+            Ok((mut checkpoint, state)) => {
+                if hold.by_force
+                    && let Err(error) = checkpoint.move_to_new_file()
+                {
+                    log::warn!("shares its checkpoint with the one it deposed: {error}");
+                }
+                Ok((Some(checkpoint), state))
+            }
             Err(error @ CheckpointError::Unusable { .. }) => Err(error),
             Err(error) => {
                 log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
@@ -130,13 +138,12 @@ impl Checkpoint {
         let len = file.metadata().map_err(io_error)?.len();
         let mut newest: Option<Slot<T>> = None;
         let mut refused = None;
-        let mut newest_bytes = Vec::new();
         for index in 0..2 {
             let Some(bytes) = read_slot(&file, index, len).map_err(io_error)? else { continue };
             match unseal(&bytes) {
                 Ok(slot) if slot.run_id != run_id => refused = Some("of another run".to_owned()),
                 Ok(slot) if newest.as_ref().is_some_and(|newest| newest.sequence > slot.sequence) => {}
-                Ok(slot) => (newest, newest_bytes) = (Some(slot), bytes),
+                Ok(slot) => newest = Some(slot),
                 Err(reason) => refused = Some(reason.to_string()),
             }
         }
@@ -146,10 +153,21 @@ impl Checkpoint {
             return Err(CheckpointError::Unusable { file: path.to_owned(), reason, kept });
         }
         let sequence = newest.as_ref().map_or(0, |slot| slot.sequence);
-        // On a full disk the old file may be all there is room for.
-        let file = replace(path, sequence, &newest_bytes).unwrap_or(file);
         let checkpoint = Self { file, path: path.to_owned(), run_id, sequence, bytes: Vec::new() };
         Ok((checkpoint, newest.map(|slot| slot.state)))
+    }
+
+    /// A new file in the place of the old one, with its newest slot.
+    fn move_to_new_file(&mut self) -> std::io::Result<()> {
+        let partial = beside(&self.path, ".partial");
+        let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(&partial)?;
+        let index = self.sequence % 2;
+        if let Some(slot) = read_slot(&self.file, index, self.file.metadata()?.len())? {
+            file.write_all_at(&slot, slot_start(index))?;
+        }
+        std::fs::rename(&partial, &self.path)?;
+        self.file = file;
+        Ok(())
     }
 
     /// Writes a state over the older of the two. Allocates nothing once it has written one as large.
@@ -183,15 +201,6 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(suffix);
     PathBuf::from(name)
-}
-
-/// A new file in the place of the old one, with its newest slot.
-fn replace(path: &Path, sequence: u64, slot: &[u8]) -> std::io::Result<File> {
-    let partial = beside(path, ".partial");
-    let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(&partial)?;
-    file.write_all_at(slot, slot_start(sequence % 2))?;
-    std::fs::rename(&partial, path)?;
-    Ok(file)
 }
 
 /// What was written to a slot, as far as its length says; `None` if nothing was.
@@ -247,6 +256,26 @@ mod tests {
         for count in 1..6 {
             written(&path, count);
             assert_eq!(open(&path, 7).unwrap().1.unwrap().0, count);
+        }
+    }
+
+    /// What a deposed forerunner still writes does not reach its successor's file.
+    #[test]
+    fn a_moved_checkpoint_is_out_of_its_forerunners_reach() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        for count in [0, 1, 4, 5] {
+            let _ = std::fs::remove_file(&path);
+            written(&path, count);
+            let (mut old, _) = open(&path, 7).unwrap();
+            let (mut new, state) = open(&path, 7).unwrap();
+            new.move_to_new_file().unwrap();
+            for k in 10..14 {
+                old.write(&(k, vec![0.0])).unwrap();
+            }
+            assert_eq!(open(&path, 7).unwrap().1, state);
+            new.write(&(20_u64, vec![1.0])).unwrap();
+            assert_eq!(open(&path, 7).unwrap().1, Some((20, vec![1.0])));
         }
     }
 

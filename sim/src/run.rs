@@ -98,7 +98,7 @@ impl<'a> Sim<'a> {
         let log = WorldRecord::writer(&description.out_dir, description.run_id, scenario)
             .inspect_err(|error| log::warn!("goes on without a log: {error}"))
             .ok();
-        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim)?;
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim, &hold)?;
         let mut sim = Self {
             hold,
             scenario,

@@ -37,6 +37,8 @@ pub struct RoleHold {
     file: File,
     /// Which holder of the role this is, counted from 1: its fencing token.
     pub incarnation: u64,
+    /// True if it was taken from a holder that may yet wake up.
+    pub by_force: bool,
     signed: Cell<Instant>,
 }
 
@@ -130,7 +132,7 @@ impl Roster {
         // Signed before it has the name: nobody sees a role that is not counted.
         write_entry(&mut file, incarnation).map_err(io_error)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
-        Ok(Some(RoleHold::new(role, file, incarnation)))
+        Ok(Some(RoleHold { by_force: true, ..RoleHold::new(role, file, incarnation) }))
     }
 
     /// Counts a start of the role and puts this process down in its file, whose lock it has.
@@ -184,7 +186,7 @@ impl Roster {
 impl RoleHold {
     fn new(role: Role, file: File, incarnation: u64) -> Self {
         role.name_process();
-        Self { file, incarnation, signed: Cell::new(Instant::now()) }
+        Self { file, incarnation, by_force: false, signed: Cell::new(Instant::now()) }
     }
 
     /// False once another process has taken the role from this one: whatever it does then counts for nothing.
@@ -275,7 +277,7 @@ mod tests {
 
         let silence = roster.last_sign(Role::Fusion).unwrap();
         let new = roster.depose(Role::Fusion, silence).unwrap().unwrap();
-        assert!(new.is_current() && !old.is_current());
+        assert!(new.is_current() && new.by_force && !old.is_current() && !old.by_force);
         assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
         // Neither its signs nor its end are the role's any more.
         let silence = roster.last_sign(Role::Fusion);

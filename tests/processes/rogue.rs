@@ -1,0 +1,85 @@
+//! A process of the same user that joins a run and says what it likes, as fast as it can.
+
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use rangehound_shared::bus::{Bus, Call, Sleeper};
+use rangehound_shared::message::{Command as Heading, Drive, Range, WorldEntry};
+use rangehound_shared::rendezvous::{Rendezvous, RunName};
+
+use crate::support::{Run, digest_in_process};
+
+/// Tells the rogue its run.
+const RUN: &str = "RANGEHOUND_TEST_ROGUE";
+
+/// How long the rogue goes on at most, should nobody end it.
+const LIMIT: Duration = Duration::from_secs(100);
+
+/// Not a test: the rogue's process, started by the tests below.
+#[test]
+#[ignore = "the main function of the rogue process"]
+fn rogue() {
+    let Ok(name) = std::env::var(RUN) else { return };
+    let name: RunName = name.parse().unwrap();
+    let Some(run) = Rendezvous::join_if_alive(&name).unwrap() else { return };
+    let bus = Bus::connect(&run, "rogue").unwrap();
+    let robots = run.description().scenario.robots.len();
+    let ranges = bus.publisher::<Range>(1).unwrap();
+    let headings = bus.publisher::<Heading>(robots).unwrap();
+    let drives = bus.publisher::<Drive>(1).unwrap();
+    let worlds = bus.publisher::<WorldEntry>(robots).unwrap();
+    let bells = [Sleeper::Sim, Sleeper::Fusion, Sleeper::Robots].map(|sleeper| bus.bell_of(sleeper).unwrap());
+    // A successor of whoever is there, as far as words go.
+    bus.speak_as(1_000);
+    let began = Instant::now();
+    let mut round = 0_u64;
+    while !run.is_finished() && began.elapsed() < LIMIT {
+        for _ in 0..1_000 {
+            round += 1;
+            let robot = round % (robots as u64 + 2);
+            let tick = round % 5_000;
+            let range_m = [1.0, f64::NAN, -1.0, f64::INFINITY][(round / 7 % 4) as usize];
+            let range = Range { robot, present: 1, range_m, range_std_m: 1e-3, ..Range::default() };
+            ranges.send(tick, 0.1 * tick as f64, &[range]).unwrap();
+            let heading = Heading { heading_rad: 1.0, speed_mps: 10.0 };
+            headings.send(tick, 0.0, &vec![heading; robots]).unwrap();
+            let drive = Drive { robot, heading_rad: 1.0, speed_mps: 1e9, heading_held_ns: 1, ..Drive::default() };
+            drives.send(tick, 0.0, &[drive]).unwrap();
+            worlds.send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots]).unwrap();
+        }
+        for bell in &bells {
+            bell.ring(Call::Data);
+            bell.ring(Call::Hello);
+        }
+    }
+    println!("sent {} messages in {:?}", 4 * round, began.elapsed());
+}
+
+fn start_rogue(run: &Run) -> std::process::Child {
+    let words = ["--exact", "processes::rogue::rogue", "--ignored", "--nocapture"];
+    let output = std::fs::File::create(run.path("rogue.out")).unwrap();
+    Command::new(std::env::current_exe().unwrap())
+        .args(words)
+        .env(RUN, &run.name)
+        .stdout(output)
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn a_rogue_at_full_speed_changes_nothing() {
+    let words = "--ticks 3000 --patience forever";
+    let run = Run::new();
+    let supervisor = run.lockstep(words);
+    run.wait_for_ticks(10);
+    let mut rogue = start_rogue(&run);
+    let outcome = supervisor.finish();
+    let _ = rogue.kill();
+    rogue.wait().unwrap();
+    outcome.succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    let report = run.report();
+    assert_eq!(report["ranges"]["fused"], 9_000, "{report}");
+    println!("{}", report["refused"]);
+    run.assert_nothing_left();
+}
