@@ -2,15 +2,18 @@
 
 use std::borrow::Cow;
 
-use nalgebra::Vector2;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clearance, Scenario, Source};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
+use crate::past::Past;
 use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
-use crate::tracker::{self, Fit, Reading, Tracker};
+use crate::tracker::Fit;
+use crate::tracking::Tracking;
+use crate::trust::Trust;
 
 /// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
 const SILENCE_TICKS_MAX: u64 = 5;
@@ -27,6 +30,19 @@ pub struct Report {
     pub range_m: Option<(f64, f64)>,
 }
 
+/// What became of a report that came after its tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Late {
+    /// Its range was fused at its own time.
+    Fused,
+    /// Its range was not: it failed the gate, or its robot was distrusted.
+    Rejected,
+    /// It holds no range.
+    NoRange,
+    /// Its tick is not kept any more, or the robot has been heard at it.
+    Missed,
+}
+
 /// The filter, the planner, and what they carry from tick to tick.
 ///
 /// A tick has two halves, so that a caller can publish or time each: [`Self::update`] fuses,
@@ -39,7 +55,9 @@ pub struct Centre {
     clearance: Clearance,
     speed_limits_mps: Vec<f64>,
     range_stds_m: Vec<f64>,
-    tracker: Box<dyn Tracker>,
+    tracking: Tracking,
+    /// `None`: late reports are missed.
+    past: Option<Past>,
     planner: Box<dyn Planner>,
     next_tick: u64,
     time_s: f64,
@@ -47,7 +65,6 @@ pub struct Centre {
     fit: Fit,
     missing: u64,
     bodies: Vec<Option<Body>>,
-    readings: Vec<Reading>,
     problem: Problem,
     planned: Vec<usize>,
     plan: Plan,
@@ -68,6 +85,7 @@ pub struct Saved<'a> {
     bodies: Cow<'a, [Option<Body>]>,
     commands: Cow<'a, [Command]>,
     tracker: Cow<'a, [u8]>,
+    trust: Cow<'a, Trust>,
 }
 
 /// Where a robot is believed to be.
@@ -98,7 +116,8 @@ impl Centre {
             clearance: scenario.clearance,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
             range_stds_m: scenario.robots.iter().map(|robot| robot.range_std_m).collect(),
-            tracker: tracker::for_scenario(scenario),
+            tracking: Tracking::new(scenario),
+            past: None,
             planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
             next_tick: 0,
             time_s: 0.0,
@@ -106,7 +125,6 @@ impl Centre {
             fit: Fit::default(),
             missing: 0,
             bodies: vec![None; robots],
-            readings: Vec::with_capacity(robots),
             problem: Problem::default(),
             planned: Vec::with_capacity(robots),
             plan: Plan::default(),
@@ -115,13 +133,19 @@ impl Centre {
         })
     }
 
-    /// What [`Self::restore`] needs to go on from here, to the bit.
+    /// The same centre, but it keeps its last ticks for what comes late: see [`Self::take_late`].
+    #[must_use]
+    pub fn keeping_the_past(self) -> Self {
+        Self { past: Some(Past::default()), ..self }
+    }
+
+    /// What [`Self::restore`] needs to go on from here, to the bit; but for the ticks kept for late reports.
     ///
     /// # Errors
     /// If the tracker cannot be encoded.
     pub fn saved(&mut self) -> Result<Saved<'_>, SealError> {
         self.tracker_bytes.clear();
-        self.tracker.save(&mut self.tracker_bytes)?;
+        self.tracking.tracker.save(&mut self.tracker_bytes)?;
         Ok(Saved {
             next_tick: self.next_tick,
             time_s: self.time_s,
@@ -133,6 +157,7 @@ impl Centre {
             bodies: Cow::Borrowed(&self.bodies),
             commands: Cow::Borrowed(&self.commands),
             tracker: Cow::Borrowed(&self.tracker_bytes),
+            trust: Cow::Borrowed(&self.tracking.trust),
         })
     }
 
@@ -142,10 +167,13 @@ impl Centre {
     /// If it is not such.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
-        if restored.bodies.len() != robots || restored.commands.len() != robots {
+        let lens = [restored.bodies.len(), restored.commands.len(), restored.trust.robots()];
+        if lens != [robots; 3] {
             return Err(SealError::Malformed);
         }
-        self.tracker.restore(&restored.tracker)?;
+        self.tracking.tracker.restore(&restored.tracker)?;
+        self.tracking.trust = restored.trust.into_owned();
+        self.past.iter_mut().for_each(Past::clear);
         self.next_tick = restored.next_tick;
         self.time_s = restored.time_s;
         self.digest = restored.digest;
@@ -175,14 +203,9 @@ impl Centre {
     pub fn update(&mut self, time_s: f64, reports: &[Option<Report>]) -> Result<(), Diverged> {
         let tick = self.next_tick;
         self.next_tick += 1;
-        self.readings.clear();
         for (body, report) in self.bodies.iter_mut().zip(reports) {
-            let Some(Report { position_m, range_m }) = *report else { continue };
+            let Some(Report { position_m, .. }) = *report else { continue };
             *body = Some(Body { position_m, heard_at: tick });
-            if let Some((range_m, range_std_m)) = range_m {
-                let position_m = Vector2::new(position_m.x, position_m.y);
-                self.readings.push(Reading { position_m, range_m, range_std_m });
-            }
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
@@ -194,15 +217,63 @@ impl Centre {
                 (true, 1) => 0.0,
                 (true, _) => time_s - self.time_s,
             };
-            self.fit = self.tracker.step(dt_s, &self.readings);
+            self.keep(tick, dt_s, reports);
+            self.fit = self.tracking.step(dt_s, reports);
         }
         self.time_s = time_s;
-        let (state, covariance) = (self.tracker.state(), self.tracker.covariance());
+        let (state, covariance) = (self.tracking.tracker.state(), self.tracking.tracker.covariance());
         if !state.iter().chain(covariance).all(|value| value.abs() <= BOUND) {
             return Err(Diverged { tick });
         }
         self.digest.append(tick, state, covariance);
         Ok(())
+    }
+
+    /// Writes down what a tick starts from, if the past is kept.
+    fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Report>]) {
+        let Some(past) = &mut self.past else { return };
+        let mut place = past.place(reports.len());
+        (place.tick, place.dt_s) = (tick, dt_s);
+        place.reports.copy_from_slice(reports);
+        match self.tracking.save_before(&mut place) {
+            Ok(()) => past.push(place),
+            // A tracker that cannot be written down has no past; what comes late is missed.
+            Err(_) => past.clear(),
+        }
+    }
+
+    /// What a robot said at one of the last ticks, if that is kept.
+    #[must_use]
+    pub fn report_at(&self, tick: u64, id: usize) -> Option<Report> {
+        self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
+    }
+
+    /// Takes a report of an earlier tick: goes back to before it and processes it and all ticks since again, so that
+    /// the state is that of a centre which had the report in time, to the bit. What has been published stays as it
+    /// was: this holds from the next prediction on. A position newer than the one known counts for the next plan.
+    pub fn take_late(&mut self, tick: u64, id: usize, report: Report) -> Late {
+        let Some(past) = &mut self.past else { return Late::Missed };
+        let Some(slot) = past.since(tick).next().and_then(|past| past.reports.get_mut(id)) else { return Late::Missed };
+        if slot.is_some() {
+            return Late::Missed;
+        }
+        *slot = Some(report);
+        if self.bodies[id].is_none_or(|body| body.heard_at < tick) {
+            let steps = past.since(tick).map(|past| past.commands[id]);
+            let position_m = steps.fold(report.position_m, |position_m, command| moved(position_m, command, self.dt_s));
+            self.bodies[id] = Some(Body { position_m, heard_at: tick });
+        }
+        if report.range_m.is_none() {
+            return Late::NoRange;
+        }
+        match self.tracking.take_again(id, past.since(tick)) {
+            Ok(true) => Late::Fused,
+            Ok(false) => Late::Rejected,
+            Err(_) => {
+                past.clear();
+                Late::Missed
+            }
+        }
     }
 
     /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
@@ -212,7 +283,7 @@ impl Centre {
             return &self.commands;
         }
         let tick = self.next_tick.saturating_sub(1);
-        let (target, covariance) = self.tracker.predicted_position(self.dt_s);
+        let (target, covariance) = self.tracking.tracker.predicted_position(self.dt_s);
         self.planned.clear();
         for (id, body) in self.bodies.iter().enumerate() {
             if body.is_some_and(|body| tick - body.heard_at <= SILENCE_TICKS_MAX) {
@@ -232,11 +303,15 @@ impl Centre {
         for ((&id, heading_rad), speed_mps) in
             self.planned.iter().zip(&self.plan.headings_rad).zip(&self.plan.speeds_mps)
         {
-            self.commands[id] = Command { heading_rad: *heading_rad, speed_mps: *speed_mps };
+            let command = Command { heading_rad: *heading_rad, speed_mps: *speed_mps };
+            self.commands[id] = command;
             if let Some(body) = &mut self.bodies[id] {
                 // Where it will be if it obeys; what it says next replaces this.
-                body.position_m += Vector::from_angle(*heading_rad) * (*speed_mps * self.dt_s);
+                body.position_m = moved(body.position_m, command, self.dt_s);
             }
+        }
+        if let Some(past) = self.past.as_mut().and_then(Past::newest) {
+            past.commands.copy_from_slice(&self.commands);
         }
         &self.commands
     }
@@ -268,16 +343,22 @@ impl Centre {
     /// The state, position first.
     #[must_use]
     pub fn state(&self) -> &[f64] {
-        self.tracker.state()
+        self.tracking.tracker.state()
     }
 
     /// The covariance, n x n.
     #[must_use]
     pub fn covariance(&self) -> &[f64] {
-        self.tracker.covariance()
+        self.tracking.tracker.covariance()
     }
 
-    /// The last tick as observers are told it; durations and late ranges are the caller's to add.
+    /// Robots whose ranges are not fused because they kept failing the gate.
+    #[must_use]
+    pub fn distrusted(&self) -> RobotSet {
+        self.tracking.trust.distrusted()
+    }
+
+    /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
         let digest = self.digest.to_bits();
@@ -287,6 +368,7 @@ impl Centre {
             fused: u64::from(self.fit.fused),
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
+            distrusted: self.distrusted().to_bits(),
             objective: self.plan.objective,
             lower_bound: self.plan.lower_bound,
             digest: [digest as u64, (digest >> 64) as u64],
@@ -296,6 +378,11 @@ impl Centre {
         estimate.covariance[..self.covariance().len()].copy_from_slice(self.covariance());
         estimate
     }
+}
+
+/// Where a command takes a robot in a time step.
+fn moved(position_m: Vector, command: Command, dt_s: f64) -> Vector {
+    position_m + Vector::from_angle(command.heading_rad) * (command.speed_mps * dt_s)
 }
 
 #[cfg(test)]

@@ -28,7 +28,8 @@ impl Run {
         let noise_m = STD_M * 1.7 * (f64::from(self.count) * 2.399).sin();
         let (position_m, target) = (Vector2::from(sensor), Vector2::from(target));
         let range_m = (target - position_m).norm() + noise_m + error_m;
-        self.rejected += self.bank.step(dt_s, &[Reading { position_m, range_m, range_std_m: STD_M }]).rejected;
+        self.rejected +=
+            self.bank.step(dt_s, &[Reading { position_m, range_m, range_std_m: STD_M, ..Reading::default() }]).rejected;
         let estimate = &self.bank.estimate;
         ((estimate.position() - target).norm(), estimate.position_covariance().trace().sqrt())
     }
@@ -125,7 +126,7 @@ fn survives<const N: usize>(mut bank: Bank<N>, steps: &[(f64, f64, f64, f64, f64
     for &(dt_s, x, y, range_m, range_std_m) in steps {
         // Every fifth or so stands right on the estimate.
         let position_m = if x > 0.6e8 { bank.estimate.position() } else { Vector2::new(x, y) };
-        bank.step(dt_s, &[Reading { position_m, range_m, range_std_m }]);
+        bank.step(dt_s, &[Reading { position_m, range_m, range_std_m, ..Reading::default() }]);
         prop_assert!(bank.estimate().x.iter().all(|value| value.is_finite()));
         prop_assert_eq!(bank.estimate.p, bank.estimate.p.transpose());
         prop_assert!(Cholesky::new(bank.estimate.p).is_some(), "{}", bank.estimate.p);
