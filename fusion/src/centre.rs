@@ -388,7 +388,8 @@ fn moved(position_m: Vector, command: Command, dt_s: f64) -> Vector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rangehound_shared::scenario::ScenarioFile;
+    use crate::past::LATE_TICKS_MAX;
+    use rangehound_shared::scenario::{Prior, ScenarioFile};
 
     /// A state that doubles each tick: said as such, long before numbers run out.
     #[test]
@@ -417,5 +418,159 @@ mod tests {
             assert_eq!(commands[0].speed_mps, 10.0);
             assert_eq!(commands[1].speed_mps > 0.0, tick <= SILENCE_TICKS_MAX, "tick {tick}");
         }
+    }
+
+    fn of(text: &str) -> Centre {
+        let file = ScenarioFile::parse(text, "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        Centre::new(&scenario).unwrap().keeping_the_past()
+    }
+
+    fn kalman() -> Centre {
+        of("[filter]\ngate_sigma = 4.0\n")
+    }
+
+    /// With the tracker of recordings.
+    fn from_ranges() -> Centre {
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        (scenario.prior, scenario.gate_sigma) = (Prior::FromRanges, Some(4.0));
+        Centre::new(&scenario).unwrap().keeping_the_past()
+    }
+
+    /// A target that drives straight on, and three robots on a ring round where it starts.
+    fn report(tick: u64, id: usize, error_m: f64) -> Option<Report> {
+        let (time_s, noise_m) = (0.1 * tick as f64, 0.8 * (7.3 * tick as f64 + 2.1 * id as f64).sin());
+        let position_m = Vector::from_angle(2.1 * id as f64 + 0.02 * tick as f64) * 20.0;
+        let to_target = Vector::new(-8.0 * time_s, 4.0 * time_s) - position_m;
+        Some(Report { position_m, range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)) })
+    }
+
+    fn tick(centre: &mut Centre, reports: &[Option<Report>]) {
+        centre.update(0.1 * centre.next_tick() as f64, reports).unwrap();
+        centre.plan();
+    }
+
+    fn team(tick: u64) -> [Option<Report>; 3] {
+        [0, 1, 2].map(|id| report(tick, id, 0.0))
+    }
+
+    /// State, covariance and trust to the bit, and all that the next ticks depend on.
+    fn bits(centre: &mut Centre) -> (Vec<u8>, Trust) {
+        let saved = centre.saved().unwrap();
+        (saved.tracker.to_vec(), saved.trust.into_owned())
+    }
+
+    #[test]
+    fn a_late_range_is_fused_as_if_it_had_come_in_time() {
+        for centre in [kalman, from_ranges] {
+            for (late_by, robot) in [(1, 0), (3, 1), (LATE_TICKS_MAX as u64, 2)] {
+                let (mut in_time, mut late) = (centre(), centre());
+                for k in 0..40 {
+                    tick(&mut in_time, &team(k));
+                    let mut reports = team(k);
+                    if k == 30 {
+                        reports[robot] = None;
+                    }
+                    tick(&mut late, &reports);
+                    let published = late.estimate();
+                    if k + 1 == 30 + late_by {
+                        assert_ne!(bits(&mut late), bits(&mut in_time));
+                        let report = report(30, robot, 0.0).unwrap();
+                        assert_eq!(late.take_late(30, robot, report), Late::Fused, "{late_by}");
+                        assert_eq!(late.take_late(30, robot, report), Late::Missed, "once");
+                        assert_eq!(late.report_at(30, robot), Some(report));
+                        assert_eq!(late.estimate().digest, published.digest, "what was published stays");
+                    }
+                }
+                assert_eq!(bits(&mut late), bits(&mut in_time), "{late_by}");
+            }
+        }
+    }
+
+    #[test]
+    fn several_late_ranges_in_any_order_do_as_well() {
+        for centre in [kalman, from_ranges] {
+            let (mut in_time, mut late) = (centre(), centre());
+            for k in 0..30 {
+                tick(&mut in_time, &team(k));
+                tick(&mut late, &if (25..29).contains(&k) { [None; 3] } else { team(k) });
+            }
+            for (k, robot) in [(27, 2), (25, 1), (28, 0), (27, 0), (25, 2), (26, 1), (28, 1)] {
+                assert_eq!(late.take_late(k, robot, report(k, robot, 0.0).unwrap()), Late::Fused);
+            }
+            assert_ne!(bits(&mut late), bits(&mut in_time));
+            for (k, robot) in [(25, 0), (26, 0), (26, 2), (27, 1), (28, 2)] {
+                assert_eq!(late.take_late(k, robot, report(k, robot, 0.0).unwrap()), Late::Fused);
+            }
+            assert_eq!(bits(&mut late), bits(&mut in_time));
+        }
+    }
+
+    #[test]
+    fn a_range_that_is_too_late_or_an_outlier_changes_no_estimate() {
+        let mut centre = kalman();
+        for k in 0..30 {
+            let [a, b, _] = team(k);
+            tick(&mut centre, &[a, b, if k == 10 || k > 20 { None } else { report(k, 2, 0.0) }]);
+        }
+        let before = centre.state().to_vec();
+        for (k, outcome) in [(0, Late::Missed), (10, Late::Missed), (24, Late::Missed), (31, Late::Missed)] {
+            assert_eq!(centre.take_late(k, 2, report(k, 2, 0.0).unwrap()), outcome, "{k}");
+        }
+        assert_eq!(centre.take_late(26, 2, report(26, 2, 90.0).unwrap()), Late::Rejected);
+        assert_eq!(centre.take_late(27, 2, Report { range_m: None, ..report(27, 2, 0.0).unwrap() }), Late::NoRange);
+        assert_eq!(centre.state(), before);
+        // A restarted centre has no past.
+        let mut after = kalman();
+        after.restore(centre.saved().unwrap()).unwrap();
+        assert_eq!(after.take_late(28, 2, report(28, 2, 0.0).unwrap()), Late::Missed);
+        assert_eq!(after.state(), before);
+    }
+
+    /// What is heard late of a place is where the robot was; since then it has done as it was told.
+    #[test]
+    fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
+        let mut centre = of("");
+        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), range_m: None });
+        tick(&mut centre, &[stands(15.0); 3]);
+        for _ in 1..=3 {
+            tick(&mut centre, &[stands(15.0), None, stands(15.0)]);
+        }
+        let commands: Vec<Command> = [2, 3].map(|k| centre.past.as_ref().unwrap().at(k).unwrap().commands[1]).into();
+        centre.take_late(2, 1, stands(40.0).unwrap());
+        let expected = commands.iter().fold(Vector::new(40.0, 0.0), |at, command| moved(at, *command, 0.1));
+        assert_eq!(centre.bodies[1], Some(Body { position_m: expected, heard_at: 2 }));
+        centre.take_late(1, 1, stands(70.0).unwrap());
+        assert_eq!(centre.bodies[1].map(|body| body.heard_at), Some(2), "older than what is known");
+    }
+
+    #[test]
+    fn a_robot_whose_ranges_keep_failing_is_distrusted_and_trusted_again_when_it_mends() {
+        let team_of_four = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
+        let mut centre = of(team_of_four);
+        let mut distrusted = Vec::new();
+        for k in 0..90 {
+            let error_m = if (20..60).contains(&k) { 12.0 } else { 0.0 };
+            let reports = [0, 1, 2, 3].map(|id| report(k, id, if id == 2 { error_m } else { 0.0 }));
+            tick(&mut centre, &reports);
+            let estimate = centre.estimate();
+            let is_out = !RobotSet::from_bits(estimate.distrusted).is_empty();
+            if is_out {
+                assert!(centre.distrusted().iter().eq([2]), "tick {k}");
+                distrusted.push(k);
+            }
+            // At its last two ticks of distrust a range passes, but is still not fused.
+            assert_eq!(
+                (estimate.fused, estimate.rejected),
+                if (20..68).contains(&k) { (3, 1) } else { (if k == 0 { 0 } else { 4 }, 0) }
+            );
+            // A kill in the middle of it changes nothing.
+            if k == 23 || k == 65 {
+                let mut after = of(team_of_four);
+                after.restore(centre.saved().unwrap()).unwrap();
+                centre = after;
+            }
+        }
+        assert_eq!((distrusted.first(), distrusted.last()), (Some(&24), Some(&66)), "{distrusted:?}");
     }
 }
