@@ -40,6 +40,15 @@ pub struct WorldEntry {
     pub range_kind: u64,
 }
 
+impl WorldEntry {
+    /// True if its numbers are numbers and its range is of a kind.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let Self { x_m, y_m, range_m, range_kind } = *self;
+        [x_m, y_m, range_m].iter().all(|value| value.is_finite()) && RangeKind::from_bits(range_kind).is_some()
+    }
+}
+
 /// What the range of a [`WorldEntry`] is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RangeKind {
@@ -257,3 +266,22 @@ const _: () = {
     assert!(size_of::<Estimate>() == 768);
     assert!(size_of::<Truth>() == 88);
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_entry_of_the_world_without_sense_is_told() {
+        let sound = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
+        assert!(sound.is_sound());
+        for nonsense in [
+            WorldEntry { x_m: f64::NAN, ..sound },
+            WorldEntry { y_m: f64::INFINITY, ..sound },
+            WorldEntry { range_m: f64::NAN, ..sound },
+            WorldEntry { range_kind: 3, ..sound },
+        ] {
+            assert!(!nonsense.is_sound(), "{nonsense:?}");
+        }
+    }
+}
