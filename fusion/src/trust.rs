@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 /// Verdicts of the gate that are remembered of each robot: bits of its record.
 pub const RECENT: u32 = u8::BITS;
 
-/// Failures among them from which on a robot is distrusted. With a gate of 4 sigma a sound sensor fails one
-/// range in 16 000, so that 2 would do; but while a manoeuvre of the target, or a teammate that is off, draws the
-/// estimate away, sound robots fail two and three in a row.
+/// Failures among them from which on a robot is distrusted: a tick or two with outliers are forgiven. With a gate of
+/// 4 sigma, of 200 runs each with 3, 4, 5 and 8 robots and one sensor that reads 10 or 30 sigma too much, all named
+/// that one, 95 % of them within five ticks, and no other. Off by 6 sigma it hides behind the gate: of 3 robots the
+/// estimate follows it before the gate tells, and in one run of five it is a sound one that is named.
 pub const FAILURES_MAX: u32 = 5;
 
 /// What the gate has said of each robot's ranges.
