@@ -72,11 +72,11 @@ pub struct TraceSummary {
     pub median: f64,
 }
 
-/// What became of the ranges. Each robot is at each tick fused, rejected or missing, or has no range: so
-/// `published - fused - rejected` of the missing ones had been published, but came too late, were refused or lost.
+/// What became of the ranges. At each tick at which a robot has one it is fused, rejected or missing: their sum is robots
+/// times ticks where every robot has a range at every tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
-    /// Published by robots, as they told the simulator.
+    /// Published by robots, as they told the simulator by the end of the tick: in real time, slow ones did not.
     pub published: u64,
     /// Fused, in time or late.
     pub fused: u64,

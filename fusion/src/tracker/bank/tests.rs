@@ -55,6 +55,23 @@ fn it_starts_from_the_ranges_of_fixed_sensors_alone() {
 }
 
 #[test]
+fn the_range_of_a_distrusted_robot_is_tested_and_moves_nothing() {
+    let mut run = Run::new();
+    run.square(3, [16.0, 3.0], 0.0);
+    for (error_m, fails) in [(0.0, false), (3.0, true)] {
+        let (mut heard, mut alone) = (run.bank.clone(), run.bank.clone());
+        let range_m = 16.0_f64.hypot(3.0) + error_m;
+        let reading = Reading { robot: 7, range_m, range_std_m: STD_M, distrusted: true, ..Reading::default() };
+        let fit = heard.step(0.1, &[reading]);
+        assert_eq!((fit.fused, fit.rejected, fit.failed.contains(7)), (0, 1, fails));
+        alone.step(0.1, &[]);
+        assert_eq!((heard.hypotheses, heard.estimate), (alone.hypotheses, alone.estimate));
+    }
+    let fit = bank().step(0.1, &[Reading { range_m: 5.0, range_std_m: STD_M, distrusted: true, ..Reading::default() }]);
+    assert_eq!((fit.fused, fit.failed.is_empty()), (0, true), "where nothing is known, nothing fails");
+}
+
+#[test]
 fn two_fixed_sensors_leave_both_mirror_images() {
     let mut run = Run::new();
     for k in 0..600 {
