@@ -85,11 +85,20 @@ impl Team {
     /// # Errors
     /// [`Diverged`] if the estimate is no longer finite.
     pub fn tick(&mut self) -> Result<(), Diverged> {
+        self.tick_disturbed(|_| {})
+    }
+
+    /// The same, but what fusion is told by the robots is disturbed first.
+    ///
+    /// # Errors
+    /// As [`Self::tick`].
+    pub fn tick_disturbed(&mut self, disturb: impl FnOnce(&mut [Option<Report>])) -> Result<(), Diverged> {
         let tick = self.centre.next_tick();
         for ((report, (sensor, _)), entry) in self.reports.iter_mut().zip(&mut self.robots).zip(self.world.entries()) {
             let range_m = sensor.measure(tick, entry).map(|range_m| (range_m, sensor.std_m()));
             *report = Some(Report { position_m: Vector::new(entry.x_m, entry.y_m), range_m });
         }
+        disturb(&mut self.reports);
         self.centre.update(self.world.time_s(), &self.reports)?;
         let began_ns = monotonic_ns();
         let commands = self.centre.plan();

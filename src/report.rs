@@ -6,15 +6,19 @@ use hdrhistogram::Histogram;
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
-use rangehound_shared::message::Estimate;
+use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{EstimateRecord, RobotRecord, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::tick_log::TickLogError;
 use serde::Serialize;
 
 /// File name of the report in a run folder.
 pub const FILE_NAME: &str = "report.json";
+
+/// Times of distrust that are told one by one in print; the file has all.
+const DISTRUST_LINES_MAX: usize = 5;
 
 /// What a run came to; its fields are the keys of `report.json`.
 #[derive(Debug, Clone, Serialize)]
@@ -49,6 +53,10 @@ pub struct Report {
     pub position_trace_m2: TraceSummary,
     /// What became of the ranges.
     pub ranges: RangeSummary,
+    /// Range messages that fusion refused, by cause.
+    pub refused: RefusalSummary,
+    /// When robots were distrusted.
+    pub distrusted: Vec<Distrust>,
     /// From publishing a range to holding the heading computed from it.
     pub latency_us: LatencySummary,
     /// The processes.
@@ -64,19 +72,50 @@ pub struct TraceSummary {
     pub median: f64,
 }
 
-/// What became of the ranges.
+/// What became of the ranges. At each tick at which a robot has one it is fused, rejected or missing: their sum is robots
+/// times ticks where every robot has a range at every tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
-    /// Published by robots, as they told the simulator.
+    /// Published by robots, as they told the simulator by the end of the tick: in real time, slow ones did not.
     pub published: u64,
-    /// Fused.
+    /// Fused, in time or late.
     pub fused: u64,
-    /// Failed the gate.
+    /// Failed the gate or came from a distrusted robot, in time or late.
     pub rejected: u64,
-    /// Came after their tick had been fused.
+    /// Came after their tick: fused, rejected, or, after more than a few ticks, missing.
     pub late: u64,
-    /// Robots not heard, summed over the ticks.
+    /// Of the late ones, fused at their own time.
+    pub fused_late: u64,
+    /// Robots not heard, or too late, summed over the ticks.
     pub missing: u64,
+}
+
+/// Messages that fusion refused, by [`Refusal`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct RefusalSummary {
+    /// [`Refusal::Impostor`].
+    pub impostor: u64,
+    /// [`Refusal::OutOfRange`].
+    pub out_of_range: u64,
+    /// [`Refusal::Malformed`].
+    pub malformed: u64,
+    /// [`Refusal::Future`].
+    pub future: u64,
+    /// [`Refusal::Contradiction`].
+    pub contradiction: u64,
+    /// [`Refusal::Jump`].
+    pub jump: u64,
+}
+
+/// Ticks at which a robot's ranges were not fused because they kept failing the gate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Distrust {
+    /// The robot.
+    pub robot: usize,
+    /// The tick after whose range it was distrusted.
+    pub from_tick: u64,
+    /// The tick after whose range it was trusted again; null if it never was.
+    pub to_tick: Option<u64>,
 }
 
 /// Percentiles of the end-to-end latency, us.
@@ -133,6 +172,33 @@ impl Truth {
     }
 }
 
+impl RangeSummary {
+    fn add(&mut self, estimate: &Estimate) {
+        self.fused += estimate.fused + estimate.fused_late;
+        self.rejected += estimate.rejected + estimate.rejected_late;
+        self.late += estimate.late;
+        self.fused_late += estimate.fused_late;
+        // What came late was missing when its own tick was told of.
+        self.missing += estimate.missing;
+        self.missing = self.missing.saturating_sub(estimate.fused_late + estimate.rejected_late);
+    }
+}
+
+impl RefusalSummary {
+    fn add(&mut self, estimate: &Estimate) {
+        for (refusal, count) in Refusal::ALL.into_iter().zip(estimate.refused) {
+            *match refusal {
+                Refusal::Impostor => &mut self.impostor,
+                Refusal::OutOfRange => &mut self.out_of_range,
+                Refusal::Malformed => &mut self.malformed,
+                Refusal::Future => &mut self.future,
+                Refusal::Contradiction => &mut self.contradiction,
+                Refusal::Jump => &mut self.jump,
+            } += count;
+        }
+    }
+}
+
 /// Adds up a run tick by tick.
 #[derive(Debug)]
 pub struct Tally {
@@ -143,6 +209,8 @@ pub struct Tally {
     nis: Mean,
     traces_m2: Vec<f64>,
     ranges: RangeSummary,
+    refused: RefusalSummary,
+    distrusted: Vec<Distrust>,
     latency_ns: Histogram<u64>,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
@@ -179,6 +247,8 @@ impl Tally {
             nis: Mean::default(),
             traces_m2: Vec::new(),
             ranges: RangeSummary::default(),
+            refused: RefusalSummary::default(),
+            distrusted: Vec::new(),
             // Grows with the largest value; 3 digits are what the report shows.
             latency_ns: Histogram::new(3)?,
             first_end_ns: None,
@@ -189,10 +259,9 @@ impl Tally {
     /// Adds fusion's side of a tick; `truth_m` is the target's true position, where it is known.
     pub fn add_estimate(&mut self, tick: u64, estimate: &Estimate, truth_m: Option<Vector2<f64>>) {
         self.digest = Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]));
-        self.ranges.fused += estimate.fused;
-        self.ranges.rejected += estimate.rejected;
-        self.ranges.late += estimate.late;
-        self.ranges.missing += estimate.missing;
+        self.ranges.add(estimate);
+        self.refused.add(estimate);
+        self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));
         if estimate.fused > 0 {
             self.nis.sum += estimate.nis;
             self.nis.count += estimate.fused as f64;
@@ -209,6 +278,21 @@ impl Tally {
             if let Some(nees) = nees {
                 self.nees.add(nees / 2.0);
             }
+        }
+    }
+
+    /// Begins and ends the times of distrust.
+    fn add_distrust(&mut self, tick: u64, distrusted: RobotSet) {
+        let mut begun = distrusted;
+        for open in self.distrusted.iter_mut().filter(|distrust| distrust.to_tick.is_none()) {
+            if distrusted.contains(open.robot) {
+                begun.set(open.robot, false);
+            } else {
+                open.to_tick = Some(tick);
+            }
+        }
+        if !begun.is_empty() {
+            self.distrusted.extend(begun.iter().map(|robot| Distrust { robot, from_tick: tick, to_tick: None }));
         }
     }
 
@@ -250,6 +334,8 @@ impl Tally {
                 median: self.traces_m2.get(self.traces_m2.len() / 2).copied().unwrap_or(0.0),
             },
             ranges: self.ranges,
+            refused: self.refused,
+            distrusted: self.distrusted,
             latency_us: LatencySummary {
                 count: self.latency_ns.len(),
                 p50: latency_us(0.5),
@@ -344,7 +430,7 @@ pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
 
 impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { ranges, latency_us, .. } = self;
+        let Self { ranges, refused, distrusted, latency_us, .. } = self;
         writeln!(f, "{}: {} robots, {} planner, seed {}", self.scenario, self.robots, self.planner, self.seed)?;
         writeln!(
             f,
@@ -366,6 +452,21 @@ impl std::fmt::Display for Report {
             "  ranges           {} published: {} fused, {} rejected, {} late, {} missing",
             ranges.published, ranges.fused, ranges.rejected, ranges.late, ranges.missing
         )?;
+        if *refused != RefusalSummary::default() {
+            let RefusalSummary { impostor, out_of_range, malformed, future, contradiction, jump } = refused;
+            writeln!(
+                f,
+                "  refused          {impostor} impostor, {out_of_range} out of range, {malformed} malformed, \
+                 {future} future, {contradiction} contradiction, {jump} jump"
+            )?;
+        }
+        for Distrust { robot, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
+            let until = to_tick.map_or("the end".to_owned(), |tick| format!("tick {tick}"));
+            writeln!(f, "  distrusted       robot {robot} from tick {from_tick} to {until}")?;
+        }
+        if let Some(more) = distrusted.len().checked_sub(DISTRUST_LINES_MAX).filter(|more| *more > 0) {
+            writeln!(f, "  distrusted       {more} times more")?;
+        }
         if latency_us.count > 0 {
             writeln!(
                 f,
@@ -378,5 +479,47 @@ impl std::fmt::Display for Report {
             writeln!(f, "  {name:<16} {starts} starts, {kills} kills, {exits} early exits")?;
         }
         write!(f, "  digest           {}", self.digest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_came_late_was_not_missing_after_all() {
+        let mut tally = Tally::new().unwrap();
+        let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
+        tally.add_estimate(1, &tick(1, 2), None);
+        tally.add_estimate(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }, None);
+        tally.add_estimate(3, &Estimate { rejected: 1, ..tick(1, 1) }, None);
+        let expected = RangeSummary { published: 0, fused: 6, rejected: 2, late: 3, fused_late: 1, missing: 1 };
+        assert_eq!(tally.ranges, expected);
+        assert_eq!(tally.ranges.fused + tally.ranges.rejected + tally.ranges.missing, 3 * 3);
+    }
+
+    #[test]
+    fn times_of_distrust_begin_and_end() {
+        let mut tally = Tally::new().unwrap();
+        let distrusted = [&[][..], &[1], &[1, 70], &[70], &[1, 70]];
+        for (tick, robots) in distrusted.iter().enumerate() {
+            let mut set = RobotSet::default();
+            robots.iter().for_each(|robot| set.set(*robot, true));
+            let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
+            tally.add_estimate(tick as u64, &estimate, None);
+        }
+        let distrust = |robot, from_tick, to_tick| Distrust { robot, from_tick, to_tick };
+        assert_eq!(tally.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
+    }
+
+    #[test]
+    fn refusals_are_told_by_cause() {
+        let mut tally = Tally::new().unwrap();
+        let estimate = Estimate { refused: [1, 2, 3, 4, 5, 6], ..Estimate::default() };
+        tally.add_estimate(1, &estimate, None);
+        tally.add_estimate(2, &estimate, None);
+        let json = serde_json::to_string(&tally.refused).unwrap();
+        let expected = r#"{"impostor":2,"out_of_range":4,"malformed":6,"future":8,"contradiction":10,"jump":12}"#;
+        assert_eq!(json, expected);
     }
 }

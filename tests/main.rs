@@ -3,6 +3,7 @@
 //! | module | what it is for |
 //! |---|---|
 //! | `paper` | the paper's experiment, many seeds in one process: do the figures come out |
+//! | `distrust` | robots whose sensors fail, many seeds in one process: the right one is named |
 //! | `golden` | the filter against numbers from independent implementations |
 //! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
 //! | `chaos` | campaigns of faults: every promise kept, nothing left behind |
@@ -18,6 +19,7 @@
 mod chaos;
 mod command_line;
 mod comparison;
+mod distrust;
 mod golden;
 mod licences;
 mod paper;

@@ -2,15 +2,18 @@
 
 use std::borrow::Cow;
 
-use nalgebra::Vector2;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clearance, Scenario, Source};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
+use crate::past::Past;
 use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
-use crate::tracker::{self, Fit, Reading, Tracker};
+use crate::tracker::Fit;
+use crate::tracking::Tracking;
+use crate::trust::Trust;
 
 /// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
 const SILENCE_TICKS_MAX: u64 = 5;
@@ -27,6 +30,19 @@ pub struct Report {
     pub range_m: Option<(f64, f64)>,
 }
 
+/// What became of a report that came after its tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Late {
+    /// Its range was fused at its own time.
+    Fused,
+    /// Its range was not: it failed the gate, or its robot was distrusted.
+    Rejected,
+    /// It holds no range.
+    NoRange,
+    /// Its tick is not kept any more, or the robot has been heard at it.
+    Missed,
+}
+
 /// The filter, the planner, and what they carry from tick to tick.
 ///
 /// A tick has two halves, so that a caller can publish or time each: [`Self::update`] fuses,
@@ -39,7 +55,9 @@ pub struct Centre {
     clearance: Clearance,
     speed_limits_mps: Vec<f64>,
     range_stds_m: Vec<f64>,
-    tracker: Box<dyn Tracker>,
+    tracking: Tracking,
+    /// `None`: late reports are missed.
+    past: Option<Past>,
     planner: Box<dyn Planner>,
     next_tick: u64,
     time_s: f64,
@@ -47,7 +65,6 @@ pub struct Centre {
     fit: Fit,
     missing: u64,
     bodies: Vec<Option<Body>>,
-    readings: Vec<Reading>,
     problem: Problem,
     planned: Vec<usize>,
     plan: Plan,
@@ -68,6 +85,7 @@ pub struct Saved<'a> {
     bodies: Cow<'a, [Option<Body>]>,
     commands: Cow<'a, [Command]>,
     tracker: Cow<'a, [u8]>,
+    trust: Cow<'a, Trust>,
 }
 
 /// Where a robot is believed to be.
@@ -98,7 +116,8 @@ impl Centre {
             clearance: scenario.clearance,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
             range_stds_m: scenario.robots.iter().map(|robot| robot.range_std_m).collect(),
-            tracker: tracker::for_scenario(scenario),
+            tracking: Tracking::new(scenario),
+            past: None,
             planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
             next_tick: 0,
             time_s: 0.0,
@@ -106,7 +125,6 @@ impl Centre {
             fit: Fit::default(),
             missing: 0,
             bodies: vec![None; robots],
-            readings: Vec::with_capacity(robots),
             problem: Problem::default(),
             planned: Vec::with_capacity(robots),
             plan: Plan::default(),
@@ -115,13 +133,19 @@ impl Centre {
         })
     }
 
-    /// What [`Self::restore`] needs to go on from here, to the bit.
+    /// The same centre, but it keeps its last ticks for what comes late: see [`Self::take_late`].
+    #[must_use]
+    pub fn keeping_the_past(self) -> Self {
+        Self { past: Some(Past::default()), ..self }
+    }
+
+    /// What [`Self::restore`] needs to go on from here, to the bit; but for the ticks kept for late reports.
     ///
     /// # Errors
     /// If the tracker cannot be encoded.
     pub fn saved(&mut self) -> Result<Saved<'_>, SealError> {
         self.tracker_bytes.clear();
-        self.tracker.save(&mut self.tracker_bytes)?;
+        self.tracking.tracker.save(&mut self.tracker_bytes)?;
         Ok(Saved {
             next_tick: self.next_tick,
             time_s: self.time_s,
@@ -133,6 +157,7 @@ impl Centre {
             bodies: Cow::Borrowed(&self.bodies),
             commands: Cow::Borrowed(&self.commands),
             tracker: Cow::Borrowed(&self.tracker_bytes),
+            trust: Cow::Borrowed(&self.tracking.trust),
         })
     }
 
@@ -142,10 +167,13 @@ impl Centre {
     /// If it is not such.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
-        if restored.bodies.len() != robots || restored.commands.len() != robots {
+        let lens = [restored.bodies.len(), restored.commands.len(), restored.trust.robots()];
+        if lens != [robots; 3] {
             return Err(SealError::Malformed);
         }
-        self.tracker.restore(&restored.tracker)?;
+        self.tracking.tracker.restore(&restored.tracker)?;
+        self.tracking.trust = restored.trust.into_owned();
+        self.past.iter_mut().for_each(Past::clear);
         self.next_tick = restored.next_tick;
         self.time_s = restored.time_s;
         self.digest = restored.digest;
@@ -175,14 +203,9 @@ impl Centre {
     pub fn update(&mut self, time_s: f64, reports: &[Option<Report>]) -> Result<(), Diverged> {
         let tick = self.next_tick;
         self.next_tick += 1;
-        self.readings.clear();
         for (body, report) in self.bodies.iter_mut().zip(reports) {
-            let Some(Report { position_m, range_m }) = *report else { continue };
+            let Some(Report { position_m, .. }) = *report else { continue };
             *body = Some(Body { position_m, heard_at: tick });
-            if let Some((range_m, range_std_m)) = range_m {
-                let position_m = Vector2::new(position_m.x, position_m.y);
-                self.readings.push(Reading { position_m, range_m, range_std_m });
-            }
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
@@ -194,15 +217,63 @@ impl Centre {
                 (true, 1) => 0.0,
                 (true, _) => time_s - self.time_s,
             };
-            self.fit = self.tracker.step(dt_s, &self.readings);
+            self.keep(tick, dt_s, reports);
+            self.fit = self.tracking.step(dt_s, reports);
         }
         self.time_s = time_s;
-        let (state, covariance) = (self.tracker.state(), self.tracker.covariance());
+        let (state, covariance) = (self.tracking.tracker.state(), self.tracking.tracker.covariance());
         if !state.iter().chain(covariance).all(|value| value.abs() <= BOUND) {
             return Err(Diverged { tick });
         }
         self.digest.append(tick, state, covariance);
         Ok(())
+    }
+
+    /// Writes down what a tick starts from, if the past is kept.
+    fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Report>]) {
+        let Some(past) = &mut self.past else { return };
+        let mut place = past.place(reports.len());
+        (place.tick, place.dt_s) = (tick, dt_s);
+        place.reports.copy_from_slice(reports);
+        match self.tracking.save_before(&mut place) {
+            Ok(()) => past.push(place),
+            // A tracker that cannot be written down has no past; what comes late is missed.
+            Err(_) => past.clear(),
+        }
+    }
+
+    /// What a robot said at one of the last ticks, if that is kept.
+    #[must_use]
+    pub fn report_at(&self, tick: u64, id: usize) -> Option<Report> {
+        self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
+    }
+
+    /// Takes a report of an earlier tick: goes back to before it and processes it and all ticks since again, so that
+    /// the state is that of a centre which had the report in time, to the bit. What has been published stays as it
+    /// was: this holds from the next prediction on. A position newer than the one known counts for the next plan.
+    pub fn take_late(&mut self, tick: u64, id: usize, report: Report) -> Late {
+        let Some(past) = &mut self.past else { return Late::Missed };
+        let Some(slot) = past.since(tick).next().and_then(|past| past.reports.get_mut(id)) else { return Late::Missed };
+        if slot.is_some() {
+            return Late::Missed;
+        }
+        *slot = Some(report);
+        if self.bodies[id].is_none_or(|body| body.heard_at < tick) {
+            let steps = past.since(tick).map(|past| past.commands[id]);
+            let position_m = steps.fold(report.position_m, |position_m, command| moved(position_m, command, self.dt_s));
+            self.bodies[id] = Some(Body { position_m, heard_at: tick });
+        }
+        if report.range_m.is_none() {
+            return Late::NoRange;
+        }
+        match self.tracking.take_again(id, past.since(tick)) {
+            Ok(true) => Late::Fused,
+            Ok(false) => Late::Rejected,
+            Err(_) => {
+                past.clear();
+                Late::Missed
+            }
+        }
     }
 
     /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
@@ -212,7 +283,7 @@ impl Centre {
             return &self.commands;
         }
         let tick = self.next_tick.saturating_sub(1);
-        let (target, covariance) = self.tracker.predicted_position(self.dt_s);
+        let (target, covariance) = self.tracking.tracker.predicted_position(self.dt_s);
         self.planned.clear();
         for (id, body) in self.bodies.iter().enumerate() {
             if body.is_some_and(|body| tick - body.heard_at <= SILENCE_TICKS_MAX) {
@@ -232,11 +303,15 @@ impl Centre {
         for ((&id, heading_rad), speed_mps) in
             self.planned.iter().zip(&self.plan.headings_rad).zip(&self.plan.speeds_mps)
         {
-            self.commands[id] = Command { heading_rad: *heading_rad, speed_mps: *speed_mps };
+            let command = Command { heading_rad: *heading_rad, speed_mps: *speed_mps };
+            self.commands[id] = command;
             if let Some(body) = &mut self.bodies[id] {
                 // Where it will be if it obeys; what it says next replaces this.
-                body.position_m += Vector::from_angle(*heading_rad) * (*speed_mps * self.dt_s);
+                body.position_m = moved(body.position_m, command, self.dt_s);
             }
+        }
+        if let Some(past) = self.past.as_mut().and_then(Past::newest) {
+            past.commands.copy_from_slice(&self.commands);
         }
         &self.commands
     }
@@ -268,16 +343,22 @@ impl Centre {
     /// The state, position first.
     #[must_use]
     pub fn state(&self) -> &[f64] {
-        self.tracker.state()
+        self.tracking.tracker.state()
     }
 
     /// The covariance, n x n.
     #[must_use]
     pub fn covariance(&self) -> &[f64] {
-        self.tracker.covariance()
+        self.tracking.tracker.covariance()
     }
 
-    /// The last tick as observers are told it; durations and late ranges are the caller's to add.
+    /// Robots whose ranges are not fused because they kept failing the gate.
+    #[must_use]
+    pub fn distrusted(&self) -> RobotSet {
+        self.tracking.trust.distrusted()
+    }
+
+    /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
         let digest = self.digest.to_bits();
@@ -287,6 +368,7 @@ impl Centre {
             fused: u64::from(self.fit.fused),
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
+            distrusted: self.distrusted().to_bits(),
             objective: self.plan.objective,
             lower_bound: self.plan.lower_bound,
             digest: [digest as u64, (digest >> 64) as u64],
@@ -298,10 +380,16 @@ impl Centre {
     }
 }
 
+/// Where a command takes a robot in a time step.
+fn moved(position_m: Vector, command: Command, dt_s: f64) -> Vector {
+    position_m + Vector::from_angle(command.heading_rad) * (command.speed_mps * dt_s)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rangehound_shared::scenario::ScenarioFile;
+    use crate::past::LATE_TICKS_MAX;
+    use rangehound_shared::scenario::{Prior, ScenarioFile};
 
     /// A state that doubles each tick: said as such, long before numbers run out.
     #[test]
@@ -330,5 +418,159 @@ mod tests {
             assert_eq!(commands[0].speed_mps, 10.0);
             assert_eq!(commands[1].speed_mps > 0.0, tick <= SILENCE_TICKS_MAX, "tick {tick}");
         }
+    }
+
+    fn of(text: &str) -> Centre {
+        let file = ScenarioFile::parse(text, "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        Centre::new(&scenario).unwrap().keeping_the_past()
+    }
+
+    fn kalman() -> Centre {
+        of("[filter]\ngate_sigma = 4.0\n")
+    }
+
+    /// With the tracker of recordings.
+    fn from_ranges() -> Centre {
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        (scenario.prior, scenario.gate_sigma) = (Prior::FromRanges, Some(4.0));
+        Centre::new(&scenario).unwrap().keeping_the_past()
+    }
+
+    /// A target that drives straight on, and three robots on a ring round where it starts.
+    fn report(tick: u64, id: usize, error_m: f64) -> Option<Report> {
+        let (time_s, noise_m) = (0.1 * tick as f64, 0.8 * (7.3 * tick as f64 + 2.1 * id as f64).sin());
+        let position_m = Vector::from_angle(2.1 * id as f64 + 0.02 * tick as f64) * 20.0;
+        let to_target = Vector::new(-8.0 * time_s, 4.0 * time_s) - position_m;
+        Some(Report { position_m, range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)) })
+    }
+
+    fn tick(centre: &mut Centre, reports: &[Option<Report>]) {
+        centre.update(0.1 * centre.next_tick() as f64, reports).unwrap();
+        centre.plan();
+    }
+
+    fn team(tick: u64) -> [Option<Report>; 3] {
+        [0, 1, 2].map(|id| report(tick, id, 0.0))
+    }
+
+    /// State, covariance and trust to the bit, and all that the next ticks depend on.
+    fn bits(centre: &mut Centre) -> (Vec<u8>, Trust) {
+        let saved = centre.saved().unwrap();
+        (saved.tracker.to_vec(), saved.trust.into_owned())
+    }
+
+    #[test]
+    fn a_late_range_is_fused_as_if_it_had_come_in_time() {
+        for centre in [kalman, from_ranges] {
+            for (late_by, robot) in [(1, 0), (3, 1), (LATE_TICKS_MAX as u64, 2)] {
+                let (mut in_time, mut late) = (centre(), centre());
+                for k in 0..40 {
+                    tick(&mut in_time, &team(k));
+                    let mut reports = team(k);
+                    if k == 30 {
+                        reports[robot] = None;
+                    }
+                    tick(&mut late, &reports);
+                    let published = late.estimate();
+                    if k + 1 == 30 + late_by {
+                        assert_ne!(bits(&mut late), bits(&mut in_time));
+                        let report = report(30, robot, 0.0).unwrap();
+                        assert_eq!(late.take_late(30, robot, report), Late::Fused, "{late_by}");
+                        assert_eq!(late.take_late(30, robot, report), Late::Missed, "once");
+                        assert_eq!(late.report_at(30, robot), Some(report));
+                        assert_eq!(late.estimate().digest, published.digest, "what was published stays");
+                    }
+                }
+                assert_eq!(bits(&mut late), bits(&mut in_time), "{late_by}");
+            }
+        }
+    }
+
+    #[test]
+    fn several_late_ranges_in_any_order_do_as_well() {
+        for centre in [kalman, from_ranges] {
+            let (mut in_time, mut late) = (centre(), centre());
+            for k in 0..30 {
+                tick(&mut in_time, &team(k));
+                tick(&mut late, &if (25..29).contains(&k) { [None; 3] } else { team(k) });
+            }
+            for (k, robot) in [(27, 2), (25, 1), (28, 0), (27, 0), (25, 2), (26, 1), (28, 1)] {
+                assert_eq!(late.take_late(k, robot, report(k, robot, 0.0).unwrap()), Late::Fused);
+            }
+            assert_ne!(bits(&mut late), bits(&mut in_time));
+            for (k, robot) in [(25, 0), (26, 0), (26, 2), (27, 1), (28, 2)] {
+                assert_eq!(late.take_late(k, robot, report(k, robot, 0.0).unwrap()), Late::Fused);
+            }
+            assert_eq!(bits(&mut late), bits(&mut in_time));
+        }
+    }
+
+    #[test]
+    fn a_range_that_is_too_late_or_an_outlier_changes_no_estimate() {
+        let mut centre = kalman();
+        for k in 0..30 {
+            let [a, b, _] = team(k);
+            tick(&mut centre, &[a, b, if k == 10 || k > 20 { None } else { report(k, 2, 0.0) }]);
+        }
+        let before = centre.state().to_vec();
+        for (k, outcome) in [(0, Late::Missed), (10, Late::Missed), (24, Late::Missed), (31, Late::Missed)] {
+            assert_eq!(centre.take_late(k, 2, report(k, 2, 0.0).unwrap()), outcome, "{k}");
+        }
+        assert_eq!(centre.take_late(26, 2, report(26, 2, 90.0).unwrap()), Late::Rejected);
+        assert_eq!(centre.take_late(27, 2, Report { range_m: None, ..report(27, 2, 0.0).unwrap() }), Late::NoRange);
+        assert_eq!(centre.state(), before);
+        // A restarted centre has no past.
+        let mut after = kalman();
+        after.restore(centre.saved().unwrap()).unwrap();
+        assert_eq!(after.take_late(28, 2, report(28, 2, 0.0).unwrap()), Late::Missed);
+        assert_eq!(after.state(), before);
+    }
+
+    /// What is heard late of a place is where the robot was; since then it has done as it was told.
+    #[test]
+    fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
+        let mut centre = of("");
+        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), range_m: None });
+        tick(&mut centre, &[stands(15.0); 3]);
+        for _ in 1..=3 {
+            tick(&mut centre, &[stands(15.0), None, stands(15.0)]);
+        }
+        let commands: Vec<Command> = [2, 3].map(|k| centre.past.as_ref().unwrap().at(k).unwrap().commands[1]).into();
+        centre.take_late(2, 1, stands(40.0).unwrap());
+        let expected = commands.iter().fold(Vector::new(40.0, 0.0), |at, command| moved(at, *command, 0.1));
+        assert_eq!(centre.bodies[1], Some(Body { position_m: expected, heard_at: 2 }));
+        centre.take_late(1, 1, stands(70.0).unwrap());
+        assert_eq!(centre.bodies[1].map(|body| body.heard_at), Some(2), "older than what is known");
+    }
+
+    #[test]
+    fn a_robot_whose_ranges_keep_failing_is_distrusted_and_trusted_again_when_it_mends() {
+        let team_of_four = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
+        let mut centre = of(team_of_four);
+        let mut distrusted = Vec::new();
+        for k in 0..90 {
+            let error_m = if (20..60).contains(&k) { 12.0 } else { 0.0 };
+            let reports = [0, 1, 2, 3].map(|id| report(k, id, if id == 2 { error_m } else { 0.0 }));
+            tick(&mut centre, &reports);
+            let estimate = centre.estimate();
+            let is_out = !RobotSet::from_bits(estimate.distrusted).is_empty();
+            if is_out {
+                assert!(centre.distrusted().iter().eq([2]), "tick {k}");
+                distrusted.push(k);
+            }
+            // At its last two ticks of distrust a range passes, but is still not fused.
+            assert_eq!(
+                (estimate.fused, estimate.rejected),
+                if (20..68).contains(&k) { (3, 1) } else { (if k == 0 { 0 } else { 4 }, 0) }
+            );
+            // A kill in the middle of it changes nothing.
+            if k == 23 || k == 65 {
+                let mut after = of(team_of_four);
+                after.restore(centre.saved().unwrap()).unwrap();
+                centre = after;
+            }
+        }
+        assert_eq!((distrusted.first(), distrusted.last()), (Some(&24), Some(&66)), "{distrusted:?}");
     }
 }

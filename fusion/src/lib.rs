@@ -8,14 +8,20 @@
 //! |---|---|
 //! | [`filter`] | prediction and joint update of one Gaussian estimate (Eqs. 1-13) |
 //! | [`tracker`] | the estimate over time: gate, start from ranges alone, way out of lock-out |
+//! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until it mends |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
+//! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
 //! | [`run`] | the process |
 
 pub mod centre;
 pub mod filter;
+pub mod intake;
+mod past;
 pub mod planner;
 pub mod run;
 pub mod tracker;
+mod tracking;
+pub mod trust;
 
 pub use centre::Centre;

@@ -5,18 +5,21 @@ use std::time::{Duration, Instant};
 
 use rangehound_shared::bus::{Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
-use rangehound_shared::clock::{monotonic_ns, range_deadline_ns, until};
-use rangehound_shared::message::{Command, Estimate, Header, Range};
+use rangehound_shared::clock::{monotonic_ns, until};
+use rangehound_shared::message::{Command, Estimate, Range, Refusal};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
-use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
 use serde::{Deserialize, Serialize};
 
-use crate::centre::{self, Centre, Diverged, Report};
-use crate::planner::{PlannerError, Vector};
+use crate::centre::{self, Centre, Diverged};
+use crate::intake::{self, Intake, Tally};
+use crate::planner::PlannerError;
+use crate::trust::{FAILURES_MAX, RECENT};
 
 /// Most standbys of a run.
 pub const STANDBYS_MAX: usize = 8;
@@ -100,18 +103,11 @@ struct Fusion<'a> {
     bus: &'a Bus,
     /// The lead, once it has it.
     hold: Option<RoleHold>,
-    /// The first tick of its lead.
-    first_tick: u64,
     scenario: &'a Scenario,
     centre: Centre,
-    /// What has come for the tick that is being gathered.
-    gathering: Gathering,
-    /// Ticks in a row at which each robot was missing.
-    misses: Vec<u32>,
-    /// Who was heard at the tick that was processed last.
-    fused: Vec<bool>,
-    late: u64,
-    repeat_asked: bool,
+    intake: Intake,
+    /// Causes of refusal that have been told.
+    told: [bool; Refusal::ALL.len()],
     checkpoint: Option<Checkpoint>,
     log: Option<TickLogWriter>,
     ranges: Subscriber<Range>,
@@ -125,44 +121,26 @@ struct Fusion<'a> {
 #[derive(Serialize, Deserialize)]
 struct Saved<'a> {
     centre: centre::Saved<'a>,
-    misses: Cow<'a, [u32]>,
-    fused: Cow<'a, [bool]>,
+    intake: Cow<'a, intake::Record>,
     /// Of the last estimate.
-    late: u64,
-}
-
-/// The reports of one tick.
-#[derive(Debug, Default)]
-struct Gathering {
-    reports: Vec<Option<Report>>,
-    heard: usize,
-    time_s: f64,
-    /// When the first report came.
-    first: Option<Instant>,
-    /// When the real-time tick began.
-    began_ns: u64,
+    tally: Tally,
 }
 
 impl<'a> Fusion<'a> {
     fn new(rendezvous: &'a Rendezvous, bus: &'a Bus) -> Result<Self, FusionError> {
         let scenario = &rendezvous.description().scenario;
-        let robots = scenario.robots.len();
         Ok(Self {
             rendezvous,
             bus,
             hold: None,
-            first_tick: 0,
             scenario,
-            centre: Centre::new(scenario)?,
-            gathering: Gathering { reports: vec![None; robots], ..Gathering::default() },
-            misses: vec![0; robots],
-            fused: vec![false; robots],
-            late: 0,
-            repeat_asked: false,
+            centre: Centre::new(scenario)?.keeping_the_past(),
+            intake: Intake::new(scenario),
+            told: [false; Refusal::ALL.len()],
             checkpoint: None,
             log: None,
             ranges: bus.subscriber()?,
-            headings: bus.publisher(robots)?,
+            headings: bus.publisher(scenario.robots.len())?,
             estimates: bus.publisher(1)?,
             robots: bus.bell_of(Sleeper::Robots)?,
             sim: bus.bell_of(Sleeper::Sim)?,
@@ -207,10 +185,10 @@ impl<'a> Fusion<'a> {
         let began = Instant::now();
         self.go_on_from_checkpoint(&hold)?;
         self.hold = Some(hold);
-        self.first_tick = self.centre.next_tick();
+        let first_tick = self.centre.next_tick();
         // What has waited for a standby is answered before anything else is set up.
         self.act()?;
-        log::info!("leads from tick {}, {:?} after it could", self.first_tick, began.elapsed());
+        log::info!("leads from tick {first_tick}, {:?} after it could", began.elapsed());
         // Not before: each ring would cost the ringer a wake-up of every standby.
         let bed = self.bus.sleep_as(Sleeper::Fusion)?;
         self.sim.ring(Call::Hello);
@@ -252,86 +230,34 @@ impl<'a> Fusion<'a> {
     /// Goes on from where a killed forerunner stopped. It may have published the last tick or not: who
     /// missed the headings asks for them, and the log's record is written again.
     fn restore(&mut self, restored: Saved<'_>) -> Result<(), FusionError> {
-        let Saved { centre, misses, fused, late } = restored;
+        let Saved { centre, intake, tally } = restored;
         self.centre.restore(centre)?;
-        self.misses = misses.into_owned();
-        self.fused = fused.into_owned();
-        let robots = self.scenario.robots.len();
-        self.misses.resize(robots, 0);
-        self.fused.resize(robots, false);
+        if !self.intake.restore(intake.into_owned(), monotonic_ns()) {
+            return Err(SealError::Malformed.into());
+        }
         if let Some(last_tick) = self.centre.next_tick().checked_sub(1) {
             log::info!("goes on after tick {last_tick}");
-            self.put_down(last_tick, Estimate { late, ..self.centre.estimate() });
+            self.put_down(last_tick, with_tally(self.centre.estimate(), &tally));
         }
         Ok(())
     }
 
-    /// When waiting for the rest of a tick ends, if it ever does: tick 0 waits for the whole team.
-    fn deadline(&self) -> Option<Duration> {
-        let first = self.gathering.first?;
-        if self.centre.next_tick() == 0 {
-            return None;
-        }
-        match (self.scenario.clock, self.scenario.patience) {
-            (Clock::Realtime, _) => Some(until(range_deadline_ns(self.gathering.began_ns, self.scenario.dt_s))),
-            (Clock::Lockstep, Patience::Forever) => None,
-            (Clock::Lockstep, Patience::After(limit)) => Some(limit.saturating_sub(first.elapsed())),
-        }
-    }
-
-    /// Misses in a row after which a robot is not waited for until it speaks again.
-    fn misses_max(&self) -> u32 {
-        match self.scenario.clock {
-            // The deadline has cut short a busy robot now and then; a dead one costs all of them latency.
-            Clock::Realtime => 3,
-            Clock::Lockstep => 1,
-        }
-    }
-
     fn time_to_wait(&self) -> Duration {
-        self.deadline().map_or(IDLE, |left| left.min(IDLE))
+        self.intake.deadline_ns(self.centre.next_tick()).map_or(IDLE, |deadline_ns| until(deadline_ns).min(IDLE))
     }
 
     /// True if the tick that is being gathered has all it will wait for.
     fn is_ready(&self) -> bool {
-        let Gathering { reports, heard, .. } = &self.gathering;
-        if *heard == 0 {
-            return false;
-        }
-        *heard == reports.len()
-            || reports.iter().zip(&self.misses).all(|(report, misses)| report.is_some() || *misses >= self.misses_max())
-            || self.deadline().is_some_and(|left| left.is_zero())
+        self.intake.is_ready(self.centre.next_tick(), monotonic_ns())
     }
 
     fn take_ranges(&mut self) -> Result<(), FusionError> {
         // The subscriber is borrowed while it drains; the rest of self is what the messages change.
-        let Self { scenario, centre, gathering, misses, fused, late, repeat_asked, ranges, first_tick, .. } = self;
-        let mut ahead = None;
-        ranges.drain(|header, message| {
-            let [range] = message else { return };
-            let Some((id, report)) = sound_report(range, gathering.reports.len()) else { return };
-            if header.tick > scenario.ticks || !header.valid_at_s.is_finite() {
-                return;
-            }
-            if header.tick + 1 < *first_tick {
-                // A forerunner had it; it waited here in case that one had not.
-                return;
-            }
-            misses[id] = 0;
-            let next = centre.next_tick();
-            if header.tick > next {
-                ahead = ahead.max(Some(header.tick));
-            } else if header.tick == next {
-                gathering.take(id, report, header, range);
-            } else {
-                let is_of_last = header.tick + 1 == next;
-                *repeat_asked |= is_of_last;
-                if !(is_of_last && fused[id]) {
-                    *late += range.present;
-                }
-            }
-        })?;
-        if let Some(tick) = ahead {
+        let Self { centre, intake, ranges, .. } = self;
+        let now_ns = monotonic_ns();
+        ranges.drain(|header, message| intake.take(centre, header, message, now_ns))?;
+        intake.refuse(Refusal::Impostor, ranges.take_impostors());
+        if let Some(tick) = self.intake.take_ahead() {
             self.catch_up(tick)?;
         }
         Ok(())
@@ -340,7 +266,7 @@ impl<'a> Fusion<'a> {
     /// Others are ahead: this process was stopped or started late. The ticks between are gone for it;
     /// it predicts through them, and the repeat of the present one comes by itself.
     fn catch_up(&mut self, tick: u64) -> Result<(), FusionError> {
-        if self.gathering.heard == 0 {
+        if self.intake.is_empty() {
             log::warn!("missed the ticks {} to {}", self.centre.next_tick(), tick - 1);
         }
         self.predict_up_to(tick)?;
@@ -351,12 +277,6 @@ impl<'a> Fusion<'a> {
     /// Processes the ticks before this one with what has come of them.
     fn predict_up_to(&mut self, tick: u64) -> Result<(), FusionError> {
         while self.centre.next_tick() < tick {
-            if self.gathering.heard == 0 {
-                self.gathering.time_s = match self.scenario.source {
-                    Source::Simulated { .. } => self.centre.next_tick() as f64 * self.scenario.dt_s,
-                    Source::Recorded { .. } => self.centre.time_s(),
-                };
-            }
             self.process_tick()?;
         }
         Ok(())
@@ -367,32 +287,50 @@ impl<'a> Fusion<'a> {
     fn process_tick(&mut self) -> Result<(), FusionError> {
         let tick = self.centre.next_tick();
         let began_ns = monotonic_ns();
-        self.centre.update(self.gathering.time_s, &self.gathering.reports)?;
+        let distrusted = self.centre.distrusted();
+        let time_s = self.intake.time_s(&self.centre);
+        self.centre.update(time_s, self.intake.reports())?;
         let updated_ns = monotonic_ns();
         self.centre.plan();
         let planned_ns = monotonic_ns();
-        for ((fused, misses), report) in self.fused.iter_mut().zip(&mut self.misses).zip(&self.gathering.reports) {
-            *fused = report.is_some();
-            *misses = if report.is_some() { 0 } else { misses.saturating_add(1) };
-        }
-        let late = std::mem::take(&mut self.late);
+        let tally = self.intake.close(tick, updated_ns);
         let centre = self.centre.saved()?;
-        let saved = Saved { centre, misses: Cow::Borrowed(&self.misses), fused: Cow::Borrowed(&self.fused), late };
+        let saved = Saved { centre, intake: Cow::Borrowed(self.intake.record()), tally };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
 
         self.require_lead()?;
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
         self.robots.ring(Call::Data);
         let estimate = Estimate {
-            late,
             filter_ns: updated_ns - began_ns,
             planner_ns: planned_ns - updated_ns,
-            ..self.centre.estimate()
+            ..with_tally(self.centre.estimate(), &tally)
         };
         self.estimates.send(tick, self.centre.time_s(), &[estimate])?;
         self.put_down(tick, estimate);
-        self.gathering.clear();
+        self.tell_of_trust(distrusted);
+        self.tell_of_refusals(&tally);
         Ok(())
+    }
+
+    /// Names who is distrusted since the last tick, and who no longer is.
+    fn tell_of_trust(&self, before: RobotSet) {
+        let now = self.centre.distrusted();
+        for id in now.iter().filter(|id| !before.contains(*id)) {
+            log::warn!("robot {id} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate");
+        }
+        for id in before.iter().filter(|id| !now.contains(*id)) {
+            log::warn!("robot {id} is trusted again: its last {RECENT} ranges passed the gate");
+        }
+    }
+
+    /// Says once of each cause that messages are refused; the report counts them.
+    fn tell_of_refusals(&mut self, tally: &Tally) {
+        for ((refusal, count), told) in Refusal::ALL.iter().zip(tally.refused).zip(&mut self.told) {
+            if count > 0 && !std::mem::replace(told, true) {
+                log::warn!("refused a range message ({}); others like it are counted in the report", refusal.name());
+            }
+        }
     }
 
     /// Gives a sign of life, and sees that nobody has taken the lead meanwhile: after each sleep, and before
@@ -419,7 +357,7 @@ impl<'a> Fusion<'a> {
 
     /// A robot that says again what was fused has missed its heading: all get it again, once.
     fn repeat_if_asked(&mut self) -> Result<(), FusionError> {
-        if std::mem::take(&mut self.repeat_asked)
+        if self.intake.take_repeat_asked()
             && let Some(last_tick) = self.centre.next_tick().checked_sub(1)
         {
             self.require_lead()?;
@@ -430,32 +368,8 @@ impl<'a> Fusion<'a> {
     }
 }
 
-impl Gathering {
-    /// The first report of a robot counts; a repeat says the same.
-    fn take(&mut self, id: usize, report: Report, header: &Header, range: &Range) {
-        if self.reports[id].is_none() {
-            self.reports[id] = Some(report);
-            self.heard += 1;
-            self.time_s = header.valid_at_s;
-            self.began_ns = range.tick_began_ns;
-            self.first.get_or_insert_with(Instant::now);
-        }
-    }
-
-    fn clear(&mut self) {
-        self.reports.fill(None);
-        self.heard = 0;
-        self.first = None;
-    }
-}
-
-/// Robot and report of a message, or `None` if it is no sound report of this team's.
-fn sound_report(range: &Range, robots: usize) -> Option<(usize, Report)> {
-    let id = usize::try_from(range.robot).ok().filter(|id| *id < robots)?;
-    let numbers = [range.x_m, range.y_m, range.range_m, range.range_std_m];
-    if !numbers.iter().all(|value| value.is_finite()) || range.range_std_m <= 0.0 {
-        return None;
-    }
-    let range_m = (range.present == 1).then_some((range.range_m, range.range_std_m));
-    Some((id, Report { position_m: Vector::new(range.x_m, range.y_m), range_m }))
+/// An estimate with what came besides its tick's ranges.
+fn with_tally(estimate: Estimate, tally: &Tally) -> Estimate {
+    let Tally { late, fused_late, rejected_late, refused } = *tally;
+    Estimate { late, fused_late, rejected_late, refused, ..estimate }
 }

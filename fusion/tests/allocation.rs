@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use rangehound_fusion::Centre;
-use rangehound_fusion::centre::Report;
+use rangehound_fusion::centre::{Late, Report};
 use rangehound_fusion::planner::Vector;
 use rangehound_shared::scenario::{PlannerTable, RobotsTable, Scenario, ScenarioFile};
 
@@ -25,14 +25,20 @@ fn tick(centre: &mut Centre, reports: &mut [Option<Report>]) {
         let position_m = Vector::from_angle(i as f64 + 0.01 * k) * 12.0;
         *report = Some(Report { position_m, range_m: (k > 0.0).then_some((12.0, 1.0)) });
     }
+    // The last robot's range comes a tick late.
+    let late = reports.last_mut().and_then(Option::take);
     centre.update(0.1 * k, reports).unwrap();
     centre.plan();
+    if let (Some(report), Some(last)) = (late, reports.len().checked_sub(1)) {
+        let expected = if k > 0.0 { Late::Fused } else { Late::Missed };
+        assert_eq!(centre.take_late(k as u64, last, report), expected);
+    }
 }
 
 #[test]
 fn a_tick_allocates_nothing() {
     for (planner, robots) in [("adaptive", 3), ("standard", 100), ("random", 10), ("grid", 3)] {
-        let mut centre = Centre::new(&scenario(planner, robots)).unwrap();
+        let mut centre = Centre::new(&scenario(planner, robots)).unwrap().keeping_the_past();
         let mut reports = vec![None; robots as usize];
         for _ in 0..50 {
             tick(&mut centre, &mut reports);

@@ -127,7 +127,8 @@ impl<'a> Robot<'a> {
     fn look(&mut self) -> Result<(), BusError> {
         let mut newest: Option<(Header, WorldEntry)> = None;
         self.worlds.drain(|header, entries| {
-            if let Some(entry) = entries.get(self.id) {
+            let is_of_run = header.tick <= self.scenario.ticks && header.valid_at_s.is_finite();
+            if let Some(entry) = entries.get(self.id).filter(|entry| is_of_run && entry.is_sound()) {
                 newest = Some((*header, *entry));
             }
         })?;

@@ -110,12 +110,14 @@ impl Checkpoint {
         }
     }
 
-    /// Writes a state; a failure is told and ends the checkpoint, as in [`Self::of_role`].
+    /// Writes a state; a failure is told and ends the checkpoint, as in [`Self::of_role`]. The file goes too: others
+    /// will have gone on when a successor reads it, and from so old a state it could not follow them.
     pub fn write_or_give_up(checkpoint: &mut Option<Self>, state: &impl Serialize) {
         if let Some(file) = checkpoint
             && let Err(error) = file.write(state)
         {
             log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+            let _ = std::fs::remove_file(&file.path);
             *checkpoint = None;
         }
     }
@@ -322,6 +324,17 @@ mod tests {
         let (mut checkpoint, _) = open(&path, 7).unwrap();
         assert!(checkpoint.write(&(3_u64, vec![1.0; SLOT_LEN])).is_err());
         assert_eq!(open(&path, 7).unwrap().1.unwrap().0, 2);
+    }
+
+    #[test]
+    fn a_checkpoint_that_was_given_up_is_not_there_to_go_on_from() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint");
+        written(&path, 2);
+        let mut checkpoint = Some(open(&path, 7).unwrap().0);
+        Checkpoint::write_or_give_up(&mut checkpoint, &(3_u64, vec![1.0; SLOT_LEN]));
+        assert!(checkpoint.is_none());
+        assert_eq!(open(&path, 7).unwrap().1, None);
     }
 
     proptest! {

@@ -12,6 +12,7 @@
 //! | [`message`] | what travels on each topic |
 //! | [`bus`] | topics, wake-ups and their iceoryx2 services |
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
+//! | [`robot_set`] | a set of robots' ids |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
 //! | [`digest`] | the rolling hash over all estimates |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
@@ -27,6 +28,7 @@ pub mod motion;
 pub mod record;
 pub mod recording;
 pub mod rendezvous;
+pub mod robot_set;
 pub mod scenario;
 pub mod sealed;
 pub mod signal;

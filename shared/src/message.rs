@@ -6,7 +6,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
-use crate::STATE_DIM_MAX;
+use crate::{STATE_DIM_MAX, robot_set};
 
 /// What every message carries.
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
@@ -38,6 +38,15 @@ pub struct WorldEntry {
     pub range_m: f64,
     /// [`RangeKind`] as a number.
     pub range_kind: u64,
+}
+
+impl WorldEntry {
+    /// True if its numbers are numbers and its range is of a kind.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let Self { x_m, y_m, range_m, range_kind } = *self;
+        [x_m, y_m, range_m].iter().all(|value| value.is_finite()) && RangeKind::from_bits(range_kind).is_some()
+    }
 }
 
 /// What the range of a [`WorldEntry`] is.
@@ -122,10 +131,46 @@ pub struct Drive {
     pub headings_refused: u64,
 }
 
+/// Why a message was refused: its contents are never used, but it is counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// Its sender does not hold the role of the robot that it names.
+    Impostor,
+    /// It names a robot that the team does not have.
+    OutOfRange,
+    /// Not one entry, or numbers that no sensor of this run gives.
+    Malformed,
+    /// Of a tick that cannot have begun.
+    Future,
+    /// It says other than the same robot's first message of the same tick.
+    Contradiction,
+    /// The robot cannot have come from where it last was to where it says it is.
+    Jump,
+}
+
+impl Refusal {
+    /// All of them, in the order of their counts in an [`Estimate`].
+    pub const ALL: [Self; 6] =
+        [Self::Impostor, Self::OutOfRange, Self::Malformed, Self::Future, Self::Contradiction, Self::Jump];
+
+    /// What it is called in logs and reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Impostor => "impostor",
+            Self::OutOfRange => "out of range",
+            Self::Malformed => "malformed",
+            Self::Future => "future",
+            Self::Contradiction => "contradiction",
+            Self::Jump => "jump",
+        }
+    }
+}
+
 /// Topic `estimate`: what fusion knows after a tick.
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("rangehound.Estimate.v1")]
+#[type_name("rangehound.Estimate.v2")]
 pub struct Estimate {
     /// Dimension n of the state.
     pub state_dim: u64,
@@ -137,12 +182,20 @@ pub struct Estimate {
     pub nis: f64,
     /// Ranges fused: degrees of freedom of the NIS.
     pub fused: u64,
-    /// Ranges that failed the gate.
+    /// Ranges that failed the gate, or whose robot is distrusted.
     pub rejected: u64,
     /// Robots not heard.
     pub missing: u64,
     /// Ranges of earlier ticks that came since the last estimate.
     pub late: u64,
+    /// Of those, how many were fused at their own time.
+    pub fused_late: u64,
+    /// Of those, how many were rejected at their own time.
+    pub rejected_late: u64,
+    /// Messages refused since the last estimate, in the order of [`Refusal::ALL`].
+    pub refused: [u64; Refusal::ALL.len()],
+    /// Robots that are distrusted: bits of a [`RobotSet`](robot_set::RobotSet).
+    pub distrusted: [u64; robot_set::WORDS],
     /// Planner's `|S|`, 1/m^2.
     pub objective: f64,
     /// Lower bound on it; `-inf` from planners that prove none.
@@ -181,6 +234,10 @@ impl Default for Estimate {
             rejected: 0,
             missing: 0,
             late: 0,
+            fused_late: 0,
+            rejected_late: 0,
+            refused: [0; Refusal::ALL.len()],
+            distrusted: [0; robot_set::WORDS],
             objective: 0.0,
             lower_bound: f64::NEG_INFINITY,
             filter_ns: 0,
@@ -208,6 +265,25 @@ const _: () = {
     assert!(size_of::<Range>() == 56);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
-    assert!(size_of::<Estimate>() == 672);
+    assert!(size_of::<Estimate>() == 768);
     assert!(size_of::<Truth>() == 88);
 };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_entry_of_the_world_without_sense_is_told() {
+        let sound = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
+        assert!(sound.is_sound());
+        for nonsense in [
+            WorldEntry { x_m: f64::NAN, ..sound },
+            WorldEntry { y_m: f64::INFINITY, ..sound },
+            WorldEntry { range_m: f64::NAN, ..sound },
+            WorldEntry { range_kind: 3, ..sound },
+        ] {
+            assert!(!nonsense.is_sound(), "{nonsense:?}");
+        }
+    }
+}

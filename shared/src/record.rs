@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::message::{Drive, Estimate, WorldEntry};
+use crate::message::{Drive, Estimate, Refusal, WorldEntry};
+use crate::robot_set;
 use crate::scenario::Scenario;
 use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
 
@@ -83,8 +84,11 @@ impl Heading {
 }
 
 impl EstimateRecord {
+    /// Words before the state: single ones, then those of `refused` and `distrusted`.
+    const TALLIES: usize = 11 + Refusal::ALL.len() + robot_set::WORDS;
+
     fn words(state_dim: usize) -> usize {
-        9 + state_dim + state_dim * state_dim
+        Self::TALLIES + state_dim + state_dim * state_dim
     }
 
     /// Opens fusion's log for writing.
@@ -117,9 +121,11 @@ impl EstimateRecord {
             e.objective.to_bits(),
             e.digest[0],
             e.digest[1],
+            e.fused_late,
+            e.rejected_late,
         ];
         let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
-        tallies.into_iter().chain(numbers)
+        tallies.into_iter().chain(e.refused).chain(e.distrusted).chain(numbers)
     }
 
     /// The record in words that [`Self::to_words`] made, for a state of this dimension.
@@ -135,13 +141,17 @@ impl EstimateRecord {
             late: word(5),
             objective: f64::from_bits(word(6)),
             digest: [word(7), word(8)],
+            fused_late: word(9),
+            rejected_late: word(10),
+            refused: std::array::from_fn(|i| word(11 + i)),
+            distrusted: std::array::from_fn(|i| word(11 + Refusal::ALL.len() + i)),
             ..Estimate::default()
         };
         for (i, value) in estimate.state.iter_mut().take(state_dim).enumerate() {
-            *value = f64::from_bits(word(9 + i));
+            *value = f64::from_bits(word(Self::TALLIES + i));
         }
         for (i, value) in estimate.covariance.iter_mut().take(state_dim * state_dim).enumerate() {
-            *value = f64::from_bits(word(9 + state_dim + i));
+            *value = f64::from_bits(word(Self::TALLIES + state_dim + i));
         }
         Self { time_s: f64::from_bits(word(0)), estimate }
     }
@@ -219,5 +229,35 @@ impl WorldRecord {
                 })
                 .collect(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_estimate_comes_back_from_its_words() {
+        let mut estimate = Estimate {
+            state_dim: 2,
+            nis: 1.5,
+            fused: 3,
+            rejected: 4,
+            missing: 5,
+            late: 6,
+            fused_late: 7,
+            rejected_late: 8,
+            refused: [9, 10, 11, 12, 13, 14],
+            distrusted: [15, 16, 17, 18],
+            objective: 0.25,
+            digest: [19, 20],
+            ..Estimate::default()
+        };
+        estimate.state[..2].copy_from_slice(&[0.5, -0.5]);
+        estimate.covariance[..4].copy_from_slice(&[4.0, 1.0, 1.0, 2.0]);
+        let record = EstimateRecord { time_s: 0.7, estimate };
+        let words: Vec<u64> = record.to_words().collect();
+        assert_eq!(words.len(), EstimateRecord::words(2));
+        assert_eq!(EstimateRecord::from_words(&words, 2), record);
     }
 }

@@ -249,15 +249,12 @@ impl<'a> Sim<'a> {
     fn take_drives(&mut self) -> Result<(), SimError> {
         let Self { tick, drives, silent, drives_in, .. } = self;
         drives_in.drain(|header, message| {
-            if header.tick != *tick {
-                return;
-            }
-            for drive in message {
-                let id = drive.robot as usize;
-                if let (Some(slot), Some(silent)) = (drives.get_mut(id), silent.get_mut(id)) {
-                    *slot = Some(*drive);
-                    *silent = false;
-                }
+            let [drive] = message else { return };
+            let Some(id) = usize::try_from(drive.robot).ok().filter(|_| header.tick == *tick) else { return };
+            if let (Some(slot), Some(silent)) = (drives.get_mut(id), silent.get_mut(id)) {
+                // Whatever speed and heading it says: the world moves nobody faster than he is, or by no number.
+                *slot = Some(*drive);
+                *silent = false;
             }
         })?;
         Ok(())

@@ -192,6 +192,7 @@ impl Outcome {
         self.ranges.fused += ranges.fused;
         self.ranges.rejected += ranges.rejected;
         self.ranges.late += ranges.late;
+        self.ranges.fused_late += ranges.fused_late;
         self.ranges.missing += ranges.missing;
         self.without_heading += round.without_heading;
         self.files_left.extend_from_slice(&round.files_left);

@@ -153,7 +153,7 @@ mod tests {
             let corner = [(0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0)][k % 4];
             let position_m = Vector2::new(corner.0, corner.1);
             let range_m = (position - position_m).norm() + 0.03 * (k as f64 * 2.399).sin();
-            imm.step(0.1, &[Reading { position_m, range_m, range_std_m: 0.05 }]);
+            imm.step(0.1, &[Reading { position_m, range_m, range_std_m: 0.05, ..Reading::default() }]);
         }
         assert!((imm.estimate.position() - position).norm() < 0.3);
         (on_the_straight, imm.modes[1].probability)
@@ -172,7 +172,7 @@ mod tests {
         for dt_s in [0.0, 0.0, 1e6, 0.0, 1.0, 1e6, 0.1] {
             for x in [0.0, 10.0, 0.0] {
                 let position_m = Vector2::new(x, 0.0);
-                imm.step(dt_s, &[Reading { position_m, range_m: 7.0, range_std_m: 0.1 }]);
+                imm.step(dt_s, &[Reading { position_m, range_m: 7.0, range_std_m: 0.1, ..Reading::default() }]);
                 assert!(imm.state().iter().chain(imm.covariance()).all(|value| value.is_finite()));
             }
         }

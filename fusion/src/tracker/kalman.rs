@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::matrix::Matrix;
 use rangehound_shared::motion::{MotionModel, Transition};
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::sealed::{self, SealError};
 
 use super::{Fit, Gate, Reading, Tracker};
@@ -36,18 +37,18 @@ impl<const N: usize> Tracker for Kalman<N> {
         let predicted = self.estimate.predict(&self.transition.1);
         let position_covariance = predicted.position_covariance();
         let mut information = RangeInformation::default();
-        let mut rejected = 0;
+        let mut failed = RobotSet::default();
         for reading in readings {
             let range = predicted.innovation(reading.position_m, reading.range_m, reading.range_std_m);
-            if self.gate.passes(range.normalised_square(&position_covariance)) {
+            if !self.gate.passes(range.normalised_square(&position_covariance)) {
+                failed.set(reading.robot, true);
+            } else if !reading.distrusted {
                 information.add(&range);
-            } else {
-                rejected += 1;
             }
         }
         let (estimate, nis) = if information.count > 0 { predicted.update(&information) } else { (predicted, 0.0) };
         self.estimate = estimate;
-        Fit { nis, fused: information.count, rejected }
+        Fit { nis, fused: information.count, rejected: readings.len() as u32 - information.count, failed }
     }
 
     fn state(&self) -> &[f64] {

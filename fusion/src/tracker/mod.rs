@@ -10,20 +10,25 @@ pub mod imm;
 pub mod kalman;
 
 use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Prior, Scenario};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::with_state_dim;
 use serde::{Deserialize, Serialize};
 
 /// One range, as fused: calibrated, with the place it was measured from.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reading {
+    /// Whose it is.
+    pub robot: usize,
     /// Where the robot was, m.
     pub position_m: Vector2<f64>,
     /// What it measured, m.
     pub range_m: f64,
     /// Standard deviation of the measurement, m.
     pub range_std_m: f64,
+    /// True if it is only to be tested against the gate, not to be fused.
+    pub distrusted: bool,
 }
 
 /// How a tick's ranges agreed with the estimate.
@@ -33,8 +38,10 @@ pub struct Fit {
     pub nis: f64,
     /// Ranges fused: the NIS's degrees of freedom.
     pub fused: u32,
-    /// Ranges that failed the gate.
+    /// Ranges not fused: they failed the gate, or were only to be tested.
     pub rejected: u32,
+    /// Robots whose range failed the gate.
+    pub failed: RobotSet,
 }
 
 /// An estimate of the target that follows its ranges. Does no I/O, knows no clock, and after its

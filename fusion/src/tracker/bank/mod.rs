@@ -137,8 +137,12 @@ impl<const N: usize> Bank<N> {
         self.log_likelihood = 0.0;
         let mut fit = Fit::default();
         for reading in readings {
-            let range_std_m = reading.range_std_m.max(RANGE_STD_MIN_M);
-            self.fuse(&Reading { range_std_m, ..*reading }, &mut fit);
+            let reading = Reading { range_std_m: reading.range_std_m.max(RANGE_STD_MIN_M), ..*reading };
+            if reading.distrusted {
+                self.test(&reading, &mut fit);
+            } else {
+                self.fuse(&reading, &mut fit);
+            }
         }
         self.estimate = match &self.hypotheses[..] {
             [] => unknown(),
@@ -178,6 +182,15 @@ impl<const N: usize> Bank<N> {
         });
     }
 
+    /// Tests a range against the gate. Where nothing is known, nothing speaks against it.
+    fn test(&self, reading: &Reading, fit: &mut Fit) {
+        let passes = |h: &&Hypothesis<N>| self.gate.passes(Sight::of(&h.estimate, reading).normalised_square);
+        let passed_weight: f64 = self.hypotheses.iter().filter(passes).map(|h| h.log_weight.exp()).sum();
+        let passed = self.hypotheses.is_empty() || passed_weight > 0.5;
+        fit.rejected += 1;
+        fit.failed.set(reading.robot, !passed);
+    }
+
     /// Weighs all hypotheses by a range and updates, branches or splits them.
     fn fuse(&mut self, reading: &Reading, fit: &mut Fit) {
         if self.hypotheses.is_empty() {
@@ -206,6 +219,7 @@ impl<const N: usize> Bank<N> {
             fit.nis += nis.unwrap_or_default();
         } else {
             fit.rejected += 1;
+            fit.failed.set(reading.robot, true);
         }
         self.rejections.add(reading, !passed);
         if self.rejections.show_lock_out() {

@@ -28,7 +28,7 @@ pub(super) struct Sight {
 impl Sight {
     /// With the second-order terms of `d(X)`: mean `d + bend`, variance `2 bend^2`.
     pub(super) fn of<const N: usize>(estimate: &Estimate<N>, reading: &Reading) -> Self {
-        let Reading { position_m, range_m, range_std_m } = *reading;
+        let Reading { position_m, range_m, range_std_m, .. } = *reading;
         let mut innovation = estimate.innovation(position_m, range_m, range_std_m);
         let covariance = estimate.position_covariance();
         let e = innovation.line_of_sight;

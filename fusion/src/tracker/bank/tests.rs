@@ -28,7 +28,8 @@ impl Run {
         let noise_m = STD_M * 1.7 * (f64::from(self.count) * 2.399).sin();
         let (position_m, target) = (Vector2::from(sensor), Vector2::from(target));
         let range_m = (target - position_m).norm() + noise_m + error_m;
-        self.rejected += self.bank.step(dt_s, &[Reading { position_m, range_m, range_std_m: STD_M }]).rejected;
+        self.rejected +=
+            self.bank.step(dt_s, &[Reading { position_m, range_m, range_std_m: STD_M, ..Reading::default() }]).rejected;
         let estimate = &self.bank.estimate;
         ((estimate.position() - target).norm(), estimate.position_covariance().trace().sqrt())
     }
@@ -51,6 +52,23 @@ fn it_starts_from_the_ranges_of_fixed_sensors_alone() {
     let (error_m, std_m) = run.square(3, [16.0, 3.0], 0.0);
     assert!(error_m < 0.4 && std_m < 0.6, "{error_m} {std_m}");
     assert!(run.bank.hypotheses.len() == 1 && run.rejected < 4);
+}
+
+#[test]
+fn the_range_of_a_distrusted_robot_is_tested_and_moves_nothing() {
+    let mut run = Run::new();
+    run.square(3, [16.0, 3.0], 0.0);
+    for (error_m, fails) in [(0.0, false), (3.0, true)] {
+        let (mut heard, mut alone) = (run.bank.clone(), run.bank.clone());
+        let range_m = 16.0_f64.hypot(3.0) + error_m;
+        let reading = Reading { robot: 7, range_m, range_std_m: STD_M, distrusted: true, ..Reading::default() };
+        let fit = heard.step(0.1, &[reading]);
+        assert_eq!((fit.fused, fit.rejected, fit.failed.contains(7)), (0, 1, fails));
+        alone.step(0.1, &[]);
+        assert_eq!((heard.hypotheses, heard.estimate), (alone.hypotheses, alone.estimate));
+    }
+    let fit = bank().step(0.1, &[Reading { range_m: 5.0, range_std_m: STD_M, distrusted: true, ..Reading::default() }]);
+    assert_eq!((fit.fused, fit.failed.is_empty()), (0, true), "where nothing is known, nothing fails");
 }
 
 #[test]
@@ -125,7 +143,7 @@ fn survives<const N: usize>(mut bank: Bank<N>, steps: &[(f64, f64, f64, f64, f64
     for &(dt_s, x, y, range_m, range_std_m) in steps {
         // Every fifth or so stands right on the estimate.
         let position_m = if x > 0.6e8 { bank.estimate.position() } else { Vector2::new(x, y) };
-        bank.step(dt_s, &[Reading { position_m, range_m, range_std_m }]);
+        bank.step(dt_s, &[Reading { position_m, range_m, range_std_m, ..Reading::default() }]);
         prop_assert!(bank.estimate().x.iter().all(|value| value.is_finite()));
         prop_assert_eq!(bank.estimate.p, bank.estimate.p.transpose());
         prop_assert!(Cholesky::new(bank.estimate.p).is_some(), "{}", bank.estimate.p);

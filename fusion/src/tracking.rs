@@ -1,0 +1,77 @@
+//! Tracker and trust together: what one tick's reports do to both, and the same tick once more when one comes late.
+
+use nalgebra::Vector2;
+use rangehound_shared::scenario::Scenario;
+use rangehound_shared::sealed::SealError;
+
+use crate::centre::Report;
+use crate::past::PastTick;
+use crate::tracker::{self, Fit, Reading, Tracker};
+use crate::trust::Trust;
+
+/// The estimate, and whose ranges go into it.
+#[derive(Debug)]
+pub(crate) struct Tracking {
+    pub(crate) tracker: Box<dyn Tracker>,
+    pub(crate) trust: Trust,
+    readings: Vec<Reading>,
+}
+
+impl Tracking {
+    pub(crate) fn new(scenario: &Scenario) -> Self {
+        let robots = scenario.robots.len();
+        let tracker = tracker::for_scenario(scenario);
+        Self { tracker, trust: Trust::new(robots), readings: Vec::with_capacity(robots) }
+    }
+
+    /// Predicts over `dt_s` seconds, then updates with the reports' ranges in order of the robots' ids.
+    pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Report>]) -> Fit {
+        let distrusted = self.trust.distrusted();
+        self.readings.clear();
+        for (robot, report) in reports.iter().enumerate() {
+            if let Some(Report { position_m, range_m: Some((range_m, range_std_m)) }) = *report {
+                let position_m = Vector2::new(position_m.x, position_m.y);
+                let distrusted = distrusted.contains(robot);
+                self.readings.push(Reading { robot, position_m, range_m, range_std_m, distrusted });
+            }
+        }
+        let fit = self.tracker.step(dt_s, &self.readings);
+        self.trust.judge(self.readings.iter().map(|reading| reading.robot), &fit.failed);
+        fit
+    }
+
+    /// Writes down how things stand before a tick.
+    ///
+    /// # Errors
+    /// If the tracker cannot be encoded.
+    pub(crate) fn save_before(&self, past: &mut PastTick) -> Result<(), SealError> {
+        past.trust.copy_from(&self.trust);
+        past.tracker.clear();
+        self.tracker.save(&mut past.tracker)
+    }
+
+    /// Goes back to before the first of these ticks and takes all of them again. True if at the first of them this
+    /// robot's range was fused.
+    ///
+    /// # Errors
+    /// If what was written down is not the tracker's.
+    pub(crate) fn take_again<'a>(
+        &mut self,
+        robot: usize,
+        ticks: impl Iterator<Item = &'a mut PastTick>,
+    ) -> Result<bool, SealError> {
+        let mut fused = None;
+        for past in ticks {
+            if fused.is_none() {
+                self.tracker.restore(&past.tracker)?;
+                self.trust.copy_from(&past.trust);
+            } else {
+                self.save_before(past)?;
+            }
+            let distrusted = self.trust.distrusted().contains(robot);
+            let fit = self.step(past.dt_s, &past.reports);
+            fused.get_or_insert(!distrusted && !fit.failed.contains(robot));
+        }
+        Ok(fused.unwrap_or(false))
+    }
+}

@@ -1,0 +1,74 @@
+//! A set of robots, by id, without a heap.
+
+use serde::{Deserialize, Serialize};
+
+use crate::ROBOTS_MAX;
+
+/// Words of a [`RobotSet`].
+pub const WORDS: usize = ROBOTS_MAX / u64::BITS as usize;
+
+/// A set of robots' ids, 0 to [`ROBOTS_MAX`] - 1; others are never in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct RobotSet([u64; WORDS]);
+
+impl RobotSet {
+    /// The set with these words, as [`Self::to_bits`] gave them.
+    #[must_use]
+    pub fn from_bits(words: [u64; WORDS]) -> Self {
+        Self(words)
+    }
+
+    /// Its words: bit `i % 64` of word `i / 64` tells of robot `i`.
+    #[must_use]
+    pub fn to_bits(self) -> [u64; WORDS] {
+        self.0
+    }
+
+    /// Puts a robot in, or takes it out.
+    pub fn set(&mut self, id: usize, is_in: bool) {
+        if let Some(word) = self.0.get_mut(id / 64) {
+            let bit = 1 << (id % 64);
+            *word = if is_in { *word | bit } else { *word & !bit };
+        }
+    }
+
+    /// True if the robot is in it.
+    #[must_use]
+    pub fn contains(&self, id: usize) -> bool {
+        self.0.get(id / 64).is_some_and(|word| word >> (id % 64) & 1 == 1)
+    }
+
+    /// How many are in it.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.0.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// True if none is in it.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Who is in it, by id.
+    pub fn iter(self) -> impl Iterator<Item = usize> {
+        (0..ROBOTS_MAX).filter(move |id| self.contains(*id))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_was_put_in_is_in_until_taken_out() {
+        let mut set = RobotSet::default();
+        for id in [0, 63, 64, 255, 256, usize::MAX] {
+            set.set(id, true);
+        }
+        assert!(set.iter().eq([0, 63, 64, 255]) && set.len() == 4 && !set.contains(256));
+        assert_eq!(RobotSet::from_bits(set.to_bits()), set);
+        set.set(63, false);
+        assert!(set.iter().eq([0, 64, 255]) && !set.is_empty());
+    }
+}
