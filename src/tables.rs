@@ -12,11 +12,12 @@
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::Path;
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::Sensor;
+use rangehound_shared::bounded::Rationed;
 use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
@@ -31,6 +32,15 @@ use crate::report::{self, Truth, position_covariance};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
+
+/// Longest row of a true track, bytes.
+const TRUTH_ROW_LEN_MAX: usize = 1 << 16;
+
+/// Most rows of a true track.
+const TRUTH_ROWS_MAX: usize = 25_000_000;
+
+/// Largest number in a true track: as in recordings.
+const TRUTH_MAX: f64 = 1e11;
 
 /// Makes the run folder ready: removes an earlier run's results, writes the scenario.
 ///
@@ -146,29 +156,55 @@ fn create(path: &Path) -> anyhow::Result<std::io::BufWriter<std::fs::File>> {
 /// Reads a true track, `time_s,x_m,y_m`, in order of time.
 ///
 /// # Errors
-/// [`Failure::Input`] with file and line of the first thing that is wrong.
+/// [`Failure::Input`] with file and row of the first thing that is wrong.
 pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
+    let refuse = |problem: String| {
+        Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()))
+    };
+    let file = std::fs::File::open(path).map_err(|error| refuse(error.to_string()))?;
+    parse_truth(file).map_err(refuse)
+}
+
+/// Parses a true track from a reader.
+///
+/// # Errors
+/// What is wrong first, in one line.
+pub fn parse_truth(input: impl Read) -> Result<Truth, String> {
     #[derive(serde::Deserialize)]
     struct Row {
         time_s: f64,
         x_m: f64,
         y_m: f64,
     }
-    let refuse = |problem: &dyn std::fmt::Display| {
-        Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()))
-    };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|error| refuse(&error))?;
+    let mut reader = csv::ReaderBuilder::new();
+    let mut reader = reader.trim(csv::Trim::All).from_reader(Rationed::new(input, TRUTH_ROW_LEN_MAX));
+    let header = reader.headers().map_err(|error| short(&error))?.clone();
+    let mut record = csv::StringRecord::new();
     let mut points: Vec<(f64, Vector2<f64>)> = Vec::new();
-    for (index, row) in reader.deserialize().enumerate() {
-        let Row { time_s, x_m, y_m } = row.map_err(|error| refuse(&error))?;
+    loop {
+        reader.get_mut().renew();
+        if !reader.read_record(&mut record).map_err(|error| short(&error))? {
+            break;
+        }
+        let row = points.len() + 1;
+        let Row { time_s, x_m, y_m } =
+            record.deserialize(Some(&header)).map_err(|error| format!("row {row}: {}", short(&error)))?;
         let ordered = points.last().is_none_or(|(before_s, _)| *before_s <= time_s);
-        if !(ordered && time_s.is_finite() && x_m.is_finite() && y_m.is_finite()) {
-            return Err(refuse(&format!("row {}: not finite numbers in order of time", index + 1)));
+        if !(ordered && [time_s, x_m, y_m].iter().all(|value| value.abs() <= TRUTH_MAX)) {
+            return Err(format!("row {row}: not numbers within +-{TRUTH_MAX:e} in order of time"));
+        }
+        if points.len() == TRUTH_ROWS_MAX {
+            return Err(format!("more than {TRUTH_ROWS_MAX} rows"));
         }
         points.push((time_s, Vector2::new(x_m, y_m)));
     }
     if points.len() < 2 {
-        return Err(refuse(&"fewer than two rows"));
+        return Err("fewer than two rows".to_owned());
     }
     Ok(Truth::new(points))
+}
+
+/// What the CSV reader says, in one line: it quotes what stood there, of whatever length.
+fn short(error: &csv::Error) -> String {
+    error.to_string().chars().filter(|c| !c.is_control()).take(200).collect()
 }

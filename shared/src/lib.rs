@@ -14,8 +14,10 @@
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
 //! | [`digest`] | the rolling hash over all estimates |
+//! | [`bounded`] | reading no more of a file than it may have |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
+pub mod bounded;
 pub mod bus;
 pub mod checkpoint;
 pub mod clock;

@@ -19,8 +19,12 @@ use serde::{Deserialize, Serialize};
 pub use error::ScenarioError;
 pub use file::*;
 
+use crate::bounded;
 use crate::matrix::Matrix;
 use crate::motion::MotionModel;
+
+/// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
+const FILE_LEN_MAX: usize = 4 << 20;
 
 /// A validated experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -207,8 +211,10 @@ impl ScenarioFile {
     /// # Errors
     /// If the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ScenarioError::Unreadable { file: path.to_owned(), source })?;
+        let unreadable = |source| ScenarioError::Unreadable { file: path.to_owned(), source };
+        let bytes = bounded::read(path, FILE_LEN_MAX).map_err(unreadable)?;
+        let text = String::from_utf8(bytes)
+            .map_err(|error| unreadable(std::io::Error::new(std::io::ErrorKind::InvalidData, error.utf8_error())))?;
         Self::parse(&text, &path.display().to_string())
     }
 
