@@ -103,13 +103,15 @@ fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
     Ok(termination)
 }
 
-/// A name or role that is taken is the user's to mend; the rest is the system's.
+/// A name or role that is taken, or a run of another version, is the user's to mend; the rest is the system's.
 #[must_use]
 pub fn input_or_running(error: RendezvousError) -> Failure {
     match error {
         RendezvousError::Taken { .. }
         | RendezvousError::RoleTaken { .. }
         | RendezvousError::NotOurs(_)
+        | RendezvousError::OtherBuild { .. }
+        | RendezvousError::Unusable { .. }
         | RendezvousError::StateLost { .. } => Failure::input(error),
         other => Failure::Running(anyhow::Error::new(other)),
     }

@@ -17,7 +17,7 @@ use std::path::Path;
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::Sensor;
-use rangehound_shared::bounded::Rationed;
+use rangehound_shared::bounded::{self, Rationed};
 use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
@@ -70,8 +70,8 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let expected = |reason: &dyn std::fmt::Display| {
         Failure::input(format!("{}: expected the folder of a run: {reason}", path.display()))
     };
-    let sealed = std::fs::read(&path).map_err(|error| expected(&error))?;
-    let description: RunDescription = sealed::open(&sealed).map_err(|error| expected(&error))?;
+    let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
+    let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
     Ok(RunDescription { out_dir, ..description })
 }

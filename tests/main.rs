@@ -8,6 +8,7 @@
 //! | `chaos` | campaigns of faults: every promise kept, nothing left behind |
 //! | `comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
+//! | `hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `licences` | every dependency is free to use |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
@@ -19,6 +20,7 @@ mod chaos;
 mod command_line;
 mod comparison;
 mod golden;
+mod hostile;
 mod licences;
 mod paper;
 mod plan;

@@ -14,6 +14,8 @@
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
 //! | [`digest`] | the rolling hash over all estimates |
+//! | [`sealed`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
+//! | [`protocol`] | which builds understand each other |
 //! | [`bounded`] | reading no more of a file than it may have |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
@@ -26,6 +28,7 @@ pub mod draws;
 pub mod matrix;
 pub mod message;
 pub mod motion;
+pub mod protocol;
 pub mod record;
 pub mod recording;
 pub mod rendezvous;

@@ -27,6 +27,8 @@ use rustix::process::Pid;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
+use crate::bounded;
+use crate::protocol::OtherBuild;
 use crate::scenario::Scenario;
 use crate::sealed::{self, SealError};
 use crate::signal::Termination;
@@ -95,6 +97,15 @@ impl RunDescription {
         unique[16..].copy_from_slice(&std::process::id().to_le_bytes());
         Self { run_id: xxh3_64(&unique), scenario, out_dir }
     }
+
+    /// The description in sealed bytes.
+    ///
+    /// # Errors
+    /// [`SealError`], for what no build of this protocol has sealed.
+    pub fn open(bytes: &[u8]) -> Result<Self, SealError> {
+        let description: Self = sealed::open(bytes)?;
+        if description.scenario.is_whole() { Ok(description) } else { Err(SealError::Malformed) }
+    }
 }
 
 /// Why a process cannot take part in a run.
@@ -126,6 +137,14 @@ pub enum RendezvousError {
         file: PathBuf,
         /// Why.
         reason: SealError,
+    },
+    /// The run is of a build that this one does not understand.
+    #[error("run {name} was founded by {build}: use one version for all its nodes")]
+    OtherBuild {
+        /// The run.
+        name: RunName,
+        /// What founded it.
+        build: OtherBuild,
     },
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
@@ -232,9 +251,12 @@ impl Rendezvous {
             Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
         }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        let sealed = std::fs::read(place.path("run")).map_err(|source| place.io_error("run", source))?;
-        let description =
-            sealed::open(&sealed).map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
+        let sealed = bounded::read(&place.path("run"), sealed::FILE_LEN_MAX)
+            .map_err(|source| place.io_error("run", source))?;
+        let description = RunDescription::open(&sealed).map_err(|reason| match reason {
+            SealError::OtherBuild(build) => RendezvousError::OtherBuild { name: name.clone(), build },
+            reason => RendezvousError::Unusable { file: place.path("run"), reason },
+        })?;
         Ok(Some(Self { place, description, members: Some(members) }))
     }
 

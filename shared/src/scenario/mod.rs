@@ -22,6 +22,7 @@ pub use file::*;
 use crate::bounded;
 use crate::matrix::Matrix;
 use crate::motion::MotionModel;
+use crate::ROBOTS_MAX;
 
 /// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
 const FILE_LEN_MAX: usize = 4 << 20;
@@ -202,6 +203,39 @@ impl Clock {
             Self::Realtime => "realtime",
             Self::Lockstep => "lockstep",
         }
+    }
+}
+
+impl Scenario {
+    /// True if all sizes go together and numbers that others divide by or clamp to are in their bounds: of a
+    /// scenario from a file of another hand, that nothing that works with it will panic.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        let n = self.motion.state_dim();
+        let knows_its_start = match &self.source {
+            Source::Simulated { target_start } => target_start.len() == n,
+            Source::Recorded { .. } => true,
+        };
+        let knows_its_prior = match &self.prior {
+            Prior::Gaussian { mean, covariance } => {
+                mean.len() == n && mean.iter().all(|value| value.is_finite()) && covariance.is_whole(n)
+            }
+            Prior::FromRanges => true,
+        };
+        let is_sound = |robot: &RobotSpec| {
+            bounds::SPEED_MPS.contains(&robot.speed_mps)
+                && bounds::STD_M.contains(&robot.range_std_m)
+                && robot.start_m.iter().all(|value| bounds::COORDINATE.contains(value))
+                && bounds::BIAS_M.contains(&robot.calibration.bias_m)
+                && bounds::SCALE.contains(&robot.calibration.scale)
+        };
+        self.motion.is_whole()
+            && knows_its_start
+            && knows_its_prior
+            && (1..=ROBOTS_MAX).contains(&self.robots.len())
+            && self.robots.iter().all(is_sound)
+            && bounds::DT_S.contains(&self.dt_s)
+            && self.ticks <= bounds::TICKS_MAX
     }
 }
 
