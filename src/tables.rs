@@ -12,23 +12,24 @@
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
-use std::io::{Read, Write};
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::Sensor;
 use rangehound_shared::bounded::{self, Rationed};
 use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
-use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::record::{EstimateRecord, WorldRecord, estimate_log, world_log};
 use rangehound_shared::rendezvous::{Role, RunDescription};
 use rangehound_shared::scenario::Source;
 use rangehound_shared::sealed;
 
 use crate::experiment::Experiment;
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::picture;
-use crate::report::{self, Truth, position_covariance};
+use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
@@ -74,6 +75,45 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
     Ok(RunDescription { out_dir, ..description })
+}
+
+/// Looks whether a run can go on in its folder: nodes that cannot write there go on without their logs.
+///
+/// # Errors
+/// [`Failure::Input`] with the first file that cannot be written.
+pub fn look_for_writable(description: &RunDescription) -> Result<(), Failure> {
+    let out_dir = &description.out_dir;
+    let checkpoints = [Role::Sim, Role::Fusion].map(|role| out_dir.join(checkpoint::file_name(role)));
+    for path in [estimate_log(out_dir), world_log(out_dir)].into_iter().chain(checkpoints) {
+        let opened = std::fs::OpenOptions::new().append(true).open(&path);
+        if let Err(error) = opened
+            && error.kind() != std::io::ErrorKind::NotFound
+        {
+            return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+/// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
+///
+/// # Errors
+/// [`Failure::Running`] with the first file that could not be read or written.
+pub fn report_and_tables(
+    description: &RunDescription,
+    truth: Option<&Truth>,
+    recording: bool,
+    nodes: Vec<NodeSummary>,
+) -> Result<Report, Failure> {
+    let report = report::from_logs(description, truth, nodes)?;
+    let printed = failure::print(format!("{report}\n  run folder       {}\n", description.out_dir.display()));
+    let written = report::write(&report, &description.out_dir);
+    let table = write_estimate_csv(description);
+    let recorded = if recording { write_recording(description) } else { Ok(()) };
+    picture::draw_if_possible(description, truth);
+    written.and(table).and(recorded)?;
+    printed?;
+    Ok(report)
 }
 
 /// Makes a folder for results, unless it is there.
@@ -148,9 +188,26 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn create(path: &Path) -> anyhow::Result<std::io::BufWriter<std::fs::File>> {
-    let file = std::fs::File::create(path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
-    Ok(std::io::BufWriter::new(file))
+fn create(path: &Path) -> anyhow::Result<BufWriter<Named>> {
+    let file = File::create(path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
+    Ok(BufWriter::new(Named { file, path: path.to_owned() }))
+}
+
+/// A file whose name is in the errors of writing to it.
+struct Named {
+    file: File,
+    path: PathBuf,
+}
+
+impl Write for Named {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let told = |error: std::io::Error| std::io::Error::other(format!("{}: {error}", self.path.display()));
+        self.file.write(bytes).map_err(told)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
 }
 
 /// Reads a true track, `time_s,x_m,y_m`, in order of time.
@@ -158,10 +215,9 @@ fn create(path: &Path) -> anyhow::Result<std::io::BufWriter<std::fs::File>> {
 /// # Errors
 /// [`Failure::Input`] with file and row of the first thing that is wrong.
 pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
-    let refuse = |problem: String| {
-        Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()))
-    };
-    let file = std::fs::File::open(path).map_err(|error| refuse(error.to_string()))?;
+    let refuse =
+        |problem: String| Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()));
+    let file = File::open(path).map_err(|error| refuse(error.to_string()))?;
     parse_truth(file).map_err(refuse)
 }
 

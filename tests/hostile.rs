@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Parser;
 use rangehound::cli::{Cli, one_line};
+use rangehound::failure::one_short_line;
 use rangehound::in_process::{self, Team};
 use rangehound::plan::line::Desk;
 use rangehound::supervisor::restart::Rule;
@@ -68,7 +69,7 @@ fn scenario(file: &str) -> Scenario {
 }
 
 fn refused(error: impl std::fmt::Display) -> Verdict {
-    Verdict::Refused(error.to_string())
+    Verdict::Refused(one_short_line(&error.to_string()))
 }
 
 /// What a scenario that was taken must be good for: the first steps of a team.
@@ -115,11 +116,28 @@ fn hostile_scenarios() {
 #[test]
 fn long_input_is_taken_or_refused_too() {
     const LEN: usize = 2_000_000;
-    let texts = ["[", "{\"robots\":[", "a.", "[[robot]]\n", "[[", "{a=", "x = 1\n", "\"", "9", "0,1,0,0,5\n", ",", "\n", "name = '''", "a", "[recording]\nsensor = ["];
+    let texts = [
+        "[",
+        "{\"robots\":[",
+        "a.",
+        "[[robot]]\n",
+        "[[",
+        "{a=",
+        "x = 1\n",
+        "\"",
+        "9",
+        "0,1,0,0,5\n",
+        ",",
+        "\n",
+        "name = '''",
+        "a",
+        "[recording]\nsensor = [",
+    ];
     for text in texts {
         for head in ["", "ticks = ", "name = \"", "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n0,1,0,0,5\n"] {
             let text = format!("{head}{}", text.repeat(LEN / text.len()));
-            let _ = ScenarioFile::parse(&text, "long.toml").inspect_err(|error| assert!(error.to_string().len() < 2_000));
+            let _ =
+                ScenarioFile::parse(&text, "long.toml").inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"))
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = tables::parse_truth(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
@@ -131,7 +149,10 @@ fn long_input_is_taken_or_refused_too() {
 
 #[test]
 fn hostile_recordings() {
-    let documents = [head_of("ranges.csv", 12), b"range_m,sensor_id,x,sensor_x_m,sensor_y_m,time_s\n1,2,,3,4,5\n1,3,,3,4,5\n".to_vec()];
+    let documents = [
+        head_of("ranges.csv", 12),
+        b"range_m,sensor_id,x,sensor_x_m,sensor_y_m,time_s\n1,2,,3,4,5\n1,3,,3,4,5\n".to_vec(),
+    ];
     attack_parser("recordings", 1.0, &documents, |bytes| {
         let recording = match Recording::parse(bytes, Path::new("hostile.csv")) {
             Ok(recording) => recording,
@@ -156,7 +177,7 @@ fn hostile_true_tracks() {
             }
             Verdict::Taken
         }
-        Err(problem) => Verdict::Refused(problem),
+        Err(problem) => refused(problem),
     });
 }
 
@@ -206,14 +227,15 @@ fn hostile_command_lines() {
         let words = bytes.split(|byte| *byte == b' ').map(|word| OsString::from_vec(word.to_vec()));
         match Cli::try_parse_from([OsString::from("rangehound")].into_iter().chain(words)) {
             Ok(_) => Verdict::Taken,
-            Err(error) => Verdict::Refused(if error.use_stderr() { one_line(&error) } else { "help".to_owned() }),
+            Err(error) => refused(if error.use_stderr() { one_line(&error) } else { "help".to_owned() }),
         }
     });
 }
 
 #[test]
 fn hostile_words() {
-    let documents = ["robot-12", "fusion", "sim=on-failure", "a-name_7", "never", "robot=always"].map(|word| word.as_bytes().to_vec());
+    let documents = ["robot-12", "fusion", "sim=on-failure", "a-name_7", "never", "robot=always"]
+        .map(|word| word.as_bytes().to_vec());
     attack_parser("words", 1.0, &documents, |bytes| {
         let text = String::from_utf8_lossy(bytes);
         let role = text.parse::<Role>().inspect(|role| assert_eq!(role.to_string().parse::<Role>().as_ref(), Ok(role)));
@@ -222,7 +244,7 @@ fn hostile_words() {
         match (role, name, rule) {
             (Err(role), Err(name), Err(rule)) => {
                 assert!(name.to_string().starts_with("expected") && rule.starts_with("expected"));
-                Verdict::Refused(role)
+                refused(role)
             }
             _ => Verdict::Taken,
         }
@@ -245,8 +267,8 @@ impl Forge {
     }
 
     fn sealed(&self, body: &[u8]) -> Vec<u8> {
-        let open = self.head.len() - 8;
-        [&self.head[..open], &xxh3_64(body).to_le_bytes(), body].concat()
+        let head = &self.head[..self.head.len() - 8];
+        [head, &xxh3_64(&[head, body].concat()).to_le_bytes(), body].concat()
     }
 }
 
@@ -269,17 +291,19 @@ fn hostile_run_descriptions() {
         Err(error) => refused(error),
     });
     let bodies: Vec<Vec<u8>> = forges.iter().map(|forge| forge.body.clone()).collect();
-    attack_parser("forged run descriptions", 1.0, &bodies, |body| match RunDescription::open(&forges[0].sealed(body)) {
-        Ok(RunDescription { scenario, .. }) => {
-            // What is opened has the right shapes at least.
-            for id in 0..scenario.robots.len() {
-                assert!(Sensor::new(&scenario, id).is_some());
+    attack_parser("forged run descriptions", 1.0, &bodies, |body| {
+        match RunDescription::open(&forges[0].sealed(body)) {
+            Ok(RunDescription { scenario, .. }) => {
+                // What is opened has the right shapes at least.
+                for id in 0..scenario.robots.len() {
+                    assert!(Sensor::new(&scenario, id).is_some());
+                }
+                let _ = world_of(&scenario).map(|mut world| world.advance(&[]));
+                let _ = Centre::new(&scenario);
+                Verdict::Taken
             }
-            let _ = world_of(&scenario).map(|mut world| world.advance(&[]));
-            let _ = Centre::new(&scenario);
-            Verdict::Taken
+            Err(error) => refused(error),
         }
-        Err(error) => refused(error),
     });
 }
 
@@ -297,9 +321,8 @@ fn hostile_checkpoint_files() {
     let slots = [whole[..400].to_vec(), whole[SLOT_LEN..].to_vec()];
     // Slow: two slots of a megabyte are read each time.
     attack("checkpoint files", 0.02, |dice, input| {
-        let [first, second] = [0, 1].map(|index| {
-            if dice.chance(0.3) { slots[index].clone() } else { dice.damaged(&slots) }
-        });
+        let [first, second] =
+            [0, 1].map(|index| if dice.chance(0.3) { slots[index].clone() } else { dice.damaged(&slots) });
         let mut bytes = first;
         if dice.chance(0.8) {
             bytes.resize(SLOT_LEN, 0);
@@ -340,7 +363,8 @@ fn hostile_states() {
         bytes
     };
     let documents = [saved_world(&simulated, 3), saved_world(&recorded, 3)];
-    let [fresh_simulated, fresh_recorded] = [&simulated, &recorded].map(|scenario| RefCell::new(world_of(scenario).unwrap()));
+    let [fresh_simulated, fresh_recorded] =
+        [&simulated, &recorded].map(|scenario| RefCell::new(world_of(scenario).unwrap()));
     attack_parser("simulator's states", 1.0, &documents, |bytes| {
         let mut verdict = refused("no such state");
         for fresh in [&fresh_simulated, &fresh_recorded] {

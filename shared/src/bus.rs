@@ -27,6 +27,7 @@ use crate::ROBOTS_MAX;
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
+use crate::resources;
 
 /// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
 const PORTS_MAX: usize = ROBOTS_MAX + 32;
@@ -117,7 +118,7 @@ impl Calls {
 
 /// Why the bus cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{what}: iceoryx2 says {reason}")]
+#[error("{what}: {reason}")]
 pub struct BusError {
     what: String,
     reason: String,
@@ -125,7 +126,13 @@ pub struct BusError {
 
 impl BusError {
     fn new(what: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
-        Self { what: what.into(), reason: format!("{reason:?}") }
+        let said = format!("iceoryx2 says {reason:?}");
+        let reason = if ["Incompatible", "VersionMismatch"].iter().any(|word| said.contains(word)) {
+            format!("made by another version of rangehound: use one version for all nodes of a run ({said})")
+        } else {
+            resources::run_out_of().map_or(said.clone(), |lack| format!("{lack} ({said})"))
+        };
+        Self { what: what.into(), reason }
     }
 }
 

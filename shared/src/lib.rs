@@ -17,6 +17,7 @@
 //! | [`sealed`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
 //! | [`protocol`] | which builds understand each other |
 //! | [`bounded`] | reading no more of a file than it may have |
+//! | [`resources`] | open files and shared memory: is there enough |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
 pub mod bounded;
@@ -32,6 +33,7 @@ pub mod protocol;
 pub mod record;
 pub mod recording;
 pub mod rendezvous;
+pub mod resources;
 pub mod scenario;
 pub mod sealed;
 pub mod signal;

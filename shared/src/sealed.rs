@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use xxhash_rust::xxh3::xxh3_64;
+use xxhash_rust::xxh3::Xxh3;
 
 use crate::protocol::{OtherBuild, PROGRAM, PROTOCOL};
 
@@ -14,7 +14,7 @@ const PROGRAM_LEN: usize = 16;
 
 const CHECKSUM_LEN: usize = 8;
 
-/// Magic, protocol, program, checksum: the same in all versions, so that each can name every other.
+/// Magic, protocol, program, checksum over all: the same in all versions, so that each can name every other.
 const HEADER_LEN: usize = 8 + 4 + PROGRAM_LEN + CHECKSUM_LEN;
 
 /// Longest sealed file.
@@ -66,9 +66,17 @@ pub fn seal_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), Seal
     bytes.extend([0; CHECKSUM_LEN]);
     let body = bytes.len();
     encode_into(value, bytes)?;
-    let checksum = xxh3_64(&bytes[body..]);
-    bytes[start + HEADER_LEN - CHECKSUM_LEN..start + HEADER_LEN].copy_from_slice(&checksum.to_le_bytes());
+    let checksum = checksum(&bytes[start..body - CHECKSUM_LEN], &bytes[body..]);
+    bytes[body - CHECKSUM_LEN..body].copy_from_slice(&checksum.to_le_bytes());
     Ok(())
+}
+
+/// Over everything but itself.
+fn checksum(head: &[u8], body: &[u8]) -> u64 {
+    let mut hash = Xxh3::new();
+    hash.update(head);
+    hash.update(body);
+    hash.digest()
 }
 
 /// A value's bytes without magic, version and checksum, to the end of a buffer: a part of what will be
@@ -104,8 +112,8 @@ pub fn open<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
         let known = program.iter().take_while(|byte| byte.is_ascii_graphic()).map(|byte| char::from(*byte));
         return Err(SealError::OtherBuild(OtherBuild { program: known.collect(), protocol }));
     }
-    let (checksum, body) = rest.split_first_chunk::<8>().ok_or(SealError::Foreign)?;
-    if u64::from_le_bytes(*checksum) != xxh3_64(body) {
+    let (sum, body) = rest.split_first_chunk::<CHECKSUM_LEN>().ok_or(SealError::Foreign)?;
+    if u64::from_le_bytes(*sum) != checksum(&bytes[..HEADER_LEN - CHECKSUM_LEN], body) {
         return Err(SealError::Damaged);
     }
     decode(body)

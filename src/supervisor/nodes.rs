@@ -258,6 +258,9 @@ impl Node {
 
 fn describe(status: ExitStatus) -> String {
     match (status.signal(), status.code()) {
+        (Some(signal), _) if signal == Signal::BUS.as_raw() => {
+            format!("was killed by signal {signal}: it had no shared memory left, /dev/shm is full or has failed")
+        }
         (Some(signal), _) => format!("was killed by signal {signal}"),
         (None, Some(code)) => format!("exited with code {code}"),
         (None, None) => "ended".to_owned(),

@@ -8,9 +8,7 @@ use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::{RendezvousError, RunName};
-
-/// Where shared memory lives.
-const SHARED_MEMORY: &str = "/dev/shm";
+use crate::resources::SHARED_MEMORY;
 
 /// The files of one run.
 #[derive(Debug)]

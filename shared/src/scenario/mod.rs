@@ -19,10 +19,10 @@ use serde::{Deserialize, Serialize};
 pub use error::ScenarioError;
 pub use file::*;
 
+use crate::ROBOTS_MAX;
 use crate::bounded;
 use crate::matrix::Matrix;
 use crate::motion::MotionModel;
-use crate::ROBOTS_MAX;
 
 /// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
 const FILE_LEN_MAX: usize = 4 << 20;
