@@ -14,6 +14,7 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
@@ -57,8 +58,12 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
     }
     let text = experiment.scenario_file.to_toml()?;
     let sealed = sealed::seal(&experiment.description)?;
+    let write_for_owner = || {
+        let path = out_dir.join(DESCRIPTION);
+        File::options().write(true).create(true).truncate(true).mode(0o600).open(path)?.write_all(&sealed)
+    };
     std::fs::write(out_dir.join("scenario.toml"), text)
-        .and_then(|()| std::fs::write(out_dir.join(DESCRIPTION), sealed))
+        .and_then(|()| write_for_owner())
         .map_err(|error| not_writable(out_dir, &error))
 }
 

@@ -12,6 +12,8 @@
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `licences` | every dependency is free to use |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
+//! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
+//! | `strangers` | other users and other versions: kept out, in a clear line |
 //! | `support` | run names, watchdogs, temporary folders |
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
@@ -26,4 +28,6 @@ mod paper;
 mod plan;
 mod processes;
 mod recordings;
+mod resources;
+mod strangers;
 mod support;
