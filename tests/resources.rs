@@ -132,7 +132,10 @@ fn without_its_folder_a_run_goes_on_until_it_would_need_it() {
     // A new fusion would know nothing of the ticks so far: it must not start anew.
     signal(run.pid_of("fusion", 1), Signal::KILL);
     let outcome = supervisor.finish();
-    assert_refused(&outcome, 1, &["fusion", "exited with code 2"]);
+    assert_eq!(outcome.code, Some(1), "{outcome:#?}");
+    let [of_fusion, of_supervisor] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
+    assert!(of_fusion.contains("fusion of run") && of_fusion.contains("left no state"), "{outcome:#?}");
+    assert!(of_supervisor.contains("fusion exited with code 2"), "{outcome:#?}");
     run.assert_nothing_left();
 }
 
