@@ -39,7 +39,7 @@ const DESCRIPTION: &str = "run.sealed";
 const TRUTH_ROW_LEN_MAX: usize = 1 << 16;
 
 /// Most rows of a true track.
-const TRUTH_ROWS_MAX: usize = 25_000_000;
+const TRUTH_ROWS_MAX: usize = 10_000_000;
 
 /// Largest number in a true track: as in recordings.
 const TRUTH_MAX: f64 = 1e11;

@@ -181,6 +181,8 @@ impl Bus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|error| node_error(&error))?;
+        // iceoryx2 opens its counter of nodes to all users.
+        run.close_to_others();
         Ok(Self { node, run_id: run.description().run_id, incarnation })
     }
 

@@ -22,8 +22,8 @@ const RANGE_MAX_M: f64 = 1e6;
 /// Longest row, bytes.
 const ROW_LEN_MAX: usize = 1 << 16;
 
-/// Most rows: a day of 256 sensors at 1 Hz, or 20 h of 20 at 15 Hz; each takes about 100 bytes of memory.
-const ROWS_MAX: usize = 25_000_000;
+/// Most rows: 14 h of 20 sensors at 10 Hz; each takes up to 100 bytes of memory.
+const ROWS_MAX: usize = 10_000_000;
 
 /// Ranges from two or more sensors to one target, in order of time.
 #[derive(Debug, Clone, PartialEq)]

@@ -294,6 +294,11 @@ impl Rendezvous {
         self.place.remove_half_made();
     }
 
+    /// Takes from other users what they may do with shared memory of this run, however it was made.
+    pub fn close_to_others(&self) {
+        self.place.close_to_others();
+    }
+
     /// Takes a role, which nobody else can until this process ends.
     ///
     /// # Errors
