@@ -374,3 +374,14 @@ impl Bell {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_another_version_made_is_told_as_such() {
+        let said = BusError::new("topic world", "IncompatibleTypes").to_string();
+        assert!(said.starts_with("topic world: made by another version of rangehound: use one version"), "{said}");
+    }
+}
