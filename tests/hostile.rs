@@ -106,6 +106,7 @@ fn hostile_scenarios() {
             Ok(scenario) => scenario,
             Err(error) => return refused(error),
         };
+        assert!(scenario.is_whole());
         // The run folder's copy and the run's description say the same.
         assert_eq!(ScenarioFile::parse(&file.to_toml().unwrap(), "copy").unwrap(), file);
         assert_eq!(sealed::open::<Scenario>(&sealed::seal(&scenario).unwrap()).unwrap(), scenario);

@@ -225,7 +225,7 @@ impl Scenario {
         let is_sound = |robot: &RobotSpec| {
             bounds::SPEED_MPS.contains(&robot.speed_mps)
                 && bounds::STD_M.contains(&robot.range_std_m)
-                && robot.start_m.iter().all(|value| bounds::COORDINATE.contains(value))
+                && robot.start_m.iter().all(|value| value.is_finite())
                 && bounds::BIAS_M.contains(&robot.calibration.bias_m)
                 && bounds::SCALE.contains(&robot.calibration.scale)
         };
