@@ -20,8 +20,9 @@ const SEED: &str = "RANGEHOUND_HOSTILE_SEED";
 /// A case takes microseconds: only one that would not end runs into this.
 const LIMIT: Duration = Duration::from_secs(60);
 
-/// Memory that anything may take, and more for each byte of input.
-const BYTES_FREE: u64 = 8 << 20;
+/// Memory that anything may take, and more for each byte of input. A damaged length in a sealed file may claim as
+/// much as the longest value that can be sealed, 16 MiB.
+const BYTES_FREE: u64 = 20 << 20;
 const BYTES_FOR_ONE: u64 = 400;
 
 /// Longest complaint, bytes: file names and what was found are in it, files are not.
