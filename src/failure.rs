@@ -1,6 +1,11 @@
 //! How a command ends when it does not end well: one line and an exit code.
 
+use std::fmt::Write as _;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
+
+/// Longest complaint, bytes: what it quotes may be as long as a file.
+const COMPLAINT_CHARS_MAX: usize = 400;
 
 /// Why a command failed.
 #[derive(Debug)]
@@ -24,20 +29,87 @@ impl Failure {
     pub fn report(&self) -> ExitCode {
         match self {
             Self::Input(problem) => {
-                eprintln!("rangehound: {problem}");
+                complain(problem);
                 ExitCode::from(2)
             }
             Self::ToldInput => ExitCode::from(2),
             Self::Running(error) => {
-                eprintln!("rangehound: {error:#}");
+                complain(&with_causes(error));
                 ExitCode::from(1)
             }
         }
     }
 }
 
+fn complain(problem: &str) {
+    tell(format_args!("rangehound: {}", one_short_line(problem)));
+}
+
+/// An error and what caused it, each said once: many errors quote their cause themselves.
+fn with_causes(error: &anyhow::Error) -> String {
+    let mut said = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !said.contains(&cause) {
+            let _ = write!(said, ": {cause}");
+        }
+    }
+    said
+}
+
+/// No line break and no end of it, whatever has been quoted.
+#[must_use]
+pub fn one_short_line(problem: &str) -> String {
+    let mut short = String::new();
+    for character in problem.chars() {
+        if short.len() >= COMPLAINT_CHARS_MAX {
+            short.push_str("...");
+            break;
+        }
+        if character.is_control() { short.extend(character.escape_default()) } else { short.push(character) }
+    }
+    short
+}
+
+/// A line on standard error. If nobody can read it, nothing is lost but the line: `eprintln!` would panic.
+pub fn tell(line: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Prints to standard output. Whoever read it may have had enough; anything else that keeps it from being printed
+/// is a failure, not a panic as with `println!`.
+///
+/// # Errors
+/// [`Failure::Running`], such as a full disk's.
+pub fn print(text: impl std::fmt::Display) -> Result<(), Failure> {
+    let mut out = std::io::stdout().lock();
+    match write!(out, "{text}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(anyhow::Error::new(error).context("standard output").into())
+        }
+        _ => Ok(()),
+    }
+}
+
 impl<E: Into<anyhow::Error>> From<E> for Failure {
     fn from(error: E) -> Self {
         Self::Running(error.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cause_that_is_quoted_already_is_not_said_twice() {
+        let cause = || std::io::Error::other("no room");
+        assert_eq!(with_causes(&anyhow::Error::new(cause()).context("a: no room")), "a: no room");
+        assert_eq!(with_causes(&anyhow::Error::new(cause()).context("a")), "a: no room");
+    }
+
+    #[test]
+    fn a_complaint_is_one_line_whatever_it_quotes() {
+        let line = one_short_line(&format!("a\nb\u{1b}[2J{}", "x".repeat(100_000)));
+        assert!(line.starts_with("a\\nb\\u{1b}[2Jxx") && line.len() < 500, "{line}");
     }
 }

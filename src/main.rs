@@ -6,7 +6,7 @@ use clap::Parser;
 use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
-use rangehound::failure::Failure;
+use rangehound::failure::{self, Failure};
 use rangehound::{chaos, compare, node, plan, remote, supervisor, watch};
 
 fn main() -> ExitCode {
@@ -14,8 +14,7 @@ fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
-            print!("{error}");
-            return ExitCode::SUCCESS;
+            return failure::print(error).map_or_else(|failure| failure.report(), |()| ExitCode::SUCCESS);
         }
         Err(error) => return Failure::input(one_line(&error)).report(),
     };
@@ -41,9 +40,6 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Chaos(args) => chaos::chaos(&args),
         Command::Plan(args) => plan::plan(&args),
         Command::Compare(args) => compare::compare(&args),
-        Command::Scenario => {
-            print!("{DEFAULT_SCENARIO}");
-            Ok(())
-        }
+        Command::Scenario => failure::print(DEFAULT_SCENARIO),
     }
 }

@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::cli::{FusionArgs, ParentArgs, RobotArgs, SimArgs};
 use crate::experiment::{Experiment, Naming};
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::tables;
 
 /// `rangehound sim`.
@@ -63,18 +63,18 @@ pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
 fn found(args: &SimArgs) -> Result<Rendezvous, Failure> {
     let experiment = Experiment::from_run(&args.experiment, Naming::Exact)?;
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
-        eprintln!("sim: run {} goes on already; taking the simulator's place in it", experiment.name);
+        failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
         return Ok(living);
     }
     let name = &experiment.name;
     let rendezvous = Rendezvous::found(name, experiment.description.clone()).map_err(input_or_running)?;
     tables::prepare_folder(&experiment)?;
     let robots = rendezvous.description().scenario.robots.len();
-    eprintln!(
+    failure::tell(format!(
         "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
          rangehound robot --id 0 --name {name}   (to --id {})\n  rangehound watch --name {name}",
         robots - 1
-    );
+    ));
     Ok(rendezvous)
 }
 
@@ -83,7 +83,7 @@ fn found(args: &SimArgs) -> Result<Rendezvous, Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Failure> {
-    let waiting = || eprintln!("waiting for run {name}; `rangehound sim --name {name}` starts it");
+    let waiting = || failure::tell(format!("waiting for run {name}; `rangehound sim --name {name}` starts it"));
     Rendezvous::join(name, termination, waiting).map_err(input_or_running)
 }
 
@@ -101,13 +101,16 @@ fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
     Ok(termination)
 }
 
-/// A name or role that is taken is the user's to mend; the rest is the system's.
+/// A name or role that is taken, or a run of another version, is the user's to mend; the rest is the system's.
 #[must_use]
 pub fn input_or_running(error: RendezvousError) -> Failure {
     match error {
         RendezvousError::Taken { .. }
         | RendezvousError::RoleTaken { .. }
         | RendezvousError::NotOurs(_)
+        | RendezvousError::Short(_)
+        | RendezvousError::OtherBuild { .. }
+        | RendezvousError::Unusable { .. }
         | RendezvousError::StateLost { .. } => Failure::input(error),
         other => Failure::Running(anyhow::Error::new(other)),
     }

@@ -19,6 +19,9 @@ const POINTS_MAX: u64 = 1_500;
 
 const SIZE: (u32, u32) = (1_800, 1_000);
 
+/// Largest number that axes can be made for.
+const DRAWABLE_MAX: f64 = 1e15;
+
 /// What is drawn, thinned.
 #[derive(Debug, Default)]
 struct Curves {
@@ -41,6 +44,9 @@ pub fn draw(description: &RunDescription, truth: Option<&Truth>) -> anyhow::Resu
     let curves = Curves::read(description, truth)?;
     if curves.times_s.len() < 2 {
         return Ok(());
+    }
+    if !curves.can_be_drawn() {
+        anyhow::bail!("the logs hold numbers that cannot be drawn");
     }
     let path = description.out_dir.join(FILE_NAME);
     draw_to(&curves, &path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
@@ -83,6 +89,14 @@ impl Curves {
         Ok(curves)
     }
 
+    /// True if no number is one that axes or ellipses could not be made of: their loops would not end.
+    fn can_be_drawn(&self) -> bool {
+        let Paths { estimates_m, covariances_m2, .. } = &self.paths;
+        let places = estimates_m.iter().chain(self.paths.bodies()).flat_map(|place| place.iter());
+        let numbers = places.chain(covariances_m2.iter().flat_map(|covariance| covariance.iter())).chain(&self.times_s);
+        numbers.into_iter().all(|number| number.abs() <= DRAWABLE_MAX) && self.times_s.is_sorted()
+    }
+
     /// Position error where the truth is known: (time, error), s and m.
     fn errors_m(&self) -> Vec<(f64, f64)> {
         let errors = self.times_s.iter().zip(&self.paths.estimates_m).zip(&self.paths.truths_m);
@@ -114,7 +128,7 @@ fn draw_errors(curves: &Curves, area: &Area<'_>) -> Drawn {
     let limits = chart::log_limits(values);
     let (first, last) = (curves.times_s[0], curves.times_s[curves.times_s.len() - 1]);
     let mut chart = ChartBuilder::on(area).margin(20).x_label_area_size(50).y_label_area_size(90).build_cartesian_2d(
-        first..last.max(first + 1e-3),
+        first..last.max(first + first.abs() * 1e-9 + 1e-3),
         (limits.start.max(1e-3)..limits.end.max(1e-2)).log_scale(),
     )?;
     chart::draw_axes(&mut chart, "time, s", "position, m")?;

@@ -10,7 +10,7 @@ use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::Serialize;
 
 use crate::cli::{RemoteArgs, RemoteNodeArgs, StatusArgs};
-use crate::failure::Failure;
+use crate::failure::{Failure, print};
 use crate::node::input_or_running;
 use crate::watch;
 
@@ -50,12 +50,7 @@ struct NodeStatus {
 pub fn status(args: &StatusArgs) -> Result<(), Failure> {
     let run = join(&args.run)?;
     let status = Status::of(&run);
-    if args.json {
-        println!("{}", serde_json::to_string(&status)?);
-    } else {
-        println!("{status}");
-    }
-    Ok(())
+    if args.json { print(serde_json::to_string(&status)? + "\n") } else { print(format!("{status}\n")) }
 }
 
 /// `rangehound kill`: SIGKILL, as a crash would end it.
@@ -65,8 +60,7 @@ pub fn status(args: &StatusArgs) -> Result<(), Failure> {
 pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
     let run = join(&args.run)?;
     let pid = signal(&run, args.node, Signal::KILL)?;
-    println!("killed {}, process {}", args.node, pid.as_raw_pid());
-    Ok(())
+    print(format!("killed {}, process {}\n", args.node, pid.as_raw_pid()))
 }
 
 /// `rangehound restart`: asks a node to end and waits for the one that takes its place.
@@ -82,8 +76,8 @@ pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
         if run.roster().starts(args.node) > starts
             && let Some(pid) = run.roster().holder(args.node)
         {
-            println!("{} is now process {}, start {}", args.node, pid.as_raw_pid(), run.roster().starts(args.node));
-            return Ok(());
+            let starts = run.roster().starts(args.node);
+            return print(format!("{} is now process {}, start {starts}\n", args.node, pid.as_raw_pid()));
         }
         if began.elapsed() > PATIENCE {
             let problem = format!("{} has ended, but nobody has started it again", args.node);
@@ -118,8 +112,7 @@ pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
         }
         std::thread::sleep(POLL);
     }
-    println!("run {name} has ended");
-    Ok(())
+    print(format!("run {name} has ended\n"))
 }
 
 /// The run that is meant: the one of this name, or the only one there is.

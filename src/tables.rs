@@ -12,25 +12,37 @@
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
-use std::io::Write;
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::Sensor;
+use rangehound_shared::bounded::{self, Rationed};
 use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
-use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::record::{EstimateRecord, WorldRecord, estimate_log, world_log};
 use rangehound_shared::rendezvous::{Role, RunDescription};
 use rangehound_shared::scenario::Source;
 use rangehound_shared::sealed;
 
 use crate::experiment::Experiment;
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::picture;
-use crate::report::{self, Truth, position_covariance};
+use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
+
+/// Longest row of a true track, bytes.
+const TRUTH_ROW_LEN_MAX: usize = 1 << 16;
+
+/// Most rows of a true track.
+const TRUTH_ROWS_MAX: usize = 10_000_000;
+
+/// Largest number in a true track: as in recordings.
+const TRUTH_MAX: f64 = 1e11;
 
 /// Makes the run folder ready: removes an earlier run's results, writes the scenario.
 ///
@@ -46,8 +58,12 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
     }
     let text = experiment.scenario_file.to_toml()?;
     let sealed = sealed::seal(&experiment.description)?;
+    let write_for_owner = || {
+        let path = out_dir.join(DESCRIPTION);
+        File::options().write(true).create(true).truncate(true).mode(0o600).open(path)?.write_all(&sealed)
+    };
     std::fs::write(out_dir.join("scenario.toml"), text)
-        .and_then(|()| std::fs::write(out_dir.join(DESCRIPTION), sealed))
+        .and_then(|()| write_for_owner())
         .map_err(|error| not_writable(out_dir, &error))
 }
 
@@ -60,10 +76,49 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let expected = |reason: &dyn std::fmt::Display| {
         Failure::input(format!("{}: expected the folder of a run: {reason}", path.display()))
     };
-    let sealed = std::fs::read(&path).map_err(|error| expected(&error))?;
-    let description: RunDescription = sealed::open(&sealed).map_err(|error| expected(&error))?;
+    let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
+    let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
     Ok(RunDescription { out_dir, ..description })
+}
+
+/// Looks whether a run can go on in its folder: nodes that cannot write there go on without their logs.
+///
+/// # Errors
+/// [`Failure::Input`] with the first file that cannot be written.
+pub fn look_for_writable(description: &RunDescription) -> Result<(), Failure> {
+    let out_dir = &description.out_dir;
+    let checkpoints = [Role::Sim, Role::Fusion].map(|role| out_dir.join(checkpoint::file_name(role)));
+    for path in [estimate_log(out_dir), world_log(out_dir)].into_iter().chain(checkpoints) {
+        let opened = std::fs::OpenOptions::new().append(true).open(&path);
+        if let Err(error) = opened
+            && error.kind() != std::io::ErrorKind::NotFound
+        {
+            return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+/// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
+///
+/// # Errors
+/// [`Failure::Running`] with the first file that could not be read or written.
+pub fn report_and_tables(
+    description: &RunDescription,
+    truth: Option<&Truth>,
+    recording: bool,
+    nodes: Vec<NodeSummary>,
+) -> Result<Report, Failure> {
+    let report = report::from_logs(description, truth, nodes)?;
+    let printed = failure::print(format!("{report}\n  run folder       {}\n", description.out_dir.display()));
+    let written = report::write(&report, &description.out_dir);
+    let table = write_estimate_csv(description);
+    let recorded = if recording { write_recording(description) } else { Ok(()) };
+    picture::draw_if_possible(description, truth);
+    written.and(table).and(recorded)?;
+    printed?;
+    Ok(report)
 }
 
 /// Makes a folder for results, unless it is there.
@@ -138,37 +193,79 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn create(path: &Path) -> anyhow::Result<std::io::BufWriter<std::fs::File>> {
-    let file = std::fs::File::create(path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
-    Ok(std::io::BufWriter::new(file))
+fn create(path: &Path) -> anyhow::Result<BufWriter<Named>> {
+    let file = File::create(path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
+    Ok(BufWriter::new(Named { file, path: path.to_owned() }))
+}
+
+/// A file whose name is in the errors of writing to it.
+struct Named {
+    file: File,
+    path: PathBuf,
+}
+
+impl Write for Named {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let told = |error: std::io::Error| std::io::Error::other(format!("{}: {error}", self.path.display()));
+        self.file.write(bytes).map_err(told)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
 }
 
 /// Reads a true track, `time_s,x_m,y_m`, in order of time.
 ///
 /// # Errors
-/// [`Failure::Input`] with file and line of the first thing that is wrong.
+/// [`Failure::Input`] with file and row of the first thing that is wrong.
 pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
+    let refuse =
+        |problem: String| Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()));
+    let file = File::open(path).map_err(|error| refuse(error.to_string()))?;
+    parse_truth(file).map_err(refuse)
+}
+
+/// Parses a true track from a reader.
+///
+/// # Errors
+/// What is wrong first, in one line.
+pub fn parse_truth(input: impl Read) -> Result<Truth, String> {
     #[derive(serde::Deserialize)]
     struct Row {
         time_s: f64,
         x_m: f64,
         y_m: f64,
     }
-    let refuse = |problem: &dyn std::fmt::Display| {
-        Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()))
-    };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(|error| refuse(&error))?;
+    let mut reader = csv::ReaderBuilder::new();
+    let mut reader = reader.trim(csv::Trim::All).from_reader(Rationed::new(input, TRUTH_ROW_LEN_MAX));
+    let header = reader.headers().map_err(|error| short(&error))?.clone();
+    let mut record = csv::StringRecord::new();
     let mut points: Vec<(f64, Vector2<f64>)> = Vec::new();
-    for (index, row) in reader.deserialize().enumerate() {
-        let Row { time_s, x_m, y_m } = row.map_err(|error| refuse(&error))?;
+    loop {
+        reader.get_mut().renew();
+        if !reader.read_record(&mut record).map_err(|error| short(&error))? {
+            break;
+        }
+        let row = points.len() + 1;
+        let Row { time_s, x_m, y_m } =
+            record.deserialize(Some(&header)).map_err(|error| format!("row {row}: {}", short(&error)))?;
         let ordered = points.last().is_none_or(|(before_s, _)| *before_s <= time_s);
-        if !(ordered && time_s.is_finite() && x_m.is_finite() && y_m.is_finite()) {
-            return Err(refuse(&format!("row {}: not finite numbers in order of time", index + 1)));
+        if !(ordered && [time_s, x_m, y_m].iter().all(|value| value.abs() <= TRUTH_MAX)) {
+            return Err(format!("row {row}: not numbers within +-{TRUTH_MAX:e} in order of time"));
+        }
+        if points.len() == TRUTH_ROWS_MAX {
+            return Err(format!("more than {TRUTH_ROWS_MAX} rows"));
         }
         points.push((time_s, Vector2::new(x_m, y_m)));
     }
     if points.len() < 2 {
-        return Err(refuse(&"fewer than two rows"));
+        return Err("fewer than two rows".to_owned());
     }
     Ok(Truth::new(points))
+}
+
+/// What the CSV reader says, in one line: it quotes what stood there, of whatever length.
+fn short(error: &csv::Error) -> String {
+    error.to_string().chars().filter(|c| !c.is_control()).take(200).collect()
 }

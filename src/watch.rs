@@ -10,15 +10,24 @@ use rangehound_shared::rendezvous::Role;
 use rangehound_shared::signal::Termination;
 
 use crate::cli::NodeArgs;
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::report::{NodeSummary, position_covariance};
-use crate::{node, picture, report, tables};
+use crate::{node, tables};
 
 /// How often an observer looks.
 pub const LOOK: Duration = Duration::from_millis(50);
 
 /// How often a line is printed where there is no terminal.
 const LINE: Duration = Duration::from_secs(2);
+
+/// How far the two that keep logs have got, as an observer knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Newest {
+    /// Tick of the newest estimate.
+    pub fusion: Option<u64>,
+    /// The simulator's newest tick, where there is a truth.
+    pub sim: Option<u64>,
+}
 
 /// What an observer has caught of a run.
 #[derive(Debug)]
@@ -48,6 +57,13 @@ impl Watch {
             latency_ns: 0,
             error_m: None,
         })
+    }
+
+    /// The newest tick that fusion and the simulator have published.
+    #[must_use]
+    pub fn newest_ticks(&self) -> Newest {
+        let truths = self.recent_truths.iter().map(|(tick, _)| *tick).filter(|tick| *tick != u64::MAX);
+        Newest { fusion: self.estimate.as_ref().map(|(tick, _)| *tick), sim: truths.max() }
     }
 
     /// Looks once and shows what has changed.
@@ -123,7 +139,7 @@ impl Progress {
             self.bar.set_position(done);
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
-            eprintln!("{} {done}/{}  {message}", self.step, self.steps);
+            failure::tell(format_args!("{} {done}/{}  {message}", self.step, self.steps));
             self.last_line = Some(Instant::now());
         }
     }
@@ -159,12 +175,7 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
             exits: 0,
         })
         .collect();
-    let report = report::from_logs(description, None, nodes)?;
-    report::write(&report, &description.out_dir)?;
-    tables::write_estimate_csv(description)?;
-    println!("{report}\n  run folder       {}", description.out_dir.display());
-    picture::draw_if_possible(description, None);
-    Ok(())
+    tables::report_and_tables(description, None, false, nodes).map(drop)
 }
 
 /// The nodes of a run.

@@ -9,9 +9,12 @@
 //! | `chaos` | campaigns of faults: every promise kept, nothing left behind |
 //! | `comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
+//! | `hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `licences` | every dependency is free to use |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
+//! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
+//! | `strangers` | other users and other versions: kept out, in a clear line |
 //! | `support` | run names, watchdogs, temporary folders |
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
@@ -21,9 +24,12 @@ mod command_line;
 mod comparison;
 mod distrust;
 mod golden;
+mod hostile;
 mod licences;
 mod paper;
 mod plan;
 mod processes;
 mod recordings;
+mod resources;
+mod strangers;
 mod support;

@@ -21,6 +21,9 @@ const LIMIT: Duration = Duration::from_secs(120);
 /// How long what a failed test leaves running may take to end in order.
 const GRACE: Duration = Duration::from_secs(10);
 
+/// The program under test.
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_rangehound");
+
 const POLL: Duration = Duration::from_millis(1);
 
 /// One run: a name that nobody else has, and a folder that the program works in. The run folder
@@ -55,9 +58,15 @@ impl Run {
 
     /// Starts the program. Its output goes to files: a full pipe would stop it.
     pub(crate) fn start(&self, args: &[&str]) -> Process {
+        self.start_by("exec \"$@\"", args)
+    }
+
+    /// Starts the program from a shell script, which it replaces: `$@` is the program with its arguments.
+    pub(crate) fn start_by(&self, script: &str, args: &[&str]) -> Process {
         let number = self.started.replace(self.started.get() + 1);
         let [stdout, stderr] = ["stdout", "stderr"].map(|stream| self.path(&format!(".{number}.{stream}")));
-        let child = Command::new(env!("CARGO_BIN_EXE_rangehound"))
+        let child = Command::new("sh")
+            .args(["-c", script, "sh", PROGRAM])
             .args(args)
             .current_dir(self.folder.path())
             .env_remove("RUST_LOG")
@@ -74,6 +83,13 @@ impl Run {
         let mut args: Vec<&str> = words.split_whitespace().collect();
         args.extend(["--name", &self.name, "--out", "out"]);
         self.start(&args)
+    }
+
+    /// Starts a command of this run from a shell script, as [`Self::start_by`] does.
+    pub(crate) fn command_by(&self, script: &str, words: &str) -> Process {
+        let mut args: Vec<&str> = words.split_whitespace().collect();
+        args.extend(["--name", &self.name, "--out", "out"]);
+        self.start_by(script, &args)
     }
 
     /// Starts `run` in lock step.

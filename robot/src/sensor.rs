@@ -28,10 +28,10 @@ impl Sensor {
     }
 
     /// The range at a tick, m: the true one with noise `n ~ N(0, sigma^2)` (Eq. 3) that depends on
-    /// (seed, robot, tick) alone, or the recorded one with bias and scale removed.
+    /// (seed, robot, tick) alone, or the recorded one with bias and scale removed; none that is no number.
     #[must_use]
     pub fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64> {
-        match RangeKind::from_bits(entry.range_kind)? {
+        let range_m = match RangeKind::from_bits(entry.range_kind)? {
             RangeKind::Absent => None,
             RangeKind::True => {
                 let mut noise = [0.0];
@@ -42,7 +42,8 @@ impl Sensor {
             RangeKind::Measured => {
                 Some(((entry.range_m - self.calibration.bias_m) / (1.0 + self.calibration.scale)).max(0.0))
             }
-        }
+        };
+        range_m.filter(|range_m| range_m.is_finite())
     }
 }
 

@@ -36,7 +36,7 @@ const FIRST_READ: usize = 4_096;
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file holds no state of this run that this build can read.
-    #[error("{}: {reason}; it is kept as {}", .file.display(), .kept.display())]
+    #[error("{}: {reason}; it is kept as {}: expected a new run, or a whole checkpoint in its place", .file.display(), .kept.display())]
     Unusable {
         /// The file.
         file: PathBuf,
@@ -150,7 +150,7 @@ impl Checkpoint {
             }
         }
         if let (None, Some(reason)) = (&newest, refused) {
-            let kept = beside(path, ".refused");
+            let kept = free_name(path);
             std::fs::rename(path, &kept).map_err(io_error)?;
             return Err(CheckpointError::Unusable { file: path.to_owned(), reason, kept });
         }
@@ -205,6 +205,13 @@ fn beside(path: &Path, suffix: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
+/// Where to put a file aside: never over one that was put there before.
+fn free_name(path: &Path) -> PathBuf {
+    let numbered =
+        |number: u32| beside(path, &if number == 1 { ".refused".to_owned() } else { format!(".refused-{number}") });
+    (1..1_000).map(numbered).find(|name| !name.exists()).unwrap_or_else(|| numbered(1_000))
+}
+
 /// What was written to a slot, as far as its length says; `None` if nothing was.
 fn read_slot(file: &File, index: u64, file_len: u64) -> std::io::Result<Option<Vec<u8>>> {
     let room = file_len.saturating_sub(slot_start(index)).min(SLOT_LEN as u64) as usize;
@@ -234,6 +241,7 @@ fn unseal<T: DeserializeOwned>(bytes: &[u8]) -> Result<Slot<T>, SealError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::protocol::PROTOCOL;
     use proptest::prelude::*;
 
     type State = (u64, Vec<f64>);
@@ -305,10 +313,20 @@ mod tests {
         assert!(error.contains("of another run") && !error.contains('\n'), "{error}");
         assert!(kept.exists() && !path.exists());
 
+        let first = std::fs::read(&kept).unwrap();
         std::fs::write(&path, b"not a checkpoint").unwrap();
         assert!(open(&path, 7).is_err());
+        assert_eq!(std::fs::read(&kept).unwrap(), first, "what was kept before stays");
+        assert_eq!(std::fs::read(folder.path().join("checkpoint.refused-2")).unwrap(), b"not a checkpoint");
         std::fs::write(&path, vec![0xFF; 3 * SLOT_LEN]).unwrap();
         assert!(open(&path, 7).is_err());
+
+        // Of a build to come.
+        written(&path, 1);
+        let file = OpenOptions::new().write(true).open(&path).unwrap();
+        file.write_all_at(&(PROTOCOL + 1).to_le_bytes(), SLOT_LEN as u64 + LEN_BYTES as u64 + 8).unwrap();
+        let error = open(&path, 7).unwrap_err().to_string();
+        assert!(error.contains(&format!("(protocol {})", PROTOCOL + 1)) && !path.exists(), "{error}");
 
         // Of another kind: whole, but no such state.
         let (mut checkpoint, _) = Checkpoint::open::<u8>(&path, 7).unwrap();

@@ -15,8 +15,13 @@
 //! | [`robot_set`] | a set of robots' ids |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
 //! | [`digest`] | the rolling hash over all estimates |
+//! | [`sealed`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
+//! | [`protocol`] | which builds understand each other |
+//! | [`bounded`] | reading no more of a file than it may have |
+//! | [`resources`] | open files and shared memory: is there enough |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
+pub mod bounded;
 pub mod bus;
 pub mod checkpoint;
 pub mod clock;
@@ -25,9 +30,11 @@ pub mod draws;
 pub mod matrix;
 pub mod message;
 pub mod motion;
+pub mod protocol;
 pub mod record;
 pub mod recording;
 pub mod rendezvous;
+pub mod resources;
 pub mod robot_set;
 pub mod scenario;
 pub mod sealed;

@@ -42,6 +42,12 @@ impl Matrix {
         (self.rows, self.columns)
     }
 
+    /// True if it is n x n of finite numbers, as every matrix made here is of its size.
+    pub(crate) fn is_whole(&self, n: usize) -> bool {
+        (self.rows, self.columns, self.values.len()) == (n, n, n.saturating_mul(n))
+            && self.values.iter().all(|value| value.is_finite())
+    }
+
     /// As a matrix of fixed size; entries outside this matrix are zero.
     #[must_use]
     pub fn to_static<const R: usize, const C: usize>(&self) -> SMatrix<f64, R, C> {

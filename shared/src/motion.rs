@@ -3,6 +3,7 @@
 use nalgebra::SMatrix;
 use serde::{Deserialize, Serialize};
 
+use crate::STATE_DIM_MAX;
 use crate::matrix::Matrix;
 
 /// How the target is taken to move: sets the dimension of its state, `Phi`, and the process noise.
@@ -38,11 +39,22 @@ pub struct Transition<const N: usize> {
 }
 
 impl MotionModel {
+    /// True if its dimensions go together and are among those that there is code for.
+    pub(crate) fn is_whole(&self) -> bool {
+        match self {
+            Self::IntegratorChain { order, noise_psd } => (1..=3).contains(order) && noise_psd.is_finite(),
+            Self::Custom { phi, process_noise } => {
+                let n = phi.shape().0;
+                (2..=STATE_DIM_MAX).contains(&n) && phi.is_whole(n) && process_noise.is_whole(n)
+            }
+        }
+    }
+
     /// Dimension of the target's state.
     #[must_use]
     pub fn state_dim(&self) -> usize {
         match self {
-            Self::IntegratorChain { order, .. } => 2 * order,
+            Self::IntegratorChain { order, .. } => order.saturating_mul(2),
             Self::Custom { phi, .. } => phi.shape().0,
         }
     }

@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use crate::ROBOTS_MAX;
+use crate::bounded::Rationed;
 
 /// The columns, in any order; others are ignored.
 const COLUMNS: [&str; 5] = ["time_s", "sensor_id", "sensor_x_m", "sensor_y_m", "range_m"];
@@ -17,6 +18,12 @@ const TIME_MAX_S: f64 = 1e11;
 
 /// Largest range, m.
 const RANGE_MAX_M: f64 = 1e6;
+
+/// Longest row, bytes.
+const ROW_LEN_MAX: usize = 1 << 16;
+
+/// Most rows: 14 h of 20 sensors at 10 Hz; each takes up to 100 bytes of memory.
+const ROWS_MAX: usize = 10_000_000;
 
 /// Ranges from two or more sensors to one target, in order of time.
 #[derive(Debug, Clone, PartialEq)]
@@ -105,7 +112,9 @@ impl Recording {
     /// # Errors
     /// As [`Self::read`].
     pub fn parse(input: impl Read, path: &Path) -> Result<Self, RecordingError> {
-        let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(input);
+        let mut reader = csv::ReaderBuilder::new();
+        reader.trim(csv::Trim::All).flexible(true);
+        let mut reader = reader.from_reader(Rationed::new(input, ROW_LEN_MAX));
         let unreadable =
             |error: csv::Error| RecordingError::Unreadable { file: path.to_owned(), reason: error.to_string() };
         let header = reader.headers().map_err(unreadable)?;
@@ -121,6 +130,7 @@ impl Recording {
         let mut record = csv::StringRecord::new();
         let mut line = 1;
         loop {
+            reader.get_mut().renew();
             match reader.read_record(&mut record) {
                 Ok(true) => {}
                 Ok(false) => break,
@@ -138,6 +148,12 @@ impl Recording {
                 && time_s < before_s
             {
                 return Err(row.error(0, format!("a time not before the row above ({before_s})")));
+            }
+            if rows.len() == ROWS_MAX {
+                return Err(RecordingError::Unreadable {
+                    file: path.to_owned(),
+                    reason: format!("it has more than {ROWS_MAX} rows"),
+                });
             }
             rows.push((time_s, sensor_id, [x_m, y_m], range_m));
         }
@@ -217,7 +233,7 @@ fn unreadable_row(path: &Path, row: usize, error: &csv::Error) -> RecordingError
         row,
         line: error.position().map_or(0, csv::Position::line),
         column: "row",
-        expected: "text in UTF-8".to_owned(),
+        expected: format!("text in UTF-8 of at most {ROW_LEN_MAX} bytes"),
         got: error.to_string(),
     }
 }

@@ -1,19 +1,24 @@
-//! Values in files that must be whole: bincode under a magic number, a version and a checksum.
+//! Values in files that must be whole: bincode under a magic number, the build's version and a checksum.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use xxhash_rust::xxh3::xxh3_64;
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::protocol::{OtherBuild, PROGRAM, PROTOCOL};
 
 /// First bytes of every sealed file.
-const MAGIC: [u8; 8] = *b"rghound\0";
+const MAGIC: [u8; 8] = *b"rhsealed";
 
-/// Format of the values that this build seals; changes whenever one of them does.
-const VERSION: u32 = 1;
+/// Room for the program's version, padded with zeros.
+const PROGRAM_LEN: usize = 16;
 
 const CHECKSUM_LEN: usize = 8;
 
-/// Magic, version, checksum.
-const HEADER_LEN: usize = 8 + 4 + CHECKSUM_LEN;
+/// Magic, protocol, program, checksum over all: the same in all versions, so that each can name every other.
+const HEADER_LEN: usize = 8 + 4 + PROGRAM_LEN + CHECKSUM_LEN;
+
+/// Longest sealed file.
+pub const FILE_LEN_MAX: usize = HEADER_LEN + VALUE_LEN_MAX;
 
 /// Most bytes a sealed value may take: bounds what a damaged length can make the reader allocate.
 const VALUE_LEN_MAX: usize = 1 << 24;
@@ -24,12 +29,9 @@ pub enum SealError {
     /// Too short or without the magic number.
     #[error("not a file of rangehound's")]
     Foreign,
-    /// From a build with another format.
-    #[error("format version {found}, expected {VERSION}: another version of rangehound wrote it")]
-    OtherVersion {
-        /// The version it has.
-        found: u32,
-    },
+    /// From a build with another protocol.
+    #[error("written by {0}")]
+    OtherBuild(OtherBuild),
     /// The checksum does not match.
     #[error("damaged: its checksum does not match")]
     Damaged,
@@ -59,13 +61,22 @@ pub fn seal(value: &impl Serialize) -> Result<Vec<u8>, SealError> {
 pub fn seal_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), SealError> {
     let start = bytes.len();
     bytes.extend(MAGIC);
-    bytes.extend(VERSION.to_le_bytes());
+    bytes.extend(PROTOCOL.to_le_bytes());
+    bytes.extend(PROGRAM.bytes().chain(std::iter::repeat(0)).take(PROGRAM_LEN));
     bytes.extend([0; CHECKSUM_LEN]);
     let body = bytes.len();
     encode_into(value, bytes)?;
-    let checksum = xxh3_64(&bytes[body..]);
-    bytes[start + HEADER_LEN - CHECKSUM_LEN..start + HEADER_LEN].copy_from_slice(&checksum.to_le_bytes());
+    let checksum = checksum(&bytes[start..body - CHECKSUM_LEN], &bytes[body..]);
+    bytes[body - CHECKSUM_LEN..body].copy_from_slice(&checksum.to_le_bytes());
     Ok(())
+}
+
+/// Over everything but itself.
+fn checksum(head: &[u8], body: &[u8]) -> u64 {
+    let mut hash = Xxh3::new();
+    hash.update(head);
+    hash.update(body);
+    hash.digest()
 }
 
 /// A value's bytes without magic, version and checksum, to the end of a buffer: a part of what will be
@@ -94,13 +105,15 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
 /// [`SealError`], for bytes that [`seal`] of this version did not write for such a value.
 pub fn open<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
     let rest = bytes.strip_prefix(&MAGIC).ok_or(SealError::Foreign)?;
-    let (version, rest) = rest.split_first_chunk::<4>().ok_or(SealError::Foreign)?;
-    let found = u32::from_le_bytes(*version);
-    if found != VERSION {
-        return Err(SealError::OtherVersion { found });
+    let (protocol, rest) = rest.split_first_chunk::<4>().ok_or(SealError::Foreign)?;
+    let (program, rest) = rest.split_first_chunk::<PROGRAM_LEN>().ok_or(SealError::Foreign)?;
+    let protocol = u32::from_le_bytes(*protocol);
+    if protocol != PROTOCOL {
+        let known = program.iter().take_while(|byte| byte.is_ascii_graphic()).map(|byte| char::from(*byte));
+        return Err(SealError::OtherBuild(OtherBuild { program: known.collect(), protocol }));
     }
-    let (checksum, body) = rest.split_first_chunk::<8>().ok_or(SealError::Foreign)?;
-    if u64::from_le_bytes(*checksum) != xxh3_64(body) {
+    let (sum, body) = rest.split_first_chunk::<CHECKSUM_LEN>().ok_or(SealError::Foreign)?;
+    if u64::from_le_bytes(*sum) != checksum(&bytes[..HEADER_LEN - CHECKSUM_LEN], body) {
         return Err(SealError::Damaged);
     }
     decode(body)
@@ -129,6 +142,16 @@ mod tests {
         fn no_bytes_make_it_panic(bytes: Vec<u8>) {
             prop_assert!(open::<(u64, Vec<String>)>(&bytes).is_err());
         }
+    }
+
+    #[test]
+    fn a_file_of_another_build_is_refused_by_both_versions() {
+        let mut bytes = seal(&7_u64).unwrap();
+        bytes[8..12].copy_from_slice(&(PROTOCOL + 1).to_le_bytes());
+        bytes[12..28].copy_from_slice(b"12.3.4-beta.5\0\0\0");
+        let error = open::<u64>(&bytes).unwrap_err().to_string();
+        let this = format!("this is {PROGRAM} (protocol {PROTOCOL})");
+        assert_eq!(error, format!("written by rangehound 12.3.4-beta.5 (protocol {}); {this}", PROTOCOL + 1));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 
 /// Set once SIGINT or SIGTERM has arrived; cheap to copy and to ask.
 #[derive(Debug, Clone)]
@@ -19,6 +19,8 @@ impl Termination {
         for signal in [SIGINT, SIGTERM] {
             signal_hook::flag::register(signal, Arc::clone(&flag))?;
         }
+        // Beyond the user's limit on the size of files a write shall fail, as on a full disk, and not kill.
+        signal_hook::flag::register(SIGXFSZ, Arc::default())?;
         Ok(Self(flag))
     }
 

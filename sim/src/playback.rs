@@ -6,7 +6,7 @@ use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::recording::{Recording, RecordingError};
 use rangehound_shared::sealed::{self, SealError};
 
-use crate::world::World;
+use crate::world::{World, are_sound};
 
 /// A recording, one instant a tick from tick 1 on. As in a simulation, tick 0 carries no range.
 #[derive(Debug, Clone)]
@@ -81,7 +81,8 @@ impl World for Playback {
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (next_instant, time_s, entries): (usize, f64, Vec<WorldEntry>) = sealed::decode(bytes)?;
-        if entries.len() != self.entries.len() {
+        let places = entries.iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
+        if entries.len() != self.entries.len() || !are_sound(places.chain([time_s])) {
             return Err(SealError::Malformed);
         }
         (self.next_instant, self.time_s, self.entries) = (next_instant, time_s, entries);

@@ -5,9 +5,10 @@ use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::matrix::square_root;
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::bounds::TICKS_MAX;
 use rangehound_shared::sealed::{self, SealError};
 
-use crate::world::World;
+use crate::world::{World, are_sound};
 
 /// A target with a state of dimension `N` and the robots round it.
 ///
@@ -98,7 +99,9 @@ impl<const N: usize> World for Simulation<N> {
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (tick, target, entries): (u64, SVector<f64, N>, Vec<WorldEntry>) = sealed::decode(bytes)?;
-        if entries.len() != self.entries.len() {
+        let places = entries.iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
+        let is_sound = tick <= TICKS_MAX + 1 && are_sound(target.iter().copied().chain(places));
+        if entries.len() != self.entries.len() || !is_sound {
             return Err(SealError::Malformed);
         }
         (self.tick, self.target, self.entries) = (tick, target, entries);

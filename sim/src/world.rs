@@ -3,6 +3,14 @@
 use rangehound_shared::message::{Drive, WorldEntry};
 use rangehound_shared::sealed::SealError;
 
+/// Beyond this, m, no world goes on from what was saved: its distances would not be finite.
+const PLACE_MAX: f64 = 1e150;
+
+/// True if a world can go on with these numbers.
+pub(crate) fn are_sound(numbers: impl IntoIterator<Item = f64>) -> bool {
+    numbers.into_iter().all(|number| number.abs() <= PLACE_MAX)
+}
+
 /// The present tick and the way to the next.
 pub trait World: std::fmt::Debug + Send {
     /// Time of the present tick, s.

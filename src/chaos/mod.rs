@@ -13,7 +13,7 @@ use rangehound_shared::signal::Termination;
 
 use crate::cli::{ChaosArgs, ClockArg, ExperimentArgs};
 use crate::experiment::{Experiment, Naming, free_name};
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::tables;
 use campaign::Campaign;
 use faults::Faults;
@@ -45,7 +45,7 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
             break;
         }
     }
-    println!("{outcome}\n  run folder       {}", description.out_dir.display());
+    failure::print(format!("{outcome}\n  run folder       {}\n", description.out_dir.display()))?;
     match outcome.broken.as_slice() {
         [] => Ok(()),
         broken => Err(Failure::Running(anyhow::anyhow!("{}", broken.join("; ")))),

@@ -21,7 +21,7 @@ use rangehound_shared::scenario::{PLANNERS, Scenario};
 
 use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::experiment::Given;
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::tables;
 use crate::watch::Progress;
 
@@ -70,7 +70,7 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
     std::fs::write(&path, serde_json::to_string_pretty(&comparison)? + "\n")
         .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
     pictures::draw(&comparison, &scenarios, &args.out)?;
-    println!("{comparison}\n\nfigures and pictures in {}", args.out.display());
+    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", args.out.display()))?;
     Ok(())
 }
 

@@ -11,10 +11,9 @@ use rangehound_shared::matrix::Matrix;
 use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
 use serde::Serialize;
 
-use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
+use crate::failure::one_short_line;
 
-/// Longest complaint, in characters: what it quotes may be as long as a line.
-const COMPLAINT_CHARS_MAX: usize = 300;
+use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 
 /// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
 #[derive(Debug)]
@@ -233,19 +232,6 @@ fn of_line(error: ScenarioError) -> String {
         }
         other => other.to_string(),
     }
-}
-
-/// No line break and no end of it, whatever has been quoted.
-fn one_short_line(problem: &str) -> String {
-    let mut short = String::new();
-    for (count, character) in problem.chars().enumerate() {
-        if count == COMPLAINT_CHARS_MAX {
-            short.push_str("...");
-            break;
-        }
-        if character.is_control() { short.extend(character.escape_default()) } else { short.push(character) }
-    }
-    short
 }
 
 #[cfg(test)]

@@ -1,11 +1,12 @@
 //! `run`, `resume` and `track`: starts the nodes of a run, watches them, ends them, and reports.
 
 mod cleaner;
+mod losses;
 mod nodes;
 pub mod restart;
 
 use anyhow::anyhow;
-use rangehound_shared::bus::Bus;
+use rangehound_shared::bus::{Bus, BusError};
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
 use rangehound_shared::signal::Termination;
 
@@ -13,10 +14,11 @@ use crate::cli::{ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::input_or_running;
-use crate::report::{self, NodeSummary, Report, Truth};
+use crate::report::Truth;
 use crate::watch::{Progress, Watch};
-use crate::{in_process, picture, tables};
+use crate::{in_process, tables};
 use cleaner::Cleaner;
+use losses::Losses;
 use nodes::Nodes;
 
 /// `rangehound run`.
@@ -49,7 +51,8 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
-    supervise(&name, &description, &args.supervision, &Keep { recording: false, truth: None }, || Ok(()))
+    let look = || tables::look_for_writable(&description);
+    supervise(&name, &description, &args.supervision, &Keep { recording: false, truth: None }, look)
 }
 
 /// What is done with a run's logs beyond the report.
@@ -74,7 +77,7 @@ fn execute(
             }
         })?;
         progress.finish();
-        report_and_tables(description, keep, Vec::new())?;
+        tables::report_and_tables(description, keep.truth.as_ref(), keep.recording, Vec::new())?;
         return Ok(());
     }
     supervise(name, description, supervision, keep, || tables::prepare_folder(&experiment))
@@ -97,28 +100,26 @@ fn supervise(
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
-        let outcome = nodes.supervise(&termination, || watch.look());
+        let mut losses = Losses::new(description);
+        let outcome = nodes.supervise(&termination, || {
+            watch.look()?;
+            losses.look(watch.newest_ticks());
+            Ok::<_, BusError>(())
+        });
         nodes.end(rendezvous.is_finished());
         watch.finish();
         Ok::<_, Failure>((nodes.summaries(), outcome))
     })?;
     drop(rendezvous);
-    let ticks = report_and_tables(description, keep, summaries)?.ticks;
+    let reported = tables::report_and_tables(description, keep.truth.as_ref(), keep.recording, summaries);
+    // Why the run ended early comes first.
     outcome?;
+    let ticks = reported?.ticks;
     if ticks < description.scenario.ticks {
-        return Err(Failure::Running(anyhow!("the logs end at tick {ticks}: see logs/ in the run folder")));
+        return Err(Failure::Running(anyhow!(
+            "the logs end at tick {ticks} of {}: see logs/ in the run folder",
+            description.scenario.ticks
+        )));
     }
     Ok(())
-}
-
-fn report_and_tables(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<Report, Failure> {
-    let report = report::from_logs(description, keep.truth.as_ref(), nodes)?;
-    tables::write_estimate_csv(description)?;
-    if keep.recording {
-        tables::write_recording(description)?;
-    }
-    report::write(&report, &description.out_dir)?;
-    println!("{report}\n  run folder       {}", description.out_dir.display());
-    picture::draw_if_possible(description, keep.truth.as_ref());
-    Ok(report)
 }

@@ -208,7 +208,8 @@ impl Node {
         let program = std::env::current_exe().context("where this program is")?;
         let log_path = self.log_path(rendezvous);
         let log = File::options().create(true).append(true).open(&log_path);
-        let stderr = log.map_or_else(|_| Stdio::null(), Stdio::from);
+        // Where no log can be kept, the user sees what the node says.
+        let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
         let mut command = Command::new(program);
         match self.role {
             Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
@@ -279,6 +280,9 @@ impl Node {
 
 fn describe(status: ExitStatus) -> String {
     match (status.signal(), status.code()) {
+        (Some(signal), _) if signal == Signal::BUS.as_raw() => {
+            format!("was killed by signal {signal}: it had no shared memory left, /dev/shm is full or has failed")
+        }
         (Some(signal), _) => format!("was killed by signal {signal}"),
         (None, Some(code)) => format!("exited with code {code}"),
         (None, None) => "ended".to_owned(),

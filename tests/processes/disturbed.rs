@@ -125,6 +125,8 @@ fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
         supervisor.signal(Signal::KILL);
         nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
         supervisor.finish();
+        // A busy machine takes its time to end them.
+        run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
         supervisor = run.start(&["resume", "out", "--name", &run.name]);
     }
     supervisor.finish().succeeded();

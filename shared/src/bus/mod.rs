@@ -33,6 +33,7 @@ use crate::ROBOTS_MAX;
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
+use crate::resources;
 use senders::{Senders, Standing};
 
 /// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
@@ -136,7 +137,7 @@ impl Calls {
 
 /// Why the bus cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{what}: iceoryx2 says {reason}")]
+#[error("{what}: {reason}")]
 pub struct BusError {
     what: String,
     reason: String,
@@ -144,7 +145,13 @@ pub struct BusError {
 
 impl BusError {
     fn new(what: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
-        Self { what: what.into(), reason: format!("{reason:?}") }
+        let said = format!("iceoryx2 says {reason:?}");
+        let reason = if ["Incompatible", "VersionMismatch"].iter().any(|word| said.contains(word)) {
+            format!("made by another version of rangehound: use one version for all nodes of a run ({said})")
+        } else {
+            resources::run_out_of().map_or(said.clone(), |lack| format!("{lack} ({said})"))
+        };
+        Self { what: what.into(), reason }
     }
 }
 
@@ -193,6 +200,8 @@ impl Bus {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|error| node_error(&error))?;
+        // iceoryx2 opens its counter of nodes to all users.
+        run.close_to_others();
         let senders = Rc::new(Senders::new(run.roster().clone()));
         Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders })
     }
@@ -413,5 +422,16 @@ impl Bell {
         if let Err(error) = self.port.notify_with_custom_event_id(call.event_id()) {
             log::debug!("a bell was not heard: {error:?}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_another_version_made_is_told_as_such() {
+        let said = BusError::new("topic world", "IncompatibleTypes").to_string();
+        assert!(said.starts_with("topic world: made by another version of rangehound: use one version"), "{said}");
     }
 }

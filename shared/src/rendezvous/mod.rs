@@ -26,6 +26,9 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
+use crate::bounded;
+use crate::protocol::OtherBuild;
+use crate::resources::{self, Shortage};
 use crate::scenario::Scenario;
 use crate::sealed::{self, SealError};
 use crate::signal::Termination;
@@ -110,6 +113,15 @@ impl RunDescription {
         unique[16..].copy_from_slice(&std::process::id().to_le_bytes());
         Self { run_id: xxh3_64(&unique), scenario, out_dir }
     }
+
+    /// The description in sealed bytes.
+    ///
+    /// # Errors
+    /// [`SealError`], for what no build of this protocol has sealed.
+    pub fn open(bytes: &[u8]) -> Result<Self, SealError> {
+        let description: Self = sealed::open(bytes)?;
+        if description.scenario.is_whole() { Ok(description) } else { Err(SealError::Malformed) }
+    }
 }
 
 /// Why a process cannot take part in a run.
@@ -131,6 +143,9 @@ pub enum RendezvousError {
         /// Who holds it, as far as it could write its pid.
         pid: String,
     },
+    /// The system has too little of something.
+    #[error(transparent)]
+    Short(#[from] Shortage),
     /// The folder belongs to somebody else.
     #[error("{} belongs to another user: choose another --name", .0.display())]
     NotOurs(PathBuf),
@@ -142,6 +157,14 @@ pub enum RendezvousError {
         /// Why.
         reason: SealError,
     },
+    /// The run is of a build that this one does not understand.
+    #[error("run {name} was founded by {build}: use one version for all its nodes")]
+    OtherBuild {
+        /// The run.
+        name: RunName,
+        /// What founded it.
+        build: OtherBuild,
+    },
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
     Io {
@@ -151,7 +174,7 @@ pub enum RendezvousError {
         source: std::io::Error,
     },
     /// The role's process is gone, and with it what a new one would need.
-    #[error("{role} of run {name} ended after its first tick: its state is gone, expected a new run")]
+    #[error("{role} of run {name} ended and has left no state to go on from: expected a new run")]
     StateLost {
         /// The role.
         role: Role,
@@ -179,7 +202,11 @@ impl Rendezvous {
     /// # Errors
     /// [`RendezvousError::Taken`] if a run of this name lives; others if the system refuses.
     pub fn found(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+        let robots = description.scenario.robots.len();
+        resources::provide_files(robots)?;
+        resources::look_for_shared_memory()?;
         remove_dead_runs(name);
+        resources::look_for_memory(robots)?;
         let place = Place::of(name);
         let _door = place.enter(true)?;
         let members = place.open("members")?;
@@ -203,9 +230,11 @@ impl Rendezvous {
     /// # Errors
     /// [`RendezvousError`], [`RendezvousError::Terminated`] among them.
     pub fn join(name: &RunName, termination: &Termination, waiting: impl FnOnce()) -> Result<Self, RendezvousError> {
+        resources::look_for_shared_memory()?;
         let mut waiting = Some(waiting);
         while !termination.requested() {
             if let Some(run) = Self::join_if_alive(name)? {
+                resources::provide_files(run.description.scenario.robots.len())?;
                 return Ok(run);
             }
             if let Some(waiting) = waiting.take() {
@@ -240,9 +269,12 @@ impl Rendezvous {
             Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
         }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        let sealed = std::fs::read(place.path("run")).map_err(|source| place.io_error("run", source))?;
-        let description =
-            sealed::open(&sealed).map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
+        let sealed =
+            bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
+        let description = RunDescription::open(&sealed).map_err(|reason| match reason {
+            SealError::OtherBuild(build) => RendezvousError::OtherBuild { name: name.clone(), build },
+            reason => RendezvousError::Unusable { file: place.path("run"), reason },
+        })?;
         Ok(Some(Self { roster: Roster::of(&place), place, description, members: Some(members) }))
     }
 
@@ -270,21 +302,27 @@ impl Rendezvous {
         self.place.remove_half_made();
     }
 
+    /// Takes from other users what they may do with shared memory of this run, however it was made.
+    pub fn close_to_others(&self) {
+        self.place.close_to_others();
+    }
+
     /// Who holds which role.
     #[must_use]
     pub fn roster(&self) -> &Roster {
         &self.roster
     }
 
-    /// Refuses the place of a process that ended when it had already put ticks down: a new one would
-    /// start from tick 0 and write over them.
+    /// Refuses the place of a process that ended when it had already put ticks down, or that cannot be known
+    /// because its log is gone: a new one would start from tick 0.
     ///
     /// # Errors
     /// [`RendezvousError::StateLost`].
     pub fn refuse_lost_state(&self, role: Role, log: Option<&TickLogWriter>) -> Result<(), RendezvousError> {
         match log.map(TickLogWriter::is_empty) {
-            Some(Ok(false)) => Err(RendezvousError::StateLost { role, name: self.name().clone() }),
-            _ => Ok(()),
+            Some(Ok(true)) => Ok(()),
+            None if self.roster.starts(role) <= 1 => Ok(()),
+            _ => Err(RendezvousError::StateLost { role, name: self.name().clone() }),
         }
     }
 

@@ -1,16 +1,15 @@
 //! The files of a run in shared memory.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, Permissions};
 use std::io::Write;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::OFlags;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::{RendezvousError, RunName};
-
-/// Where shared memory lives.
-const SHARED_MEMORY: &str = "/dev/shm";
+use crate::resources::SHARED_MEMORY;
 
 /// The files of one run.
 #[derive(Debug, Clone)]
@@ -128,6 +127,21 @@ impl Place {
                 if !is_open_elsewhere(&path) && std::fs::metadata(&path).is_ok_and(|file| file.len() == 0) {
                     let _ = std::fs::remove_file(&path);
                 }
+            }
+        }
+    }
+
+    /// Takes from group and others what they may do with this run's files in shared memory. Names there are anybody's
+    /// to take: a link is not followed, and what is not this user's is left alone.
+    pub(super) fn close_to_others(&self) {
+        let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
+        for path in self.files() {
+            let Ok(file) = OpenOptions::new().read(true).custom_flags(flags).open(path) else { continue };
+            let Ok(metadata) = file.metadata() else { continue };
+            let mode = metadata.permissions().mode();
+            if metadata.uid() == rustix::process::getuid().as_raw() && mode & 0o077 != 0 {
+                // An error means that it is gone.
+                let _ = file.set_permissions(Permissions::from_mode(mode & 0o700));
             }
         }
     }

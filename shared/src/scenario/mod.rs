@@ -19,8 +19,13 @@ use serde::{Deserialize, Serialize};
 pub use error::ScenarioError;
 pub use file::*;
 
+use crate::ROBOTS_MAX;
+use crate::bounded;
 use crate::matrix::Matrix;
 use crate::motion::MotionModel;
+
+/// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
+const FILE_LEN_MAX: usize = 4 << 20;
 
 /// A validated experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -201,14 +206,49 @@ impl Clock {
     }
 }
 
+impl Scenario {
+    /// True if all sizes go together and numbers that others divide by or clamp to are in their bounds: of a
+    /// scenario from a file of another hand, that nothing that works with it will panic.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        let n = self.motion.state_dim();
+        let knows_its_start = match &self.source {
+            Source::Simulated { target_start } => target_start.len() == n,
+            Source::Recorded { .. } => true,
+        };
+        let knows_its_prior = match &self.prior {
+            Prior::Gaussian { mean, covariance } => {
+                mean.len() == n && mean.iter().all(|value| value.is_finite()) && covariance.is_whole(n)
+            }
+            Prior::FromRanges => true,
+        };
+        let is_sound = |robot: &RobotSpec| {
+            bounds::SPEED_MPS.contains(&robot.speed_mps)
+                && bounds::STD_M.contains(&robot.range_std_m)
+                && robot.start_m.iter().all(|value| value.is_finite())
+                && bounds::BIAS_M.contains(&robot.calibration.bias_m)
+                && bounds::SCALE.contains(&robot.calibration.scale)
+        };
+        self.motion.is_whole()
+            && knows_its_start
+            && knows_its_prior
+            && (1..=ROBOTS_MAX).contains(&self.robots.len())
+            && self.robots.iter().all(is_sound)
+            && bounds::DT_S.contains(&self.dt_s)
+            && self.ticks <= bounds::TICKS_MAX
+    }
+}
+
 impl ScenarioFile {
     /// Reads a scenario file without checking its values.
     ///
     /// # Errors
     /// If the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ScenarioError::Unreadable { file: path.to_owned(), source })?;
+        let unreadable = |source| ScenarioError::Unreadable { file: path.to_owned(), source };
+        let bytes = bounded::read(path, FILE_LEN_MAX).map_err(unreadable)?;
+        let text = String::from_utf8(bytes)
+            .map_err(|error| unreadable(std::io::Error::new(std::io::ErrorKind::InvalidData, error.utf8_error())))?;
         Self::parse(&text, &path.display().to_string())
     }
 

@@ -1,0 +1,91 @@
+//! The one number that says whether two builds understand each other.
+//!
+//! It stands in every sealed file: a run's description, which all nodes open before they touch its shared
+//! memory, and the checkpoints. It changes with whatever one process writes and another reads: the messages, the
+//! run's description, and what the nodes save. For the messages and the description the test below notices by itself.
+
+/// Version of the messages, the run's description and the checkpoints.
+pub const PROTOCOL: u32 = 1;
+
+/// Version of this program, for people.
+pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");
+
+/// A file of another build.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("rangehound {program} (protocol {protocol}); this is {PROGRAM} (protocol {PROTOCOL})")]
+pub struct OtherBuild {
+    /// Its program's version.
+    pub program: String,
+    /// Its protocol.
+    pub protocol: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use xxhash_rust::xxh3::xxh3_64;
+
+    use super::*;
+    use crate::bus::Topic;
+    use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
+    use crate::rendezvous::RunDescription;
+    use crate::scenario::{PLANNERS, Scenario, ScenarioFile};
+
+    /// Every protocol so far with the digest of what it says. A new one is a new line, never a change of an old one.
+    const HISTORY: [(u32, u64); 1] = [(1, 0x0ab5_b333_ea40_772d)];
+
+    /// The versioned names under which iceoryx2 compares messages; asking it for them would take `unsafe`.
+    fn type_names() -> String {
+        include_str!("message.rs").lines().filter(|line| line.starts_with("#[type_name(")).collect()
+    }
+
+    /// Size and fields in order; `0` is an integer and `0.0` a float.
+    fn layout<T: Default + std::fmt::Debug>() -> String {
+        format!("{} {} {:?}\n", size_of::<T>(), align_of::<T>(), T::default())
+    }
+
+    fn topic<T: Topic + Default>() -> String {
+        format!("{} {}", T::NAME, layout::<T>())
+    }
+
+    /// The fields of a description; of its numbers only that they are there.
+    fn description() -> String {
+        let scenario = |text: &str| {
+            let text = format!("{text}\n[robots]\ncount = 1\n[filter]\ngate_sigma = 3.0\n");
+            Scenario::from_file(&ScenarioFile::parse(&text, "test").unwrap(), "test", Path::new(".")).unwrap()
+        };
+        let built_in = RunDescription { run_id: 7, scenario: scenario(""), out_dir: PathBuf::from("out") };
+        let rows = "[[1.0, 0.0], [0.0, 1.0]]";
+        let custom = format!("[target]\nmodel = \"custom\"\nphi = {rows}\nqd = {rows}\nstart = [0.0, 0.0]");
+        let planners = PLANNERS.map(|name| scenario(&format!("[planner]\nname = {name:?}")).planner);
+        let mut said = format!("{built_in:?} {:?} {planners:?}\n", scenario(&custom).motion);
+        said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
+        said
+    }
+
+    #[test]
+    fn what_processes_say_to_each_other_changes_with_the_protocol_only() {
+        let said = [
+            type_names(),
+            layout::<Header>(),
+            topic::<WorldEntry>(),
+            topic::<Range>(),
+            topic::<Command>(),
+            topic::<Drive>(),
+            topic::<Estimate>(),
+            topic::<Truth>(),
+            description(),
+        ]
+        .concat();
+        let digest = xxh3_64(said.as_bytes());
+        assert_eq!(
+            HISTORY.last(),
+            Some(&(PROTOCOL, digest)),
+            "a message or the run's description has changed: give the changed messages a new version in their type names, \
+             count PROTOCOL up, and add the line ({}, {digest:#018x}) to HISTORY\n{said}",
+            PROTOCOL + 1
+        );
+        assert!(HISTORY.is_sorted_by(|before, after| before.0 < after.0 && before.1 != after.1));
+    }
+}

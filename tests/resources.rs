@@ -1,0 +1,180 @@
+//! What the system has too little of: one clear line, nothing left behind, and the tracking goes on where it can.
+
+use std::path::Path;
+use std::process::Command;
+
+use rustix::process::Signal;
+
+use crate::support::{Outcome, Run, signal};
+
+const ENDLESS: &str = "run --clock lockstep --ticks 100000000 --patience forever";
+
+/// Exit code and one complaint that names all of this.
+#[track_caller]
+fn assert_refused(outcome: &Outcome, code: i32, names: &[&str]) {
+    assert_eq!(outcome.code, Some(code), "{outcome:#?}");
+    let complaints = outcome.complaints();
+    assert!(complaints.len() == 1 && names.iter().all(|name| complaints[0].contains(name)), "{outcome:#?}");
+    assert!(!outcome.stderr.contains("panicked"), "{outcome:#?}");
+}
+
+#[track_caller]
+fn assert_nothing_made(run: &Run) {
+    assert!(!run.path("out").exists() && !run.shared_folder().exists());
+}
+
+/// True if this user may have mounts of his own; else says that a test is skipped.
+fn may_mount() -> bool {
+    let probe = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "none", "/mnt"]).output();
+    let may = probe.is_ok_and(|output| output.status.success());
+    if !may {
+        println!("skipped: this user may not mount");
+    }
+    may
+}
+
+/// A script that has mounts of its own.
+fn mounted(mounts: &str) -> String {
+    format!("exec unshare -m sh -c '{mounts} && exec \"$@\"' sh \"$@\"")
+}
+
+#[test]
+fn too_few_open_files_are_told_before_anything_is_made() {
+    for (files, robots) in [(32, 3), (64, 3), (300, 128)] {
+        let run = Run::new();
+        let outcome = run.command_by(&format!("ulimit -n {files} && exec \"$@\""), &format!("run --robots {robots}"));
+        let limit = format!("a limit of {files}");
+        assert_refused(&outcome.finish(), 2, &["open files", &limit, "ulimit -n"]);
+        assert_nothing_made(&run);
+    }
+}
+
+#[test]
+fn a_low_limit_of_open_files_that_may_be_raised_is_raised() {
+    let run = Run::new();
+    let words = "run --clock lockstep --robots 16 --ticks 5";
+    run.command_by("ulimit -S -n 64 && exec \"$@\"", words).finish().succeeded();
+    assert_eq!(run.report()["ranges"]["fused"], 16 * 5);
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_is_refused_before_anything_is_made() {
+    for words in ["run", "run --in-process", "sim", "track r.csv", "chaos"] {
+        let run = Run::new();
+        run.write("r.csv", "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n0,1,0,0,5\n0,2,9,0,5\n");
+        let mut args: Vec<&str> = words.split_whitespace().collect();
+        args.extend(["--name", &run.name, "--out", "r.csv/out"]);
+        assert_refused(&run.start(&args).finish(), 2, &["--out", "r.csv/out"]);
+        assert!(!run.shared_folder().exists());
+    }
+}
+
+#[test]
+fn standard_output_that_is_full_is_told() {
+    let run = Run::new();
+    for words in ["scenario", "--help", "--version"] {
+        assert_refused(&run.start_by("exec \"$@\" > /dev/full", &[words]).finish(), 1, &["standard output"]);
+    }
+    let outcome = run.command_by("exec \"$@\" > /dev/full", "run --in-process --clock lockstep --ticks 5").finish();
+    assert_refused(&outcome, 1, &["standard output"]);
+    assert_eq!(run.report()["ticks"], 5);
+    let silent = run.start_by("exec \"$@\" 2> /dev/full", &["run", "--robots", "0"]).finish();
+    assert_eq!(silent.code, Some(2));
+}
+
+#[test]
+fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    std::fs::create_dir(run.path("out")).unwrap();
+    let script = mounted("mount -t tmpfs -o size=400k none out");
+    let words = "run --clock lockstep --ticks 30000 --patience forever";
+    let outcome = run.command_by(&script, words).finish();
+    assert_refused(&outcome, 1, &["out", "No space left on device"]);
+    for file in ["estimate.ticks", "world.ticks"] {
+        let told =
+            outcome.stderr.lines().any(|line| line.contains(file) && line.contains("the run goes on without it"));
+        assert!(told, "{file}: {outcome:#?}");
+    }
+    // It reported what it had, and nobody was started again: the nodes went on to the end.
+    assert!(outcome.stdout.contains("digest") && !outcome.stdout.contains("starts,"), "{outcome:#?}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_disk_that_is_full_from_the_start_is_refused() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    std::fs::create_dir(run.path("out")).unwrap();
+    let outcome = run.command_by(&mounted("mount -t tmpfs -o size=4k none out"), "run").finish();
+    assert_refused(&outcome, 2, &["--out", "No space left on device"]);
+    assert!(!run.shared_folder().exists());
+}
+
+#[test]
+fn without_its_folder_a_run_goes_on_until_it_would_need_it() {
+    let run = Run::new();
+    let supervisor = run.command(ENDLESS);
+    run.wait_for_ticks(100);
+    std::fs::remove_dir_all(run.path("out")).unwrap();
+    for file in ["estimate.ticks", "world.ticks", "sim.checkpoint", "fusion.checkpoint"] {
+        run.wait_until(&format!("the loss of {file} is told"), || {
+            supervisor.stderr().lines().any(|line| line.contains(file) && line.contains("the run goes on without it"))
+        });
+    }
+    signal(run.pid_of("robot-1", 1), Signal::KILL);
+    run.pid_of("robot-1", 2);
+    // A new fusion would know nothing of the ticks so far: it must not start anew.
+    signal(run.pid_of("fusion", 1), Signal::KILL);
+    let outcome = supervisor.finish();
+    assert_eq!(outcome.code, Some(1), "{outcome:#?}");
+    let [of_fusion, of_supervisor] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
+    assert!(of_fusion.contains("fusion of run") && of_fusion.contains("left no state"), "{outcome:#?}");
+    assert!(of_supervisor.contains("fusion exited with code 2"), "{outcome:#?}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn shared_memory_that_is_too_small_or_missing_is_told() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    for (mounts, words, names) in [
+        ("mount -t tmpfs -o size=200k none /dev/shm", "run", ["/dev/shm", "kB free"]),
+        ("mount -t tmpfs -o size=4m none /dev/shm", "run --robots 128", ["/dev/shm", "128 robots"]),
+        ("mount -t tmpfs -o nr_inodes=20 none /dev/shm", "run", ["/dev/shm", "files free"]),
+        ("mount -t tmpfs none /dev", "run", ["/dev/shm", "No such file"]),
+    ] {
+        let outcome = run.command_by(&mounted(mounts), words).finish();
+        assert_refused(&outcome, 2, &names);
+        assert!(!run.path("out").exists());
+    }
+    let outcome = run.start_by(&mounted("mount -t tmpfs none /dev"), &["fusion", "--name", &run.name]).finish();
+    assert_refused(&outcome, 2, &["/dev/shm", "No such file"]);
+}
+
+#[test]
+fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_and_says_why() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    // Files are seen from outside the namespace through /proc.
+    let supervisor = run.command_by(&mounted("mount -t tmpfs -o size=2m none /dev/shm"), ENDLESS);
+    run.wait_for_ticks(100);
+    let shared_memory = format!("/proc/{}/root/dev/shm", supervisor.pid().as_raw_pid());
+    let fill = Path::new(&shared_memory).join("fill");
+    assert!(std::fs::write(&fill, vec![1; 4 << 20]).is_err(), "it was to be filled");
+    let role = Path::new(&shared_memory).join(run.shared_folder().file_name().unwrap()).join("robot-1.role");
+    let text = std::fs::read_to_string(role).unwrap();
+    let pid = text.trim().split_once(' ').unwrap().1.parse().unwrap();
+    signal(rustix::process::Pid::from_raw(pid).unwrap(), Signal::KILL);
+    let outcome = supervisor.finish();
+    assert_refused(&outcome, 1, &["/dev/shm"]);
+}

@@ -1,0 +1,219 @@
+//! Who may join a run: its owner's processes of its own version, and nobody else.
+
+use std::os::unix::fs::{FileExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use rangehound_shared::protocol::{PROGRAM as VERSION, PROTOCOL};
+use rustix::process::Signal;
+
+use crate::support::{Outcome, PROGRAM, Run};
+
+const ENDLESS: &str = "--ticks 100000000 --patience forever";
+
+/// Another user: any id that is not this one's.
+const NOBODY: [&str; 3] = ["--reuid=65534", "--regid=65534", "--clear-groups"];
+
+/// True if this user may act as another; else says that a test is skipped.
+fn may_be_another() -> bool {
+    let probe = Command::new("setpriv").args(NOBODY).arg("true").output();
+    let may = probe.is_ok_and(|output| output.status.success());
+    if !may {
+        println!("skipped: this user may not act as another");
+    }
+    may
+}
+
+fn as_nobody(program: &Path, args: &[&str]) -> Output {
+    Command::new("setpriv").args(NOBODY).arg(program).args(args).current_dir("/").output().unwrap()
+}
+
+/// What a shell script of nobody's prints, given these arguments.
+fn told_by_nobody(script: &str, args: &[String]) -> String {
+    let mut all = vec!["-c", script, "sh"];
+    all.extend(args.iter().map(String::as_str));
+    String::from_utf8(as_nobody(Path::new("/bin/sh"), &all).stdout).unwrap()
+}
+
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let mut found = vec![folder.to_owned()];
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if entry.file_type().unwrap().is_dir() {
+            found.extend(files_below(&entry.path()))
+        } else {
+            found.push(entry.path())
+        }
+    }
+    found
+}
+
+fn open_to_all(path: &Path) {
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+#[test]
+fn another_user_can_neither_look_nor_touch_nor_signal() {
+    if !may_be_another() {
+        return;
+    }
+    let run = Run::new();
+    open_to_all(&run.path(""));
+    let supervisor = run.lockstep(ENDLESS);
+    run.wait_for_ticks(10);
+
+    let prefix = run.shared_memory_prefix();
+    let segments = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
+    let segments = segments.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix));
+    let mut files: Vec<PathBuf> = segments.chain(files_below(&run.shared_folder())).collect();
+    files.extend(["sim.checkpoint", "fusion.checkpoint", "run.sealed"].map(|file| run.path("out").join(file)));
+    assert!(files.len() > 30, "{files:?}");
+    let files: Vec<String> = files.into_iter().map(|path| path.display().to_string()).collect();
+    let openable = "for file; do if [ -r \"$file\" ] || [ -w \"$file\" ] || [ -x \"$file\" ] || (: < \"$file\") 2> /dev/null; \
+                    then echo \"$file\"; fi; done";
+    assert_eq!(told_by_nobody(openable, &files), "");
+    // The probe itself works.
+    assert_eq!(told_by_nobody(openable, &["/".to_owned()]), "/\n");
+
+    let roles = ["run", "sim", "fusion", "robot-0", "robot-1", "robot-2"];
+    let pids: Vec<String> = roles[1..].iter().map(|role| run.pid_of(role, 1).as_raw_pid().to_string()).collect();
+    let signalled = "for pid; do kill -0 $pid 2> /dev/null && echo $pid; kill -9 $pid 2> /dev/null && echo $pid; done";
+    assert_eq!(told_by_nobody(signalled, &pids), "");
+
+    // The tool too, from where nobody can start it.
+    let folder = tempfile::tempdir().unwrap();
+    open_to_all(folder.path());
+    let program = folder.path().join("rangehound");
+    std::fs::copy(PROGRAM, &program).unwrap();
+    open_to_all(&program);
+    for words in ["status", "kill sim", "restart fusion", "stop"] {
+        let mut args: Vec<&str> = words.split(' ').collect();
+        args.extend(["--name", &run.name]);
+        let output = as_nobody(&program, &args);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{words}: {said}");
+        assert!(said.contains(&run.name), "{words}: {said}");
+    }
+
+    let before = run.last_world().unwrap().0;
+    run.wait_for_ticks(before + 10);
+    assert!(roles[1..].iter().all(|role| run.starts(role) == 1));
+    supervisor.signal(Signal::INT);
+    supervisor.finish();
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_place_that_another_user_holds_is_not_used() {
+    if !may_be_another() {
+        return;
+    }
+    let run = Run::new();
+    let place = run.shared_folder();
+    told_by_nobody("mkdir -m 777 \"$1\"", &[place.display().to_string()]);
+    for words in ["run", "sim", "status", "fusion"] {
+        let outcome = if ["run", "sim"].contains(&words) {
+            run.command(words)
+        } else {
+            // Who only joins looks for a run first.
+            std::fs::write(place.join("run"), "bait").unwrap();
+            run.node(words)
+        }
+        .finish();
+        assert_one_line(&outcome, 2, &["belongs to another user", &run.name]);
+    }
+    std::fs::remove_dir_all(place).unwrap();
+}
+
+#[track_caller]
+fn assert_one_line(outcome: &Outcome, code: i32, names: &[&str]) {
+    assert_eq!(outcome.code, Some(code), "{outcome:#?}");
+    let complaints = outcome.complaints();
+    assert!(complaints.len() == 1 && names.iter().all(|name| complaints[0].contains(name)), "{outcome:#?}");
+}
+
+/// Makes a sealed file, from this place on, one of the version to come.
+fn make_future(path: &Path, offset: u64) {
+    let file = std::fs::OpenOptions::new().write(true).open(path).unwrap();
+    file.write_all_at(&(PROTOCOL + 1).to_le_bytes(), offset + 8).unwrap();
+    file.write_all_at(b"99.8.7\0\0\0\0\0\0\0\0\0\0", offset + 12).unwrap();
+}
+
+fn versions() -> [String; 2] {
+    [format!("rangehound 99.8.7 (protocol {})", PROTOCOL + 1), format!("this is {VERSION} (protocol {PROTOCOL})")]
+}
+
+#[test]
+fn two_versions_in_one_run_refuse_each_other_and_the_run_goes_on() {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    run.wait_for_ticks(10);
+    make_future(&run.shared_folder().join("run"), 0);
+    let [other, this] = versions();
+    for words in ["fusion", "robot --id 0", "watch", "status", "kill sim", "stop"] {
+        let outcome = run.node(words).finish();
+        assert_one_line(&outcome, 2, &[&run.name, &other, &this, "use one version"]);
+    }
+    let before = run.last_world().unwrap().0;
+    run.wait_for_ticks(before + 10);
+    supervisor.signal(Signal::INT);
+    supervisor.finish();
+    run.assert_nothing_left();
+}
+
+/// A run folder in which the simulator's checkpoint has been changed, after everything was killed.
+fn resumed_after(change: impl FnOnce(&Path)) -> (Run, Outcome) {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    run.wait_for_ticks(50);
+    let nodes = ["sim", "fusion", "robot-0", "robot-1", "robot-2"].map(|role| run.pid_of(role, 1));
+    supervisor.signal(Signal::KILL);
+    nodes.iter().for_each(|pid| crate::support::signal(*pid, Signal::KILL));
+    supervisor.finish();
+    run.wait_until("all are gone", || !nodes.iter().any(|pid| crate::support::is_alive(*pid)));
+    change(&run.path("out"));
+    let outcome = run.start(&["resume", "out", "--name", &run.name]).finish();
+    (run, outcome)
+}
+
+#[test]
+fn a_run_of_another_version_is_not_resumed() {
+    let (run, outcome) = resumed_after(|out| make_future(&out.join("run.sealed"), 0));
+    let [other, this] = versions();
+    assert_one_line(&outcome, 2, &["run.sealed", &other, &this]);
+    assert!(run.path("out/sim.checkpoint").exists());
+    drop(run);
+}
+
+/// Bytes that two slots of a checkpoint start at, after their lengths.
+const SLOTS: [u64; 2] = [4, (1 << 20) + 4];
+
+#[test]
+fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
+    let [other, _] = versions();
+    let damage = |path: &Path| {
+        let file = std::fs::OpenOptions::new().write(true).open(path).unwrap();
+        SLOTS.iter().for_each(|at| file.write_all_at(b"\xff\xff", at + 50).unwrap());
+    };
+    type Change<'a> = &'a dyn Fn(&Path);
+    let cases: [(Change<'_>, &str); 4] = [
+        (&damage, "damaged"),
+        (&|path: &Path| SLOTS.iter().for_each(|at| make_future(path, *at)), &other),
+        (&|path: &Path| std::fs::write(path, "something else, of some length").unwrap(), "damaged"),
+        (&|path: &Path| std::fs::OpenOptions::new().write(true).open(path).unwrap().set_len(30).unwrap(), "damaged"),
+    ];
+    for (change, reason) in cases {
+        let mut bytes = Vec::new();
+        let (run, outcome) = resumed_after(|out| {
+            change(&out.join("sim.checkpoint"));
+            bytes = std::fs::read(out.join("sim.checkpoint")).unwrap();
+        });
+        assert_one_line(&outcome, 1, &["sim.checkpoint: ", reason, "sim.checkpoint.refused", "expected a new run"]);
+        assert_eq!(std::fs::read(run.path("out/sim.checkpoint.refused")).unwrap(), bytes);
+        // A second try finds no state and does not start anew over the ticks so far.
+        let ticks = run.last_world().unwrap().0;
+        let again = run.start(&["resume", "out", "--name", &run.name]).finish();
+        assert_one_line(&again, 1, &["sim of run", "left no state"]);
+        assert_eq!(run.last_world().unwrap().0, ticks);
+        run.assert_nothing_left();
+    }
+}
