@@ -45,7 +45,9 @@ fn rogue() {
             headings.send(tick, 0.0, &vec![heading; robots]).unwrap();
             let drive = Drive { robot, heading_rad: 1.0, speed_mps: 1e9, heading_held_ns: 1, ..Drive::default() };
             drives.send(tick, 0.0, &[drive]).unwrap();
-            worlds.send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots]).unwrap();
+            worlds
+                .send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots])
+                .unwrap();
         }
         for bell in &bells {
             bell.ring(Call::Data);
@@ -58,12 +60,7 @@ fn rogue() {
 fn start_rogue(run: &Run) -> std::process::Child {
     let words = ["--exact", "processes::rogue::rogue", "--ignored", "--nocapture"];
     let output = std::fs::File::create(run.path("rogue.out")).unwrap();
-    Command::new(std::env::current_exe().unwrap())
-        .args(words)
-        .env(RUN, &run.name)
-        .stdout(output)
-        .spawn()
-        .unwrap()
+    Command::new(std::env::current_exe().unwrap()).args(words).env(RUN, &run.name).stdout(output).spawn().unwrap()
 }
 
 #[test]

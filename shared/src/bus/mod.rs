@@ -11,10 +11,11 @@
 //! | `estimate` | fusion -> observers | the estimate |
 //! | `truth` | sim -> observers | the target's true state |
 //!
-//! Data travels on topics; a wake-up only says "look". Each process waits on one listener, for a
+//! Data travels on topics; a wake-up ([`Bell`]) only says "look". Each process waits in one [`Bed`], for a
 //! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
 //! are never woken: they look when they like.
 
+mod bells;
 mod senders;
 
 use std::cell::Cell;
@@ -22,17 +23,17 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
-use iceoryx2::service::port_factory::event;
 use rustix::process::Pid;
 
 use crate::ROBOTS_MAX;
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
+use bells::Bells;
+pub(crate) use bells::create as create_bells;
+pub use bells::{Bed, Bell, Call, Calls, Sleeper};
 use senders::{Senders, Standing};
 
 /// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
@@ -82,58 +83,6 @@ topics! {
     Truth => "truth", from_robots: false, _ => Role::Sim;
 }
 
-/// Who can be woken: one event service each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sleeper {
-    /// The simulator.
-    Sim,
-    /// The fusion centre.
-    Fusion,
-    /// All robots.
-    Robots,
-}
-
-impl Sleeper {
-    fn service(self) -> &'static str {
-        match self {
-            Self::Sim => "wake-sim",
-            Self::Fusion => "wake-fusion",
-            Self::Robots => "wake-robots",
-        }
-    }
-}
-
-/// Why somebody is woken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Call {
-    /// There is data on a topic.
-    Data,
-    /// A node has just started and needs the present tick.
-    Hello,
-    /// The run has ended.
-    Finished,
-}
-
-impl Call {
-    const ALL: [Self; 3] = [Self::Data, Self::Hello, Self::Finished];
-
-    fn event_id(self) -> EventId {
-        EventId::new(self as usize)
-    }
-}
-
-/// What a wait returned: the calls that came, none if time ran out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Calls([bool; Call::ALL.len()]);
-
-impl Calls {
-    /// True if this call was among them.
-    #[must_use]
-    pub fn has(self, call: Call) -> bool {
-        self.0[call as usize]
-    }
-}
-
 /// Why the bus cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{what}: iceoryx2 says {reason}")]
@@ -155,6 +104,7 @@ pub struct Bus {
     run_id: u64,
     incarnation: Rc<Cell<u64>>,
     senders: Rc<Senders>,
+    bells: Bells,
 }
 
 impl Bus {
@@ -194,7 +144,8 @@ impl Bus {
             .create::<ipc::Service>()
             .map_err(|error| node_error(&error))?;
         let senders = Rc::new(Senders::new(run.roster().clone()));
-        Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders })
+        let bells = Bells::open(run.shared_memory_prefix())?;
+        Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders, bells })
     }
 
     /// From now on everything this process sends carries this incarnation of its role.
@@ -261,43 +212,16 @@ impl Bus {
         Ok(Subscriber { port, run_id: self.run_id, senders: Rc::clone(&self.senders), impostors: Cell::new(0) })
     }
 
-    fn event(&self, sleeper: Sleeper) -> Result<event::PortFactory<ipc::Service>, BusError> {
-        let name = ServiceName::new(sleeper.service()).map_err(|error| BusError::new(sleeper.service(), error))?;
-        self.node
-            .service_builder(&name)
-            .event()
-            .max_notifiers(PORTS_MAX)
-            .max_listeners(PORTS_MAX)
-            .max_nodes(PORTS_MAX)
-            .event_id_max_value(Call::ALL.len() - 1)
-            .open_or_create()
-            .map_err(|error| BusError::new(sleeper.service(), error))
-    }
-
     /// The bed of one sleeper: what this process waits on.
-    ///
-    /// # Errors
-    /// [`BusError`] if iceoryx2 refuses.
-    pub fn sleep_as(&self, sleeper: Sleeper) -> Result<Bed, BusError> {
-        let port = self
-            .event(sleeper)?
-            .listener_builder()
-            .create()
-            .map_err(|error| BusError::new(sleeper.service(), error))?;
-        Ok(Bed { port })
+    #[must_use]
+    pub fn sleep_as(&self, sleeper: Sleeper) -> Bed {
+        Bed::new(self.bells.clone(), sleeper)
     }
 
     /// A bell that wakes a sleeper.
-    ///
-    /// # Errors
-    /// [`BusError`] if iceoryx2 refuses.
-    pub fn bell_of(&self, sleeper: Sleeper) -> Result<Bell, BusError> {
-        let port = self
-            .event(sleeper)?
-            .notifier_builder()
-            .create()
-            .map_err(|error| BusError::new(sleeper.service(), error))?;
-        Ok(Bell { port })
+    #[must_use]
+    pub fn bell_of(&self, sleeper: Sleeper) -> Bell {
+        Bell::new(self.bells.clone(), sleeper)
     }
 }
 
@@ -372,46 +296,5 @@ impl<T: Topic> Subscriber<T> {
     /// Messages since the last call that came from processes without the role they spoke for.
     pub fn take_impostors(&self) -> u64 {
         self.impostors.take()
-    }
-}
-
-/// Where a process sleeps until it is called.
-#[derive(Debug)]
-pub struct Bed {
-    port: Listener<ipc::Service>,
-}
-
-impl Bed {
-    /// Sleeps until called, until time runs out, or until a signal comes.
-    pub fn sleep(&self, at_most: Duration) -> Calls {
-        let mut calls = Calls::default();
-        // Once, let whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
-        std::thread::yield_now();
-        // An error is a signal or a socket's hiccup: the loop looks at everything anyway.
-        let _ = self.port.timed_wait(
-            |activation| {
-                if let Some(called) = calls.0.get_mut(activation.id.as_value()) {
-                    *called = true;
-                }
-            },
-            at_most,
-        );
-        calls
-    }
-}
-
-/// Wakes a sleeper.
-#[derive(Debug)]
-pub struct Bell {
-    port: Notifier<ipc::Service>,
-}
-
-impl Bell {
-    /// Calls the sleeper. A sleeper that is dead or too busy to be called sees the data at its next
-    /// look, so a failure is nothing to act on.
-    pub fn ring(&self, call: Call) {
-        if let Err(error) = self.port.notify_with_custom_event_id(call.event_id()) {
-            log::debug!("a bell was not heard: {error:?}");
-        }
     }
 }

@@ -26,6 +26,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
+use crate::bus::{self, BusError};
 use crate::scenario::Scenario;
 use crate::sealed::{self, SealError};
 use crate::signal::Termination;
@@ -142,6 +143,9 @@ pub enum RendezvousError {
         /// Why.
         reason: SealError,
     },
+    /// The bells cannot be made.
+    #[error(transparent)]
+    Bells(BusError),
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
     Io {
@@ -190,6 +194,7 @@ impl Rendezvous {
         }
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
+        bus::create_bells(place.prefix()).map_err(RendezvousError::Bells)?;
         let sealed = sealed::seal(&description)
             .map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
         place.write("run", &sealed)?;
@@ -262,6 +267,12 @@ impl Rendezvous {
     #[must_use]
     pub fn iceoryx2_config_path(&self) -> PathBuf {
         self.place.path("iceoryx2.toml")
+    }
+
+    /// How the names of the run's shared memory start.
+    #[must_use]
+    pub fn shared_memory_prefix(&self) -> &str {
+        self.place.prefix()
     }
 
     /// Removes what a killed process was about to make, so that nobody waits for it to be finished. For
