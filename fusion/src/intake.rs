@@ -293,6 +293,12 @@ impl Intake {
                 || self.deadline_ns(next).is_some_and(|deadline_ns| deadline_ns <= now_ns))
     }
 
+    /// How many robots the present tick waits for.
+    #[must_use]
+    pub fn expected(&self) -> usize {
+        self.record.robots.iter().filter(|record| record.misses < self.misses_max()).count()
+    }
+
     /// Misses in a row after which a robot is not waited for until it speaks again.
     fn misses_max(&self) -> u32 {
         match self.clock {

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
-use rangehound_shared::bus::{Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{monotonic_ns, until};
 use rangehound_shared::message::{Command, Estimate, Range, Refusal};
@@ -100,7 +100,6 @@ fn take_free_standby(rendezvous: &Rendezvous) -> Result<(Role, RoleHold), Fusion
 
 struct Fusion<'a> {
     rendezvous: &'a Rendezvous,
-    bus: &'a Bus,
     /// The lead, once it has it.
     hold: Option<RoleHold>,
     scenario: &'a Scenario,
@@ -113,6 +112,7 @@ struct Fusion<'a> {
     ranges: Subscriber<Range>,
     headings: Publisher<Command>,
     estimates: Publisher<Estimate>,
+    bed: Bed,
     robots: Bell,
     sim: Bell,
 }
@@ -127,11 +127,10 @@ struct Saved<'a> {
 }
 
 impl<'a> Fusion<'a> {
-    fn new(rendezvous: &'a Rendezvous, bus: &'a Bus) -> Result<Self, FusionError> {
+    fn new(rendezvous: &'a Rendezvous, bus: &Bus) -> Result<Self, FusionError> {
         let scenario = &rendezvous.description().scenario;
         Ok(Self {
             rendezvous,
-            bus,
             hold: None,
             scenario,
             centre: Centre::new(scenario)?.keeping_the_past(),
@@ -142,8 +141,9 @@ impl<'a> Fusion<'a> {
             ranges: bus.subscriber()?,
             headings: bus.publisher(scenario.robots.len())?,
             estimates: bus.publisher(1)?,
-            robots: bus.bell_of(Sleeper::Robots)?,
-            sim: bus.bell_of(Sleeper::Sim)?,
+            bed: bus.sleep_as(Sleeper::Fusion),
+            robots: bus.bell_of(Sleeper::Robots),
+            sim: bus.bell_of(Sleeper::Sim),
         })
     }
 
@@ -186,14 +186,13 @@ impl<'a> Fusion<'a> {
         self.go_on_from_checkpoint(&hold)?;
         self.hold = Some(hold);
         let first_tick = self.centre.next_tick();
-        // What has waited for a standby is answered before anything else is set up.
+        self.expect();
+        // What has waited for a standby is answered before anything else.
         self.act()?;
         log::info!("leads from tick {first_tick}, {:?} after it could", began.elapsed());
-        // Not before: each ring would cost the ringer a wake-up of every standby.
-        let bed = self.bus.sleep_as(Sleeper::Fusion)?;
         self.sim.ring(Call::Hello);
         while !termination.requested() {
-            let calls = bed.sleep(self.time_to_wait());
+            let calls = self.bed.sleep(self.time_to_wait());
             self.act()?;
             if (calls.has(Call::Finished) || !calls.has(Call::Data)) && self.rendezvous.is_finished() {
                 // What never came in real time is missing, but every tick has its estimate.
@@ -308,9 +307,15 @@ impl<'a> Fusion<'a> {
         };
         self.estimates.send(tick, self.centre.time_s(), &[estimate])?;
         self.put_down(tick, estimate);
+        self.expect();
         self.tell_of_trust(distrusted);
         self.tell_of_refusals(&tally);
         Ok(())
+    }
+
+    /// Has itself called when all have spoken that it waits for.
+    fn expect(&self) {
+        self.bed.expect(self.intake.expected());
     }
 
     /// Names who is distrusted since the last tick, and who no longer is.

@@ -102,9 +102,9 @@ impl<'a> Robot<'a> {
             drives: bus.publisher(1)?,
             worlds: bus.subscriber()?,
             headings: bus.subscriber()?,
-            bed: bus.sleep_as(Sleeper::Robots)?,
-            sim: bus.bell_of(Sleeper::Sim)?,
-            fusion: bus.bell_of(Sleeper::Fusion)?,
+            bed: bus.sleep_as(Sleeper::Robots),
+            sim: bus.bell_of(Sleeper::Sim),
+            fusion: bus.bell_of(Sleeper::Fusion),
         })
     }
 
@@ -167,7 +167,8 @@ impl<'a> Robot<'a> {
             tick_began_ns: header.sent_ns,
         };
         let range_sent_ns = self.ranges.send(header.tick, header.valid_at_s, &[range])?;
-        self.fusion.ring(Call::Data);
+        // In real time the first one starts fusion's deadline.
+        self.fusion.ring_if_last(header.tick, self.scenario.clock == Clock::Realtime);
         self.present = Some(Present {
             incarnation: header.incarnation,
             tick: header.tick,
@@ -237,7 +238,10 @@ impl<'a> Robot<'a> {
         };
         present.drive = Some(drive);
         self.drives.send(present.tick, present.time_s, &[drive])?;
-        self.sim.ring(Call::Data);
+        // In real time the simulator waits for its time, but for the first tick.
+        if self.scenario.clock == Clock::Lockstep || present.tick == 0 {
+            self.sim.ring_if_last(present.tick, false);
+        }
         Ok(())
     }
 }

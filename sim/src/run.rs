@@ -113,9 +113,9 @@ impl<'a> Sim<'a> {
             worlds: bus.publisher(robots)?,
             truths: bus.publisher(1)?,
             drives_in: bus.subscriber()?,
-            bed: bus.sleep_as(Sleeper::Sim)?,
-            robots: bus.bell_of(Sleeper::Robots)?,
-            fusion: bus.bell_of(Sleeper::Fusion)?,
+            bed: bus.sleep_as(Sleeper::Sim),
+            robots: bus.bell_of(Sleeper::Robots),
+            fusion: bus.bell_of(Sleeper::Fusion),
         };
         match restored {
             Some(Saved { tick, silent, world }) => {
@@ -230,6 +230,7 @@ impl<'a> Sim<'a> {
     }
 
     fn publish(&mut self) -> Result<(), SimError> {
+        self.bed.expect(self.silent.iter().filter(|silent| !**silent).count());
         let time_s = self.world.time_s();
         self.worlds.send(self.tick, time_s, self.world.entries())?;
         self.robots.ring(Call::Data);

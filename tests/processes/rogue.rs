@@ -1,13 +1,16 @@
 //! A process of the same user that joins a run and says what it likes, as fast as it can.
 
-use std::process::Command;
+use std::fs::File;
+use std::path::Path;
+use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use rangehound_shared::bus::{Bus, Call, Sleeper};
 use rangehound_shared::message::{Command as Heading, Drive, Range, WorldEntry};
 use rangehound_shared::rendezvous::{Rendezvous, RunName};
+use rustix::process::Signal;
 
-use crate::support::{Run, digest_in_process};
+use crate::support::{Run, digest_in_process, signal};
 
 /// Tells the rogue its run.
 const RUN: &str = "RANGEHOUND_TEST_ROGUE";
@@ -28,9 +31,10 @@ fn rogue() {
     let headings = bus.publisher::<Heading>(robots).unwrap();
     let drives = bus.publisher::<Drive>(1).unwrap();
     let worlds = bus.publisher::<WorldEntry>(robots).unwrap();
-    let bells = [Sleeper::Sim, Sleeper::Fusion, Sleeper::Robots].map(|sleeper| bus.bell_of(sleeper).unwrap());
+    let bells = [Sleeper::Sim, Sleeper::Fusion, Sleeper::Robots].map(|sleeper| bus.bell_of(sleeper));
     // A successor of whoever is there, as far as words go.
     bus.speak_as(1_000);
+    println!("joined");
     let began = Instant::now();
     let mut round = 0_u64;
     while !run.is_finished() && began.elapsed() < LIMIT {
@@ -45,7 +49,9 @@ fn rogue() {
             headings.send(tick, 0.0, &vec![heading; robots]).unwrap();
             let drive = Drive { robot, heading_rad: 1.0, speed_mps: 1e9, heading_held_ns: 1, ..Drive::default() };
             drives.send(tick, 0.0, &[drive]).unwrap();
-            worlds.send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots]).unwrap();
+            worlds
+                .send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots])
+                .unwrap();
         }
         for bell in &bells {
             bell.ring(Call::Data);
@@ -55,13 +61,12 @@ fn rogue() {
     println!("sent {} messages in {:?}", 4 * round, began.elapsed());
 }
 
-fn start_rogue(run: &Run) -> std::process::Child {
+fn start_rogue(run: &Run, output: &Path) -> Child {
     let words = ["--exact", "processes::rogue::rogue", "--ignored", "--nocapture"];
-    let output = std::fs::File::create(run.path("rogue.out")).unwrap();
     Command::new(std::env::current_exe().unwrap())
         .args(words)
         .env(RUN, &run.name)
-        .stdout(output)
+        .stdout(File::create(output).unwrap())
         .spawn()
         .unwrap()
 }
@@ -71,8 +76,15 @@ fn a_rogue_at_full_speed_changes_nothing() {
     let words = "--ticks 3000 --patience forever";
     let run = Run::new();
     let supervisor = run.lockstep(words);
-    run.wait_for_ticks(10);
-    let mut rogue = start_rogue(&run);
+    let robot = run.pid_of("robot-0", 1);
+    signal(robot, Signal::STOP);
+    let output = run.path("rogue.out");
+    let mut rogue = start_rogue(&run, &output);
+    // The run goes on only under its fire.
+    run.wait_until("the rogue has joined", || {
+        std::fs::read_to_string(&output).is_ok_and(|said| said.contains("joined"))
+    });
+    signal(robot, Signal::CONT);
     let outcome = supervisor.finish();
     let _ = rogue.kill();
     rogue.wait().unwrap();
@@ -80,6 +92,6 @@ fn a_rogue_at_full_speed_changes_nothing() {
     assert_eq!(run.digest(), digest_in_process(words));
     let report = run.report();
     assert_eq!(report["ranges"]["fused"], 9_000, "{report}");
-    println!("{}", report["refused"]);
+    assert!(report["refused"]["impostor"].as_u64().unwrap() > 0, "{report}");
     run.assert_nothing_left();
 }

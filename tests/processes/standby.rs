@@ -28,7 +28,8 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
     assert_eq!(run.digest(), digest_in_process(words));
     let report = run.report();
     assert_eq!(report["ranges"]["fused"], 24_000, "{report}");
-    let names: Vec<&str> = report["nodes"].as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
+    let names: Vec<&str> =
+        report["nodes"].as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
     assert!(names.ends_with(&["standby-1", "standby-2"]), "{names:?}");
     run.assert_nothing_left();
 }

@@ -11,22 +11,22 @@
 //! | `estimate` | fusion -> observers | the estimate |
 //! | `truth` | sim -> observers | the target's true state |
 //!
-//! Data travels on topics; a wake-up only says "look". Each process waits on one listener, for a
+//! Data travels on topics; a wake-up ([`Bell`]) only says "look". Each process waits in one [`Bed`], for a
 //! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
 //! are never woken: they look when they like.
 
+mod bells;
 mod senders;
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::ReceiveError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
-use iceoryx2::service::port_factory::event;
+use iceoryx2::sample::Sample;
 use rustix::process::Pid;
 
 use crate::ROBOTS_MAX;
@@ -34,14 +34,13 @@ use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
 use crate::resources;
+use bells::Bells;
+pub(crate) use bells::create as create_bells;
+pub use bells::{Bed, Bell, Call, Calls, Sleeper};
 use senders::{Senders, Standing};
 
 /// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
 const PORTS_MAX: usize = ROBOTS_MAX + 32;
-
-/// Most messages that are taken at once: who sends faster than they can be refused must not keep the
-/// others from being heard.
-const DRAIN_MAX: usize = 16 * PORTS_MAX;
 
 /// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
@@ -83,58 +82,6 @@ topics! {
     Truth => "truth", from_robots: false, _ => Role::Sim;
 }
 
-/// Who can be woken: one event service each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sleeper {
-    /// The simulator.
-    Sim,
-    /// The fusion centre.
-    Fusion,
-    /// All robots.
-    Robots,
-}
-
-impl Sleeper {
-    fn service(self) -> &'static str {
-        match self {
-            Self::Sim => "wake-sim",
-            Self::Fusion => "wake-fusion",
-            Self::Robots => "wake-robots",
-        }
-    }
-}
-
-/// Why somebody is woken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Call {
-    /// There is data on a topic.
-    Data,
-    /// A node has just started and needs the present tick.
-    Hello,
-    /// The run has ended.
-    Finished,
-}
-
-impl Call {
-    const ALL: [Self; 3] = [Self::Data, Self::Hello, Self::Finished];
-
-    fn event_id(self) -> EventId {
-        EventId::new(self as usize)
-    }
-}
-
-/// What a wait returned: the calls that came, none if time ran out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Calls([bool; Call::ALL.len()]);
-
-impl Calls {
-    /// True if this call was among them.
-    #[must_use]
-    pub fn has(self, call: Call) -> bool {
-        self.0[call as usize]
-    }
-}
-
 /// Why the bus cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{what}: {reason}")]
@@ -162,6 +109,7 @@ pub struct Bus {
     run_id: u64,
     incarnation: Rc<Cell<u64>>,
     senders: Rc<Senders>,
+    bells: Bells,
 }
 
 impl Bus {
@@ -203,7 +151,8 @@ impl Bus {
         // iceoryx2 opens its counter of nodes to all users.
         run.close_to_others();
         let senders = Rc::new(Senders::new(run.roster().clone()));
-        Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders })
+        let bells = Bells::open(run.shared_memory_prefix())?;
+        Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders, bells })
     }
 
     /// From now on everything this process sends carries this incarnation of its role.
@@ -233,7 +182,7 @@ impl Bus {
             .max_subscribers(if T::FROM_ROBOTS { 32 } else { PORTS_MAX })
             .max_nodes(PORTS_MAX)
             .subscriber_max_buffer_size(BUFFER)
-            .subscriber_max_borrowed_samples(2)
+            .subscriber_max_borrowed_samples(BUFFER)
             .history_size(1)
             .enable_safe_overflow(true)
             .open_or_create()
@@ -267,46 +216,25 @@ impl Bus {
             .history_request(1)
             .create()
             .map_err(|error| BusError::new(format!("subscriber of {}", T::NAME), error))?;
-        Ok(Subscriber { port, run_id: self.run_id, senders: Rc::clone(&self.senders), impostors: Cell::new(0) })
-    }
-
-    fn event(&self, sleeper: Sleeper) -> Result<event::PortFactory<ipc::Service>, BusError> {
-        let name = ServiceName::new(sleeper.service()).map_err(|error| BusError::new(sleeper.service(), error))?;
-        self.node
-            .service_builder(&name)
-            .event()
-            .max_notifiers(PORTS_MAX)
-            .max_listeners(PORTS_MAX)
-            .max_nodes(PORTS_MAX)
-            .event_id_max_value(Call::ALL.len() - 1)
-            .open_or_create()
-            .map_err(|error| BusError::new(sleeper.service(), error))
+        Ok(Subscriber {
+            port,
+            run_id: self.run_id,
+            senders: Rc::clone(&self.senders),
+            impostors: Cell::new(0),
+            held: RefCell::default(),
+        })
     }
 
     /// The bed of one sleeper: what this process waits on.
-    ///
-    /// # Errors
-    /// [`BusError`] if iceoryx2 refuses.
-    pub fn sleep_as(&self, sleeper: Sleeper) -> Result<Bed, BusError> {
-        let port = self
-            .event(sleeper)?
-            .listener_builder()
-            .create()
-            .map_err(|error| BusError::new(sleeper.service(), error))?;
-        Ok(Bed { port })
+    #[must_use]
+    pub fn sleep_as(&self, sleeper: Sleeper) -> Bed {
+        Bed::new(self.bells.clone(), sleeper)
     }
 
     /// A bell that wakes a sleeper.
-    ///
-    /// # Errors
-    /// [`BusError`] if iceoryx2 refuses.
-    pub fn bell_of(&self, sleeper: Sleeper) -> Result<Bell, BusError> {
-        let port = self
-            .event(sleeper)?
-            .notifier_builder()
-            .create()
-            .map_err(|error| BusError::new(sleeper.service(), error))?;
-        Ok(Bell { port })
+    #[must_use]
+    pub fn bell_of(&self, sleeper: Sleeper) -> Bell {
+        Bell::new(self.bells.clone(), sleeper)
     }
 }
 
@@ -344,6 +272,8 @@ pub struct Subscriber<T: Topic> {
     run_id: u64,
     senders: Rc<Senders>,
     impostors: Cell<u64>,
+    /// Empty between two drains; kept for its memory.
+    held: RefCell<Vec<Sample<ipc::Service, [T], Header>>>,
 }
 
 impl<T: Topic> Subscriber<T> {
@@ -353,21 +283,36 @@ impl<T: Topic> Subscriber<T> {
     /// # Errors
     /// [`BusError`] if iceoryx2 cannot reach a publisher.
     pub fn drain(&self, mut take: impl FnMut(&Header, &[T])) -> Result<(), BusError> {
-        for _ in 0..DRAIN_MAX {
-            let Some(sample) = self.port.receive().map_err(|error| BusError::new(T::NAME, error))? else { break };
-            if sample.user_header().run_id != self.run_id {
-                continue;
+        // Each publisher's samples are held until the end, so that one that sends faster than they can be taken
+        // comes to its limit and the others are heard: iceoryx2 takes from one publisher while it has any.
+        let mut held = self.held.borrow_mut();
+        held.clear();
+        loop {
+            let sample = match self.port.receive() {
+                Ok(Some(sample)) => sample,
+                Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => break,
+                Err(error) => return Err(BusError::new(T::NAME, error)),
+            };
+            if sample.user_header().run_id == self.run_id {
+                match self.standing(&sample) {
+                    Standing::Holder => take(sample.user_header(), sample.payload()),
+                    Standing::Impostor => self.impostors.set(self.impostors.get() + 1),
+                    Standing::Gone => {}
+                }
             }
-            let node = sample.header().node_id();
-            let pid = || Pid::from_raw(node.pid::<ipc::Service>().ok()?.value());
-            let standing = |entry: &T| self.senders.standing(entry.sender(), node.value(), pid);
-            match sample.payload().iter().map(standing).find(|standing| *standing != Standing::Holder) {
-                None => take(sample.user_header(), sample.payload()),
-                Some(Standing::Impostor) => self.impostors.set(self.impostors.get() + 1),
-                Some(_) => {}
-            }
+            held.push(sample);
         }
+        held.clear();
         Ok(())
+    }
+
+    /// What the sender is to the role that its message speaks for: the worst of all entries.
+    fn standing(&self, sample: &Sample<ipc::Service, [T], Header>) -> Standing {
+        let node = sample.header().node_id();
+        let pid = || Pid::from_raw(node.pid::<ipc::Service>().ok()?.value());
+        let of_entry = |entry: &T| self.senders.standing(entry.sender(), node.value(), pid);
+        let mut standings = sample.payload().iter().map(of_entry);
+        standings.find(|standing| *standing != Standing::Holder).unwrap_or(Standing::Holder)
     }
 
     /// Connects to publishers that have come since, and takes nothing: the newest messages wait.
@@ -381,47 +326,6 @@ impl<T: Topic> Subscriber<T> {
     /// Messages since the last call that came from processes without the role they spoke for.
     pub fn take_impostors(&self) -> u64 {
         self.impostors.take()
-    }
-}
-
-/// Where a process sleeps until it is called.
-#[derive(Debug)]
-pub struct Bed {
-    port: Listener<ipc::Service>,
-}
-
-impl Bed {
-    /// Sleeps until called, until time runs out, or until a signal comes.
-    pub fn sleep(&self, at_most: Duration) -> Calls {
-        let mut calls = Calls::default();
-        // Once, let whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
-        std::thread::yield_now();
-        // An error is a signal or a socket's hiccup: the loop looks at everything anyway.
-        let _ = self.port.timed_wait(
-            |activation| {
-                if let Some(called) = calls.0.get_mut(activation.id.as_value()) {
-                    *called = true;
-                }
-            },
-            at_most,
-        );
-        calls
-    }
-}
-
-/// Wakes a sleeper.
-#[derive(Debug)]
-pub struct Bell {
-    port: Notifier<ipc::Service>,
-}
-
-impl Bell {
-    /// Calls the sleeper. A sleeper that is dead or too busy to be called sees the data at its next
-    /// look, so a failure is nothing to act on.
-    pub fn ring(&self, call: Call) {
-        if let Err(error) = self.port.notify_with_custom_event_id(call.event_id()) {
-            log::debug!("a bell was not heard: {error:?}");
-        }
     }
 }
 

@@ -27,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::bounded;
+use crate::bus::{self, BusError};
 use crate::protocol::OtherBuild;
 use crate::resources::{self, Shortage};
 use crate::scenario::Scenario;
@@ -165,6 +166,9 @@ pub enum RendezvousError {
         /// What founded it.
         build: OtherBuild,
     },
+    /// The bells cannot be made.
+    #[error(transparent)]
+    Bells(BusError),
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
     Io {
@@ -217,6 +221,7 @@ impl Rendezvous {
         }
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
+        bus::create_bells(place.prefix()).map_err(RendezvousError::Bells)?;
         let sealed = sealed::seal(&description)
             .map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
         place.write("run", &sealed)?;
@@ -294,6 +299,12 @@ impl Rendezvous {
     #[must_use]
     pub fn iceoryx2_config_path(&self) -> PathBuf {
         self.place.path("iceoryx2.toml")
+    }
+
+    /// How the names of the run's shared memory start.
+    #[must_use]
+    pub fn shared_memory_prefix(&self) -> &str {
+        self.place.prefix()
     }
 
     /// Removes what a killed process was about to make, so that nobody waits for it to be finished. For

@@ -28,6 +28,11 @@ impl Place {
         Self { name: name.clone(), dir, prefix }
     }
 
+    /// Starts the name of everything in shared memory that belongs to the run.
+    pub(super) fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
     pub(super) fn path(&self, file: &str) -> PathBuf {
         self.dir.join(file)
     }

@@ -1,0 +1,221 @@
+//! Wake-ups: a word of shared memory for each kind of sleeper, on which the kernel lets it wait (futex).
+//!
+//! Against an event of iceoryx2's, which is a datagram to every listener, a ring wakes all robots with one
+//! system call, costs none where nobody sleeps, and holds no socket. Nothing here can be left locked: a
+//! process that is killed leaves at most a count too high, which costs a system call.
+
+use std::cell::Cell;
+use std::rc::Rc;
+use std::sync::atomic::Ordering::{AcqRel, Acquire, Relaxed, SeqCst};
+use std::time::Duration;
+
+use iceoryx2::prelude::{FileName, SemanticString, ZeroCopySend};
+use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
+use iceoryx2_bb_posix::access_mode::AccessMode;
+use iceoryx2_cal::dynamic_storage::posix_shared_memory::{Builder, Configuration, Storage};
+use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
+use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
+use rustix::thread::futex;
+use rustix::time::Timespec;
+
+use super::BusError;
+
+/// Who can be woken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sleeper {
+    /// The simulator.
+    Sim,
+    /// The fusion centre.
+    Fusion,
+    /// All robots.
+    Robots,
+}
+
+/// Why somebody is woken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Call {
+    /// There is data on a topic.
+    Data,
+    /// A node has just started and needs the present tick.
+    Hello,
+    /// The run has ended.
+    Finished,
+}
+
+const CALLS: usize = 3;
+
+/// What a wait returned: the calls that came, none if time ran out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Calls([bool; CALLS]);
+
+impl Calls {
+    /// True if this call was among them.
+    #[must_use]
+    pub fn has(self, call: Call) -> bool {
+        self.0[call as usize]
+    }
+}
+
+/// One sleeper's words.
+#[derive(Debug, Default, ZeroCopySend)]
+#[repr(C)]
+struct Words {
+    /// Counts rings; the word that the kernel compares.
+    rings: AtomicU32,
+    /// Who may be asleep: at least as many as are.
+    asleep: AtomicU32,
+    /// Counts each call.
+    calls: [AtomicU32; CALLS],
+    /// Answers without which a tick does not go on.
+    expected: AtomicU32,
+    /// Answers to the newest tick: its number, from 1, above, their count in the lowest bits.
+    answers: AtomicU64,
+    /// To a cache line's length, so that rings for one do not disturb another.
+    _padding: [u64; 4],
+}
+
+const COUNT_BITS: u32 = 16;
+
+/// The words of a run.
+#[derive(Debug, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Bells.v1")]
+struct Board {
+    sim: Words,
+    fusion: Words,
+    robots: Words,
+}
+
+/// One process's view of the run's bells.
+#[derive(Debug, Clone)]
+pub(super) struct Bells(Rc<Storage<Board>>);
+
+fn builder<'a>(prefix: &str) -> Result<Builder<'a, Board>, BusError> {
+    let error = |reason: &dyn std::fmt::Debug| BusError::new("bells", format!("{reason:?}"));
+    let prefix = FileName::new(prefix.as_bytes()).map_err(|reason| error(&reason))?;
+    let name = FileName::new(b"bells").map_err(|reason| error(&reason))?;
+    let config = Configuration::default().prefix(&prefix);
+    Ok(Builder::new(&name).config(&config).has_ownership(false))
+}
+
+/// Makes the bells of a run whose shared memory has this prefix: before anybody can join it.
+///
+/// # Errors
+/// [`BusError`] if the system refuses.
+pub(crate) fn create(prefix: &str) -> Result<(), BusError> {
+    let builder = builder(prefix)?.initializer(|board, _| {
+        board.write(Board::default());
+        true
+    });
+    builder.create().map(drop).map_err(|reason| BusError::new("bells", reason))
+}
+
+impl Bells {
+    pub(super) fn open(prefix: &str) -> Result<Self, BusError> {
+        let storage = builder(prefix)?.open(AccessMode::ReadWrite);
+        storage.map(|storage| Self(Rc::new(storage))).map_err(|reason| BusError::new("bells", reason))
+    }
+
+    fn words(&self, sleeper: Sleeper) -> &Words {
+        let board = self.0.get();
+        match sleeper {
+            Sleeper::Sim => &board.sim,
+            Sleeper::Fusion => &board.fusion,
+            Sleeper::Robots => &board.robots,
+        }
+    }
+}
+
+/// Where a process sleeps until it is called.
+#[derive(Debug)]
+pub struct Bed {
+    bells: Bells,
+    sleeper: Sleeper,
+    /// Each call's count at the last look.
+    heard: Cell<[u32; CALLS]>,
+}
+
+impl Bed {
+    pub(super) fn new(bells: Bells, sleeper: Sleeper) -> Self {
+        Self { bells, sleeper, heard: Cell::default() }
+    }
+
+    /// Sleeps until called, until time runs out, or until a signal comes. Does not sleep if called since the
+    /// last time.
+    pub fn sleep(&self, at_most: Duration) -> Calls {
+        let words = self.bells.words(self.sleeper);
+        // Once, let whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
+        std::thread::yield_now();
+        let rings = words.rings.load(SeqCst);
+        let calls = self.calls(words);
+        if calls != Calls::default() || at_most.is_zero() {
+            return calls;
+        }
+        words.asleep.fetch_add(1, SeqCst);
+        let timeout = Timespec { tv_sec: at_most.as_secs().cast_signed(), tv_nsec: at_most.subsec_nanos().into() };
+        // Whatever ends it, a ring just before among them: the caller looks at everything.
+        let _ = futex::wait(&words.rings, futex::Flags::empty(), rings, Some(&timeout));
+        words.asleep.fetch_sub(1, SeqCst);
+        self.calls(words)
+    }
+
+    fn calls(&self, words: &Words) -> Calls {
+        let heard = self.heard.get();
+        let now = std::array::from_fn(|call| words.calls[call].load(Acquire));
+        self.heard.set(now);
+        Calls(std::array::from_fn(|call| now[call] != heard[call]))
+    }
+
+    /// Says how many answers this sleeper waits for: see [`Bell::ring_if_last`].
+    pub fn expect(&self, answers: usize) {
+        self.bells.words(self.sleeper).expected.store(answers as u32, Relaxed);
+    }
+}
+
+/// Wakes a sleeper.
+#[derive(Debug)]
+pub struct Bell {
+    bells: Bells,
+    sleeper: Sleeper,
+}
+
+impl Bell {
+    pub(super) fn new(bells: Bells, sleeper: Sleeper) -> Self {
+        Self { bells, sleeper }
+    }
+
+    /// Calls the sleeper.
+    pub fn ring(&self, call: Call) {
+        let words = self.bells.words(self.sleeper);
+        words.calls[call as usize].fetch_add(1, AcqRel);
+        words.rings.fetch_add(1, SeqCst);
+        if words.asleep.load(SeqCst) > 0 {
+            // An error is nothing to act on: who was not woken looks by itself before long.
+            let _ = futex::wake(&words.rings, futex::Flags::empty(), i32::MAX as u32);
+        }
+    }
+
+    /// Counts an answer to a tick, and calls the sleeper if it is the last that it waits for; or the first, if
+    /// that is asked for.
+    ///
+    /// A count that a kill has left short costs a wait until the next repeat, which rings without
+    /// counting; one that a restarted robot has made too high costs a wake-up.
+    pub fn ring_if_last(&self, tick: u64, or_first: bool) {
+        let words = self.bells.words(self.sleeper);
+        let number = tick + 1;
+        let counted = |answers: u64| match answers >> COUNT_BITS {
+            newest if newest < number => Some(number << COUNT_BITS | 1),
+            newest if newest == number => Some(answers + 1),
+            _ => None,
+        };
+        let count = match words.answers.fetch_update(AcqRel, Relaxed, counted) {
+            Ok(answers) if answers >> COUNT_BITS == number => (answers & ((1 << COUNT_BITS) - 1)) as u32 + 1,
+            Ok(_) => 1,
+            // Of a tick that is over: whoever needs it waits for nothing else.
+            Err(_) => u32::MAX,
+        };
+        if count >= words.expected.load(Relaxed) || or_first && count == 1 {
+            self.ring(Call::Data);
+        }
+    }
+}
