@@ -157,6 +157,7 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
             starts: rendezvous.roster().starts(role),
             kills: 0,
             exits: 0,
+            hangs: 0,
         })
         .collect();
     let report = report::from_logs(description, None, nodes)?;

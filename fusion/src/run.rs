@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rangehound_shared::bus::{Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
-use rangehound_shared::clock::{monotonic_ns, range_deadline_ns, until};
+use rangehound_shared::clock::{Standstill, monotonic_ns, range_deadline_ns, until};
 use rangehound_shared::message::{Command, Estimate, Header, Range};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
@@ -211,9 +211,12 @@ impl<'a> Fusion<'a> {
         self.first_tick = self.centre.next_tick();
         self.take_ranges()?;
         self.sim.ring(Call::Hello);
+        let mut standstill = Standstill::default();
         while !termination.requested() {
             let calls = bed.sleep(self.time_to_wait());
             self.require_lead()?;
+            let stood_still = standstill.look();
+            self.gathering.first = self.gathering.first.map(|first| first + stood_still);
             self.take_ranges()?;
             while self.is_ready() {
                 self.process_tick()?;

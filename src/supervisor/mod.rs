@@ -3,6 +3,7 @@
 mod cleaner;
 mod nodes;
 pub mod restart;
+mod silence;
 
 use anyhow::anyhow;
 use rangehound_shared::bus::Bus;
@@ -92,12 +93,12 @@ fn supervise(
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
     prepare_folder()?;
-    let _role = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
+    let hold = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
     let (summaries, outcome) = std::thread::scope(|scope| {
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
-        let outcome = nodes.supervise(&termination, || watch.look());
+        let outcome = nodes.supervise(&hold, &termination, || watch.look());
         nodes.end(rendezvous.is_finished());
         watch.finish();
         Ok::<_, Failure>((nodes.summaries(), outcome))
