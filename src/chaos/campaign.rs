@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of};
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogReader;
 use rustix::process::{Pid, Signal, kill_process};
@@ -251,7 +251,8 @@ impl Run {
         let _ = kill_process(Pid::from_child(&self.child), Signal::STOP);
         loop {
             let left = processes_of(&self.name);
-            if left.is_empty() {
+            // One that is not listed any more may still be on its way down.
+            if left.is_empty() && !living_runs().contains(&self.name) {
                 break;
             }
             for pid in left.into_iter().filter_map(Pid::from_raw) {

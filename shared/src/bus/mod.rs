@@ -49,6 +49,9 @@ const BUFFER: usize = 4;
 /// Longest sleep of a node: how soon it sees that the run has ended if nobody calls.
 pub const IDLE: Duration = Duration::from_millis(100);
 
+/// Shortest sleep: less is rounded down to no time at all, which the kernel takes for no limit.
+const SLEEP_MIN: Duration = Duration::from_micros(1);
+
 /// A payload with the topic it travels on.
 pub trait Topic: Copy + std::fmt::Debug + ZeroCopySend + 'static {
     /// Name of the service.
@@ -414,7 +417,7 @@ impl Bed {
                     *called = true;
                 }
             },
-            at_most,
+            at_most.max(SLEEP_MIN),
         );
         calls
     }
