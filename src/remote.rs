@@ -1,5 +1,6 @@
 //! Acting on a run from another terminal: `status`, `kill`, `restart`, `stop`.
 
+use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
@@ -148,23 +149,32 @@ fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
     run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
 }
 
-/// Sends a signal to the process in a role, and to no other that may get its pid.
+/// Sends a signal to the process in a role.
 pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
+    let (pid, process) = process_in(run, role)?;
+    pidfd_send_signal(&process, signal).map_err(|_| gone(run, role))?;
+    Ok(pid)
+}
+
+/// The process in a role, held so that it is never mistaken for another that may get its pid.
+pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<(Pid, OwnedFd), Failure> {
     if let Role::Robot(id) = role
         && id >= run.description().scenario.robots.len()
     {
         let last = run.description().scenario.robots.len() - 1;
         return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
     }
-    let gone = || Failure::Running(anyhow!("{role} of run {} is not there", run.name()));
-    let pid = run.roster().holder(role).ok_or_else(gone)?;
-    let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone())?;
+    let pid = run.roster().holder(role).ok_or_else(|| gone(run, role))?;
+    let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone(run, role))?;
     // Still the holder: so what was opened is it.
     if run.roster().holder(role) != Some(pid) {
-        return Err(gone());
+        return Err(gone(run, role));
     }
-    pidfd_send_signal(&process, signal).map_err(|_| gone())?;
-    Ok(pid)
+    Ok((pid, process))
+}
+
+fn gone(run: &Rendezvous, role: Role) -> Failure {
+    Failure::Running(anyhow!("{role} of run {} is not there", run.name()))
 }
 
 impl Status {

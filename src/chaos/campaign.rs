@@ -1,6 +1,7 @@
 //! The live part of a campaign: runs that are started, hurt, and waited for.
 
 use std::fs::File;
+use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -12,7 +13,7 @@ use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogReader;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, pidfd_send_signal};
 
 use super::faults::{Fault, Faults, Kind};
 use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
@@ -21,7 +22,7 @@ use crate::experiment::Experiment;
 use crate::failure::Failure;
 use crate::in_process;
 use crate::node::input_or_running;
-use crate::remote::{Status, signal};
+use crate::remote::{Status, process_in, signal};
 use crate::report::{self, Report};
 use crate::watch::Progress;
 
@@ -317,7 +318,7 @@ struct Live<'a> {
     last_fault: Instant,
     ticks: Ticks<'a>,
     /// Who is to be continued, and when.
-    stopped: Vec<(Instant, Role)>,
+    stopped: Vec<(Instant, OwnedFd)>,
     storms: Vec<Storm>,
     recovering: Vec<Recovering>,
 }
@@ -355,7 +356,7 @@ impl<'a> Live<'a> {
             let Some(role) = self.present(*role) else { continue };
             let hit = injected.len();
             let is_hit = match what.kind {
-                Kind::Stop => signal(self.run, role, Signal::STOP).is_ok(),
+                Kind::Stop => self.stop(role, what.stop),
                 Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
                 // Done by who can do without the run.
                 Kind::Blackout => true,
@@ -365,12 +366,11 @@ impl<'a> Live<'a> {
             }
             is_done = true;
             match what.kind {
-                Kind::Stop => self.stopped.push((Instant::now() + what.stop, role)),
                 Kind::Storm => {
                     let starts = self.recovering.last().map_or(0, |last| last.starts);
                     self.storms.push(Storm { hit, role, starts, left: what.kills - 1 });
                 }
-                Kind::Kill | Kind::Several | Kind::Blackout => {}
+                Kind::Kill | Kind::Stop | Kind::Several | Kind::Blackout => {}
             }
             let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
             let round = self.round;
@@ -399,6 +399,14 @@ impl<'a> Live<'a> {
         roles.find(|role| self.run.roster().is_held(*role))
     }
 
+    /// Stops a node for a while: the process, which may have lost its role when it is to go on.
+    fn stop(&mut self, role: Role, duration: Duration) -> bool {
+        let Ok((_, process)) = process_in(self.run, role) else { return false };
+        let is_stopped = pidfd_send_signal(&process, Signal::STOP).is_ok();
+        self.stopped.push((Instant::now() + duration, process));
+        is_stopped
+    }
+
     /// Kills a node, for the hit of this number; an earlier one that it has not got over counts no more.
     fn kill(&mut self, role: Role, hit: usize) -> bool {
         let starts = self.run.roster().starts(role);
@@ -415,11 +423,10 @@ impl<'a> Live<'a> {
         let now = Instant::now();
         self.ticks.look();
         let run = self.run;
-        self.stopped.retain(|(due, role)| {
+        self.stopped.retain(|(due, process)| {
             let is_due = now >= *due;
             if is_due {
-                // A node that was killed meanwhile has a successor, which this does no harm.
-                let _ = signal(run, *role, Signal::CONT);
+                let _ = pidfd_send_signal(process, Signal::CONT);
             }
             !is_due
         });
@@ -452,8 +459,8 @@ impl<'a> Live<'a> {
     }
 
     fn continue_all(&mut self) {
-        for (_, role) in self.stopped.drain(..) {
-            let _ = signal(self.run, role, Signal::CONT);
+        for (_, process) in self.stopped.drain(..) {
+            let _ = pidfd_send_signal(process, Signal::CONT);
         }
     }
 }

@@ -353,7 +353,10 @@ impl std::fmt::Display for Outcome {
         writeln!(f, "  ranges           {published} published: {fused} fused, {missing} missing")?;
         let HeadingSummary { fresh, late, none, refused } = headings;
         writeln!(f, "  headings         {fresh} fresh, {late} late, {none} none, {refused} refused")?;
-        if let Some(PositionError { hurt, alone }) = &self.position_rmse_m {
+        // Where the estimates must be the same, so is their error.
+        if let Some(PositionError { hurt, alone }) =
+            self.position_rmse_m.as_ref().filter(|_| self.digest_equal.is_none())
+        {
             let more = 100.0 * (hurt / alone - 1.0);
             writeln!(f, "  position error   {hurt:.3} m RMS, {alone:.3} left alone: {more:+.1} %")?;
         }
