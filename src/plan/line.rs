@@ -237,15 +237,15 @@ fn of_line(error: ScenarioError) -> String {
 
 /// No line break and no end of it, whatever has been quoted.
 fn one_short_line(problem: &str) -> String {
-    let mut short = String::new();
-    for (count, character) in problem.chars().enumerate() {
-        if count == COMPLAINT_CHARS_MAX {
-            short.push_str("...");
-            break;
-        }
-        if character.is_control() { short.extend(character.escape_default()) } else { short.push(character) }
+    let mut line = String::new();
+    for character in problem.chars() {
+        if character.is_control() { line.extend(character.escape_default()) } else { line.push(character) }
     }
-    short
+    if let Some((end, _)) = line.char_indices().nth(COMPLAINT_CHARS_MAX) {
+        line.truncate(end);
+        line.push_str("...");
+    }
+    line
 }
 
 #[cfg(test)]
