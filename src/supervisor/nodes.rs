@@ -170,7 +170,9 @@ impl<'a> Nodes<'a> {
                 self.last_death = Some(Instant::now());
                 self.rendezvous.remove_half_made();
                 self.cleaner.request();
-                let is_hopeless = status.code() == Some(2) || node.failures >= FAILURES_MAX;
+                // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
+                let is_taken = self.rendezvous.roster().is_held(node.role);
+                let is_hopeless = !is_taken && (status.code() == Some(2) || node.failures >= FAILURES_MAX);
                 let is_replaced = match self.policies.of(node.role) {
                     Policy::Always => true,
                     Policy::OnFailure => !status.success(),

@@ -315,6 +315,28 @@ fn a_deposed_fusion_that_stays_stopped_is_replaced() {
     run.assert_nothing_left();
 }
 
+/// Its supervisor knows nothing of a standby that was started by hand, and must not give up what that one leads.
+#[test]
+fn a_run_goes_on_with_a_standby_started_by_hand_and_again_without() {
+    let run = Run::new();
+    let supervisor = run.lockstep("--ticks 100000000 --patience forever");
+    run.wait_for_ticks(20);
+    let by_hand = run.node("fusion --standby");
+    run.wait_until("a standby is there", || run.starts("standby-1") == 1);
+    let first = run.pid_of("fusion", 1);
+    signal(first, Signal::STOP);
+    run.wait_until("the standby leads", || run.starts("fusion") == 2);
+    signal(first, Signal::CONT);
+    run.wait_until("a successor finds its place taken", || supervisor.stderr().contains("fusion exited with code 2"));
+    wait_for_more_ticks(&run, 100);
+    by_hand.signal(Signal::KILL);
+    by_hand.finish();
+    run.wait_until("the supervisor's leads again", || run.starts("fusion") == 3);
+    wait_for_more_ticks(&run, 100);
+    interrupt(supervisor);
+    run.assert_nothing_left();
+}
+
 #[test]
 fn status_tells_who_is_silent() {
     let run = Run::new();
