@@ -227,9 +227,15 @@ pub struct ChaosArgs {
     /// Kinds of faults, separated by commas
     #[arg(long, value_name = "KINDS", value_delimiter = ',', default_value = "all")]
     pub kinds: Vec<KindArg>,
-    /// Who is hurt: sim, fusion, robot, separated by commas
+    /// Who is hurt: sim, fusion (whoever leads), robot, standby, separated by commas
     #[arg(long, value_name = "ROLES", value_delimiter = ',', default_value = "sim,fusion,robot")]
     pub roles: Vec<RoleArg>,
+    /// Fusion processes that stand by in the runs
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
+    pub standby: usize,
+    /// Longest stop, s
+    #[arg(long, value_name = "SECONDS", value_parser = number, allow_negative_numbers = true, default_value_t = 0.5)]
+    pub longest_stop: f64,
     /// Faults a second in the mean; the gaps are exponential
     #[arg(long, value_name = "PER_S", value_parser = number, allow_negative_numbers = true, default_value_t = 10.0)]
     pub rate: f64,
@@ -245,13 +251,15 @@ const CHAOS_EXITS: &str = "Exit codes: 0 all promises kept, 1 one broken or ende
 pub enum KindArg {
     /// One node is killed
     Kill,
-    /// One node is stopped for 10 to 500 ms
+    /// One node is stopped for 10 ms up to the longest stop
     Stop,
     /// One node is killed, and its successors as soon as they have its role, 3 to 5 times
     Storm,
     /// Two or more nodes are killed at once
     Several,
-    /// All of these
+    /// Everything is killed at once, whatever the roles, and the supervisor too; then the run is resumed
+    Blackout,
+    /// All of these; without blackout if not sim, fusion and robot are to be hurt
     All,
 }
 
@@ -264,6 +272,8 @@ pub enum RoleArg {
     Fusion,
     /// Any robot
     Robot,
+    /// Any fusion that stands by
+    Standby,
 }
 
 /// `robot`.

@@ -112,7 +112,9 @@ impl Team {
                 robot: id as u64,
                 heading_rad: driven.heading_rad,
                 speed_mps: driven.speed_mps,
-                range_sent_ns: u64::from(published),
+                // Stamps that say what there was, and give no latency: nobody looks at a clock here.
+                range_sent_ns: if published { u64::MAX } else { 0 },
+                heading_held_ns: 1,
                 ..Drive::default()
             });
         }

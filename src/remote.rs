@@ -1,6 +1,7 @@
 //! Acting on a run from another terminal: `status`, `kill`, `restart`, `stop`.
 
-use std::time::{Duration, Instant};
+use std::os::fd::OwnedFd;
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::run::STANDBYS_MAX;
@@ -19,6 +20,9 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 const POLL: Duration = Duration::from_millis(10);
 
+/// Time without a sign of life after which a process that runs is shown as hung.
+const HUNG: Duration = Duration::from_secs(1);
+
 /// A run as it is at the moment.
 #[derive(Debug, Serialize)]
 pub(crate) struct Status {
@@ -28,6 +32,11 @@ pub(crate) struct Status {
     tick: u64,
     ticks: u64,
     out_dir: String,
+    /// The process that leads as fusion, and how many leads there have been.
+    leader: Option<i32>,
+    leads: u64,
+    /// Processes that stand by to lead.
+    standbys: usize,
     nodes: Vec<NodeStatus>,
 }
 
@@ -35,10 +44,12 @@ pub(crate) struct Status {
 #[derive(Debug, Serialize)]
 struct NodeStatus {
     name: String,
-    /// `running`, `stopped` (by a signal) or `gone`.
+    /// `running`, `stopped` (by a signal), `hung` (gives no sign of life) or `gone`.
     state: &'static str,
     pid: Option<i32>,
     starts: u64,
+    /// Since its last sign of life, s; by the wall clock, so that a jump of it shows until the next sign.
+    silent_s: Option<f64>,
     /// Resident memory, kB.
     resident_kb: Option<u64>,
 }
@@ -131,23 +142,32 @@ fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
     run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
 }
 
-/// Sends a signal to the process in a role, and to no other that may get its pid.
+/// Sends a signal to the process in a role.
 pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
+    let (pid, process) = process_in(run, role)?;
+    pidfd_send_signal(&process, signal).map_err(|_| gone(run, role))?;
+    Ok(pid)
+}
+
+/// The process in a role, held so that it is never mistaken for another that may get its pid.
+pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<(Pid, OwnedFd), Failure> {
     if let Role::Robot(id) = role
         && id >= run.description().scenario.robots.len()
     {
         let last = run.description().scenario.robots.len() - 1;
         return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
     }
-    let gone = || Failure::Running(anyhow!("{role} of run {} is not there", run.name()));
-    let pid = run.roster().holder(role).ok_or_else(gone)?;
-    let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone())?;
+    let pid = run.roster().holder(role).ok_or_else(|| gone(run, role))?;
+    let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone(run, role))?;
     // Still the holder: so what was opened is it.
     if run.roster().holder(role) != Some(pid) {
-        return Err(gone());
+        return Err(gone(run, role));
     }
-    pidfd_send_signal(&process, signal).map_err(|_| gone())?;
-    Ok(pid)
+    Ok((pid, process))
+}
+
+fn gone(run: &Rendezvous, role: Role) -> Failure {
+    Failure::Running(anyhow!("{role} of run {} is not there", run.name()))
 }
 
 impl Status {
@@ -156,14 +176,19 @@ impl Status {
         let scenario = &description.scenario;
         let log = WorldRecord::reader(&description.out_dir, description.run_id, scenario).ok();
         let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
-        let standbys = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| run.roster().starts(*role) > 0);
-        let roles = watch::roles(scenario.robots.len()).chain(standbys).chain([Role::Supervisor]);
+        let roster = run.roster();
+        // One that leads now stood by before: its place then is not worth a line.
+        let standbys: Vec<Role> = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| roster.is_held(*role)).collect();
+        let roles = watch::roles(scenario.robots.len()).chain(standbys.iter().copied()).chain([Role::Supervisor]);
         Self {
             name: run.name().to_string(),
             scenario: scenario.name.clone(),
             tick,
             ticks: scenario.ticks,
             out_dir: description.out_dir.display().to_string(),
+            leader: roster.holder(Role::Fusion).map(Pid::as_raw_pid),
+            leads: roster.starts(Role::Fusion),
+            standbys: standbys.len(),
             nodes: roles.map(|role| NodeStatus::of(run, role)).collect(),
         }
     }
@@ -174,25 +199,34 @@ impl NodeStatus {
         let pid = run.roster().holder(role).map(Pid::as_raw_pid);
         let told = pid.and_then(|pid| std::fs::read_to_string(format!("/proc/{pid}/status")).ok()).unwrap_or_default();
         let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
+        let silent = run.roster().last_sign(role).filter(|_| pid.is_some());
+        let silent = silent.map(|sign| SystemTime::now().duration_since(sign).unwrap_or_default());
         let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
             (None, _) | (_, Some('Z' | 'X') | None) => "gone",
             (_, Some('T' | 't')) => "stopped",
+            _ if silent.is_some_and(|silent| silent >= HUNG) => "hung",
             _ => "running",
         };
+        let silent_s = silent.map(|silent| silent.as_secs_f64());
         let resident_kb = field("VmRSS:").and_then(|text| text.split(' ').next()?.parse().ok());
-        Self { name: role.to_string(), state, pid, starts: run.roster().starts(role), resident_kb }
+        Self { name: role.to_string(), state, pid, starts: run.roster().starts(role), silent_s, resident_kb }
     }
 }
 
 impl std::fmt::Display for Status {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { name, scenario, tick, ticks, out_dir, nodes } = self;
+        let Self { name, scenario, tick, ticks, out_dir, leader, leads, standbys, nodes } = self;
         writeln!(f, "run {name}: {scenario}, tick {tick} of {ticks}, in {out_dir}")?;
-        write!(f, "{:<12} {:<8} {:>8} {:>7} {:>9}", "node", "state", "pid", "starts", "memory")?;
-        for NodeStatus { name, state, pid, starts, resident_kb } in nodes {
+        match leader {
+            Some(pid) => writeln!(f, "process {pid} leads, the lead number {leads}; {standbys} stand by")?,
+            None => writeln!(f, "nobody leads; {standbys} stand by")?,
+        }
+        write!(f, "{:<12} {:<8} {:>8} {:>7} {:>10} {:>9}", "node", "state", "pid", "starts", "silent", "memory")?;
+        for NodeStatus { name, state, pid, starts, silent_s, resident_kb } in nodes {
             let pid = pid.map_or("-".to_owned(), |pid| pid.to_string());
+            let silent = silent_s.map_or("-".to_owned(), |silent_s| format!("{silent_s:.2} s"));
             let memory = resident_kb.map_or("-".to_owned(), |kb| format!("{:.1} MB", kb as f64 / 1_024.0));
-            write!(f, "\n{name:<12} {state:<8} {pid:>8} {starts:>7} {memory:>9}")?;
+            write!(f, "\n{name:<12} {state:<8} {pid:>8} {starts:>7} {silent:>10} {memory:>9}")?;
         }
         Ok(())
     }

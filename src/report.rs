@@ -7,7 +7,7 @@ use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Estimate, Refusal};
-use rangehound_shared::record::{EstimateRecord, RobotRecord, WorldRecord};
+use rangehound_shared::record::{EstimateRecord, Heading, RobotRecord, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
@@ -57,6 +57,8 @@ pub struct Report {
     pub refused: RefusalSummary,
     /// When robots were distrusted.
     pub distrusted: Vec<Distrust>,
+    /// What the robots drove by.
+    pub headings: HeadingSummary,
     /// From publishing a range to holding the heading computed from it.
     pub latency_us: LatencySummary,
     /// The processes.
@@ -118,6 +120,31 @@ pub struct Distrust {
     pub to_tick: Option<u64>,
 }
 
+/// What the robots drove by, summed over robots and ticks; where a robot did not answer, nothing is known.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct HeadingSummary {
+    /// The tick's heading.
+    pub fresh: u64,
+    /// The tick's heading, when it was overdue.
+    pub late: u64,
+    /// None for the tick: they held the last one, or stood.
+    pub none: u64,
+    /// Headings that they refused, of a fusion that led no more or of a stranger.
+    pub refused: u64,
+}
+
+impl HeadingSummary {
+    fn add(&mut self, robot: &RobotRecord) {
+        match robot.heading {
+            Heading::Fresh => self.fresh += 1,
+            Heading::Late => self.late += 1,
+            Heading::None => self.none += 1,
+            Heading::Unknown => {}
+        }
+        self.refused += robot.headings_refused;
+    }
+}
+
 /// Percentiles of the end-to-end latency, us.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct LatencySummary {
@@ -146,6 +173,8 @@ pub struct NodeSummary {
     pub kills: u64,
     /// How often it ended by itself before the run did.
     pub exits: u64,
+    /// How often it was killed because it gave no sign of life: among the kills too.
+    pub hangs: u64,
 }
 
 /// A true track: positions by time, from a file that the tracker never saw.
@@ -211,6 +240,7 @@ pub struct Tally {
     ranges: RangeSummary,
     refused: RefusalSummary,
     distrusted: Vec<Distrust>,
+    headings: HeadingSummary,
     latency_ns: Histogram<u64>,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
@@ -249,6 +279,7 @@ impl Tally {
             ranges: RangeSummary::default(),
             refused: RefusalSummary::default(),
             distrusted: Vec::new(),
+            headings: HeadingSummary::default(),
             // Grows with the largest value; 3 digits are what the report shows.
             latency_ns: Histogram::new(3)?,
             first_end_ns: None,
@@ -302,6 +333,7 @@ impl Tally {
         self.last_end_ns = ended_ns;
         for robot in robots {
             self.ranges.published += u64::from(robot.range_published);
+            self.headings.add(robot);
             if let Some(latency_ns) = robot.latency_ns {
                 // Resizes as needed, so nothing can be out of its bounds.
                 let _ = self.latency_ns.record(latency_ns);
@@ -336,6 +368,7 @@ impl Tally {
             ranges: self.ranges,
             refused: self.refused,
             distrusted: self.distrusted,
+            headings: self.headings,
             latency_us: LatencySummary {
                 count: self.latency_ns.len(),
                 p50: latency_us(0.5),
@@ -430,7 +463,7 @@ pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
 
 impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { ranges, refused, distrusted, latency_us, .. } = self;
+        let Self { ranges, headings, refused, distrusted, latency_us, .. } = self;
         writeln!(f, "{}: {} robots, {} planner, seed {}", self.scenario, self.robots, self.planner, self.seed)?;
         writeln!(
             f,
@@ -451,6 +484,11 @@ impl std::fmt::Display for Report {
             f,
             "  ranges           {} published: {} fused, {} rejected, {} late, {} missing",
             ranges.published, ranges.fused, ranges.rejected, ranges.late, ranges.missing
+        )?;
+        writeln!(
+            f,
+            "  headings         {} fresh, {} late, {} none, {} refused",
+            headings.fresh, headings.late, headings.none, headings.refused
         )?;
         if *refused != RefusalSummary::default() {
             let RefusalSummary { impostor, out_of_range, malformed, future, contradiction, jump } = refused;
@@ -475,8 +513,9 @@ impl std::fmt::Display for Report {
             )?;
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
-            let NodeSummary { name, starts, kills, exits } = node;
-            writeln!(f, "  {name:<16} {starts} starts, {kills} kills, {exits} early exits")?;
+            let NodeSummary { name, starts, kills, exits, hangs } = node;
+            let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
+            writeln!(f, "  {name:<16} {starts} starts, {kills} kills, {exits} early exits{hung}")?;
         }
         write!(f, "  digest           {}", self.digest)
     }

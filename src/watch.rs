@@ -173,6 +173,7 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
             starts: rendezvous.roster().starts(role),
             kills: 0,
             exits: 0,
+            hangs: 0,
         })
         .collect();
     tables::report_and_tables(description, None, false, nodes).map(drop)

@@ -4,6 +4,8 @@
 //! [`Refusal`]; what says again what was said is a repeat; what is of a tick that is over is late. Nothing here grows
 //! with the number of messages, and no robot can hold up a tick by what it says.
 
+use std::time::Duration;
+
 use rangehound_shared::clock::range_deadline_ns;
 use rangehound_shared::message::{Header, Range, Refusal};
 use rangehound_shared::scenario::bounds;
@@ -291,6 +293,11 @@ impl Intake {
         !self.is_empty()
             && (!self.spoke.iter().zip(&self.record.robots).any(waited_for)
                 || self.deadline_ns(next).is_some_and(|deadline_ns| deadline_ns <= now_ns))
+    }
+
+    /// Time for which this process stood still is nobody's silence.
+    pub fn forgive(&mut self, stood_still: Duration) {
+        self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(stood_still.as_nanos() as u64));
     }
 
     /// How many robots the present tick waits for.

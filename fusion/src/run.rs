@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
-use rangehound_shared::clock::{monotonic_ns, until};
+use rangehound_shared::clock::{Standstill, monotonic_ns, until};
 use rangehound_shared::message::{Command, Estimate, Range, Refusal};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
@@ -191,8 +191,10 @@ impl<'a> Fusion<'a> {
         self.act()?;
         log::info!("leads from tick {first_tick}, {:?} after it could", began.elapsed());
         self.sim.ring(Call::Hello);
+        let mut standstill = Standstill::default();
         while !termination.requested() {
             let calls = self.bed.sleep(self.time_to_wait());
+            self.intake.forgive(standstill.look());
             self.act()?;
             if (calls.has(Call::Finished) || !calls.has(Call::Data)) && self.rendezvous.is_finished() {
                 // What never came in real time is missing, but every tick has its estimate.

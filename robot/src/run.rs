@@ -177,6 +177,17 @@ impl<'a> Robot<'a> {
             range_sent_ns,
             drive: None,
         });
+        self.provide_for_silence()
+    }
+
+    /// In real time a tick does not wait for a robot that is late, and a kernel's timers may be later than the rest
+    /// of the tick: so what it drives if nothing comes is said first. Nobody is woken for it.
+    fn provide_for_silence(&self) -> Result<(), BusError> {
+        if let Some(present) = self.present.as_ref().filter(|_| self.heading_deadline_ns().is_some()) {
+            let drive =
+                Drive { headings_refused: 0, ..self.drive(present, self.controller.hold(present.tick), 0, false) };
+            self.drives.send(present.tick, present.time_s, &[drive])?;
+        }
         Ok(())
     }
 
@@ -226,8 +237,19 @@ impl<'a> Robot<'a> {
     }
 
     fn send_drive(&mut self, driven: Command, heading_held_ns: u64, is_late: bool) -> Result<(), BusError> {
-        let Some(present) = &mut self.present else { return Ok(()) };
-        let drive = Drive {
+        let Some(present) = self.present else { return Ok(()) };
+        let drive = self.drive(&present, driven, heading_held_ns, is_late);
+        self.present = Some(Present { drive: Some(drive), ..present });
+        self.drives.send(present.tick, present.time_s, &[drive])?;
+        // In real time the simulator waits for its time, but for the first tick.
+        if self.scenario.clock == Clock::Lockstep || present.tick == 0 {
+            self.sim.ring_if_last(present.tick, false);
+        }
+        Ok(())
+    }
+
+    fn drive(&self, present: &Present, driven: Command, heading_held_ns: u64, is_late: bool) -> Drive {
+        Drive {
             robot: self.id as u64,
             heading_rad: driven.heading_rad,
             speed_mps: driven.speed_mps,
@@ -235,13 +257,6 @@ impl<'a> Robot<'a> {
             heading_held_ns,
             heading_late: u64::from(is_late),
             headings_refused: self.headings_refused,
-        };
-        present.drive = Some(drive);
-        self.drives.send(present.tick, present.time_s, &[drive])?;
-        // In real time the simulator waits for its time, but for the first tick.
-        if self.scenario.clock == Clock::Lockstep || present.tick == 0 {
-            self.sim.ring_if_last(present.tick, false);
         }
-        Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Monotonic time, shared by all processes of a machine, and the deadlines of a real-time tick.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
 
@@ -16,6 +16,31 @@ const HEADING_DEADLINE: f64 = 0.8;
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Monotonic);
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
+}
+
+/// Longest time between two looks of a process that runs: above the longest sleep.
+const ROUND_MAX: Duration = Duration::from_millis(250);
+
+/// Tells how long this process stood still: stopped, or on a machine that was suspended. Such time is
+/// nobody's silence.
+#[derive(Debug)]
+pub struct Standstill {
+    looked: Instant,
+}
+
+impl Default for Standstill {
+    fn default() -> Self {
+        Self { looked: Instant::now() }
+    }
+}
+
+impl Standstill {
+    /// How long it stood still since the last look; to be called in each round of a node's loop.
+    pub fn look(&mut self) -> Duration {
+        let since = self.looked.elapsed();
+        self.looked += since;
+        since.saturating_sub(ROUND_MAX)
+    }
 }
 
 /// When fusion stops to wait for ranges of the real-time tick that began then.

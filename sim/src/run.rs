@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
-use rangehound_shared::clock::{monotonic_ns, until};
+use rangehound_shared::clock::{Standstill, monotonic_ns, until};
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
 use rangehound_shared::recording::RecordingError;
@@ -179,11 +179,14 @@ impl<'a> Sim<'a> {
     /// exceeds the patience while others go on. False if asked to end.
     fn tick_until_answered(&mut self, patience: Patience, termination: &Termination) -> Result<bool, SimError> {
         self.publish()?;
-        let mut first_answer = None;
+        let mut first_answer: Option<Instant> = None;
+        let mut standstill = Standstill::default();
         let mut repeat_at = Instant::now() + REPEAT;
         while !termination.requested() {
             let calls = self.bed.sleep(repeat_at.saturating_duration_since(Instant::now()));
             self.hold.sign();
+            let stood_still = standstill.look();
+            first_answer = first_answer.map(|first| first + stood_still);
             self.take_drives()?;
             if self.drives.iter().any(Option::is_some) {
                 // Silence counts only while others go on: fusion may have been waiting until now.

@@ -1,28 +1,35 @@
 //! The live part of a campaign: runs that are started, hurt, and waited for.
 
 use std::fs::File;
+use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of};
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogReader;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, pidfd_send_signal};
 
 use super::faults::{Fault, Faults, Kind};
 use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
+use crate::cli::ChaosArgs;
 use crate::experiment::Experiment;
 use crate::failure::Failure;
+use crate::in_process;
 use crate::node::input_or_running;
-use crate::remote::{Status, signal};
+use crate::remote::{Status, process_in, signal};
+use crate::report::{self, Report};
 use crate::watch::Progress;
-use crate::{in_process, report};
 
 const POLL: Duration = Duration::from_millis(1);
+
+/// What a run says, in its folder.
+const LOG: &str = "run.log";
 
 /// A run that has not completed a tick for so long after the last fault is called hung.
 const HUNG: Duration = Duration::from_secs(30);
@@ -39,6 +46,7 @@ pub(super) struct Campaign<'a> {
     experiment: &'a Experiment,
     faults: Faults,
     count: u64,
+    standbys: usize,
     termination: &'a Termination,
     progress: Progress,
     /// The next fault, and what is left of the time before it.
@@ -53,13 +61,13 @@ impl<'a> Campaign<'a> {
     pub(super) fn new(
         experiment: &'a Experiment,
         mut faults: Faults,
-        count: u64,
+        args: &ChaosArgs,
         termination: &'a Termination,
     ) -> Self {
-        let next = faults.at(0);
+        let (next, count, standbys) = (faults.at(0), args.faults, args.standby);
         let (wait, progress) = (next.gap, Progress::new("fault", count));
         let (next_number, injected, rounds) = (0, Vec::new(), 0);
-        Self { experiment, faults, count, termination, progress, next, next_number, wait, injected, rounds }
+        Self { experiment, faults, count, standbys, termination, progress, next, next_number, wait, injected, rounds }
     }
 
     /// True until all faults are in.
@@ -80,7 +88,7 @@ impl<'a> Campaign<'a> {
         let seed = description.scenario.seed.wrapping_add(self.rounds as u64);
         self.rounds += 1;
         let out_dir = description.out_dir.join(format!("round-{}", self.rounds));
-        let mut run = Run::start(self.experiment, seed, &out_dir)?;
+        let mut run = Run::start(self.experiment, seed, self.standbys, &out_dir)?;
         let began = Instant::now();
         let (joined, mut ended) = self.hurt(&mut run)?;
         self.progress.finish();
@@ -98,7 +106,7 @@ impl<'a> Campaign<'a> {
         for pid in processes_left.iter().filter_map(|pid| Pid::from_raw(*pid)) {
             let _ = kill_process(pid, Signal::KILL);
         }
-        let alone = (ended == Ended::Done && is_repeatable(&joined.scenario)).then(|| alone(&joined)).transpose()?;
+        let alone = (ended == Ended::Done).then(|| alone(&joined)).transpose()?;
         Ok(Round {
             seed,
             ended,
@@ -107,42 +115,62 @@ impl<'a> Campaign<'a> {
             // A run that ended early may have left no logs.
             tally: tally(&joined).unwrap_or_default(),
             alone,
-            without_heading: without_heading(&joined).unwrap_or(0),
+            is_repeatable: is_repeatable(&joined.scenario),
             files_left: files_of(name).iter().map(|path| path.display().to_string()).collect(),
             processes_left,
         })
     }
 
-    /// Joins the run and hurts it until it ends. Membership ends with this, so that the run's last own
-    /// member cleans up as it would without us.
+    /// Joins the run and hurts it until it ends, and after each blackout again. Membership ends with this,
+    /// so that the run's last own member cleans up as it would without us.
     fn hurt(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
         let name = &self.experiment.name;
-        let rendezvous = loop {
-            if let Some(rendezvous) = Rendezvous::join_if_alive(name).map_err(input_or_running)? {
-                break rendezvous;
+        let (mut description, mut recovering) = (None, None);
+        loop {
+            let rendezvous = loop {
+                if let Some(rendezvous) = Rendezvous::join_if_alive(name).map_err(input_or_running)? {
+                    break rendezvous;
+                }
+                if run.has_ended()? {
+                    return Ok((description, Ended::Failed));
+                }
+                std::thread::sleep(POLL);
+            };
+            description = Some(rendezvous.description().clone());
+            match self.hurt_until_it_ends(run, &rendezvous, recovering.take())? {
+                Life::Over(ended) => return Ok((description, ended)),
+                Life::BlackedOut(hit) => {
+                    drop(rendezvous);
+                    recovering = Some(Recovering {
+                        hit,
+                        role: Role::Supervisor,
+                        killed: Instant::now(),
+                        starts: 0,
+                        heard_before: None,
+                    });
+                    run.black_out_and_resume()?;
+                }
             }
-            if run.has_ended()? {
-                return Ok((None, Ended::Failed));
-            }
-            std::thread::sleep(POLL);
-        };
-        let description = rendezvous.description().clone();
-        let ended = self.hurt_until_it_ends(run, &rendezvous)?;
-        Ok((Some(description), ended))
+        }
     }
 
-    fn hurt_until_it_ends(&mut self, run: &mut Run, rendezvous: &Rendezvous) -> Result<Ended, Failure> {
-        let mut live = Live::new(rendezvous, self.rounds);
+    fn hurt_until_it_ends(
+        &mut self,
+        run: &mut Run,
+        rendezvous: &Rendezvous,
+        recovering: Option<Recovering>,
+    ) -> Result<Life, Failure> {
+        let mut live = Live::new(rendezvous, self.rounds, recovering);
         let mut due = live.began + self.wait;
-        let ended = loop {
+        let life = loop {
             if rendezvous.is_finished() {
-                break Ended::Done;
+                break Life::Over(Ended::Done);
             }
             if run.has_ended()? {
-                break Ended::Failed;
+                break Life::Over(Ended::Failed);
             }
             if self.termination.requested() {
-                break Ended::Interrupted;
+                break Life::Over(Ended::Interrupted);
             }
             live.look(&mut self.injected);
             let idle = live.ticks.since.elapsed();
@@ -155,13 +183,17 @@ impl<'a> Campaign<'a> {
                 && idle < STILL
                 && live.inject(self.next_number, &self.next, &mut self.injected)
             {
+                let kind = self.next.kind;
                 self.next_number += 1;
                 self.next = self.faults.at(self.next_number);
                 due = Instant::now() + self.next.gap;
+                if kind == Kind::Blackout {
+                    break Life::BlackedOut(self.injected.len() - 1);
+                }
             }
             if idle > HUNG && live.last_fault.elapsed() > HUNG {
                 eprintln!("{}", Status::of(rendezvous));
-                break Ended::Hung;
+                break Life::Over(Ended::Hung);
             }
             let message = format!("run {}, tick {}", self.rounds, live.ticks.newest);
             self.progress.show(self.next_number, &message);
@@ -169,37 +201,72 @@ impl<'a> Campaign<'a> {
         };
         self.wait = due.saturating_duration_since(Instant::now());
         live.continue_all();
-        Ok(ended)
+        Ok(life)
     }
+}
+
+/// What becomes of a run under one supervisor.
+enum Life {
+    Over(Ended),
+    /// Everything is to be killed, for the hit of this number.
+    BlackedOut(usize),
 }
 
 /// The child that supervises a run.
 struct Run {
     child: Child,
-    log: PathBuf,
+    name: RunName,
+    standbys: usize,
+    out_dir: PathBuf,
 }
 
 impl Run {
-    fn start(experiment: &Experiment, seed: u64, out_dir: &Path) -> anyhow::Result<Self> {
+    fn start(experiment: &Experiment, seed: u64, standbys: usize, out_dir: &Path) -> anyhow::Result<Self> {
         std::fs::create_dir_all(out_dir).with_context(|| out_dir.display().to_string())?;
+        let _ = std::fs::remove_file(out_dir.join(LOG));
         let scenario = out_dir.join("asked.toml");
         std::fs::write(&scenario, experiment.scenario_file.to_toml()?)?;
-        let log = out_dir.join("run.log");
-        let output = File::create(&log)?;
-        let child = Command::new(std::env::current_exe().context("where this program is")?)
-            .arg("run")
-            .arg(&scenario)
-            .args(["--name", &experiment.name.to_string(), "--seed", &seed.to_string()])
-            .arg("--out")
-            .arg(out_dir)
+        let name = experiment.name.clone();
+        let mut run = Command::new(std::env::current_exe().context("where this program is")?);
+        run.arg("run").arg(&scenario).args(["--seed", &seed.to_string(), "--out"]).arg(out_dir);
+        let child = Self::spawn(run, &name, standbys, out_dir)?;
+        Ok(Self { child, name, standbys, out_dir: out_dir.to_owned() })
+    }
+
+    fn spawn(mut command: Command, name: &RunName, standbys: usize, out_dir: &Path) -> anyhow::Result<Child> {
+        let output = File::options().create(true).append(true).open(out_dir.join(LOG))?;
+        command
+            .args(["--name", &name.to_string(), "--standby", &standbys.to_string()])
             // A group of its own: Ctrl-C reaches this process, which ends the run in order.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
             .stderr(output)
             .spawn()
-            .context("cannot start the run")?;
-        Ok(Self { child, log })
+            .context("cannot start the run")
+    }
+
+    /// Kills the supervisor and all nodes, and has the run resumed.
+    fn black_out_and_resume(&mut self) -> anyhow::Result<()> {
+        // It starts nobody while the others die.
+        let _ = kill_process(Pid::from_child(&self.child), Signal::STOP);
+        loop {
+            let left = processes_of(&self.name);
+            // One that is not listed any more may still be on its way down.
+            if left.is_empty() && !living_runs().contains(&self.name) {
+                break;
+            }
+            for pid in left.into_iter().filter_map(Pid::from_raw) {
+                let _ = kill_process(pid, Signal::KILL);
+            }
+            let _ = self.child.try_wait()?;
+            std::thread::sleep(POLL);
+        }
+        self.child.wait()?;
+        let mut resume = Command::new(std::env::current_exe().context("where this program is")?);
+        resume.arg("resume").arg(&self.out_dir);
+        self.child = Self::spawn(resume, &self.name, self.standbys, &self.out_dir)?;
+        Ok(())
     }
 
     fn has_ended(&mut self) -> std::io::Result<bool> {
@@ -228,7 +295,7 @@ impl Run {
     }
 
     fn last_words(&self) -> String {
-        let text = std::fs::read_to_string(&self.log).unwrap_or_default();
+        let text = std::fs::read_to_string(self.out_dir.join(LOG)).unwrap_or_default();
         let complaint = text.lines().rev().find(|line| line.starts_with("rangehound: "));
         complaint.or(text.lines().last()).unwrap_or_default().trim_start_matches("rangehound: ").to_owned()
     }
@@ -251,7 +318,7 @@ struct Live<'a> {
     last_fault: Instant,
     ticks: Ticks<'a>,
     /// Who is to be continued, and when.
-    stopped: Vec<(Instant, Role)>,
+    stopped: Vec<(Instant, OwnedFd)>,
     storms: Vec<Storm>,
     recovering: Vec<Recovering>,
 }
@@ -274,32 +341,36 @@ struct Recovering {
 }
 
 impl<'a> Live<'a> {
-    fn new(run: &'a Rendezvous, round: usize) -> Self {
+    fn new(run: &'a Rendezvous, round: usize, recovering: Option<Recovering>) -> Self {
         let now = Instant::now();
-        let (stopped, storms, recovering) = (Vec::new(), Vec::new(), Vec::new());
+        let (stopped, storms, recovering) = (Vec::new(), Vec::new(), recovering.into_iter().collect());
         Self { run, round, began: now, last_fault: now, ticks: Ticks::of(run), stopped, storms, recovering }
     }
 
     /// Does a fault to those of its nodes that are there. False if none is: to be tried again.
     fn inject(&mut self, fault: u64, what: &Fault, injected: &mut Vec<Injected>) -> bool {
         let mut is_done = false;
-        for &role in &what.roles {
+        let everything = [Role::Supervisor];
+        let roles = if what.kind == Kind::Blackout { &everything[..] } else { &what.roles };
+        for role in roles {
+            let Some(role) = self.present(*role) else { continue };
             let hit = injected.len();
             let is_hit = match what.kind {
-                Kind::Stop => signal(self.run, role, Signal::STOP).is_ok(),
+                Kind::Stop => self.stop(role, what.stop),
                 Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
+                // Done by who can do without the run.
+                Kind::Blackout => true,
             };
             if !is_hit {
                 continue;
             }
             is_done = true;
             match what.kind {
-                Kind::Stop => self.stopped.push((Instant::now() + what.stop, role)),
                 Kind::Storm => {
                     let starts = self.recovering.last().map_or(0, |last| last.starts);
                     self.storms.push(Storm { hit, role, starts, left: what.kills - 1 });
                 }
-                Kind::Kill | Kind::Several => {}
+                Kind::Kill | Kind::Stop | Kind::Several | Kind::Blackout => {}
             }
             let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
             let round = self.round;
@@ -320,6 +391,22 @@ impl<'a> Live<'a> {
         is_done
     }
 
+    /// The role that is meant: standbys go by the numbers that are free when they come.
+    fn present(&self, role: Role) -> Option<Role> {
+        let Role::Standby(number) = role else { return Some(role) };
+        let numbers = (number..=STANDBYS_MAX).chain(1..number);
+        let mut roles = numbers.map(Role::Standby);
+        roles.find(|role| self.run.roster().is_held(*role))
+    }
+
+    /// Stops a node for a while: the process, which may have lost its role when it is to go on.
+    fn stop(&mut self, role: Role, duration: Duration) -> bool {
+        let Ok((_, process)) = process_in(self.run, role) else { return false };
+        let is_stopped = pidfd_send_signal(&process, Signal::STOP).is_ok();
+        self.stopped.push((Instant::now() + duration, process));
+        is_stopped
+    }
+
     /// Kills a node, for the hit of this number; an earlier one that it has not got over counts no more.
     fn kill(&mut self, role: Role, hit: usize) -> bool {
         let starts = self.run.roster().starts(role);
@@ -336,11 +423,10 @@ impl<'a> Live<'a> {
         let now = Instant::now();
         self.ticks.look();
         let run = self.run;
-        self.stopped.retain(|(due, role)| {
+        self.stopped.retain(|(due, process)| {
             let is_due = now >= *due;
             if is_due {
-                // A node that was killed meanwhile has a successor, which this does no harm.
-                let _ = signal(run, *role, Signal::CONT);
+                let _ = pidfd_send_signal(process, Signal::CONT);
             }
             !is_due
         });
@@ -373,8 +459,8 @@ impl<'a> Live<'a> {
     }
 
     fn continue_all(&mut self) {
-        for (_, role) in self.stopped.drain(..) {
-            let _ = signal(self.run, role, Signal::CONT);
+        for (_, process) in self.stopped.drain(..) {
+            let _ = pidfd_send_signal(process, Signal::CONT);
         }
     }
 }
@@ -446,7 +532,8 @@ impl<'a> Ticks<'a> {
 
 fn tally(description: &RunDescription) -> anyhow::Result<Tally> {
     let report = report::from_logs(description, None, Vec::new())?;
-    Ok(Tally { ticks: report.ticks, digest: report.digest, ranges: report.ranges })
+    let Report { ticks, digest, ranges, headings, position_rmse_m, .. } = report;
+    Ok(Tally { ticks, digest, ranges, headings, position_rmse_m })
 }
 
 /// The same run left alone, composed in this process.
@@ -456,18 +543,6 @@ fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
     let alone = RunDescription { out_dir, ..description.clone() };
     in_process::run(&alone, |_| {})?;
     tally(&alone)
-}
-
-/// How often a robot published a range and drove without the heading of that tick.
-fn without_heading(description: &RunDescription) -> anyhow::Result<u64> {
-    let RunDescription { run_id, scenario, out_dir } = description;
-    let mut log = WorldRecord::reader(out_dir, *run_id, scenario)?;
-    let mut count = 0;
-    while let Some(record) = log.next() {
-        let record = WorldRecord::from_words(record?.1, scenario);
-        count += record.robots.iter().filter(|robot| robot.range_published && robot.latency_ns.is_none()).count();
-    }
-    Ok(count as u64)
 }
 
 /// Living processes of this program that go by this run's name, but for this one.

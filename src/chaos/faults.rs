@@ -21,11 +21,13 @@ pub(super) enum Kind {
     Storm,
     /// Several nodes are killed at once.
     Several,
+    /// Everything is killed at once, the supervisor too, and the run resumed.
+    Blackout,
 }
 
 impl Kind {
     /// All kinds.
-    pub(super) const ALL: [Self; 4] = [Self::Kill, Self::Stop, Self::Storm, Self::Several];
+    pub(super) const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::Storm, Self::Several, Self::Blackout];
 }
 
 /// One fault.
@@ -35,7 +37,7 @@ pub(super) struct Fault {
     pub(super) gap: Duration,
     /// What is done.
     pub(super) kind: Kind,
-    /// Whom it is done to: one node, but for [`Kind::Several`].
+    /// Whom it is done to: one node, but for [`Kind::Several`]; of no meaning for [`Kind::Blackout`].
     pub(super) roles: Vec<Role>,
     /// How long a stop lasts.
     pub(super) stop: Duration,
@@ -51,7 +53,11 @@ pub(super) struct Faults {
     /// By kind of node, so that a large team does not save the simulator from being hurt.
     nodes: Vec<Vec<Role>>,
     rate_per_s: f64,
+    longest_stop_s: f64,
 }
+
+/// Shortest stop, s.
+const STOP_MIN_S: f64 = 0.010;
 
 /// Uniform numbers that a fault takes before those that choose among several nodes.
 const FIXED_DRAWS: usize = 5;
@@ -68,18 +74,30 @@ impl Faults {
         if !(0.01..=1_000.0).contains(&args.rate) {
             return Err(Failure::input(format!("--rate: expected 0.01 to 1000 a second, got {}", args.rate)));
         }
-        let asked = |kind: &Kind| args.kinds.iter().any(|arg| *arg == KindArg::All || Some(*kind) == kind_of(*arg));
+        if !(STOP_MIN_S..=60.0).contains(&args.longest_stop) {
+            return Err(Failure::input(format!("--longest-stop: expected 0.01 to 60 s, got {}", args.longest_stop)));
+        }
+        if args.standby == 0 && args.roles.contains(&RoleArg::Standby) {
+            return Err(Failure::input("--roles: expected --standby 1 or more with standby, got 0"));
+        }
+        let hurts_all = [RoleArg::Sim, RoleArg::Fusion, RoleArg::Robot].iter().all(|role| args.roles.contains(role));
+        let asked = |kind: &Kind| {
+            let is_among_all = *kind != Kind::Blackout || hurts_all;
+            args.kinds.iter().any(|arg| *arg == KindArg::All && is_among_all || Some(*kind) == kind_of(*arg))
+        };
         let nodes_of = |kind: RoleArg| match kind {
             RoleArg::Sim => vec![Role::Sim],
             RoleArg::Fusion => vec![Role::Fusion],
             RoleArg::Robot => (0..robots).map(Role::Robot).collect(),
+            RoleArg::Standby => (1..=args.standby).map(Role::Standby).collect(),
         };
-        let kinds_of_node = [RoleArg::Sim, RoleArg::Fusion, RoleArg::Robot];
+        let kinds_of_node = [RoleArg::Sim, RoleArg::Fusion, RoleArg::Robot, RoleArg::Standby];
         Ok(Self {
             draws: Draws::new(args.chaos_seed, Stream::Faults),
             kinds: Kind::ALL.into_iter().filter(asked).collect(),
             nodes: kinds_of_node.into_iter().filter(|kind| args.roles.contains(kind)).map(nodes_of).collect(),
             rate_per_s: args.rate,
+            longest_stop_s: args.longest_stop,
         })
     }
 
@@ -105,7 +123,7 @@ impl Faults {
             gap: Duration::from_secs_f64(-(1.0 - fixed[0]).ln() / self.rate_per_s),
             kind,
             roles,
-            stop: Duration::from_secs_f64(0.010 + 0.490 * fixed[4]),
+            stop: Duration::from_secs_f64(STOP_MIN_S + (self.longest_stop_s - STOP_MIN_S) * fixed[4]),
             kills: 3 + below(3, fixed[4]) as u32,
         }
     }
@@ -117,6 +135,7 @@ fn kind_of(arg: KindArg) -> Option<Kind> {
         KindArg::Stop => Some(Kind::Stop),
         KindArg::Storm => Some(Kind::Storm),
         KindArg::Several => Some(Kind::Several),
+        KindArg::Blackout => Some(Kind::Blackout),
         KindArg::All => None,
     }
 }
@@ -167,6 +186,8 @@ mod tests {
         }
         assert!(all.iter().all(|fault| (3..=5).contains(&fault.kills)));
         assert!(all.iter().all(|fault| fault.stop.as_millis() >= 10 && fault.stop.as_millis() <= 500));
+        assert!(faults("--roles sim,robot", 2).iter().all(|fault| fault.kind != Kind::Blackout));
+        assert!(faults("--roles standby --standby 2", 2).iter().any(|fault| fault.roles == [Role::Standby(2)]));
         let only = faults("--kinds kill,stop --roles robot", 256);
         assert!(only.iter().all(|fault| matches!(fault.kind, Kind::Kill | Kind::Stop)));
         assert!(only.iter().all(|fault| matches!(fault.roles[..], [Role::Robot(_)])));
@@ -185,7 +206,9 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        for words in ["--faults 0", "--rate 0", "--rate -1", "--rate nan", "--rate inf"] {
+        for words in
+            ["--faults 0", "--rate 0", "--rate -1", "--rate nan", "--rate inf", "--longest-stop 0", "--roles standby"]
+        {
             assert!(matches!(Faults::new(&args(words), 3), Err(Failure::Input(_))), "{words}");
         }
     }

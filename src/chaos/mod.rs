@@ -33,7 +33,7 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     tables::make_folder(&description.out_dir)?;
     let _ = std::fs::remove_file(description.out_dir.join(outcome::FILE_NAME));
-    let mut campaign = Campaign::new(&experiment, faults, args.faults, &termination);
+    let mut campaign = Campaign::new(&experiment, faults, args, &termination);
     let mut outcome = Outcome::new(&description.scenario, args);
     while campaign.goes_on() {
         outcome.add(campaign.round()?);

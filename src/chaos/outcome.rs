@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::faults::Kind;
 use crate::cli::ChaosArgs;
-use crate::report::RangeSummary;
+use crate::report::{HeadingSummary, RangeSummary};
 
 /// File name of the outcome in the campaign's folder.
 pub(super) const FILE_NAME: &str = "chaos.json";
@@ -32,8 +32,12 @@ pub(super) struct Outcome {
     pub(super) ticks: u64,
     /// What became of the ranges.
     pub(super) ranges: RangeSummary,
-    /// Ranges published for which the robot got no heading in their tick.
+    /// What robots drove by.
+    pub(super) headings: HeadingSummary,
+    /// How often a robot had no heading in time: ticks of all robots that answered.
     pub(super) without_heading: u64,
+    /// Position error of all runs, and of the same runs left alone, m RMS; null where no truth is known.
+    pub(super) position_rmse_m: Option<PositionError>,
     /// Whether all estimates are those of the run left alone; null if that is not to be asked.
     pub(super) digest_equal: Option<bool>,
     /// What lies in shared memory after the end.
@@ -48,10 +52,19 @@ pub(super) struct Outcome {
     pub(super) injected: Vec<Injected>,
 }
 
+/// Position errors, m RMS.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct PositionError {
+    /// Of the runs that were hurt.
+    pub(super) hurt: f64,
+    /// Of the same runs left alone, in one process, where no range is ever missing.
+    pub(super) alone: f64,
+}
+
 /// What hit the nodes of one kind, and how long they took to recover from kills.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct RoleSummary {
-    /// `sim`, `fusion` or `robot`.
+    /// `sim`, `fusion`, `robot`, `standby`, or `run` for all at once.
     pub(super) role: &'static str,
     /// Killed alone.
     pub(super) kill: usize,
@@ -61,6 +74,10 @@ pub(super) struct RoleSummary {
     pub(super) storm: usize,
     /// Killed with others.
     pub(super) several: usize,
+    /// Killed with everything.
+    pub(super) blackout: usize,
+    /// From a kill to when the role is taken again; `None` before the first.
+    pub(super) restart_ms: Option<Percentiles>,
     /// From a kill to the first tick with the successor; `None` before the first.
     pub(super) recovery_ms: Option<Percentiles>,
 }
@@ -140,10 +157,10 @@ pub(super) struct Round {
     pub(super) wall_s: f64,
     /// What its logs tell.
     pub(super) tally: Tally,
-    /// The same of the run left alone, in lock step.
+    /// The same of the run left alone.
     pub(super) alone: Option<Tally>,
-    /// Ranges published for which the robot got no heading in their tick.
-    pub(super) without_heading: u64,
+    /// True if both must come to the same: in lock step.
+    pub(super) is_repeatable: bool,
     /// What lies in shared memory after the end.
     pub(super) files_left: Vec<String>,
     /// Processes that live after the end.
@@ -159,6 +176,10 @@ pub(super) struct Tally {
     pub(super) digest: String,
     /// What became of the ranges.
     pub(super) ranges: RangeSummary,
+    /// What robots drove by.
+    pub(super) headings: HeadingSummary,
+    /// Position error, m RMS, where the truth is known.
+    pub(super) position_rmse_m: Option<f64>,
 }
 
 impl Outcome {
@@ -174,7 +195,9 @@ impl Outcome {
             faults: Vec::new(),
             ticks: 0,
             ranges: RangeSummary::default(),
+            headings: HeadingSummary::default(),
             without_heading: 0,
+            position_rmse_m: None,
             digest_equal: None,
             files_left: Vec::new(),
             processes_left: Vec::new(),
@@ -194,10 +217,15 @@ impl Outcome {
         self.ranges.late += ranges.late;
         self.ranges.fused_late += ranges.fused_late;
         self.ranges.missing += ranges.missing;
-        self.without_heading += round.without_heading;
+        let headings = &round.tally.headings;
+        self.headings.fresh += headings.fresh;
+        self.headings.late += headings.late;
+        self.headings.none += headings.none;
+        self.headings.refused += headings.refused;
+        self.without_heading = self.headings.late + self.headings.none;
         self.files_left.extend_from_slice(&round.files_left);
         self.processes_left.extend_from_slice(&round.processes_left);
-        if let Some(alone) = &round.alone {
+        if let Some(alone) = round.alone.as_ref().filter(|_| round.is_repeatable) {
             self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.tally.digest == alone.digest);
         }
         self.rounds.push(round);
@@ -205,7 +233,11 @@ impl Outcome {
 
     /// Sums up the faults, and finds what broke.
     pub(super) fn judge(&mut self) {
-        self.faults = ["sim", "fusion", "robot"].map(|role| self.of_role(role)).to_vec();
+        let always = ["sim", "fusion", "robot"].map(|role| self.of_role(role));
+        let sometimes = ["standby", "run"].map(|role| self.of_role(role));
+        let is_hit = |role: &RoleSummary| role.kill + role.stop + role.storm + role.several + role.blackout > 0;
+        self.faults = always.into_iter().chain(sometimes.into_iter().filter(is_hit)).collect();
+        self.position_rmse_m = self.position_error();
         self.broken = self.rounds.iter().flat_map(Round::broken).collect();
     }
 
@@ -218,8 +250,23 @@ impl Outcome {
             stop: count(Kind::Stop),
             storm: count(Kind::Storm),
             several: count(Kind::Several),
+            blackout: count(Kind::Blackout),
+            restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
             recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
         }
+    }
+
+    fn position_error(&self) -> Option<PositionError> {
+        let mean = |of: fn(&Round) -> Option<&Tally>| {
+            let squares = self.rounds.iter().map(|round| {
+                let Tally { ticks, position_rmse_m, .. } = of(round)?;
+                Some((*ticks as f64, position_rmse_m.as_ref()?.powi(2)))
+            });
+            let squares: Vec<(f64, f64)> = squares.collect::<Option<_>>()?;
+            let ticks: f64 = squares.iter().map(|(ticks, _)| ticks).sum();
+            (ticks > 0.0).then(|| (squares.iter().map(|(ticks, square)| ticks * square).sum::<f64>() / ticks).sqrt())
+        };
+        Some(PositionError { hurt: mean(|round| Some(&round.tally))?, alone: mean(|round| round.alone.as_ref())? })
     }
 
     /// Writes `chaos.json`.
@@ -254,7 +301,7 @@ impl Round {
             Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
             Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
         }
-        if let Some(alone) = &self.alone {
+        if let Some(alone) = self.alone.as_ref().filter(|_| self.is_repeatable) {
             let (got, expected) = (&self.tally, alone);
             for (what, got, expected) in [
                 ("ticks", got.ticks, expected.ticks),
@@ -282,26 +329,38 @@ impl Round {
 
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { scenario, clock, robots, chaos_seed, ticks, ranges, without_heading, .. } = self;
+        let Self { scenario, clock, robots, chaos_seed, ticks, ranges, headings, .. } = self;
         let done = self.injected.iter().map(|hit| hit.fault + 1).max().unwrap_or(0);
         let wall_s: f64 = self.rounds.iter().map(|round| round.wall_s).sum();
         writeln!(f, "chaos: {scenario}, {robots} robots, {done} of {} faults, seed {chaos_seed}", self.faults_asked)?;
         writeln!(f, "  {clock:<16} {ticks} ticks in {} runs, {wall_s:.1} s", self.rounds.len())?;
+        writeln!(f, "  {:<46}{:>24}{:>25}", "", "ms until role is taken", "until it is at work")?;
         writeln!(
             f,
-            "  {:<8} {:>6} {:>6} {:>6} {:>8}   recovery ms: p50 {:>9} {:>9}",
-            "hit", "kill", "stop", "storm", "several", "p99", "max"
+            "  {:<8} {:>5} {:>5} {:>6} {:>8} {:>9} {:>8}{:>8}{:>8} {:>8}{:>8}{:>8}",
+            "hit", "kill", "stop", "storm", "several", "blackout", "p50", "p99", "max", "p50", "p99", "max"
         )?;
-        for RoleSummary { role, kill, stop, storm, several, recovery_ms } in &self.faults {
-            write!(f, "  {role:<8} {kill:>6} {stop:>6} {storm:>6} {several:>8}")?;
-            match recovery_ms {
-                Some(Percentiles { p50, p99, max, .. }) => writeln!(f, "   {p50:>16.1} {p99:>9.1} {max:>9.1}")?,
-                None => writeln!(f, "   {:>16} {:>9} {:>9}", "-", "-", "-")?,
+        for RoleSummary { role, kill, stop, storm, several, blackout, restart_ms, recovery_ms } in &self.faults {
+            write!(f, "  {role:<8} {kill:>5} {stop:>5} {storm:>6} {several:>8} {blackout:>9}")?;
+            for times_ms in [restart_ms, recovery_ms] {
+                match times_ms {
+                    Some(Percentiles { p50, p99, max, .. }) => write!(f, " {p50:>8.1}{p99:>8.1}{max:>8.1}")?,
+                    None => write!(f, " {:>8}{:>8}{:>8}", "-", "-", "-")?,
+                }
             }
+            writeln!(f)?;
         }
         let RangeSummary { published, fused, missing, .. } = ranges;
         writeln!(f, "  ranges           {published} published: {fused} fused, {missing} missing")?;
-        writeln!(f, "  without heading  {without_heading}")?;
+        let HeadingSummary { fresh, late, none, refused } = headings;
+        writeln!(f, "  headings         {fresh} fresh, {late} late, {none} none, {refused} refused")?;
+        // Where the estimates must be the same, so is their error.
+        if let Some(PositionError { hurt, alone }) =
+            self.position_rmse_m.as_ref().filter(|_| self.digest_equal.is_none())
+        {
+            let more = 100.0 * (hurt / alone - 1.0);
+            writeln!(f, "  position error   {hurt:.3} m RMS, {alone:.3} left alone: {more:+.1} %")?;
+        }
         let digest = match self.digest_equal {
             Some(true) => "that of the run left alone",
             Some(false) => "NOT that of the run left alone",
@@ -328,7 +387,7 @@ mod tests {
 
     fn round() -> Round {
         let ranges = RangeSummary { published: 30, fused: 30, ..RangeSummary::default() };
-        let tally = Tally { ticks: 10, digest: "a".to_owned(), ranges };
+        let tally = Tally { ticks: 10, digest: "a".to_owned(), ranges, ..Tally::default() };
         Round {
             seed: 1,
             ended: Ended::Done,
@@ -336,7 +395,7 @@ mod tests {
             wall_s: 1.0,
             tally: tally.clone(),
             alone: Some(tally),
-            without_heading: 0,
+            is_repeatable: true,
             files_left: Vec::new(),
             processes_left: Vec::new(),
         }
@@ -366,7 +425,7 @@ mod tests {
     /// Real time may miss ranges: there is no run to compare with.
     #[test]
     fn real_time_may_miss_ranges() {
-        let mut round = Round { alone: None, ..round() };
+        let mut round = Round { is_repeatable: false, ..round() };
         round.tally.ranges.missing = 5;
         assert_eq!(round.broken(), [""; 0]);
     }

@@ -18,10 +18,14 @@ impl Cleaner {
         scope.spawn(move || {
             // A node of its own: ports do not move between threads.
             let Ok(bus) = Bus::connect(rendezvous, "observer") else { return };
+            let mut left = 0;
             while received.recv().is_ok() {
                 // One round for all deaths so far.
                 while received.try_recv().is_ok() {}
-                bus.clean_up_after_the_dead();
+                left = bus.clean_up_after_the_dead();
+            }
+            if left > 0 {
+                log::warn!("{left} dead nodes were left to be removed with the run");
             }
         });
         Self { requests }

@@ -4,6 +4,7 @@ mod cleaner;
 mod losses;
 mod nodes;
 pub mod restart;
+mod silence;
 
 use anyhow::anyhow;
 use rangehound_shared::bus::{Bus, BusError};
@@ -95,13 +96,13 @@ fn supervise(
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
     prepare_folder()?;
-    let _role = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
+    let hold = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
     let (summaries, outcome) = std::thread::scope(|scope| {
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
         let mut losses = Losses::new(description);
-        let outcome = nodes.supervise(&termination, || {
+        let outcome = nodes.supervise(&hold, &termination, || {
             watch.look()?;
             losses.look(watch.newest_ticks());
             Ok::<_, BusError>(())

@@ -4,16 +4,18 @@ use std::fs::File;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
-use rangehound_shared::rendezvous::{Rendezvous, Role};
+use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_shared::rendezvous::{Rendezvous, Role, RoleHold, Roster};
 use rangehound_shared::signal::Termination;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
 use super::cleaner::Cleaner;
 use super::restart::{Policies, Policy};
+use super::silence::{self, Silence};
 use crate::cli::SupervisionArgs;
 use crate::failure::Failure;
 use crate::report::NodeSummary;
@@ -65,6 +67,9 @@ struct Running {
     /// Readable once the process has ended; `None` where the kernel gives none.
     ended: Option<OwnedFd>,
     since: Instant,
+    silence: Silence,
+    /// True once it has been seen to lead.
+    has_led: bool,
 }
 
 impl<'a> Nodes<'a> {
@@ -90,18 +95,25 @@ impl<'a> Nodes<'a> {
     /// Watches until the run is finished, a node that is not replaced dies, or an end is asked for.
     pub(super) fn supervise<E: Into<anyhow::Error>>(
         &mut self,
+        hold: &RoleHold,
         termination: &Termination,
         mut look: impl FnMut() -> Result<(), E>,
     ) -> anyhow::Result<()> {
         let mut looked = Instant::now();
+        let mut listened = Instant::now();
         while !self.rendezvous.is_finished() {
             if termination.requested() {
                 return Err(anyhow!("ended before its last tick, as asked"));
             }
+            hold.sign();
             self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
             if looked.elapsed() >= watch::LOOK {
                 look().map_err(Into::into)?;
                 looked = Instant::now();
+            }
+            if listened.elapsed() >= silence::LOOK {
+                self.kill_the_hung();
+                listened = Instant::now();
             }
             self.replace_the_dead()?;
         }
@@ -121,6 +133,33 @@ impl<'a> Nodes<'a> {
         let _ = poll(&mut watched, Some(&timeout));
     }
 
+    /// Kills the nodes that have been silent for too long, so that they are started again like any dead one.
+    /// One that would not be may come back by itself.
+    fn kill_the_hung(&mut self) {
+        let (roster, scenario) = (self.rendezvous.roster(), &self.rendezvous.description().scenario);
+        let heard = self.nodes.iter_mut().filter_map(|node| node.listen(roster)).filter(|is_heard| *is_heard).count();
+        if heard == 0 {
+            return;
+        }
+        let count = self.nodes.len();
+        for node in &mut self.nodes {
+            let is_replaced = self.policies.of(node.role) != Policy::Never;
+            let Some(running) = &mut node.running else { continue };
+            running.silence.count();
+            let is_deposed = running.has_led && roster.last_holder(Role::Fusion) != Some(running.pid());
+            let limit = silence::limit(scenario, count, running.silence.has_started(), is_deposed);
+            if let Some(limit) = limit
+                && is_replaced
+                && running.silence.is_longer_than(limit)
+                && running.signal(Signal::KILL)
+            {
+                log::warn!("{} gave no sign of life for {limit:?} while others did: it is killed", node.role);
+                running.silence = Silence::default();
+                node.summary.hangs += 1;
+            }
+        }
+    }
+
     /// Starts nodes again that have ended, as their policies say.
     fn replace_the_dead(&mut self) -> anyhow::Result<()> {
         for index in 0..self.nodes.len() {
@@ -131,7 +170,9 @@ impl<'a> Nodes<'a> {
                 self.last_death = Some(Instant::now());
                 self.rendezvous.remove_half_made();
                 self.cleaner.request();
-                let is_hopeless = status.code() == Some(2) || node.failures >= FAILURES_MAX;
+                // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
+                let is_taken = self.rendezvous.roster().is_held(node.role);
+                let is_hopeless = !is_taken && (status.code() == Some(2) || node.failures >= FAILURES_MAX);
                 let is_replaced = match self.policies.of(node.role) {
                     Policy::Always => true,
                     Policy::OnFailure => !status.success(),
@@ -182,10 +223,7 @@ impl<'a> Nodes<'a> {
 
     fn signal(&mut self, signal: Signal) {
         for running in self.nodes.iter_mut().filter_map(|node| node.running.as_mut()) {
-            // Reaped or not: only a child that runs still has this pid.
-            if matches!(running.child.try_wait(), Ok(None)) {
-                let _ = kill_process(Pid::from_child(&running.child), signal);
-            }
+            running.signal(signal);
         }
     }
 
@@ -194,9 +232,20 @@ impl<'a> Nodes<'a> {
     }
 }
 
+impl Running {
+    fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    /// False if it has ended: only a child that runs still has its pid.
+    fn signal(&mut self, signal: Signal) -> bool {
+        matches!(self.child.try_wait(), Ok(None)) && kill_process(self.pid(), signal).is_ok()
+    }
+}
+
 impl Node {
     fn new(role: Role, has_standbys: bool) -> Self {
-        let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0 };
+        let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0, hangs: 0 };
         Self { role, has_standbys, running: None, summary, deaths: 0, failures: 0, restart_at: None }
     }
 
@@ -225,7 +274,8 @@ impl Node {
             .stderr(stderr);
         let child = command.spawn().with_context(|| format!("cannot start {}", self.role))?;
         let ended = pidfd_open(Pid::from_child(&child), PidfdFlags::empty()).ok();
-        self.running = Some(Running { child, ended, since: Instant::now() });
+        let (since, silence) = (Instant::now(), Silence::default());
+        self.running = Some(Running { child, ended, since, silence, has_led: false });
         self.summary.starts += 1;
         self.restart_at = None;
         Ok(())
@@ -233,6 +283,24 @@ impl Node {
 
     fn can_lead(&self) -> bool {
         matches!(self.role, Role::Fusion | Role::Standby(_))
+    }
+
+    /// Takes note of its process's newest sign of life: true if it is new, `None` if there is no process.
+    fn listen(&mut self, roster: &Roster) -> Option<bool> {
+        let role = self.role;
+        let running = self.running.as_mut()?;
+        let pid = running.pid();
+        let sign = |role| roster.signed_by(role).filter(|(signer, _)| *signer == pid).map(|(_, sign)| sign);
+        let newest: Option<SystemTime> = match role {
+            // Which of them can lead does, is not told by who was started as what.
+            Role::Fusion | Role::Standby(_) => {
+                let lead = sign(Role::Fusion);
+                running.has_led |= lead.is_some();
+                lead.or_else(|| (1..=STANDBYS_MAX).filter_map(|number| sign(Role::Standby(number))).max())
+            }
+            role => sign(role),
+        };
+        Some(running.silence.hear(newest))
     }
 
     /// True if the run goes on without it, with this many others that can lead.

@@ -231,7 +231,8 @@ fn the_nodes_of_a_killed_supervisor_end_and_its_name_is_free_again() {
 /// Stops robot 1 in a run of short patience, lets the others go on for a while, has it taken back,
 /// and ends the run.
 fn run_with_robot_1_stopped_for_a_while(run: &Run) {
-    let supervisor = run.lockstep("--ticks 100000000 --patience 0.2");
+    // One that is not to be started again is not killed for hanging either.
+    let supervisor = run.lockstep("--ticks 100000000 --patience 0.2 --restart robot=never");
     let scenario = Scenario::from_file(&ScenarioFile::default(), "default", "".as_ref()).unwrap();
     let is_heard = || {
         run.last_world().is_some_and(|(ticks, words)| {

@@ -23,6 +23,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
+use iceoryx2::node::NodeView;
 use iceoryx2::port::ReceiveError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
@@ -160,13 +161,23 @@ impl Bus {
         self.incarnation.set(incarnation);
     }
 
-    /// Removes what killed nodes of this run left behind, so that their places become free. Takes tens
-    /// of milliseconds for each: for a supervisor, never for a node on the control path.
-    pub fn clean_up_after_the_dead(&self) {
-        let state = self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
-        if state.failed_cleanups > 0 {
-            log::debug!("{} dead nodes could not be cleaned up", state.failed_cleanups);
+    /// Removes what killed nodes of this run left behind, so that their places become free, and returns how many
+    /// it could not. Takes tens of milliseconds for each: for a supervisor, never for a node on the control path.
+    pub fn clean_up_after_the_dead(&self) -> u64 {
+        let clean = || self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1)).failed_cleanups;
+        if clean() == 0 {
+            return 0;
         }
+        // A node killed as it came to or left a service may have a tag of it that iceoryx2 stumbles over each time.
+        let folder = self.node.config().global.node_dir().to_string();
+        let _ = Node::<ipc::Service>::list(self.node.config(), |node| {
+            if let NodeState::Dead(dead) = node {
+                let tags = remove_tags(&std::path::Path::new(&folder).join(dead.id().value().to_string()));
+                log::debug!("node {}: {tags} tags in the way of its cleaning removed", dead.id().value());
+            }
+            CallbackProgression::Continue
+        });
+        clean()
     }
 
     fn service<T: Topic>(
@@ -236,6 +247,15 @@ impl Bus {
     pub fn bell_of(&self, sleeper: Sleeper) -> Bell {
         Bell::new(self.bells.clone(), sleeper)
     }
+}
+
+/// Removes the tags of services and ports in a dead node's folder; how many there were.
+fn remove_tags(folder: &std::path::Path) -> usize {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_tag = |path: &std::path::PathBuf| {
+        path.extension().is_some_and(|extension| extension == "service_tag" || extension == "port_tag")
+    };
+    files.filter(is_tag).filter(|path| std::fs::remove_file(path).is_ok()).count()
 }
 
 /// Sends messages on one topic.

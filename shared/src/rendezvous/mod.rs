@@ -21,7 +21,7 @@ mod roster;
 
 use std::fs::{File, TryLockError};
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
@@ -40,6 +40,10 @@ pub use roster::{RoleHold, Roster, Succession};
 
 /// How often a joiner looks whether its run has been founded.
 const JOIN_POLL: Duration = Duration::from_millis(20);
+
+/// How long a name is looked at before it is called taken: a killed process has its locks until the kernel has
+/// taken it down.
+const DYING: Duration = Duration::from_millis(500);
 
 /// A role in a run: one living process each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -212,13 +216,19 @@ impl Rendezvous {
         remove_dead_runs(name);
         resources::look_for_memory(robots)?;
         let place = Place::of(name);
-        let _door = place.enter(true)?;
-        let members = place.open("members")?;
-        match members.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(RendezvousError::Taken { name: name.clone() }),
-            Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
-        }
+        let began = Instant::now();
+        let (_door, members) = loop {
+            let door = place.enter(true)?;
+            let members = place.open("members")?;
+            match members.try_lock() {
+                Ok(()) => break (door, members),
+                Err(TryLockError::WouldBlock) if began.elapsed() < DYING => {}
+                Err(TryLockError::WouldBlock) => return Err(RendezvousError::Taken { name: name.clone() }),
+                Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
+            }
+            drop(door);
+            std::thread::sleep(JOIN_POLL);
+        };
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
         bus::create_bells(place.prefix()).map_err(RendezvousError::Bells)?;

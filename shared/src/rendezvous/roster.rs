@@ -181,6 +181,15 @@ impl Roster {
     pub fn last_sign(&self, role: Role) -> Option<SystemTime> {
         std::fs::metadata(self.place.path(&file_name(role))).ok()?.modified().ok()
     }
+
+    /// The process that took this role last, and its last sign of life, of one moment.
+    #[must_use]
+    pub fn signed_by(&self, role: Role) -> Option<(Pid, SystemTime)> {
+        let mut file = File::open(self.place.path(&file_name(role))).ok()?;
+        let mut text = String::new();
+        file.read_to_string(&mut text).ok()?;
+        Some((Pid::from_raw(parse_entry(&text)?.1)?, file.metadata().ok()?.modified().ok()?))
+    }
 }
 
 impl RoleHold {

@@ -1,0 +1,100 @@
+//! Hangs: who gives no sign of life while others do.
+
+use std::time::{Duration, SystemTime};
+
+use rangehound_shared::scenario::{Patience, PlannerSpec, Scenario};
+
+/// How often signs of life are looked for. Silence is counted in looks, and only in those in which somebody else
+/// was heard: a supervisor or a whole run that was stopped, a suspended machine or a clock that jumps
+/// makes nobody silent.
+pub(super) const LOOK: Duration = Duration::from_millis(100);
+
+/// Shortest silence that is a hang, however short the patience: a busy machine keeps anybody waiting.
+const HANG_MIN: Duration = Duration::from_millis(500);
+
+/// What each node of a run adds to the time that any of them may take to start.
+const START: Duration = Duration::from_millis(100);
+
+/// What a step of the grid planner may take.
+const GRID: Duration = Duration::from_secs(30);
+
+/// Silence after which one that another took the lead from is given up, with endless patience too.
+const DEPOSED: Duration = Duration::from_secs(2);
+
+/// How long one process has given no sign of life.
+#[derive(Debug, Default)]
+pub(super) struct Silence {
+    /// Only whether it changes means anything.
+    last_sign: Option<SystemTime>,
+    looks: u32,
+}
+
+impl Silence {
+    /// Takes note of the newest sign of life; true if it has not been seen before.
+    pub(super) fn hear(&mut self, sign: Option<SystemTime>) -> bool {
+        let is_new = sign != self.last_sign;
+        self.last_sign = sign;
+        if is_new {
+            self.looks = 0;
+        }
+        is_new
+    }
+
+    /// Counts a look in which somebody was heard.
+    pub(super) fn count(&mut self) {
+        self.looks += 1;
+    }
+
+    /// False while it has not taken its role.
+    pub(super) fn has_started(&self) -> bool {
+        self.last_sign.is_some()
+    }
+
+    pub(super) fn is_longer_than(&self, limit: Duration) -> bool {
+        LOOK.saturating_mul(self.looks.saturating_sub(1)) > limit
+    }
+}
+
+/// The silence after which a process of a run of so many nodes hangs, if it ever does.
+pub(super) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_deposed: bool) -> Option<Duration> {
+    let Patience::After(patience) = scenario.patience else { return is_deposed.then_some(DEPOSED) };
+    let start = if has_started { Duration::ZERO } else { START.saturating_mul(nodes.try_into().unwrap_or(u32::MAX)) };
+    let grid = if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID } else { Duration::ZERO };
+    Some(patience.max(HANG_MIN).saturating_add(start).saturating_add(grid))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn after_looks(signs: impl Iterator<Item = Option<SystemTime>>) -> Silence {
+        let mut silence = Silence::default();
+        for sign in signs {
+            silence.hear(sign);
+            silence.count();
+        }
+        silence
+    }
+
+    #[test]
+    fn only_a_sign_that_stays_the_same_is_silence() {
+        let second = Duration::from_secs(1);
+        let at = |look: u64| Some(SystemTime::UNIX_EPOCH + Duration::from_millis(100 * look));
+        assert!(after_looks((0..12).map(|_| at(7))).is_longer_than(second));
+        assert!(!after_looks((0..11).map(|_| at(7))).is_longer_than(second));
+        assert!(!after_looks((0..99).map(|look| at(look / 9))).is_longer_than(second));
+    }
+
+    #[test]
+    fn a_wall_clock_that_jumps_back_makes_nobody_silent() {
+        let at = |second: u64| Some(SystemTime::UNIX_EPOCH + Duration::from_secs(second));
+        let silence = after_looks((0..60).map(|look| at(if look < 30 { 1_000_000 + look } else { look })));
+        assert!(!silence.is_longer_than(Duration::from_millis(500)));
+    }
+
+    #[test]
+    fn who_has_not_taken_its_role_is_silent_too() {
+        let silence = after_looks((0..12).map(|_| None));
+        assert!(!silence.has_started() && silence.is_longer_than(Duration::from_secs(1)));
+    }
+}
