@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use rangehound_shared::STATE_DIM_MAX;
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{Standstill, monotonic_ns, until};
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
@@ -21,6 +21,10 @@ use crate::{World, world_of};
 
 /// After this long without all answers the tick is sent again: mends whatever was lost.
 const REPEAT: Duration = Duration::from_millis(50);
+
+/// How late a bed's time limit may come, which counts in the kernel's ticks: the rest of a real-time tick is slept
+/// out deaf, but on time.
+const BED_LATE: Duration = Duration::from_millis(8);
 
 /// Why the simulator ended early.
 #[derive(Debug, thiserror::Error)]
@@ -170,8 +174,12 @@ impl<'a> Sim<'a> {
                 return Ok(true);
             }
             self.publish()?;
-            // Time lost to a stopped process is not made up by a burst of ticks.
-            due_ns = (due_ns + dt_ns).max(monotonic_ns());
+            due_ns += dt_ns;
+            // Time lost to a stopped process is not made up by a burst of ticks, nor by one of no length.
+            let now_ns = monotonic_ns();
+            if due_ns <= now_ns {
+                due_ns = now_ns + dt_ns;
+            }
         }
     }
 
@@ -221,7 +229,13 @@ impl<'a> Sim<'a> {
 
     fn sleep_until(&mut self, due_ns: u64, termination: &Termination) -> Result<(), SimError> {
         while !until(due_ns).is_zero() && !termination.requested() {
-            let calls = self.bed.sleep(until(due_ns).min(IDLE));
+            let left = until(due_ns);
+            let calls = if left > BED_LATE {
+                self.bed.sleep((left - BED_LATE).min(IDLE))
+            } else {
+                std::thread::sleep(left);
+                Calls::default()
+            };
             self.hold.sign();
             self.take_drives()?;
             if calls.has(Call::Hello) {
