@@ -246,11 +246,13 @@ mod tests {
             prop_assert!((nis - textbook_nis).abs() < 1e-8 * (1.0 + textbook_nis), "{nis} {textbook_nis}");
         }
 
-        /// From precise to useless sensors, from near to on top of the target.
+        /// From precise to useless sensors, from near to on top of the target: as long as what a range knows and
+        /// what the prior knew are no more than eleven digits apart, of the sixteen that there are.
         #[test]
         fn the_covariance_stays_positive_definite_in_extremes(
             log_variance in -6.0..10.0_f64, log_std in -4.0..4.0_f64, robots in 1..200_usize, spread in -9.0..3.0_f64,
         ) {
+            let log_std = log_std.max(0.5 * (log_variance - 11.0));
             let p = SMatrix::<f64, 6, 6>::identity() * 10.0_f64.powf(log_variance);
             let mut estimate = Estimate { x: SVector::zeros(), p };
             let model = MotionModel::IntegratorChain { order: 3, noise_psd: 0.1 };
