@@ -4,8 +4,9 @@
 //! only transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
 
 use rangehound_fusion::Centre;
-use rangehound_fusion::centre::{Diverged, Report};
+use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::planner::{PlannerError, Vector};
+use rangehound_fusion::report::Report;
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::Sensor;
 use rangehound_shared::clock::monotonic_ns;

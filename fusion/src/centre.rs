@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::past::Past;
 use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
+use crate::report::Report;
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
 use crate::trust::Trust;
@@ -20,15 +21,6 @@ const SILENCE_TICKS_MAX: u64 = 5;
 
 /// Beyond this, m or m^2, an estimate is no longer one; not reached by anything that moves.
 const BOUND: f64 = 1e18;
-
-/// What one robot said at a tick.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Report {
-    /// Where it is, m.
-    pub position_m: Vector,
-    /// Its range and the range's standard deviation, m; `None` if its sensor had none.
-    pub range_m: Option<(f64, f64)>,
-}
 
 /// What became of a report that came after its tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

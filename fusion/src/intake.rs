@@ -12,8 +12,9 @@ use rangehound_shared::scenario::bounds;
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
 use serde::{Deserialize, Serialize};
 
-use crate::centre::{Centre, Late, Report};
+use crate::centre::{Centre, Late};
 use crate::planner::Vector;
+use crate::report::Report;
 
 /// A range this many standard deviations below zero is no noise of a target close by.
 const NEGATIVE_SIGMA_MAX: f64 = 10.0;

@@ -10,6 +10,7 @@
 //! | [`tracker`] | the estimate over time: gate, start from ranges alone, way out of lock-out |
 //! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until it mends |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
+//! | [`report`] | what one robot said at a tick |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
 //! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
 //! | [`run`] | the process |
@@ -19,6 +20,7 @@ pub mod filter;
 pub mod intake;
 mod past;
 pub mod planner;
+pub mod report;
 pub mod run;
 pub mod tracker;
 mod tracking;

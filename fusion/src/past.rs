@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use rangehound_shared::message::Command;
 
-use crate::centre::Report;
+use crate::report::Report;
 use crate::trust::Trust;
 
 /// Ticks that are kept: a range that is later is fused no more. Half a second of the paper's ticks; a process that

@@ -4,8 +4,8 @@ use nalgebra::Vector2;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
 
-use crate::centre::Report;
 use crate::past::PastTick;
+use crate::report::Report;
 use crate::tracker::{self, Fit, Reading, Tracker};
 use crate::trust::Trust;
 

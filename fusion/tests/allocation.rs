@@ -5,8 +5,9 @@
 use std::path::Path;
 
 use rangehound_fusion::Centre;
-use rangehound_fusion::centre::{Late, Report};
+use rangehound_fusion::centre::Late;
 use rangehound_fusion::planner::Vector;
+use rangehound_fusion::report::Report;
 use rangehound_shared::scenario::{PlannerTable, RobotsTable, Scenario, ScenarioFile};
 
 fn scenario(planner: &str, robots: u64) -> Scenario {

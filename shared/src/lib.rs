@@ -10,7 +10,8 @@
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
 //! | [`recording`] | range recordings in CSV |
 //! | [`message`] | what travels on each topic |
-//! | [`bus`] | topics, wake-ups and their iceoryx2 services |
+//! | [`bus`] | topics and their iceoryx2 services |
+//! | [`bells`] | wake-ups |
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`robot_set`] | a set of robots' ids |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
@@ -21,6 +22,7 @@
 //! | [`resources`] | open files and shared memory: is there enough |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
+pub mod bells;
 pub mod bounded;
 pub mod bus;
 pub mod checkpoint;

@@ -37,7 +37,7 @@ mod tests {
 
     /// The versioned names under which iceoryx2 compares what lies in shared memory; asking it for them would take `unsafe`.
     fn type_names() -> String {
-        let sources = [include_str!("message.rs"), include_str!("bus/bells.rs")];
+        let sources = [include_str!("message.rs"), include_str!("bells.rs")];
         let lines = sources.into_iter().flat_map(str::lines);
         lines.filter(|line| line.starts_with("#[type_name(")).collect()
     }

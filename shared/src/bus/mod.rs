@@ -15,7 +15,6 @@
 //! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
 //! are never woken: they look when they like.
 
-mod bells;
 mod senders;
 
 use std::cell::{Cell, RefCell};
@@ -31,13 +30,12 @@ use iceoryx2::sample::Sample;
 use rustix::process::Pid;
 
 use crate::ROBOTS_MAX;
+pub use crate::bells::{Bed, Bell, Call, Calls, Sleeper};
+use crate::bells::{Bells, BellsError};
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
 use crate::resources;
-use bells::Bells;
-pub(crate) use bells::create as create_bells;
-pub use bells::{Bed, Bell, Call, Calls, Sleeper};
 use senders::{Senders, Standing};
 
 /// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
@@ -152,7 +150,8 @@ impl Bus {
         // iceoryx2 opens its counter of nodes to all users.
         run.close_to_others();
         let senders = Rc::new(Senders::new(run.roster().clone()));
-        let bells = Bells::open(run.shared_memory_prefix())?;
+        let bells_error = |error: BellsError| BusError { what: "bells".to_owned(), reason: error.to_string() };
+        let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
         Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders, bells })
     }
 

@@ -26,8 +26,8 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
+use crate::bells::{self, BellsError};
 use crate::bounded;
-use crate::bus::{self, BusError};
 use crate::protocol::OtherBuild;
 use crate::resources::{self, Shortage};
 use crate::scenario::Scenario;
@@ -172,7 +172,7 @@ pub enum RendezvousError {
     },
     /// The bells cannot be made.
     #[error(transparent)]
-    Bells(BusError),
+    Bells(#[from] BellsError),
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
     Io {
@@ -231,7 +231,7 @@ impl Rendezvous {
         };
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
-        bus::create_bells(place.prefix()).map_err(RendezvousError::Bells)?;
+        bells::create(place.prefix())?;
         let sealed = sealed::seal(&description)
             .map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
         place.write("run", &sealed)?;

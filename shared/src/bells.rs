@@ -18,7 +18,16 @@ use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration
 use rustix::thread::futex;
 use rustix::time::Timespec;
 
-use super::BusError;
+/// Why there are no bells.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot be used: iceoryx2 says {0}")]
+pub struct BellsError(String);
+
+impl BellsError {
+    fn new(reason: &dyn std::fmt::Debug) -> Self {
+        Self(format!("{reason:?}"))
+    }
+}
 
 /// Who can be woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,12 +97,11 @@ struct Board {
 
 /// One process's view of the run's bells.
 #[derive(Debug, Clone)]
-pub(super) struct Bells(Rc<Storage<Board>>);
+pub(crate) struct Bells(Rc<Storage<Board>>);
 
-fn builder<'a>(prefix: &str) -> Result<Builder<'a, Board>, BusError> {
-    let error = |reason: &dyn std::fmt::Debug| BusError::new("bells", format!("{reason:?}"));
-    let prefix = FileName::new(prefix.as_bytes()).map_err(|reason| error(&reason))?;
-    let name = FileName::new(b"bells").map_err(|reason| error(&reason))?;
+fn builder<'a>(prefix: &str) -> Result<Builder<'a, Board>, BellsError> {
+    let prefix = FileName::new(prefix.as_bytes()).map_err(|reason| BellsError::new(&reason))?;
+    let name = FileName::new(b"bells").map_err(|reason| BellsError::new(&reason))?;
     let config = Configuration::default().prefix(&prefix);
     Ok(Builder::new(&name).config(&config).has_ownership(false))
 }
@@ -101,19 +109,19 @@ fn builder<'a>(prefix: &str) -> Result<Builder<'a, Board>, BusError> {
 /// Makes the bells of a run whose shared memory has this prefix: before anybody can join it.
 ///
 /// # Errors
-/// [`BusError`] if the system refuses.
-pub(crate) fn create(prefix: &str) -> Result<(), BusError> {
+/// [`BellsError`] if the system refuses.
+pub(crate) fn create(prefix: &str) -> Result<(), BellsError> {
     let builder = builder(prefix)?.initializer(|board, _| {
         board.write(Board::default());
         true
     });
-    builder.create().map(drop).map_err(|reason| BusError::new("bells", reason))
+    builder.create().map(drop).map_err(|reason| BellsError::new(&reason))
 }
 
 impl Bells {
-    pub(super) fn open(prefix: &str) -> Result<Self, BusError> {
+    pub(crate) fn open(prefix: &str) -> Result<Self, BellsError> {
         let storage = builder(prefix)?.open(AccessMode::ReadWrite);
-        storage.map(|storage| Self(Rc::new(storage))).map_err(|reason| BusError::new("bells", reason))
+        storage.map(|storage| Self(Rc::new(storage))).map_err(|reason| BellsError::new(&reason))
     }
 
     fn words(&self, sleeper: Sleeper) -> &Words {
@@ -136,7 +144,7 @@ pub struct Bed {
 }
 
 impl Bed {
-    pub(super) fn new(bells: Bells, sleeper: Sleeper) -> Self {
+    pub(crate) fn new(bells: Bells, sleeper: Sleeper) -> Self {
         Self { bells, sleeper, heard: Cell::default() }
     }
 
@@ -180,7 +188,7 @@ pub struct Bell {
 }
 
 impl Bell {
-    pub(super) fn new(bells: Bells, sleeper: Sleeper) -> Self {
+    pub(crate) fn new(bells: Bells, sleeper: Sleeper) -> Self {
         Self { bells, sleeper }
     }
 
