@@ -227,3 +227,84 @@ impl Bell {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rendezvous::{Rendezvous, RunDescription};
+    use crate::scenario::{Scenario, ScenarioFile};
+
+    /// Far above what any wait takes here.
+    const LIMIT: Duration = Duration::from_secs(60);
+
+    fn run(name: &str) -> Rendezvous {
+        let name = format!("{name}-{}", std::process::id()).parse().unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        Rendezvous::found(&name, RunDescription::new(scenario, std::path::PathBuf::new())).unwrap()
+    }
+
+    /// To and fro as fast as it goes, so that rings come at every moment of falling asleep.
+    #[test]
+    fn every_ring_is_heard() {
+        let run = run("bells-heard");
+        let rounds = 50_000;
+        let play = |prefix: &str, mine: Sleeper, other: Sleeper, begins: bool| {
+            let bells = Bells::open(prefix).unwrap();
+            let (bed, bell) = (Bed::new(bells.clone(), mine), Bell::new(bells, other));
+            if begins {
+                bell.ring(Call::Data);
+            }
+            for round in 0..rounds {
+                assert!(bed.sleep(LIMIT).has(Call::Data), "round {round}");
+                bell.ring(Call::Data);
+            }
+        };
+        std::thread::scope(|scope| {
+            let prefix = run.shared_memory_prefix();
+            scope.spawn(move || play(prefix, Sleeper::Sim, Sleeper::Fusion, false));
+            scope.spawn(move || play(prefix, Sleeper::Fusion, Sleeper::Sim, true));
+        });
+    }
+
+    #[test]
+    fn one_ring_wakes_all_who_sleep_in_one_place() {
+        let run = run("bells-all");
+        let prefix = run.shared_memory_prefix();
+        std::thread::scope(|scope| {
+            let sleepers: Vec<_> = (0..5)
+                .map(|_| scope.spawn(|| Bed::new(Bells::open(prefix).unwrap(), Sleeper::Robots).sleep(LIMIT)))
+                .collect();
+            let bells = Bells::open(prefix).unwrap();
+            while bells.words(Sleeper::Robots).asleep.load(SeqCst) < 5 {
+                std::thread::yield_now();
+            }
+            Bell::new(bells, Sleeper::Robots).ring(Call::Finished);
+            for sleeper in sleepers {
+                let calls = sleeper.join().unwrap();
+                assert!(calls.has(Call::Finished) && !calls.has(Call::Data));
+            }
+        });
+    }
+
+    #[test]
+    fn of_the_answers_to_a_tick_the_last_one_rings() {
+        let run = run("bells-last");
+        let bells = Bells::open(run.shared_memory_prefix()).unwrap();
+        let (bed, bell) = (Bed::new(bells.clone(), Sleeper::Fusion), Bell::new(bells, Sleeper::Fusion));
+        bed.expect(3);
+        let rings = |tick: u64, or_first: bool| {
+            bell.ring_if_last(tick, or_first);
+            bed.sleep(Duration::ZERO).has(Call::Data)
+        };
+        for tick in [0, 1, 7] {
+            assert_eq!([0; 3].map(|_| rings(tick, false)), [false, false, true], "{tick}");
+            // A robot that was started again answers again.
+            assert!(rings(tick, false));
+        }
+        assert_eq!([0; 3].map(|_| rings(8, true)), [true, false, true]);
+        assert!(rings(7, false), "of a tick that is over");
+        // One is not waited for any more.
+        bed.expect(2);
+        assert_eq!([0; 2].map(|_| rings(9, false)), [false, true]);
+    }
+}
