@@ -1,5 +1,7 @@
 //! One node: what `sim`, `fusion` and `robot` run, started by hand or by `run`.
 
+use std::fs::File;
+
 use rangehound_fusion::run::FusionError;
 use rangehound_robot::run::RobotError;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunName};
@@ -18,8 +20,8 @@ use crate::tables;
 /// [`Failure`].
 pub fn sim(args: &SimArgs) -> Result<(), Failure> {
     let termination = prepare(Role::Sim, &args.parent)?;
-    let rendezvous = match (&args.parent.end_with, &args.experiment.name) {
-        (Some(_), Some(name)) => join(name, &termination)?,
+    let (rendezvous, _folder) = match (&args.parent.end_with, &args.experiment.name) {
+        (Some(_), Some(name)) => (join(name, &termination)?, None),
         _ => found(args)?,
     };
     rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
@@ -59,23 +61,26 @@ pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
     })
 }
 
-/// The simulator started by hand founds the run; started again after a kill, it goes back to it.
-fn found(args: &SimArgs) -> Result<Rendezvous, Failure> {
+/// The simulator started by hand founds the run; started again after a kill, it goes back to it. With the claim on the
+/// run folder.
+fn found(args: &SimArgs) -> Result<(Rendezvous, Option<File>), Failure> {
     let experiment = Experiment::from_run(&args.experiment, Naming::Exact)?;
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
         failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
-        return Ok(living);
+        // Its supervisor may have the folder, if there is one.
+        let folder = tables::look_for_writable(living.description()).ok();
+        return Ok((living, folder));
     }
     let name = &experiment.name;
     let rendezvous = Rendezvous::found(name, experiment.description.clone()).map_err(input_or_running)?;
-    tables::prepare_folder(&experiment)?;
+    let folder = tables::prepare_folder(&experiment)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::tell(format!(
         "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
          rangehound robot --id 0 --name {name}   (to --id {})\n  rangehound watch --name {name}",
         robots - 1
     ));
-    Ok(rendezvous)
+    Ok((rendezvous, Some(folder)))
 }
 
 /// Joins a run, telling the user if it must wait.

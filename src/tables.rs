@@ -12,7 +12,7 @@
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
@@ -44,13 +44,33 @@ const TRUTH_ROWS_MAX: usize = 10_000_000;
 /// Largest number in a true track: as in recordings.
 const TRUTH_MAX: f64 = 1e11;
 
-/// Makes the run folder ready: removes an earlier run's results, writes the scenario.
+/// Claims a run folder for as long as what is returned lives: two runs in one folder would destroy each other.
+///
+/// # Errors
+/// [`Failure::Input`] if a run goes on in it.
+fn claim_folder(out_dir: &Path) -> Result<File, Failure> {
+    let folder = File::open(out_dir).map_err(|error| not_writable(out_dir, &error))?;
+    match folder.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(Failure::input(format!(
+            "--out: expected a folder of its own, a run goes on in {}: choose another, or stop that run",
+            out_dir.display()
+        ))),
+        // A file system without locks has room for runs all the same.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
+    }
+}
+
+/// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario.
 ///
 /// # Errors
 /// [`Failure::Input`] if the folder cannot be used.
-pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
+pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
     let out_dir = &experiment.description.out_dir;
     make_folder(&out_dir.join("logs"))?;
+    let claim = claim_folder(out_dir)?;
+    for log in std::fs::read_dir(out_dir.join("logs")).into_iter().flatten().flatten() {
+        let _ = std::fs::remove_file(log.path());
+    }
     let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
     let results = [report::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
     for stale in results.into_iter().chain(checkpoints.iter().map(String::as_str)) {
@@ -64,7 +84,8 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<(), Failure> {
     };
     std::fs::write(out_dir.join("scenario.toml"), text)
         .and_then(|()| write_for_owner())
-        .map_err(|error| not_writable(out_dir, &error))
+        .map_err(|error| not_writable(out_dir, &error))?;
+    Ok(claim)
 }
 
 /// What a run is, from its folder, wherever that is now.
@@ -82,12 +103,14 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     Ok(RunDescription { out_dir, ..description })
 }
 
-/// Looks whether a run can go on in its folder: nodes that cannot write there go on without their logs.
+/// Claims the folder of a run that is to go on, and looks whether it can: nodes that cannot write there go on without
+/// their logs.
 ///
 /// # Errors
 /// [`Failure::Input`] with the first file that cannot be written.
-pub fn look_for_writable(description: &RunDescription) -> Result<(), Failure> {
+pub fn look_for_writable(description: &RunDescription) -> Result<File, Failure> {
     let out_dir = &description.out_dir;
+    let claim = claim_folder(out_dir)?;
     let checkpoints = [Role::Sim, Role::Fusion].map(|role| out_dir.join(checkpoint::file_name(role)));
     for path in [estimate_log(out_dir), world_log(out_dir)].into_iter().chain(checkpoints) {
         let opened = std::fs::OpenOptions::new().append(true).open(&path);
@@ -97,7 +120,7 @@ pub fn look_for_writable(description: &RunDescription) -> Result<(), Failure> {
             return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
         }
     }
-    Ok(())
+    Ok(claim)
 }
 
 /// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.

@@ -10,7 +10,7 @@ use rangehound_shared::message::{Command, Estimate, Range, Refusal};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::{PlannerSpec, Scenario};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
@@ -26,6 +26,9 @@ pub const STANDBYS_MAX: usize = 8;
 
 /// How often a standby looks whether who leads gives signs of life.
 const STANDBY_LOOK: Duration = Duration::from_millis(50);
+
+/// What a step of the grid planner may take without a sign of life.
+pub const GRID_STEP_MAX: Duration = Duration::from_secs(30);
 
 /// Looks in a row without a sign of life after which who leads is deposed. Counted in looks, so that a
 /// standby that was stopped too, or a clock that jumps, deposes nobody.
@@ -85,6 +88,12 @@ pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result
             ended => return ended,
         }
     }
+}
+
+/// Looks without a sign of life after which who leads hangs: a step of the grid search is no hang.
+fn silent_looks_max(scenario: &Scenario) -> u32 {
+    let step = if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO };
+    SILENT_LOOKS_MAX + step.div_duration_f64(STANDBY_LOOK) as u32
 }
 
 fn take_free_standby(rendezvous: &Rendezvous) -> Result<(Role, RoleHold), FusionError> {
@@ -151,7 +160,8 @@ impl<'a> Fusion<'a> {
     /// ranges wait in their buffers.
     fn stand_by(&mut self, standby: &RoleHold, termination: &Termination) -> Result<Option<RoleHold>, FusionError> {
         let roster = self.rendezvous.roster();
-        let mut leader = roster.starts(Role::Fusion);
+        let mut file = roster.file_of(Role::Fusion);
+        let silent_looks_max = silent_looks_max(self.scenario);
         let mut succession = roster.succeed(Role::Fusion);
         let mut last_sign = roster.last_sign(Role::Fusion);
         let mut silent_looks = 0;
@@ -164,16 +174,16 @@ impl<'a> Fusion<'a> {
             let sign = roster.last_sign(Role::Fusion);
             silent_looks = if sign == last_sign { silent_looks + 1 } else { 0 };
             last_sign = sign;
-            if silent_looks >= SILENT_LOOKS_MAX
+            if silent_looks >= silent_looks_max
                 && let Some(sign) = sign
                 && let Some(hold) = roster.depose(Role::Fusion, sign)?
             {
-                log::warn!("fusion gave no sign of life for {:?}: deposed it", STANDBY_LOOK * SILENT_LOOKS_MAX);
+                log::warn!("fusion gave no sign of life for {:?}: deposed it", STANDBY_LOOK * silent_looks_max);
                 return Ok(Some(hold));
             }
-            if roster.starts(Role::Fusion) != leader {
-                // The file whose lock is waited for may be that of a deposed one.
-                leader = roster.starts(Role::Fusion);
+            if roster.file_of(Role::Fusion) != file {
+                // The lock that is waited for is that of a deposed one.
+                file = roster.file_of(Role::Fusion);
                 succession = roster.succeed(Role::Fusion);
             }
         }

@@ -8,7 +8,7 @@
 //! whatever the forerunner still writes goes to a file that has none.
 
 use std::fs::{File, OpenOptions};
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
+use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
@@ -95,10 +95,14 @@ impl Checkpoint {
         let description = rendezvous.description();
         match Self::open(&description.out_dir.join(file_name(role)), description.run_id) {
             Ok((mut checkpoint, state)) => {
-                if hold.by_force
-                    && let Err(error) = checkpoint.move_to_new_file()
-                {
-                    log::warn!("shares its checkpoint with the one it deposed: {error}");
+                if hold.by_force {
+                    let partial = beside(&checkpoint.path, &format!(".{}", hold.incarnation));
+                    // Nobody is deposed while it is done, so that no successor's file is replaced.
+                    let moved = rendezvous.while_current(hold, || checkpoint.move_to_new_file(&partial));
+                    let _ = std::fs::remove_file(&partial);
+                    if let Some(Err(error)) = moved {
+                        log::warn!("shares its checkpoint with the one it deposed: {error}");
+                    }
                 }
                 Ok((Some(checkpoint), state))
             }
@@ -117,7 +121,7 @@ impl Checkpoint {
             && let Err(error) = file.write(state)
         {
             log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
-            let _ = std::fs::remove_file(&file.path);
+            file.remove();
             *checkpoint = None;
         }
     }
@@ -159,15 +163,23 @@ impl Checkpoint {
         Ok((checkpoint, newest.map(|slot| slot.state)))
     }
 
+    /// Removes the file, if it is still the one that has the name.
+    fn remove(&self) {
+        let inode = |file: std::fs::Metadata| file.ino();
+        let named = std::fs::metadata(&self.path).map(inode).ok();
+        if named.is_some() && named == self.file.metadata().map(inode).ok() {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+
     /// A new file in the place of the old one, with its newest slot.
-    fn move_to_new_file(&mut self) -> std::io::Result<()> {
-        let partial = beside(&self.path, ".partial");
-        let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(&partial)?;
+    fn move_to_new_file(&mut self, partial: &Path) -> std::io::Result<()> {
+        let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(partial)?;
         let index = self.sequence % 2;
         if let Some(slot) = read_slot(&self.file, index, self.file.metadata()?.len())? {
             file.write_all_at(&slot, slot_start(index))?;
         }
-        std::fs::rename(&partial, &self.path)?;
+        std::fs::rename(partial, &self.path)?;
         self.file = file;
         Ok(())
     }
@@ -279,7 +291,7 @@ mod tests {
             written(&path, count);
             let (mut old, _) = open(&path, 7).unwrap();
             let (mut new, state) = open(&path, 7).unwrap();
-            new.move_to_new_file().unwrap();
+            new.move_to_new_file(&folder.path().join("new")).unwrap();
             for k in 10..14 {
                 old.write(&(k, vec![0.0])).unwrap();
             }

@@ -6,8 +6,10 @@ mod nodes;
 pub mod restart;
 mod silence;
 
+use std::fs::File;
+
 use anyhow::anyhow;
-use rangehound_shared::bus::{Bus, BusError};
+use rangehound_shared::bus::Bus;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
 use rangehound_shared::signal::Termination;
 
@@ -70,7 +72,7 @@ fn execute(
 ) -> Result<(), Failure> {
     let Experiment { name, description, .. } = &experiment;
     if in_process {
-        tables::prepare_folder(&experiment)?;
+        let _folder = tables::prepare_folder(&experiment)?;
         let mut progress = Progress::new("tick", description.scenario.ticks);
         in_process::run(description, |tick| {
             if tick > 0 && tick % 4_096 == 0 {
@@ -90,22 +92,27 @@ fn supervise(
     description: &RunDescription,
     supervision: &SupervisionArgs,
     keep: &Keep,
-    prepare_folder: impl FnOnce() -> Result<(), Failure>,
+    prepare_folder: impl FnOnce() -> Result<File, Failure>,
 ) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
-    prepare_folder()?;
+    let _folder = prepare_folder()?;
     let hold = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
     let (summaries, outcome) = std::thread::scope(|scope| {
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
         let mut losses = Losses::new(description);
+        let mut is_blind = false;
         let outcome = nodes.supervise(&hold, &termination, || {
-            watch.look()?;
+            // What cannot be shown is no reason to end the run.
+            if let Err(error) = watch.look()
+                && !std::mem::replace(&mut is_blind, true)
+            {
+                log::warn!("progress cannot be shown: {error}");
+            }
             losses.look(watch.newest_ticks());
-            Ok::<_, BusError>(())
         });
         nodes.end(rendezvous.is_finished());
         watch.finish();

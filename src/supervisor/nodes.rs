@@ -93,11 +93,11 @@ impl<'a> Nodes<'a> {
     }
 
     /// Watches until the run is finished, a node that is not replaced dies, or an end is asked for.
-    pub(super) fn supervise<E: Into<anyhow::Error>>(
+    pub(super) fn supervise(
         &mut self,
         hold: &RoleHold,
         termination: &Termination,
-        mut look: impl FnMut() -> Result<(), E>,
+        mut look: impl FnMut(),
     ) -> anyhow::Result<()> {
         let mut looked = Instant::now();
         let mut listened = Instant::now();
@@ -108,7 +108,7 @@ impl<'a> Nodes<'a> {
             hold.sign();
             self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
             if looked.elapsed() >= watch::LOOK {
-                look().map_err(Into::into)?;
+                look();
                 looked = Instant::now();
             }
             if listened.elapsed() >= silence::LOOK {
@@ -117,7 +117,8 @@ impl<'a> Nodes<'a> {
             }
             self.replace_the_dead()?;
         }
-        look().map_err(Into::into)
+        look();
+        Ok(())
     }
 
     /// Sleeps until a process ends, the next restart is due, or time is up.
@@ -172,7 +173,8 @@ impl<'a> Nodes<'a> {
                 self.cleaner.request();
                 // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
                 let is_taken = self.rendezvous.roster().is_held(node.role);
-                let is_hopeless = !is_taken && (status.code() == Some(2) || node.failures >= FAILURES_MAX);
+                let is_own = !is_kill(status) && !is_taken;
+                let is_hopeless = is_own && (status.code() == Some(2) || node.failures >= FAILURES_MAX);
                 let is_replaced = match self.policies.of(node.role) {
                     Policy::Always => true,
                     Policy::OnFailure => !status.success(),
@@ -190,8 +192,16 @@ impl<'a> Nodes<'a> {
                     log::warn!("{message}; the others go on without it");
                 }
             }
-            if node.restart_at.is_some_and(|at| Instant::now() >= at) {
-                node.start(self.rendezvous)?;
+            if node.restart_at.is_some_and(|at| Instant::now() >= at)
+                && let Err(error) = node.start(self.rendezvous)
+            {
+                // The system may have room again before long.
+                (node.deaths, node.failures) = (node.deaths + 1, node.failures + 1);
+                if node.failures >= FAILURES_MAX {
+                    return Err(error);
+                }
+                log::warn!("{error:#}; it is tried again");
+                node.restart_at = Some(Instant::now() + node.back_off());
             }
         }
         if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
@@ -254,12 +264,13 @@ impl Node {
     }
 
     fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
-        let program = std::env::current_exe().context("where this program is")?;
         let log_path = self.log_path(rendezvous);
         let log = File::options().create(true).append(true).open(&log_path);
         // Where no log can be kept, the user sees what the node says.
         let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
-        let mut command = Command::new(program);
+        // Not by its path, which another build may have taken meanwhile.
+        let mut command = Command::new("/proc/self/exe");
+        command.arg0("rangehound");
         match self.role {
             Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
             Role::Fusion | Role::Standby(_) if self.has_standbys => command.args(["fusion", "--standby"]),
@@ -325,7 +336,7 @@ impl Node {
             return Ok(None);
         }
         self.deaths += 1;
-        if !status.success() && status.signal() != Some(Signal::KILL.as_raw()) {
+        if !status.success() && !is_kill(status) {
             self.failures += 1;
         }
         if status.signal().is_some() {
@@ -344,6 +355,11 @@ impl Node {
         }
         BACK_OFF.saturating_mul(1 << self.failures.saturating_sub(1).min(16)).min(BACK_OFF_MAX)
     }
+}
+
+/// True if somebody else ended it.
+fn is_kill(status: ExitStatus) -> bool {
+    status.signal() == Some(Signal::KILL.as_raw())
 }
 
 fn describe(status: ExitStatus) -> String {

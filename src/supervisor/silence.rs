@@ -2,6 +2,7 @@
 
 use std::time::{Duration, SystemTime};
 
+use rangehound_fusion::run::GRID_STEP_MAX;
 use rangehound_shared::scenario::{Patience, PlannerSpec, Scenario};
 
 /// How often signs of life are looked for. Silence is counted in looks, and only in those in which somebody else
@@ -14,9 +15,6 @@ const HANG_MIN: Duration = Duration::from_millis(500);
 
 /// What each node of a run adds to the time that any of them may take to start.
 const START: Duration = Duration::from_millis(100);
-
-/// What a step of the grid planner may take.
-const GRID: Duration = Duration::from_secs(30);
 
 /// Silence after which one that another took the lead from is given up, with endless patience too.
 const DEPOSED: Duration = Duration::from_secs(2);
@@ -59,7 +57,7 @@ impl Silence {
 pub(super) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_deposed: bool) -> Option<Duration> {
     let Patience::After(patience) = scenario.patience else { return is_deposed.then_some(DEPOSED) };
     let start = if has_started { Duration::ZERO } else { START.saturating_mul(nodes.try_into().unwrap_or(u32::MAX)) };
-    let grid = if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID } else { Duration::ZERO };
+    let grid = if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO };
     Some(patience.max(HANG_MIN).saturating_add(start).saturating_add(grid))
 }
 

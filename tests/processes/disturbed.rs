@@ -271,3 +271,86 @@ fn only_the_stopped_robot_is_left_out() {
     assert!(!left_out.is_empty(), "{log}");
     assert!(left_out.iter().all(|line| line.contains("without robot 1,")), "{left_out:#?}");
 }
+
+/// They would write over each other's logs and checkpoints.
+#[test]
+fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
+    let words = "--ticks 4000 --patience forever";
+    let run = Run::new();
+    let first = run.lockstep(words);
+    let robot = run.pid_of("robot-0", 1);
+    signal(robot, Signal::STOP);
+    let other = format!("{}-other", run.name);
+    let run_into = ["run", "--clock", "lockstep", "--seed", "9", "--name", &other, "--out", "out"];
+    let resume_in = ["resume", "out", "--name", &other];
+    let sim_into = ["sim", "--name", &other, "--out", "out"];
+    let refusals = [&run_into[..], &resume_in, &sim_into].map(|args| run.start(args).finish());
+    signal(robot, Signal::CONT);
+    for refused in refusals {
+        assert_eq!((refused.code, refused.stderr.lines().count()), (Some(2), 1), "{refused:#?}");
+        assert!(refused.stderr.contains("a run goes on in"), "{refused:#?}");
+    }
+    first.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(words));
+    run.assert_nothing_left();
+}
+
+/// It cannot hear that it is to end until it is continued: the next founder of the name sees to that.
+#[test]
+fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name() {
+    let run = Run::new();
+    let supervisor = run.lockstep(ENDLESS);
+    let robot = run.pid_of("robot-1", 1);
+    run.wait_for_ticks(3);
+    signal(robot, Signal::STOP);
+    supervisor.signal(Signal::KILL);
+    assert_eq!(supervisor.finish().code, None);
+    let words = "--ticks 50 --patience forever";
+    run.lockstep(words).finish().succeeded();
+    assert!(!is_alive(robot));
+    assert_eq!(run.digest(), digest_in_process(words));
+    run.assert_nothing_left();
+}
+
+/// As a build in the middle of a long run does.
+#[test]
+fn a_run_whose_program_file_is_replaced_goes_on() {
+    let words = "--ticks 4000 --patience forever";
+    let run = Run::new();
+    let program = run.path("program");
+    std::fs::copy(env!("CARGO_BIN_EXE_rangehound"), &program).unwrap();
+    let out = run.path("out");
+    let args = ["run", "--clock", "lockstep", "--name", &run.name, "--out"];
+    let mut supervisor = std::process::Command::new(&program)
+        .args(args)
+        .arg(&out)
+        .args(words.split(' '))
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    run.wait_for_ticks(100);
+    std::fs::remove_file(&program).unwrap();
+    signal(run.pid_of("robot-0", 1), Signal::KILL);
+    run.pid_of("robot-0", 2);
+    run.wait_until("the run has ended", || supervisor.try_wait().unwrap().is_some());
+    assert_eq!(supervisor.wait().unwrap().code(), Some(0));
+    assert_eq!(run.digest(), digest_in_process(words));
+    run.assert_nothing_left();
+}
+
+/// A process stopped in the door of one run keeps nobody from another.
+#[test]
+fn the_door_of_one_run_does_not_hold_up_another() {
+    let run = Run::new();
+    let first = run.lockstep(ENDLESS);
+    run.wait_for_ticks(3);
+    let door = std::fs::File::open(run.shared_folder().join("door")).unwrap();
+    door.lock().unwrap();
+    let other = Run::new();
+    other.lockstep("--ticks 20 --patience forever").finish().succeeded();
+    drop(door);
+    first.signal(Signal::INT);
+    assert_eq!(first.finish().code, Some(1));
+    run.assert_nothing_left();
+}

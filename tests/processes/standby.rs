@@ -94,3 +94,15 @@ fn a_standby_started_by_hand_leads_if_nobody_does() {
     }
     run.assert_nothing_left();
 }
+
+/// A step of the grid search takes longer than the silence for which another planner's fusion is deposed.
+#[test]
+fn a_fusion_that_searches_a_grid_is_not_deposed_for_it() {
+    let run = Run::new();
+    let near = "dt_s = 3.0\nclock = \"lockstep\"\nticks = 1\npatience_s = \"forever\"\n[target]\nstart = [15.3, 0.2, 0.0, 0.0]\n";
+    run.write("mine.toml", format!("{near}[robots]\ncount = 4\n[planner]\nname = \"grid\"\nstand_off_m = 0\n"));
+    run.command("run mine.toml --standby 1").finish().succeeded();
+    assert!(run.report()["nodes"].as_array().unwrap().iter().all(|node| node["starts"] == 1));
+    assert_eq!(run.report()["headings"]["refused"], 0);
+    run.assert_nothing_left();
+}

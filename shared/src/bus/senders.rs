@@ -15,7 +15,7 @@ const STRANGERS_MAX: usize = 64;
 pub(super) enum Standing {
     /// Its process holds the role.
     Holder,
-    /// Its process is gone, and so may be its hold.
+    /// Its process is gone, and so may be its hold; or that cannot be told.
     Gone,
     /// Its process lives and does not hold the role.
     Impostor,
@@ -58,13 +58,15 @@ impl Senders {
         if strangers.contains(&node) {
             return Standing::Impostor;
         }
-        let pid = pid();
-        if pid.is_some() && self.roster.last_holder(role) == pid {
-            *bound = node;
-            return Standing::Holder;
-        }
-        if pid.is_none_or(|pid| test_kill_process(pid).is_err()) {
-            return Standing::Gone;
+        let Some(pid) = pid() else { return Standing::Gone };
+        match self.roster.is_last_holder(role, pid) {
+            Ok(true) => {
+                *bound = node;
+                return Standing::Holder;
+            }
+            Ok(false) if test_kill_process(pid).is_ok() => {}
+            // What cannot be told now is not held against a sender for ever.
+            Ok(false) | Err(_) => return Standing::Gone,
         }
         if strangers.len() == STRANGERS_MAX {
             strangers.clear();

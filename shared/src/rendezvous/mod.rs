@@ -23,6 +23,7 @@ use std::fs::{File, TryLockError};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -222,7 +223,7 @@ impl Rendezvous {
             let members = place.open("members")?;
             match members.try_lock() {
                 Ok(()) => break (door, members),
-                Err(TryLockError::WouldBlock) if began.elapsed() < DYING => {}
+                Err(TryLockError::WouldBlock) if began.elapsed() < DYING => continue_orphans(&place),
                 Err(TryLockError::WouldBlock) => return Err(RendezvousError::Taken { name: name.clone() }),
                 Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
             }
@@ -347,6 +348,12 @@ impl Rendezvous {
         }
     }
 
+    /// Does something while nobody can be deposed, if this holder has not been. `None` if it has.
+    pub fn while_current<T>(&self, hold: &RoleHold, action: impl FnOnce() -> T) -> Option<T> {
+        let _door = self.place.enter(false).ok()?;
+        hold.is_current().then(action)
+    }
+
     /// Marks the run as ended.
     ///
     /// # Errors
@@ -382,8 +389,12 @@ pub fn living_runs() -> Vec<RunName> {
         .filter(|name| {
             let place = Place::of(name);
             // Behind the door, so that nobody mistakes this look for a member.
-            let Ok(_door) = place.enter(false) else { return false };
-            place.open_existing("members").is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
+            // Whoever stands in the door lives.
+            let Ok(door) = place.glance() else { return false };
+            door.is_none()
+                || place
+                    .open_existing("members")
+                    .is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
         })
         .collect()
 }
@@ -394,11 +405,30 @@ pub fn files_of(name: &RunName) -> Vec<PathBuf> {
     Place::of(name).files()
 }
 
+/// Continues the nodes that were stopped when their supervisor was killed: what the kernel asked of them then,
+/// to end, waits until they run.
+fn continue_orphans(place: &Place) {
+    for pid in Roster::of(place).last_holders() {
+        let proc = |file: &str| std::fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
+        let (status, command) = (proc("status"), proc("cmdline"));
+        let field = |name: &str| status.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
+        let mut words = command.split('\0').skip_while(|word| *word != "--end-with").skip(1);
+        let is_orphan = words.next().is_some_and(|parent| field("PPid:") != Some(parent));
+        if is_orphan
+            && field("State:").is_some_and(|state| state.starts_with('T'))
+            && let Some(pid) = Pid::from_raw(pid)
+        {
+            let _ = kill_process(pid, Signal::CONT);
+        }
+    }
+}
+
 /// Removes this user's runs of which nobody lives, but for the one that is about to be founded.
 fn remove_dead_runs(but: &RunName) {
     for name in run_names().filter(|name| name != but) {
         let place = Place::of(&name);
-        let Ok(_door) = place.enter(false) else { continue };
+        // Somebody in the door will see to it; no other run waits for that.
+        let Ok(Some(_door)) = place.glance() else { continue };
         let Ok(members) = place.open_existing("members") else { continue };
         if members.try_lock().is_ok() {
             place.remove();

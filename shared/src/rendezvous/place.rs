@@ -1,15 +1,20 @@
 //! The files of a run in shared memory.
 
-use std::fs::{File, OpenOptions, Permissions};
+use std::fs::{File, OpenOptions, Permissions, TryLockError};
 use std::io::Write;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use rustix::fs::OFlags;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::{RendezvousError, RunName};
 use crate::resources::SHARED_MEMORY;
+
+/// How long to wait for whoever stands in the door, and how often to try.
+const DOOR: Duration = Duration::from_secs(10);
+const DOOR_POLL: Duration = Duration::from_micros(200);
 
 /// The files of one run.
 #[derive(Debug, Clone)]
@@ -41,9 +46,20 @@ impl Place {
         RendezvousError::Io { path: self.path(file), source }
     }
 
-    /// Locks the door. The last one out removes the folder, so a lock counts only if the door is still
-    /// the one that the path names.
+    /// Locks the door if nobody stands in it.
+    pub(super) fn glance(&self) -> Result<Option<File>, RendezvousError> {
+        self.look_for_owner()?;
+        let door = self.open_existing("door")?;
+        match door.try_lock() {
+            Ok(()) => Ok(self.is_named(&door).then_some(door)),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(source)) => Err(self.io_error("door", source)),
+        }
+    }
+
+    /// Locks the door, which nobody holds for long but one that was stopped in it.
     pub(super) fn enter(&self, create: bool) -> Result<File, RendezvousError> {
+        let began = Instant::now();
         loop {
             if create {
                 let made = std::fs::DirBuilder::new().mode(0o700).create(&self.dir);
@@ -53,10 +69,7 @@ impl Place {
                     return Err(RendezvousError::Io { path: self.dir.clone(), source });
                 }
             }
-            let dir_error = |source| RendezvousError::Io { path: self.dir.clone(), source };
-            if std::fs::metadata(&self.dir).map_err(dir_error)?.uid() != rustix::process::getuid().as_raw() {
-                return Err(RendezvousError::NotOurs(self.dir.clone()));
-            }
+            self.look_for_owner()?;
             // Opened, not made, by those who only look: a dead run's folder must not come back.
             let door = match if create { self.open("door") } else { self.open_existing("door") } {
                 Err(RendezvousError::Io { source, .. }) if create && source.kind() == std::io::ErrorKind::NotFound => {
@@ -64,13 +77,33 @@ impl Place {
                 }
                 other => other?,
             };
-            door.lock().map_err(|source| self.io_error("door", source))?;
-            let locked = door.metadata().map_err(|source| self.io_error("door", source))?;
-            match std::fs::metadata(self.path("door")) {
-                Ok(named) if named.ino() == locked.ino() => return Ok(door),
-                _ => {}
+            match door.try_lock() {
+                Ok(()) if self.is_named(&door) => return Ok(door),
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) if began.elapsed() < DOOR => std::thread::sleep(DOOR_POLL),
+                Err(TryLockError::WouldBlock) => {
+                    let held = "a process has stood in it for too long, as one that was stopped would";
+                    return Err(self.io_error("door", std::io::Error::new(std::io::ErrorKind::TimedOut, held)));
+                }
+                Err(TryLockError::Error(source)) => return Err(self.io_error("door", source)),
             }
         }
+    }
+
+    fn look_for_owner(&self) -> Result<(), RendezvousError> {
+        let dir_error = |source| RendezvousError::Io { path: self.dir.clone(), source };
+        if std::fs::metadata(&self.dir).map_err(dir_error)?.uid() == rustix::process::getuid().as_raw() {
+            Ok(())
+        } else {
+            Err(RendezvousError::NotOurs(self.dir.clone()))
+        }
+    }
+
+    /// The last one out removes the folder, so a lock counts only if the door is still the one that the path names.
+    fn is_named(&self, door: &File) -> bool {
+        let inode = |file: std::io::Result<std::fs::Metadata>| file.map(|file| file.ino()).ok();
+        let locked = inode(door.metadata());
+        locked.is_some() && locked == inode(std::fs::metadata(self.path("door")))
     }
 
     pub(super) fn open(&self, file: &str) -> Result<File, RendezvousError> {

@@ -146,7 +146,37 @@ impl Roster {
     }
 
     fn entry(&self, role: Role) -> Option<(u64, i32)> {
-        parse_entry(&std::fs::read_to_string(self.place.path(&file_name(role))).ok()?)
+        self.read_entry(role).ok()?
+    }
+
+    /// `None` for a role that nobody has ever taken.
+    fn read_entry(&self, role: Role) -> std::io::Result<Option<(u64, i32)>> {
+        match std::fs::read_to_string(self.place.path(&file_name(role))) {
+            Ok(text) => Ok(parse_entry(&text)),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The processes that took any role last, alive or not.
+    pub(super) fn last_holders(&self) -> Vec<i32> {
+        let files = std::fs::read_dir(self.place.path("")).into_iter().flatten().flatten().map(|file| file.path());
+        let roles = files.filter(|path| path.extension().is_some_and(|extension| extension == "role"));
+        roles.filter_map(|path| Some(parse_entry(&std::fs::read_to_string(path).ok()?)?.1)).collect()
+    }
+
+    /// Which file has the role's name: another one after somebody was deposed.
+    #[must_use]
+    pub fn file_of(&self, role: Role) -> Option<u64> {
+        std::fs::metadata(self.place.path(&file_name(role))).map(|file| file.ino()).ok()
+    }
+
+    /// True if this process took the role last.
+    ///
+    /// # Errors
+    /// If that cannot be told now.
+    pub fn is_last_holder(&self, role: Role, pid: Pid) -> std::io::Result<bool> {
+        Ok(self.read_entry(role)?.is_some_and(|(_, holder)| holder == pid.as_raw_pid()))
     }
 
     /// How often a role has been taken in this run.
@@ -288,6 +318,8 @@ mod tests {
         let new = roster.depose(Role::Fusion, silence).unwrap().unwrap();
         assert!(new.is_current() && new.by_force && !old.is_current() && !old.by_force);
         assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
+        assert_eq!(run.while_current(&new, || 7), Some(7));
+        assert_eq!(run.while_current(&old, || 7), None);
         // Neither its signs nor its end are the role's any more.
         let silence = roster.last_sign(Role::Fusion);
         std::thread::sleep(2 * SIGN);
