@@ -80,6 +80,10 @@ pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
 /// [`Failure`].
 pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
     let run = join(&args.run)?;
+    if run.roster().holder(Role::Supervisor).is_none() {
+        let problem = format!("expected a run with a supervisor, {} was started by hand", run.name());
+        return Err(Failure::input(format!("restart: {problem}: kill the node, and start it again")));
+    }
     let starts = run.roster().starts(args.node);
     signal(&run, args.node, Signal::TERM)?;
     let began = Instant::now();
@@ -92,7 +96,7 @@ pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
         }
         if began.elapsed() > PATIENCE {
             let problem = format!("{} has ended, but nobody has started it again", args.node);
-            return Err(Failure::Running(anyhow!("{problem}: its run has no supervisor, or one that is not to")));
+            return Err(Failure::Running(anyhow!("{problem}: its run's supervisor is not to")));
         }
         std::thread::sleep(POLL);
     }

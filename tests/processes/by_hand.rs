@@ -79,8 +79,12 @@ fn a_role_that_is_taken_or_does_not_exist_is_refused() {
     let fusion = run.node("fusion");
     run.pid_of("sim", 1);
     run.pid_of("fusion", 1);
-    let refusals = [("fusion", "fusion of run"), ("robot --id 3", "--id: expected 0 to 2")]
-        .map(|(words, names)| (names, run.node(words).finish()));
+    let refusals = [
+        ("fusion", "fusion of run"),
+        ("robot --id 3", "--id: expected 0 to 2"),
+        ("restart fusion", "expected a run with a supervisor"),
+    ]
+    .map(|(words, names)| (names, run.node(words).finish()));
     let robots = ["robot --id 0", "robot --id 1", "robot --id 2"].map(|words| run.node(words));
     for node in robots.into_iter().chain([sim, fusion]) {
         node.finish().succeeded();
@@ -89,7 +93,7 @@ fn a_role_that_is_taken_or_does_not_exist_is_refused() {
     for (names, refusal) in &refusals {
         assert!(refusal.stderr.lines().count() == 1 && refusal.stderr.contains(names), "{refusal:#?}");
     }
-    assert_eq!(refusals.map(|(_, refusal)| refusal.code), [Some(2); 2]);
+    assert_eq!(refusals.map(|(_, refusal)| refusal.code), [Some(2); 3]);
 }
 
 #[test]
