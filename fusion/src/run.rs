@@ -28,7 +28,7 @@ pub const STANDBYS_MAX: usize = 8;
 const STANDBY_LOOK: Duration = Duration::from_millis(50);
 
 /// What a step of the grid planner may take without a sign of life.
-pub const GRID_STEP_MAX: Duration = Duration::from_secs(30);
+const GRID_STEP_MAX: Duration = Duration::from_secs(30);
 
 /// Looks in a row without a sign of life after which who leads is deposed. Counted in looks, so that a
 /// standby that was stopped too, or a clock that jumps, deposes nobody.
@@ -90,10 +90,10 @@ pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result
     }
 }
 
-/// Looks without a sign of life after which who leads hangs: a step of the grid search is no hang.
-fn silent_looks_max(scenario: &Scenario) -> u32 {
-    let step = if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO };
-    SILENT_LOOKS_MAX + step.div_duration_f64(STANDBY_LOOK) as u32
+/// The silence that is no hang, because one step of the scenario's planner may take as long.
+#[must_use]
+pub fn step_max(scenario: &Scenario) -> Duration {
+    if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO }
 }
 
 fn take_free_standby(rendezvous: &Rendezvous) -> Result<(Role, RoleHold), FusionError> {
@@ -161,7 +161,7 @@ impl<'a> Fusion<'a> {
     fn stand_by(&mut self, standby: &RoleHold, termination: &Termination) -> Result<Option<RoleHold>, FusionError> {
         let roster = self.rendezvous.roster();
         let mut file = roster.file_of(Role::Fusion);
-        let silent_looks_max = silent_looks_max(self.scenario);
+        let silent_looks_max = SILENT_LOOKS_MAX + step_max(self.scenario).div_duration_f64(STANDBY_LOOK) as u32;
         let mut succession = roster.succeed(Role::Fusion);
         let mut last_sign = roster.last_sign(Role::Fusion);
         let mut silent_looks = 0;

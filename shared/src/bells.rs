@@ -231,17 +231,10 @@ impl Bell {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rendezvous::{Rendezvous, RunDescription};
-    use crate::scenario::{Scenario, ScenarioFile};
+    use crate::rendezvous::found_for_test as run;
 
     /// Far above what any wait takes here.
     const LIMIT: Duration = Duration::from_secs(60);
-
-    fn run(name: &str) -> Rendezvous {
-        let name = format!("{name}-{}", std::process::id()).parse().unwrap();
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
-        Rendezvous::found(&name, RunDescription::new(scenario, std::path::PathBuf::new())).unwrap()
-    }
 
     /// To and fro as fast as it goes, so that rings come at every moment of falling asleep.
     #[test]

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, SystemTime};
 
-use rangehound_fusion::run::GRID_STEP_MAX;
-use rangehound_shared::scenario::{Patience, PlannerSpec, Scenario};
+use rangehound_fusion::run::step_max;
+use rangehound_shared::scenario::{Patience, Scenario};
 
 /// How often signs of life are looked for. Silence is counted in looks, and only in those in which somebody else
 /// was heard: a supervisor or a whole run that was stopped, a suspended machine or a clock that jumps
@@ -57,8 +57,7 @@ impl Silence {
 pub(super) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_deposed: bool) -> Option<Duration> {
     let Patience::After(patience) = scenario.patience else { return is_deposed.then_some(DEPOSED) };
     let start = if has_started { Duration::ZERO } else { START.saturating_mul(nodes.try_into().unwrap_or(u32::MAX)) };
-    let grid = if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO };
-    Some(patience.max(HANG_MIN).saturating_add(start).saturating_add(grid))
+    Some(patience.max(HANG_MIN).saturating_add(start).saturating_add(step_max(scenario)))
 }
 
 #[cfg(test)]

@@ -330,7 +330,9 @@ impl<T: Topic> Subscriber<T> {
         let node = sample.header().node_id();
         let pid = || Pid::from_raw(node.pid::<ipc::Service>().ok()?.value());
         let of_entry = |entry: &T| self.senders.standing(entry.sender(), node.value(), pid);
-        let mut standings = sample.payload().iter().map(of_entry);
+        // Where one node publishes, all entries speak for it alike.
+        let entries = if T::FROM_ROBOTS { usize::MAX } else { 1 };
+        let mut standings = sample.payload().iter().take(entries).map(of_entry);
         standings.find(|standing| *standing != Standing::Holder).unwrap_or(Standing::Holder)
     }
 

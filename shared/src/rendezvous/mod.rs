@@ -435,3 +435,13 @@ fn remove_dead_runs(but: &RunName) {
         }
     }
 }
+
+/// A run of the default scenario under a name that no other process has.
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+pub(crate) fn found_for_test(name: &str) -> Rendezvous {
+    use crate::scenario::ScenarioFile;
+    let name = format!("{name}-{}", std::process::id()).parse().unwrap();
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+    Rendezvous::found(&name, RunDescription::new(scenario, PathBuf::new())).unwrap()
+}

@@ -268,15 +268,8 @@ fn write_entry(file: &mut File, incarnation: u64) -> std::io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Rendezvous, RunDescription, RunName};
+    use super::super::found_for_test as run;
     use super::*;
-    use crate::scenario::{Scenario, ScenarioFile};
-
-    fn run(name: &str) -> Rendezvous {
-        let name: RunName = format!("{name}-{}", std::process::id()).parse().unwrap();
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
-        Rendezvous::found(&name, RunDescription::new(scenario, std::path::PathBuf::new())).unwrap()
-    }
 
     #[test]
     fn a_role_is_held_once_and_every_hold_is_counted() {
