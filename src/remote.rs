@@ -116,8 +116,8 @@ pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
         let standbys = (1..=STANDBYS_MAX).map(Role::Standby);
         for role in watch::roles(robots).chain(standbys).filter(|role| run.roster().is_held(*role)) {
             signal(&run, role, Signal::TERM)?;
-            // One that is stopped hears it only when it runs.
-            signal(&run, role, Signal::CONT)?;
+            // One that is stopped hears it only when it runs; one that has ended by now needs nothing.
+            let _ = signal(&run, role, Signal::CONT);
         }
     }
     // Its members leave one by one; this one must not be the last that keeps it.
