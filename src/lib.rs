@@ -15,7 +15,7 @@
 //! | [`chaos`] | campaigns of faults on a live run |
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`compare`] | Monte Carlo of the planners on all cores |
-//! | [`report`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
+//! | [`report`], [`hops`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
 //! | [`chart`], [`field`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
 
@@ -26,6 +26,7 @@ pub mod compare;
 pub mod experiment;
 pub mod failure;
 pub mod field;
+pub mod hops;
 pub mod in_process;
 pub mod node;
 pub mod picture;

@@ -6,13 +6,15 @@ use hdrhistogram::Histogram;
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
-use rangehound_shared::message::{Estimate, Refusal};
+use rangehound_shared::message::{Estimate, Refusal, Stages};
 use rangehound_shared::record::{EstimateRecord, Heading, RobotRecord, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::tick_log::TickLogError;
 use serde::Serialize;
+
+use crate::hops::{self, HopSummary, Hops};
 
 /// File name of the report in a run folder.
 pub const FILE_NAME: &str = "report.json";
@@ -61,6 +63,8 @@ pub struct Report {
     pub headings: HeadingSummary,
     /// From publishing a range to holding the heading computed from it.
     pub latency_us: LatencySummary,
+    /// Where that time went.
+    pub hops_us: HopSummary,
     /// The processes.
     pub nodes: Vec<NodeSummary>,
 }
@@ -242,6 +246,7 @@ pub struct Tally {
     distrusted: Vec<Distrust>,
     headings: HeadingSummary,
     latency_ns: Histogram<u64>,
+    hops: Hops,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
 }
@@ -282,6 +287,7 @@ impl Tally {
             headings: HeadingSummary::default(),
             // Grows with the largest value; 3 digits are what the report shows.
             latency_ns: Histogram::new(3)?,
+            hops: Hops::new()?,
             first_end_ns: None,
             last_end_ns: 0,
         })
@@ -332,12 +338,19 @@ impl Tally {
         self.first_end_ns.get_or_insert(ended_ns);
         self.last_end_ns = ended_ns;
         for robot in robots {
-            self.ranges.published += u64::from(robot.range_published);
+            self.ranges.published += u64::from(robot.range_sent_ns.is_some());
             self.headings.add(robot);
-            if let Some(latency_ns) = robot.latency_ns {
+            if let Some(latency_ns) = robot.latency_ns() {
                 // Resizes as needed, so nothing can be out of its bounds.
                 let _ = self.latency_ns.record(latency_ns);
             }
+        }
+    }
+
+    /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
+    pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
+        for robot in robots {
+            self.hops.add(stages, robot);
         }
     }
 
@@ -377,6 +390,7 @@ impl Tally {
                 p99_9: latency_us(0.999),
                 max: self.latency_ns.max() as f64 / 1e3,
             },
+            hops_us: self.hops.summary(),
             nodes,
         }
     }
@@ -417,6 +431,9 @@ pub fn from_logs(
         let (tick, words) = record?;
         let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
         let world = worlds.at(tick, &mut tally)?;
+        if let Some(world) = world {
+            tally.add_hops(&estimate.stages, &world.robots);
+        }
         let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
         let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(time_s)));
         tally.add_estimate(tick, &estimate, truth_m);
@@ -511,6 +528,9 @@ impl std::fmt::Display for Report {
                 "  range to heading {:.0} us p50, {:.0} p90, {:.0} p99, {:.0} p99.9, {:.0} max",
                 latency_us.p50, latency_us.p90, latency_us.p99, latency_us.p99_9, latency_us.max
             )?;
+            let hops = hops::NAMES.iter().zip(self.hops_us.in_order());
+            let hops: Vec<String> = hops.map(|(name, hop)| format!("{name} {:.1}", hop.p50)).collect();
+            writeln!(f, "    p50 of hops    {}", hops.join(", "))?;
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
             let NodeSummary { name, starts, kills, exits, hangs } = node;

@@ -206,7 +206,7 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
             // Noise is a function of (seed, robot, tick), so the range is measured again, the same.
             let range_m = (x_m - robot_x_m).hypot(y_m - robot_y_m);
             let entry = WorldEntry { range_m, range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
-            if let Some(range_m) = sensor.measure(tick, &entry).filter(|_| robot.range_published) {
+            if let Some(range_m) = sensor.measure(tick, &entry).filter(|_| robot.range_sent_ns.is_some()) {
                 writeln!(ranges, "{time_s:.4},{id},{robot_x_m:.4},{robot_y_m:.4},{:.4}", range_m.max(0.0))?;
             }
         }

@@ -77,6 +77,7 @@ pub struct Intake {
     began_ns: Vec<u64>,
     times_s: Vec<f64>,
     first_ns: Option<u64>,
+    last_range_ns: u64,
     tally: Tally,
     ahead: Option<u64>,
     repeat_asked: bool,
@@ -104,6 +105,7 @@ impl Intake {
             began_ns: Vec::with_capacity(robots),
             times_s: Vec::with_capacity(robots),
             first_ns: None,
+            last_range_ns: 0,
             tally: Tally::default(),
             ahead: None,
             repeat_asked: false,
@@ -172,6 +174,7 @@ impl Intake {
         } else if tick == next {
             self.reports[id] = Some(report);
             self.began_ns.push(range.tick_began_ns.min(now_ns));
+            self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
             self.times_s.push(header.valid_at_s);
         } else {
             self.take_late(centre, tick, age, id, report);
@@ -262,6 +265,12 @@ impl Intake {
         std::mem::take(&mut self.repeat_asked)
     }
 
+    /// When the last report of the present tick was sent, as its robot says, monotonic ns; 0 without any.
+    #[must_use]
+    pub fn last_range_ns(&self) -> u64 {
+        self.last_range_ns
+    }
+
     /// True if nothing has come of the present tick.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -349,6 +358,7 @@ impl Intake {
         self.began_ns.clear();
         self.times_s.clear();
         self.first_ns = None;
+        self.last_range_ns = 0;
         std::mem::take(&mut self.tally)
     }
 }

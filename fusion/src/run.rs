@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{Standstill, monotonic_ns, until};
-use rangehound_shared::message::{Command, Estimate, Range, Refusal};
+use rangehound_shared::message::{Command, Estimate, Range, Refusal, Stages};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::robot_set::RobotSet;
@@ -298,23 +298,25 @@ impl<'a> Fusion<'a> {
     fn process_tick(&mut self) -> Result<(), FusionError> {
         let tick = self.centre.next_tick();
         let began_ns = monotonic_ns();
+        let last_range_ns = self.intake.last_range_ns();
         let distrusted = self.centre.distrusted();
         let time_s = self.intake.time_s(&self.centre);
         self.centre.update(time_s, self.intake.reports())?;
-        let updated_ns = monotonic_ns();
+        let filtered_ns = monotonic_ns();
         self.centre.plan();
         let planned_ns = monotonic_ns();
-        let tally = self.intake.close(tick, updated_ns);
+        let tally = self.intake.close(tick, filtered_ns);
         let centre = self.centre.saved()?;
         let saved = Saved { centre, intake: Cow::Borrowed(self.intake.record()), tally };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
+        let saved_ns = monotonic_ns();
 
         self.require_lead()?;
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
+        let sent_ns = monotonic_ns();
         self.robots.ring(Call::Data);
         let estimate = Estimate {
-            filter_ns: updated_ns - began_ns,
-            planner_ns: planned_ns - updated_ns,
+            stages: Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns },
             ..with_tally(self.centre.estimate(), &tally)
         };
         self.estimates.send(tick, self.centre.time_s(), &[estimate])?;

@@ -170,7 +170,7 @@ impl Refusal {
 /// Topic `estimate`: what fusion knows after a tick.
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("rangehound.Estimate.v2")]
+#[type_name("rangehound.Estimate.v3")]
 pub struct Estimate {
     /// Dimension n of the state.
     pub state_dim: u64,
@@ -200,12 +200,29 @@ pub struct Estimate {
     pub objective: f64,
     /// Lower bound on it; `-inf` from planners that prove none.
     pub lower_bound: f64,
-    /// Time that prediction and update took, ns.
-    pub filter_ns: u64,
-    /// Time that planning took, ns.
-    pub planner_ns: u64,
+    /// When fusion came to each stage of the tick.
+    pub stages: Stages,
     /// Rolling digest after this tick, low and high half.
     pub digest: [u64; 2],
+}
+
+/// When fusion came to each stage of a tick, monotonic ns; 0 where nobody looked at a clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("rangehound.Stages.v1")]
+pub struct Stages {
+    /// The last of the tick's ranges was sent, as its robot says.
+    pub last_range_ns: u64,
+    /// Fusion had all that it waited for.
+    pub began_ns: u64,
+    /// Prediction and update were done.
+    pub filtered_ns: u64,
+    /// The headings were chosen.
+    pub planned_ns: u64,
+    /// The checkpoint was written.
+    pub saved_ns: u64,
+    /// The headings were sent; their robots were still to be woken.
+    pub sent_ns: u64,
 }
 
 /// Topic `truth`: what only the simulator knows.
@@ -240,8 +257,7 @@ impl Default for Estimate {
             distrusted: [0; robot_set::WORDS],
             objective: 0.0,
             lower_bound: f64::NEG_INFINITY,
-            filter_ns: 0,
-            planner_ns: 0,
+            stages: Stages::default(),
             digest: [0; 2],
         }
     }
@@ -265,7 +281,7 @@ const _: () = {
     assert!(size_of::<Range>() == 56);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
-    assert!(size_of::<Estimate>() == 768);
+    assert!(size_of::<Estimate>() == 800);
     assert!(size_of::<Truth>() == 88);
 };
 

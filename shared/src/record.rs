@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::message::{Drive, Estimate, Refusal, WorldEntry};
+use crate::message::{Drive, Estimate, Refusal, Stages, WorldEntry};
 use crate::robot_set;
 use crate::scenario::Scenario;
 use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
@@ -46,14 +46,22 @@ pub struct WorldRecord {
 pub struct RobotRecord {
     /// Where it was, m.
     pub position_m: [f64; 2],
-    /// Its end-to-end latency, ns, if it published a range and got a heading.
-    pub latency_ns: Option<u64>,
-    /// True if its sensor had a range and it said that it published it.
-    pub range_published: bool,
+    /// When it published its range, monotonic ns, if its sensor had one.
+    pub range_sent_ns: Option<u64>,
+    /// When it held the tick's heading, monotonic ns, if it did.
+    pub heading_held_ns: Option<u64>,
     /// What it drove by.
     pub heading: Heading,
     /// Headings that it refused, since the tick before.
     pub headings_refused: u64,
+}
+
+impl RobotRecord {
+    /// From publishing the range to holding the heading computed from it, ns; `None` without either.
+    #[must_use]
+    pub fn latency_ns(&self) -> Option<u64> {
+        self.heading_held_ns?.checked_sub(self.range_sent_ns?)
+    }
 }
 
 /// What a robot drove by in one tick.
@@ -85,7 +93,7 @@ impl Heading {
 
 impl EstimateRecord {
     /// Words before the state: single ones, then those of `refused` and `distrusted`.
-    const TALLIES: usize = 11 + Refusal::ALL.len() + robot_set::WORDS;
+    const TALLIES: usize = 17 + Refusal::ALL.len() + robot_set::WORDS;
 
     fn words(state_dim: usize) -> usize {
         Self::TALLIES + state_dim + state_dim * state_dim
@@ -123,6 +131,12 @@ impl EstimateRecord {
             e.digest[1],
             e.fused_late,
             e.rejected_late,
+            e.stages.last_range_ns,
+            e.stages.began_ns,
+            e.stages.filtered_ns,
+            e.stages.planned_ns,
+            e.stages.saved_ns,
+            e.stages.sent_ns,
         ];
         let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
         tallies.into_iter().chain(e.refused).chain(e.distrusted).chain(numbers)
@@ -143,8 +157,16 @@ impl EstimateRecord {
             digest: [word(7), word(8)],
             fused_late: word(9),
             rejected_late: word(10),
-            refused: std::array::from_fn(|i| word(11 + i)),
-            distrusted: std::array::from_fn(|i| word(11 + Refusal::ALL.len() + i)),
+            stages: Stages {
+                last_range_ns: word(11),
+                began_ns: word(12),
+                filtered_ns: word(13),
+                planned_ns: word(14),
+                saved_ns: word(15),
+                sent_ns: word(16),
+            },
+            refused: std::array::from_fn(|i| word(17 + i)),
+            distrusted: std::array::from_fn(|i| word(17 + Refusal::ALL.len() + i)),
             ..Estimate::default()
         };
         for (i, value) in estimate.state.iter_mut().take(state_dim).enumerate() {
@@ -196,11 +218,9 @@ impl WorldRecord {
         drives: &'a [Option<Drive>],
     ) -> impl Iterator<Item = u64> + 'a {
         let robots = world.iter().zip(drives).flat_map(|(entry, drive)| {
-            // The stamp is of no use to readers, so one word tells latency and 0 for none.
-            let latency_ns = drive.and_then(|drive| drive.latency_ns()).map_or(0, |latency| latency.max(1));
-            let published = drive.is_some_and(|drive| drive.range_sent_ns != 0);
+            let [sent_ns, held_ns] = drive.map_or([0; 2], |drive| [drive.range_sent_ns, drive.heading_held_ns]);
             let (heading, refused) = (Heading::of(*drive) as u64, drive.map_or(0, |drive| drive.headings_refused));
-            [entry.x_m.to_bits(), entry.y_m.to_bits(), latency_ns, u64::from(published), heading, refused]
+            [entry.x_m.to_bits(), entry.y_m.to_bits(), sent_ns, held_ns, heading, refused]
         });
         [time_s.to_bits(), ended_ns].into_iter().chain(truth.iter().map(|value| value.to_bits())).chain(robots)
     }
@@ -209,6 +229,7 @@ impl WorldRecord {
     #[must_use]
     pub fn from_words(words: &[u64], scenario: &Scenario) -> Self {
         let float = |word: &u64| f64::from_bits(*word);
+        let stamp = |word: u64| (word != 0).then_some(word);
         let truth_end = 2 + Self::truth_dim(scenario);
         Self {
             time_s: words.first().map_or(0.0, float),
@@ -220,10 +241,10 @@ impl WorldRecord {
                 .as_chunks::<{ Self::WORDS_PER_ROBOT }>()
                 .0
                 .iter()
-                .map(|[x, y, latency_ns, published, heading, refused]| RobotRecord {
+                .map(|[x, y, sent_ns, held_ns, heading, refused]| RobotRecord {
                     position_m: [f64::from_bits(*x), f64::from_bits(*y)],
-                    latency_ns: (*latency_ns != 0).then_some(*latency_ns),
-                    range_published: *published != 0,
+                    range_sent_ns: stamp(*sent_ns),
+                    heading_held_ns: stamp(*held_ns),
                     heading: Heading::ALL.get(*heading as usize).copied().unwrap_or_default(),
                     headings_refused: *refused,
                 })
@@ -251,6 +272,14 @@ mod tests {
             distrusted: [15, 16, 17, 18],
             objective: 0.25,
             digest: [19, 20],
+            stages: Stages {
+                last_range_ns: 21,
+                began_ns: 22,
+                filtered_ns: 23,
+                planned_ns: 24,
+                saved_ns: 25,
+                sent_ns: 26,
+            },
             ..Estimate::default()
         };
         estimate.state[..2].copy_from_slice(&[0.5, -0.5]);

@@ -512,7 +512,7 @@ impl<'a> Ticks<'a> {
             self.read = Some(read);
             let record = WorldRecord::from_words(words, scenario);
             for (heard, robot) in self.heard.iter_mut().zip(&record.robots) {
-                if robot.range_published {
+                if robot.range_sent_ns.is_some() {
                     *heard = read;
                 }
             }

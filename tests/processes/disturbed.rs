@@ -236,7 +236,7 @@ fn run_with_robot_1_stopped_for_a_while(run: &Run) {
     let scenario = Scenario::from_file(&ScenarioFile::default(), "default", "".as_ref()).unwrap();
     let is_heard = || {
         run.last_world().is_some_and(|(ticks, words)| {
-            ticks > 1 && WorldRecord::from_words(&words, &scenario).robots[1].range_published
+            ticks > 1 && WorldRecord::from_words(&words, &scenario).robots[1].range_sent_ns.is_some()
         })
     };
     run.wait_until("robot 1 is heard", is_heard);

@@ -72,7 +72,7 @@ fn a_robot_that_left_for_good_stands_still_and_the_others_go_on() {
         interrupt(supervisor);
         let [other, dead] = [0, 1].map(|id| robot(&run, id).split_off(gone));
         assert!(!has_moved(&dead), "{clock}: {dead:?}");
-        assert!(dead.iter().all(|robot| robot.heading == Heading::Unknown && !robot.range_published), "{clock}");
+        assert!(dead.iter().all(|robot| robot.heading == Heading::Unknown && robot.range_sent_ns.is_none()), "{clock}");
         assert!(has_moved(&other) && other.iter().any(|robot| robot.heading == Heading::Fresh), "{clock}");
         assert_eq!(counts(&run, "starts"), [1; 5], "{clock}");
         run.assert_nothing_left();
@@ -147,7 +147,12 @@ fn with_endless_patience_nobody_is_killed_for_hanging() {
         signal(robot_1, Signal::CONT);
         let back = wait_for_more_ticks(&run, 20);
         interrupt(supervisor);
-        assert!(robot(&run, 1)[back..].iter().chain(&robot(&run, 1)[back - 10..]).any(|robot| robot.range_published));
+        assert!(
+            robot(&run, 1)[back..]
+                .iter()
+                .chain(&robot(&run, 1)[back - 10..])
+                .any(|robot| robot.range_sent_ns.is_some())
+        );
         assert_eq!(counts(&run, "starts"), [1; 5], "{clock}");
         assert_eq!(counts(&run, "hangs"), [0; 5], "{clock}");
         run.assert_nothing_left();
