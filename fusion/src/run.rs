@@ -206,7 +206,7 @@ impl<'a> Fusion<'a> {
             let calls = self.bed.sleep(self.time_to_wait());
             self.intake.forgive(standstill.look());
             self.act()?;
-            if (calls.has(Call::Finished) || !calls.has(Call::Data)) && self.rendezvous.is_finished() {
+            if (calls.has(Call::Finished) || calls.is_empty()) && self.rendezvous.is_finished() {
                 // What never came in real time is missing, but every tick has its estimate.
                 self.take_ranges()?;
                 return self.predict_up_to(self.scenario.ticks + 1);
@@ -314,7 +314,7 @@ impl<'a> Fusion<'a> {
         self.require_lead()?;
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
         let sent_ns = monotonic_ns();
-        self.robots.ring(Call::Data);
+        self.robots.ring(Call::Heading);
         let estimate = Estimate {
             stages: Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns },
             ..with_tally(self.centre.estimate(), &tally)
@@ -381,7 +381,7 @@ impl<'a> Fusion<'a> {
         {
             self.require_lead()?;
             self.headings.send(last_tick, self.centre.time_s(), self.centre.commands())?;
-            self.robots.ring(Call::Data);
+            self.robots.ring(Call::Heading);
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The robot's process: ports and loop round [`Sensor`] and [`Controller`].
 
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::clock::{heading_deadline_ns, monotonic_ns, until};
 use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
@@ -44,9 +44,8 @@ pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Res
     while !termination.requested() {
         hold.sign();
         let calls = robot.bed.sleep(robot.time_to_wait());
-        robot.look()?;
-        if (calls.has(Call::Finished) || robot.present.is_none() || !calls.has(Call::Data)) && rendezvous.is_finished()
-        {
+        robot.look(calls)?;
+        if (calls.has(Call::Finished) || robot.present.is_none() || calls.is_empty()) && rendezvous.is_finished() {
             break;
         }
     }
@@ -123,8 +122,21 @@ impl<'a> Robot<'a> {
         waits.then(|| heading_deadline_ns(present.range.tick_began_ns, self.scenario.dt_s))
     }
 
-    /// Acts on whatever has come.
-    fn look(&mut self) -> Result<(), BusError> {
+    /// Acts on what it was called for; on whatever has come if nobody called.
+    fn look(&mut self, calls: Calls) -> Result<(), BusError> {
+        if calls.has(Call::World) || calls.is_empty() {
+            self.look_at_world()?;
+        }
+        if calls.has(Call::Heading) || calls.is_empty() {
+            self.take_heading()?;
+        }
+        if self.heading_deadline_ns().is_some_and(|deadline_ns| until(deadline_ns).is_zero()) {
+            self.drive_without_heading()?;
+        }
+        Ok(())
+    }
+
+    fn look_at_world(&mut self) -> Result<(), BusError> {
         let mut newest: Option<(Header, WorldEntry)> = None;
         self.worlds.drain(|header, entries| {
             let is_of_run = header.tick <= self.scenario.ticks && header.valid_at_s.is_finite();
@@ -132,14 +144,10 @@ impl<'a> Robot<'a> {
                 newest = Some((*header, *entry));
             }
         })?;
-        if let Some((header, entry)) = newest {
-            self.see_world(&header, &entry)?;
+        match newest {
+            Some((header, entry)) => self.see_world(&header, &entry),
+            None => Ok(()),
         }
-        self.take_heading()?;
-        if self.heading_deadline_ns().is_some_and(|deadline_ns| until(deadline_ns).is_zero()) {
-            self.drive_without_heading()?;
-        }
-        Ok(())
     }
 
     /// A new tick is measured and told to fusion; a repeated one is answered with what was said.
@@ -168,7 +176,7 @@ impl<'a> Robot<'a> {
         };
         let range_sent_ns = self.ranges.send(header.tick, header.valid_at_s, &[range])?;
         // In real time the first one starts fusion's deadline.
-        self.fusion.ring_if_last(header.tick, self.scenario.clock == Clock::Realtime);
+        self.fusion.ring_if_last(Call::Range, header.tick, self.scenario.clock == Clock::Realtime);
         self.present = Some(Present {
             incarnation: header.incarnation,
             tick: header.tick,
@@ -195,10 +203,10 @@ impl<'a> Robot<'a> {
         let Some(present) = &self.present else { return Ok(()) };
         if let Some(drive) = present.drive {
             self.drives.send(present.tick, present.time_s, &[drive])?;
-            self.sim.ring(Call::Data);
+            self.sim.ring(Call::Drive);
         } else {
             self.ranges.send(present.tick, present.time_s, &[present.range])?;
-            self.fusion.ring(Call::Data);
+            self.fusion.ring(Call::Range);
         }
         Ok(())
     }
@@ -243,7 +251,7 @@ impl<'a> Robot<'a> {
         self.drives.send(present.tick, present.time_s, &[drive])?;
         // In real time the simulator waits for its time, but for the first tick.
         if self.scenario.clock == Clock::Lockstep || present.tick == 0 {
-            self.sim.ring_if_last(present.tick, false);
+            self.sim.ring_if_last(Call::Drive, present.tick, false);
         }
         Ok(())
     }

@@ -43,15 +43,21 @@ pub enum Sleeper {
 /// Why somebody is woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Call {
-    /// There is data on a topic.
-    Data,
+    /// There is something on the topic `world`.
+    World,
+    /// On `range`.
+    Range,
+    /// On `heading`.
+    Heading,
+    /// On `drive`.
+    Drive,
     /// A node has just started and needs the present tick.
     Hello,
     /// The run has ended.
     Finished,
 }
 
-const CALLS: usize = 3;
+const CALLS: usize = 6;
 
 /// What a wait returned: the calls that came, none if time ran out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -62,6 +68,12 @@ impl Calls {
     #[must_use]
     pub fn has(self, call: Call) -> bool {
         self.0[call as usize]
+    }
+
+    /// True if nobody called: what there is to see has been seen, unless a call was lost in a kill.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self == Self::default()
     }
 }
 
@@ -80,7 +92,7 @@ struct Words {
     /// Answers to the newest tick: its number, from 1, above, their count in the lowest bits.
     answers: AtomicU64,
     /// To a cache line's length, so that rings for one do not disturb another.
-    _padding: [u64; 4],
+    _padding: [u64; 2],
 }
 
 const COUNT_BITS: u32 = 16;
@@ -88,7 +100,7 @@ const COUNT_BITS: u32 = 16;
 /// The words of a run.
 #[derive(Debug, Default, ZeroCopySend)]
 #[repr(C)]
-#[type_name("rangehound.Bells.v1")]
+#[type_name("rangehound.Bells.v2")]
 struct Board {
     sim: Words,
     fusion: Words,
@@ -156,7 +168,7 @@ impl Bed {
         std::thread::yield_now();
         let rings = words.rings.load(SeqCst);
         let calls = self.calls(words);
-        if calls != Calls::default() || at_most.is_zero() {
+        if !calls.is_empty() || at_most.is_zero() {
             return calls;
         }
         words.asleep.fetch_add(1, SeqCst);
@@ -208,7 +220,7 @@ impl Bell {
     ///
     /// A count that a kill has left short costs a wait until the next repeat, which rings without
     /// counting; one that a restarted robot has made too high costs a wake-up.
-    pub fn ring_if_last(&self, tick: u64, or_first: bool) {
+    pub fn ring_if_last(&self, call: Call, tick: u64, or_first: bool) {
         let words = self.bells.words(self.sleeper);
         let number = tick + 1;
         let counted = |answers: u64| match answers >> COUNT_BITS {
@@ -223,7 +235,7 @@ impl Bell {
             Err(_) => u32::MAX,
         };
         if count >= words.expected.load(Relaxed) || or_first && count == 1 {
-            self.ring(Call::Data);
+            self.ring(call);
         }
     }
 }
@@ -245,11 +257,11 @@ mod tests {
             let bells = Bells::open(prefix).unwrap();
             let (bed, bell) = (Bed::new(bells.clone(), mine), Bell::new(bells, other));
             if begins {
-                bell.ring(Call::Data);
+                bell.ring(Call::Range);
             }
             for round in 0..rounds {
-                assert!(bed.sleep(LIMIT).has(Call::Data), "round {round}");
-                bell.ring(Call::Data);
+                assert!(bed.sleep(LIMIT).has(Call::Range), "round {round}");
+                bell.ring(Call::Range);
             }
         };
         std::thread::scope(|scope| {
@@ -274,7 +286,7 @@ mod tests {
             Bell::new(bells, Sleeper::Robots).ring(Call::Finished);
             for sleeper in sleepers {
                 let calls = sleeper.join().unwrap();
-                assert!(calls.has(Call::Finished) && !calls.has(Call::Data));
+                assert!(calls.has(Call::Finished) && !calls.has(Call::Range));
             }
         });
     }
@@ -286,8 +298,8 @@ mod tests {
         let (bed, bell) = (Bed::new(bells.clone(), Sleeper::Fusion), Bell::new(bells, Sleeper::Fusion));
         bed.expect(3);
         let rings = |tick: u64, or_first: bool| {
-            bell.ring_if_last(tick, or_first);
-            bed.sleep(Duration::ZERO).has(Call::Data)
+            bell.ring_if_last(Call::Range, tick, or_first);
+            bed.sleep(Duration::ZERO).has(Call::Range)
         };
         for tick in [0, 1, 7] {
             assert_eq!([0; 3].map(|_| rings(tick, false)), [false, false, true], "{tick}");

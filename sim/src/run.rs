@@ -250,7 +250,7 @@ impl<'a> Sim<'a> {
         self.bed.expect(self.silent.iter().filter(|silent| !**silent).count());
         let time_s = self.world.time_s();
         self.worlds.send(self.tick, time_s, self.world.entries())?;
-        self.robots.ring(Call::Data);
+        self.robots.ring(Call::World);
         let truth = self.world.truth();
         let mut state = [0.0; STATE_DIM_MAX];
         state[..truth.len()].copy_from_slice(truth);

@@ -54,7 +54,7 @@ fn rogue() {
                 .unwrap();
         }
         for bell in &bells {
-            bell.ring(Call::Data);
+            [Call::World, Call::Range, Call::Heading, Call::Drive].map(|call| bell.ring(call));
             bell.ring(Call::Hello);
         }
     }

@@ -29,17 +29,20 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use rustix::process::Pid;
 
-use crate::ROBOTS_MAX;
 pub use crate::bells::{Bed, Bell, Call, Calls, Sleeper};
 use crate::bells::{Bells, BellsError};
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
-use crate::rendezvous::{Rendezvous, Role, RoleHold};
+use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
 use senders::{Senders, Standing};
 
-/// Room for every robot, the other nodes, observers, and the dead of the past until they are cleaned.
-const PORTS_MAX: usize = ROBOTS_MAX + 32;
+/// Room on the side of a topic where one node speaks or listens: for that node, its standbys, observers, and the
+/// dead of the past until they are cleaned. Each message costs a look at every place, taken or not.
+const PLACES: usize = 16;
+
+/// More room on a topic's other side than there are robots.
+const PLACES_BESIDE_ROBOTS: usize = 16;
 
 /// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
@@ -106,6 +109,7 @@ impl BusError {
 pub struct Bus {
     node: Node<ipc::Service>,
     run_id: u64,
+    robots: usize,
     incarnation: Rc<Cell<u64>>,
     senders: Rc<Senders>,
     bells: Bells,
@@ -152,7 +156,8 @@ impl Bus {
         let senders = Rc::new(Senders::new(run.roster().clone()));
         let bells_error = |error: BellsError| BusError { what: "bells".to_owned(), reason: error.to_string() };
         let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
-        Ok(Self { node, run_id: run.description().run_id, incarnation: Rc::new(Cell::new(0)), senders, bells })
+        let RunDescription { run_id, scenario, .. } = run.description();
+        Ok(Self { node, run_id: *run_id, robots: scenario.robots.len(), incarnation: Rc::new(Cell::new(0)), senders, bells })
     }
 
     /// From now on everything this process sends carries this incarnation of its role.
@@ -188,12 +193,12 @@ impl Bus {
             .service_builder(&name)
             .publish_subscribe::<[T]>()
             .user_header::<Header>()
-            .max_publishers(if T::FROM_ROBOTS { PORTS_MAX } else { 32 })
-            .max_subscribers(if T::FROM_ROBOTS { 32 } else { PORTS_MAX })
-            .max_nodes(PORTS_MAX)
+            .max_publishers(if T::FROM_ROBOTS { self.robots + PLACES_BESIDE_ROBOTS } else { PLACES })
+            .max_subscribers(if T::FROM_ROBOTS { PLACES } else { self.robots + PLACES_BESIDE_ROBOTS })
+            .max_nodes(self.robots + PLACES_BESIDE_ROBOTS + PLACES)
             .subscriber_max_buffer_size(BUFFER)
             .subscriber_max_borrowed_samples(BUFFER)
-            .history_size(1)
+            .history_size(0)
             .enable_safe_overflow(true)
             .open_or_create()
             .map_err(|error| BusError::new(format!("topic {}", T::NAME), error))
@@ -214,7 +219,7 @@ impl Bus {
         Ok(Publisher { port, run_id: self.run_id, incarnation: Rc::clone(&self.incarnation) })
     }
 
-    /// A subscriber, which finds the newest earlier message waiting once its publisher sends again.
+    /// A subscriber to whatever is sent from now on.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
@@ -223,7 +228,6 @@ impl Bus {
             .service::<T>()?
             .subscriber_builder()
             .buffer_size(BUFFER)
-            .history_request(1)
             .create()
             .map_err(|error| BusError::new(format!("subscriber of {}", T::NAME), error))?;
         Ok(Subscriber {
