@@ -61,8 +61,16 @@ impl Vector {
     #[must_use]
     pub fn normalised(self) -> Option<Self> {
         let square = self.norm_squared();
-        // Root and reciprocal side by side: the relaxations wait for this chain.
+        // Root and reciprocal side by side: they are waited for.
         (square >= f64::MIN_POSITIVE).then(|| self * (square.sqrt() * square.recip()))
+    }
+
+    /// This direction with the given length, or `None` for the zero vector.
+    #[must_use]
+    pub fn with_length(self, length: f64) -> Option<Self> {
+        let square = self.norm_squared();
+        // The root is the last to be known: one product behind it, the relaxations wait for this chain.
+        (square >= f64::MIN_POSITIVE).then(|| self * length * square.recip() * square.sqrt())
     }
 
     /// Complex product: adds the angles of unit vectors.
