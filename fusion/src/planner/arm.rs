@@ -17,7 +17,7 @@ pub struct Arm {
     pub extent: Extent,
 }
 
-/// How wide an arc is: decides which test tells that a direction is inside.
+/// How wide an arc is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
     /// At most half a turn.
@@ -46,24 +46,27 @@ impl Arm {
     /// True if the direction of `v` (of any length) lies in the arc.
     #[must_use]
     pub fn contains(&self, v: Vector) -> bool {
-        match self.extent {
-            // The scalar product tells the arc from its opposite, which an arc of no width would pass.
-            Extent::Narrow => self.low.cross(v) >= 0.0 && v.cross(self.high) >= 0.0 && v.dot(self.centre) >= 0.0,
-            Extent::Wide => !(self.high.cross(v) > 0.0 && v.cross(self.low) > 0.0),
-            Extent::Circle => true,
-        }
+        self.end_before(v).is_none()
     }
 
     /// The direction in the arc nearest to that of `goal` (of any length); `held` if `goal` is zero.
     #[must_use]
     pub fn nearest(&self, goal: Vector, held: Vector) -> Vector {
-        if self.contains(goal) {
-            goal.normalised().unwrap_or(held)
-        } else if self.centre.cross(goal) >= 0.0 {
-            self.high
-        } else {
-            self.low
+        self.end_before(goal).unwrap_or_else(|| goal.normalised().unwrap_or(held))
+    }
+
+    /// The end of the arc that is nearest to the direction of `v` (of any length), if that is outside.
+    #[inline]
+    pub(super) fn end_before(&self, v: Vector) -> Option<Vector> {
+        if self.extent == Extent::Circle {
+            return None;
         }
+        // Less than half a turn from the centre on either side: a sine tells.
+        let (end, sine) =
+            if self.centre.cross(v) >= 0.0 { (self.high, v.cross(self.high)) } else { (self.low, self.low.cross(v)) };
+        // An arc of no width has not the direction opposite.
+        let is_inside = sine > 0.0 || (sine == 0.0 && v.dot(self.centre) >= 0.0);
+        (!is_inside).then_some(end)
     }
 }
 

@@ -121,15 +121,7 @@ impl Reach {
         let bearing = self.sight.rotated_by(direction.rotated_by(self.sight.doubled().conjugate()).halved());
         match &self.room {
             Room::Disc => self.motion_in_disc(bearing),
-            Room::Cell(corners) => {
-                let cell_m = &corners_m[corners.clone()];
-                let chord = self.chord(bearing, cell_m);
-                let place = chord.map(|(near, far)| self.to_target_m - bearing * self.clear_of_target(near, far));
-                // Rounding can make the line of an end of the arc miss the cell: then the corner nearest to it.
-                let off_line = |corner: &Vector| bearing.cross(self.to_target_m - *corner).abs();
-                let nearest = || cell_m.iter().min_by(|a, b| off_line(a).total_cmp(&off_line(b))).copied();
-                self.motion_to(place.or_else(nearest).unwrap_or_default())
-            }
+            Room::Cell(corners) => self.motion_in_cell(bearing, &corners_m[corners.clone()]),
             Room::Out(offset_m) => self.motion_to(*offset_m),
         }
     }
@@ -148,6 +140,17 @@ impl Reach {
         } else {
             self.motion_to(self.to_target_m - bearing * rho_m)
         }
+    }
+
+    /// [`Self::motion`] in a cell; by itself, so that teams without neighbours need not fetch its code.
+    #[inline(never)]
+    fn motion_in_cell(&self, bearing: Vector, cell_m: &[Vector]) -> (Vector, f64) {
+        let chord = self.chord(bearing, cell_m);
+        let place = chord.map(|(near, far)| self.to_target_m - bearing * self.clear_of_target(near, far));
+        // Rounding can make the line of an end of the arc miss the cell: then the corner nearest to it.
+        let off_line = |corner: &Vector| bearing.cross(self.to_target_m - *corner).abs();
+        let nearest = || cell_m.iter().min_by(|a, b| off_line(a).total_cmp(&off_line(b))).copied();
+        self.motion_to(place.or_else(nearest).unwrap_or_default())
     }
 
     /// Of the distances from `near_m` to `far_m` (negative beyond the target) the least that keeps the
@@ -250,6 +253,7 @@ impl Reach {
 
     /// The arc of the bearings at which the cell has a place clear of the target: of several such arcs
     /// the one nearest to the line of sight. If there is none, the bearing of the farthest corner.
+    #[inline(never)]
     fn arm_of_cell(&self, lambda: f64, cell_m: &[Vector]) -> Arm {
         // Offsets from the line of sight between which nothing changes, in order.
         let mut marks = [FRAC_PI_2; 3 * (DISC_CORNERS + ROBOTS_MAX)];

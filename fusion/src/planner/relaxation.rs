@@ -14,43 +14,60 @@ pub struct Relaxation {
     name: &'static str,
     iterations: u32,
     alpha: f64,
+    /// `lambda_i u_i` of each robot; memory only, nothing is kept from one step to the next.
+    vectors: Vec<Vector>,
 }
 
 impl Relaxation {
     /// Adaptive relaxation with factor `alpha` in [0, 1].
     #[must_use]
     pub fn adaptive(iterations: u32, alpha: f64) -> Self {
-        Self { name: "adaptive", iterations, alpha }
+        Self { name: "adaptive", iterations, alpha, vectors: Vec::new() }
     }
 
     /// Standard relaxation.
     #[must_use]
     pub fn standard(iterations: u32) -> Self {
-        Self { name: "standard", iterations, alpha: 0.0 }
+        Self { name: "standard", iterations, alpha: 0.0, vectors: Vec::new() }
     }
 
     /// Improves `directions` in place; they must lie in their arcs.
-    pub fn relax(&self, problem: &Problem, directions: &mut [Vector]) {
+    pub fn relax(&mut self, problem: &Problem, directions: &mut [Vector]) {
         // One robot alone has a closed form and no local minimum to be shaken out of.
         let alpha = if problem.len() == 1 { 0.0 } else { self.alpha };
-        let mut sum = problem.sum(directions);
+        let kept = 1.0 - alpha;
+        self.vectors.clear();
+        self.vectors.extend(problem.arms.iter().zip(&*directions).map(|(arm, u)| *u * arm.lambda));
+        // S + V now, and as the next cycle starts with it: (1 - alpha) S.
+        let mut pull = self.vectors.iter().fold(problem.prior, |sum, vector| sum + *vector) * kept;
+        let mut next = pull;
         for _ in 0..self.iterations {
-            // S + V, kept current: the one chain of additions that every robot waits for.
-            let perturbation = sum * -alpha;
-            let mut pull = sum + perturbation;
             let mut moved = false;
-            for (arm, direction) in problem.arms.iter().zip(directions.iter_mut()).rev() {
-                let goal = *direction * arm.lambda - pull;
-                let turned = arm.nearest(goal, *direction);
-                pull = turned * arm.lambda - goal;
+            let robots = problem.arms.iter().zip(&mut self.vectors).zip(&mut *directions);
+            for ((arm, vector), direction) in robots.rev() {
+                let goal = *vector - pull;
+                // The new direction, what it adds to `pull`, and to `next`: three products at once, for
+                // every robot waits for the one before.
+                let lengths = [1.0, arm.lambda, arm.lambda * kept];
+                let [turned, after, kept_after] = match arm.end_before(goal) {
+                    Some(end) if end == *direction => continue,
+                    Some(end) => lengths.map(|length| end * length),
+                    None => match lengths.map(|length| goal.with_length(length)) {
+                        [Some(turned), Some(after), Some(kept_after)] => [turned, after, kept_after],
+                        _ => continue,
+                    },
+                };
                 moved |= turned != *direction;
+                pull = after - goal;
+                next = kept_after - (*vector * kept - next);
                 *direction = turned;
+                *vector = after;
             }
             if !moved {
                 // A fixed point to the bit: every further cycle would repeat this one.
                 break;
             }
-            sum = pull - perturbation;
+            pull = next;
         }
     }
 }

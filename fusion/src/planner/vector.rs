@@ -1,5 +1,6 @@
 //! Plane vectors of the planners: bearings as unit vectors, so that no inner loop needs an angle.
 
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, SQRT_2};
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
 use serde::{Deserialize, Serialize};
@@ -27,10 +28,25 @@ impl Vector {
         Self { x, y }
     }
 
-    /// Its angle in (-pi, pi].
+    /// Its angle in (-pi, pi]; 0 of the zero vector.
+    ///
+    /// To a unit in the last place or two, as `atan2`, but without tables and branches: a planner that
+    /// is called now and then would wait for the former and mispredict the latter.
     #[must_use]
     pub fn angle_rad(self) -> f64 {
-        self.y.atan2(self.x)
+        if self == Self::default() {
+            return 0.0;
+        }
+        let (x, y) = (self.x.abs(), self.y.abs());
+        let (less, more) = if x < y { (x, y) } else { (y, x) };
+        // From the nearest of axis and diagonal it is a sixteenth of a turn at most.
+        let diagonal = if less > TAN_EIGHTH * more { 1.0 } else { 0.0 };
+        let from_axis_rad = FRAC_PI_4 * diagonal + arc_tangent_rad((less - more * diagonal) / (more + less * diagonal));
+        // An angle, or what it lacks to a quarter and to half a turn; products, for `else` would be a branch.
+        let upright = if x < y { 1.0 } else { 0.0 };
+        let from_x_rad = FRAC_PI_2 * upright + from_axis_rad * (1.0 - 2.0 * upright);
+        let left = if self.x < 0.0 { 1.0 } else { 0.0 };
+        (PI * left + from_x_rad * (1.0 - 2.0 * left)).copysign(self.y)
     }
 
     /// Scalar product.
@@ -61,8 +77,16 @@ impl Vector {
     #[must_use]
     pub fn normalised(self) -> Option<Self> {
         let square = self.norm_squared();
-        // Root and reciprocal side by side: the relaxations wait for this chain.
+        // Root and reciprocal side by side: they are waited for.
         (square >= f64::MIN_POSITIVE).then(|| self * (square.sqrt() * square.recip()))
+    }
+
+    /// This direction with the given length, or `None` for the zero vector.
+    #[must_use]
+    pub fn with_length(self, length: f64) -> Option<Self> {
+        let square = self.norm_squared();
+        // The root is the last to be known: one product behind it, the relaxations wait for this chain.
+        (square >= f64::MIN_POSITIVE).then(|| self * length * square.recip() * square.sqrt())
     }
 
     /// Complex product: adds the angles of unit vectors.
@@ -95,6 +119,32 @@ impl Vector {
             Self::new(self.y / (2.0 * sin), sin)
         }
     }
+}
+
+/// `tan(pi/8)`.
+const TAN_EIGHTH: f64 = SQRT_2 - 1.0;
+
+/// The arc tangent of a value within [`TAN_EIGHTH`] of zero: the polynomial of Sun's fdlibm.
+fn arc_tangent_rad(tangent: f64) -> f64 {
+    const ODD: [f64; 6] = [
+        3.333_333_333_333_293e-1,
+        1.428_571_427_250_346_6e-1,
+        9.090_887_133_436_507e-2,
+        6.661_073_137_387_531e-2,
+        4.976_877_994_615_932_4e-2,
+        1.628_582_011_536_578_2e-2,
+    ];
+    const EVEN: [f64; 5] = [
+        -1.999_999_999_987_648_3e-1,
+        -1.111_111_040_546_235_6e-1,
+        -7.691_876_205_044_83e-2,
+        -5.833_570_133_790_573_5e-2,
+        -3.653_157_274_421_691_6e-2,
+    ];
+    let square = tangent * tangent;
+    let fourth = square * square;
+    let polynomial = |terms: &[f64]| terms.iter().rev().fold(0.0, |sum, term| sum * fourth + term);
+    tangent - tangent * (square * polynomial(&ODD) + fourth * polynomial(&EVEN))
 }
 
 impl Add for Vector {
@@ -138,10 +188,27 @@ mod tests {
 
     proptest! {
         #[test]
+        fn the_angle_is_that_of_atan2(angle in -PI..=PI, log_length in -300.0..300.0_f64) {
+            let v = Vector::from_angle(angle) * 10.0_f64.powf(log_length);
+            let expected = v.y.atan2(v.x);
+            prop_assert!((v.angle_rad() - expected).abs() <= 2.0 * f64::EPSILON * expected.abs(), "{v:?}");
+        }
+
+        #[test]
         fn halving_undoes_doubling(angle in -1.57..1.57_f64) {
             let unit = Vector::from_angle(angle);
             let back = unit.doubled().halved();
             prop_assert!((back - unit).norm() < 1e-14, "{unit:?} {back:?}");
+        }
+    }
+
+    #[test]
+    fn the_angles_on_axes_and_diagonals_are_those_of_atan2() {
+        for x in [-1.0, -0.0, 0.0, 1.0_f64] {
+            for y in [-1.0, -0.0, 0.0, 1.0_f64] {
+                let expected = if (x, y) == (0.0, 0.0) { 0.0 } else { y.atan2(x) };
+                assert_eq!(Vector::new(x, y).angle_rad(), expected, "{x} {y}");
+            }
         }
     }
 }
