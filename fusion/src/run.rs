@@ -205,6 +205,11 @@ impl<'a> Fusion<'a> {
         while !termination.requested() {
             let calls = self.bed.sleep(self.time_to_wait());
             self.intake.forgive(standstill.look());
+            match &self.hold {
+                // Who is called looks whether it leads before it commands; who is idle, now.
+                Some(hold) if !calls.is_empty() => hold.sign(),
+                _ => self.require_lead()?,
+            }
             self.act()?;
             if (calls.has(Call::Finished) || calls.is_empty()) && self.rendezvous.is_finished() {
                 // What never came in real time is missing, but every tick has its estimate.
@@ -217,7 +222,6 @@ impl<'a> Fusion<'a> {
 
     /// Acts on whatever has come.
     fn act(&mut self) -> Result<(), FusionError> {
-        self.require_lead()?;
         self.take_ranges()?;
         while self.is_ready() {
             self.process_tick()?;
@@ -315,6 +319,8 @@ impl<'a> Fusion<'a> {
         self.headings.send(tick, self.centre.time_s(), self.centre.commands())?;
         let sent_ns = monotonic_ns();
         self.robots.ring(Call::Heading);
+        // The robots first: on a busy core they would wait for what is only put down.
+        std::thread::yield_now();
         let estimate = Estimate {
             stages: Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns },
             ..with_tally(self.centre.estimate(), &tally)

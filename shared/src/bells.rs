@@ -18,6 +18,8 @@ use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration
 use rustix::thread::futex;
 use rustix::time::Timespec;
 
+use crate::clock::monotonic_ns;
+
 /// Why there are no bells.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot be used: iceoryx2 says {0}")]
@@ -97,6 +99,10 @@ struct Words {
 
 const COUNT_BITS: u32 = 16;
 
+/// How long a process looks out before it sleeps, if other cores may be about to call it: about what falling asleep
+/// and being woken from another core take.
+const WATCH_NS: u64 = 50_000;
+
 /// The words of a run.
 #[derive(Debug, Default, ZeroCopySend)]
 #[repr(C)]
@@ -151,26 +157,35 @@ impl Bells {
 pub struct Bed {
     bells: Bells,
     sleeper: Sleeper,
+    /// How long it looks out before it sleeps: on one core, where nobody runs meanwhile, for one look.
+    watch_ns: u64,
     /// Each call's count at the last look.
     heard: Cell<[u32; CALLS]>,
 }
 
 impl Bed {
     pub(crate) fn new(bells: Bells, sleeper: Sleeper) -> Self {
-        Self { bells, sleeper, heard: Cell::default() }
+        let has_cores = rustix::thread::sched_getaffinity(None).is_ok_and(|cores| cores.count() > 1);
+        Self { bells, sleeper, watch_ns: if has_cores { WATCH_NS } else { 0 }, heard: Cell::default() }
     }
 
-    /// Sleeps until called, until time runs out, or until a signal comes. Does not sleep if called since the
-    /// last time.
+    /// Looks out for a call for a moment, then sleeps until called, until time runs out, or until a signal comes. Does
+    /// neither if called since the last time.
     pub fn sleep(&self, at_most: Duration) -> Calls {
         let words = self.bells.words(self.sleeper);
-        // Once, let whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
-        std::thread::yield_now();
-        let rings = words.rings.load(SeqCst);
-        let calls = self.calls(words);
-        if !calls.is_empty() || at_most.is_zero() {
-            return calls;
-        }
+        let watched_until_ns = monotonic_ns() + self.watch_ns;
+        let rings = loop {
+            // Lets whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
+            std::thread::yield_now();
+            let rings = words.rings.load(SeqCst);
+            let calls = self.calls(words);
+            if !calls.is_empty() || at_most.is_zero() {
+                return calls;
+            }
+            if monotonic_ns() >= watched_until_ns {
+                break rings;
+            }
+        };
         words.asleep.fetch_add(1, SeqCst);
         let timeout = Timespec { tv_sec: at_most.as_secs().cast_signed(), tv_nsec: at_most.subsec_nanos().into() };
         // Whatever ends it, a ring just before among them: the caller looks at everything.

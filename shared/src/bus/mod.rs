@@ -157,7 +157,14 @@ impl Bus {
         let bells_error = |error: BellsError| BusError { what: "bells".to_owned(), reason: error.to_string() };
         let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
         let RunDescription { run_id, scenario, .. } = run.description();
-        Ok(Self { node, run_id: *run_id, robots: scenario.robots.len(), incarnation: Rc::new(Cell::new(0)), senders, bells })
+        Ok(Self {
+            node,
+            run_id: *run_id,
+            robots: scenario.robots.len(),
+            incarnation: Rc::new(Cell::new(0)),
+            senders,
+            bells,
+        })
     }
 
     /// From now on everything this process sends carries this incarnation of its role.
