@@ -7,6 +7,8 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rangehound_shared::rendezvous::{Role, RunName};
 use rangehound_shared::scenario::PatienceKey;
 
+use crate::latency::reference::Reference;
+use crate::pin::Pin;
 use crate::supervisor::restart::Rule;
 use rangehound_fusion::run::STANDBYS_MAX;
 
@@ -58,6 +60,11 @@ pub enum Command {
     Stop(RemoteArgs),
     /// Hurt a run of its own at random times, by a seed, and judge whether it kept its promises
     Chaos(ChaosArgs),
+    /// Measure the time from range to heading, beside raw iceoryx2 and futexes doing the same exchange
+    Latency(LatencyArgs),
+    /// One node of a reference that `latency` measures
+    #[command(hide = true)]
+    LatencyNode(LatencyNodeArgs),
     /// Print the default scenario file, to start one's own from
     Scenario,
     /// Track recorded ranges: the same processes, one robot process for each sensor
@@ -81,6 +88,9 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
+    /// Who to end with
+    #[command(flatten)]
+    pub parent: ParentArgs,
 }
 
 /// What is run, under which name, and where its folder is.
@@ -169,6 +179,9 @@ pub struct SupervisionArgs {
     /// only, repeatable [default: always]
     #[arg(long = "restart", value_name = "[KIND=]POLICY")]
     pub rules: Vec<Rule>,
+    /// Processors that all processes of the run share: none of these to choose freely, one-core, or numbers as in 0,1
+    #[arg(long, value_name = "CPUS", default_value_t)]
+    pub pin: Pin,
 }
 
 /// `resume`.
@@ -287,8 +300,8 @@ pub struct RobotArgs {
     pub node: NodeArgs,
 }
 
-/// Set by `run` for the nodes that it starts.
-#[derive(Debug, Args)]
+/// Set by `run` for the nodes that it starts, and by `latency` for what it measures.
+#[derive(Debug, Default, Args)]
 pub struct ParentArgs {
     /// End when this process, the parent, ends
     #[arg(long, value_name = "PID", hide = true)]
@@ -418,6 +431,64 @@ pub struct CompareArgs {
     /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/compare")]
     pub out: PathBuf,
+}
+
+/// `latency`.
+#[derive(Debug, Args)]
+#[command(after_help = LATENCY_EXAMPLES)]
+pub struct LatencyArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// Number of robots, all alike [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub robots: Option<u64>,
+    /// Time steps of each round [default: 5000 in lock step, 10 s in real time]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub ticks: Option<u64>,
+    /// What starts the next tick: wall time, or all answers [default: lockstep, realtime if a rate is given]
+    #[arg(long)]
+    pub clock: Option<ClockArg>,
+    /// Ticks a second in real time [default: the scenario's]
+    #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// How headings are chosen: certified, adaptive, standard, grid, greedy, pursue or random [default: the scenario's]
+    #[arg(long, value_name = "NAME")]
+    pub planner: Option<String>,
+    /// Processors that all processes share: none to choose freely, one-core, or numbers as in 0,1
+    #[arg(long, value_name = "CPUS", default_value_t)]
+    pub pin: Pin,
+    /// How often each is measured, in turns
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 5)]
+    pub rounds: u64,
+    /// Name of the runs [default: latency, numbered if taken]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Folder for latency.json, latency.svg and the runs' folders; what it holds of an earlier call is replaced
+    #[arg(long, value_name = "DIR", default_value = "runs/latency")]
+    pub out: PathBuf,
+}
+
+const LATENCY_EXAMPLES: &str =
+    "It runs the whole system (simulator, fusion with filter, planner and checkpoints, robots) and, in turns, the bare
+exchange of the same messages over raw iceoryx2 and over futexes, on this machine, now; a ratio below 1 means that the
+system was faster than that reference.
+
+Examples:
+  rangehound latency --robots 10 --pin one-core      software alone, without wake-ups across processors
+  rangehound latency --robots 10 --rate 100          in real time, all asleep between ticks";
+
+/// `latency-node`.
+#[derive(Debug, Args)]
+pub struct LatencyNodeArgs {
+    /// How it talks
+    #[arg(long)]
+    pub reference: Reference,
+    /// fusion, who is the centre, or robot-N
+    #[arg(long)]
+    pub role: Role,
+    /// The run
+    #[command(flatten)]
+    pub node: NodeArgs,
 }
 
 /// A value for all sensors, or for one: `0.1` or `105=0.1`.

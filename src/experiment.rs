@@ -43,8 +43,21 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
-        let Given { file, file_name, folder } = Given::from_args(args)?;
-        Self::check(file, &file_name, &folder, args.name.as_ref(), naming, args.out.as_deref())
+        Self::from_given(Given::from_args(args)?, args.name.as_ref(), naming, args.out.as_deref())
+    }
+
+    /// The experiment of a scenario file as it was given.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub fn from_given(
+        given: Given,
+        name: Option<&RunName>,
+        naming: Naming,
+        out: Option<&Path>,
+    ) -> Result<Self, Failure> {
+        let Given { file, file_name, folder } = given;
+        Self::check(file, &file_name, &folder, name, naming, out)
     }
 
     /// The experiment of `track`.

@@ -54,6 +54,13 @@ impl HopSummary {
         let Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake } = *self;
         [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake]
     }
+
+    /// A summary of hops in order.
+    #[must_use]
+    pub fn from_order(hops: [Percentiles; COUNT]) -> Self {
+        let [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake] = hops;
+        Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake }
+    }
 }
 
 impl Hops {
@@ -85,9 +92,7 @@ impl Hops {
             let at = |quantile| histogram.value_at_quantile(quantile) as f64 / 1e3;
             Percentiles { p50: at(0.5), p99: at(0.99) }
         };
-        let [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake] =
-            self.0.each_ref().map(percentiles);
-        HopSummary { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake }
+        HopSummary::from_order(self.0.each_ref().map(percentiles))
     }
 }
 

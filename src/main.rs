@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, node, plan, remote, supervisor, watch};
+use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, watch};
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
@@ -40,6 +40,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Chaos(args) => chaos::chaos(&args),
         Command::Plan(args) => plan::plan(&args),
         Command::Compare(args) => compare::compare(&args),
+        Command::Latency(args) => latency::latency(&args),
+        Command::LatencyNode(args) => latency::reference::latency_node(&args),
         Command::Scenario => failure::print(DEFAULT_SCENARIO),
     }
 }

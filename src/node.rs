@@ -93,17 +93,29 @@ pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Fai
 }
 
 /// Names the process, ties it to its parent, listens for requests to end.
-fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
+///
+/// # Errors
+/// [`Failure`].
+pub fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> {
     let termination = Termination::listen()?;
     role.name_process();
+    end_with(parent)?;
+    Ok(termination)
+}
+
+/// Has this process asked to end when the one that started it ends.
+///
+/// # Errors
+/// [`Failure`] if that has ended already.
+pub fn end_with(parent: &ParentArgs) -> Result<(), Failure> {
     if let Some(pid) = parent.end_with {
         set_parent_process_death_signal(Some(Signal::TERM))?;
         // The parent may have died before the line above.
         if getppid().map(Pid::as_raw_pid) != i32::try_from(pid).ok() {
-            return Err(Failure::Running(anyhow::anyhow!("the process that started this node is gone")));
+            return Err(Failure::Running(anyhow::anyhow!("the process that started this one is gone")));
         }
     }
-    Ok(termination)
+    Ok(())
 }
 
 /// A name or role that is taken, or a run of another version, is the user's to mend; the rest is the system's.

@@ -150,7 +150,7 @@ impl HeadingSummary {
 }
 
 /// Percentiles of the end-to-end latency, us.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct LatencySummary {
     /// Samples.
     pub count: u64,
@@ -164,6 +164,22 @@ pub struct LatencySummary {
     pub p99_9: f64,
     /// Largest.
     pub max: f64,
+}
+
+impl LatencySummary {
+    /// Percentiles of latencies in ns.
+    #[must_use]
+    pub fn of(latencies_ns: &Histogram<u64>) -> Self {
+        let us = |quantile: f64| latencies_ns.value_at_quantile(quantile) as f64 / 1e3;
+        Self {
+            count: latencies_ns.len(),
+            p50: us(0.5),
+            p90: us(0.9),
+            p99: us(0.99),
+            p99_9: us(0.999),
+            max: latencies_ns.max() as f64 / 1e3,
+        }
+    }
 }
 
 /// One process of the run.
@@ -360,7 +376,6 @@ impl Tally {
         let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
         let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
         self.traces_m2.sort_unstable_by(f64::total_cmp);
-        let latency_us = |quantile: f64| self.latency_ns.value_at_quantile(quantile) as f64 / 1e3;
         Report {
             scenario: scenario.name.clone(),
             seed: scenario.seed,
@@ -382,14 +397,7 @@ impl Tally {
             refused: self.refused,
             distrusted: self.distrusted,
             headings: self.headings,
-            latency_us: LatencySummary {
-                count: self.latency_ns.len(),
-                p50: latency_us(0.5),
-                p90: latency_us(0.9),
-                p99: latency_us(0.99),
-                p99_9: latency_us(0.999),
-                max: self.latency_ns.max() as f64 / 1e3,
-            },
+            latency_us: LatencySummary::of(&self.latency_ns),
             hops_us: self.hops.summary(),
             nodes,
         }

@@ -16,7 +16,7 @@ use rangehound_shared::signal::Termination;
 use crate::cli::{ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
-use crate::node::input_or_running;
+use crate::node::{end_with, input_or_running};
 use crate::report::Truth;
 use crate::watch::{Progress, Watch};
 use crate::{in_process, tables};
@@ -29,6 +29,7 @@ use nodes::Nodes;
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
+    end_with(&args.parent)?;
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
     let keep = Keep { recording: args.write_recording, truth: None };
     execute(experiment, args.in_process, &args.supervision, &keep)
@@ -95,6 +96,7 @@ fn supervise(
     prepare_folder: impl FnOnce() -> Result<File, Failure>,
 ) -> Result<(), Failure> {
     let termination = Termination::listen()?;
+    supervision.pin.apply().map_err(Failure::input)?;
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
     let _folder = prepare_folder()?;

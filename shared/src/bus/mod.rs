@@ -126,33 +126,12 @@ impl Bus {
         Ok(bus)
     }
 
-    /// Connects a process, under the name of its role or another. Must be the process's first use of
-    /// iceoryx2, whose global configuration it sets: iceoryx2 falls back to that one when it cleans up
-    /// after half-started nodes.
+    /// Connects a process, under the name of its role or another, by its [`node`].
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
     pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
-        set_log_level_from_env_or(LogLevel::Fatal);
-        let config_path = run.iceoryx2_config_path().display().to_string();
-        let config_error = |reason: &dyn std::fmt::Debug| BusError::new(&config_path, format!("{reason:?}"));
-        let file = FilePath::new(config_path.as_bytes()).map_err(|error| config_error(&error))?;
-        let global = Config::setup_global_config_from_file(&file).map_err(|error| config_error(&error))?;
-        let mut config = global.clone();
-        // Cleaning up after the dead costs 10-55 ms each: never on a control path.
-        config.global.node.cleanup_dead_nodes_on_creation = false;
-        config.global.node.cleanup_dead_nodes_on_destruction = false;
-        config.global.service.cleanup_dead_nodes_on_open = false;
-        let node_error = |reason: &dyn std::fmt::Debug| BusError::new(format!("node {name}"), format!("{reason:?}"));
-        let node_name = NodeName::new(name).map_err(|error| node_error(&error))?;
-        let node = NodeBuilder::new()
-            .name(&node_name)
-            .config(&config)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
-            .map_err(|error| node_error(&error))?;
-        // iceoryx2 opens its counter of nodes to all users.
-        run.close_to_others();
+        let node = node(run, name)?;
         let senders = Rc::new(Senders::new(run.roster().clone()));
         let bells_error = |error: BellsError| BusError { what: "bells".to_owned(), reason: error.to_string() };
         let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
@@ -257,6 +236,35 @@ impl Bus {
     pub fn bell_of(&self, sleeper: Sleeper) -> Bell {
         Bell::new(self.bells.clone(), sleeper)
     }
+}
+
+/// A process's node in iceoryx2, set up for its run. Must be the process's first use of iceoryx2, whose global
+/// configuration it sets: iceoryx2 falls back to that one when it cleans up after half-started nodes.
+///
+/// # Errors
+/// [`BusError`] if iceoryx2 refuses.
+pub fn node(run: &Rendezvous, name: &str) -> Result<Node<ipc::Service>, BusError> {
+    set_log_level_from_env_or(LogLevel::Fatal);
+    let config_path = run.iceoryx2_config_path().display().to_string();
+    let config_error = |reason: &dyn std::fmt::Debug| BusError::new(&config_path, format!("{reason:?}"));
+    let file = FilePath::new(config_path.as_bytes()).map_err(|error| config_error(&error))?;
+    let global = Config::setup_global_config_from_file(&file).map_err(|error| config_error(&error))?;
+    let mut config = global.clone();
+    // Cleaning up after the dead costs 10-55 ms each: never on a control path.
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    let node_error = |reason: &dyn std::fmt::Debug| BusError::new(format!("node {name}"), format!("{reason:?}"));
+    let node_name = NodeName::new(name).map_err(|error| node_error(&error))?;
+    let node = NodeBuilder::new()
+        .name(&node_name)
+        .config(&config)
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()
+        .map_err(|error| node_error(&error))?;
+    // iceoryx2 opens its counter of nodes to all users.
+    run.close_to_others();
+    Ok(node)
 }
 
 /// Removes the tags of services and ports in a dead node's folder; how many there were.

@@ -1,0 +1,197 @@
+//! `rangehound latency`: the time from range to heading of the real system, beside two references doing the same exchange.
+//!
+//! How it is measured is told in `docs/latency.md`.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`system`] | runs of the system, as `rangehound run` does them |
+//! | [`reference`] | the bare exchange, over iceoryx2 and over futexes |
+//! | [`samples`] | from stamps to latencies, the same for all |
+//! | [`outcome`] | the figures: `latency.json` and the table |
+//! | [`picture`] | the percentile curves |
+
+mod outcome;
+mod picture;
+pub mod reference;
+mod samples;
+mod system;
+
+use hdrhistogram::Histogram;
+use rangehound_shared::rendezvous::RunName;
+use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
+use rangehound_shared::signal::Termination;
+
+use crate::cli::{ClockArg, ExperimentArgs, LatencyArgs};
+use crate::experiment::{Experiment, Given, Naming, free_name};
+use crate::failure::{self, Failure};
+use crate::hops::HopSummary;
+use crate::tables;
+use crate::watch::Progress;
+use outcome::{Contender, Each, Outcome};
+use reference::Reference;
+use samples::Waits;
+
+/// Ticks of a round in lock step: seconds.
+const TICKS: u64 = 5_000;
+
+/// Time of a round in real time, s.
+const ROUND_S: f64 = 10.0;
+
+const ROUNDS_MAX: u64 = 1_000;
+
+/// Ranges of one round: what is kept of them then takes some hundred megabytes.
+const RANGES_MAX: u64 = 20_000_000;
+
+/// `rangehound latency`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
+    let experiment = experiment(args)?;
+    let Experiment { description, .. } = &experiment;
+    let termination = Termination::listen()?;
+    // Whatever is started here inherits it.
+    args.pin.apply().map_err(Failure::input)?;
+    let folder = &description.out_dir;
+    tables::make_folder(folder)?;
+    for stale in [outcome::FILE_NAME, picture::FILE_NAME] {
+        let _ = std::fs::remove_file(folder.join(stale));
+    }
+    let mut outcome = Outcome::new(&description.scenario, &args.pin)?;
+    let mut progress = Progress::new("measurement", args.rounds * Contender::ALL.len() as u64);
+    for (round, done) in (1..=args.rounds).zip((0..).step_by(Contender::ALL.len())) {
+        let mut round =
+            Round { experiment: &experiment, round, termination: &termination, hops_us: HopSummary::default() };
+        let mut latencies_ns = Each::histograms()?;
+        let order = Contender::in_turns(round.round);
+        for (contender, done) in order.into_iter().zip(done..) {
+            progress.show(done, &format!("round {}, {contender}", round.round));
+            let measured = round.measure(contender, latencies_ns.get_mut(contender));
+            measured.inspect_err(|_| progress.finish())?;
+        }
+        outcome.add(order, &latencies_ns, round.hops_us)?;
+        // After each round, so that what it showed is not lost.
+        outcome.write(folder)?;
+    }
+    progress.finish();
+    picture::draw(&outcome, folder)?;
+    failure::print(format!("{outcome}\nfigures and picture in {}\n", folder.display()))
+}
+
+/// What is measured: checked, as a scenario.
+fn experiment(args: &LatencyArgs) -> Result<Experiment, Failure> {
+    let clock = match (args.clock, args.rate) {
+        (Some(ClockArg::Lockstep), Some(_)) => {
+            return Err(Failure::input("--rate: expected --clock realtime, as lock step has none"));
+        }
+        (clock, None) => clock.unwrap_or(ClockArg::Lockstep),
+        (_, Some(_)) => ClockArg::Realtime,
+    };
+    if args.rounds == 0 || args.rounds > ROUNDS_MAX {
+        return Err(Failure::input(format!("--rounds: expected 1 to {ROUNDS_MAX}, got {}", args.rounds)));
+    }
+    let mut given = Given::from_args(&ExperimentArgs {
+        scenario: args.scenario.clone(),
+        robots: args.robots,
+        ticks: args.ticks,
+        clock: Some(clock),
+        planner: args.planner.clone(),
+        // In lock step nobody is left out: each wait is a sample.
+        patience: matches!(clock, ClockArg::Lockstep).then(|| PatienceKey::Word("forever".to_owned())),
+        ..ExperimentArgs::default()
+    })?;
+    if given.file.recording.is_some() {
+        let problem = "recording: expected a simulated target, whose ticks come at one rate";
+        return Err(Failure::input(format!("{}: {problem}", given.file_name)));
+    }
+    if let Some(rate_hz) = args.rate {
+        if !(1e-3..=1e4).contains(&rate_hz) {
+            return Err(Failure::input(format!("--rate: expected 0.001 to 10000 Hz, got {rate_hz}")));
+        }
+        given.file.dt_s = Some(1.0 / rate_hz);
+    }
+    let name: RunName = match &args.name {
+        Some(name) => name.clone(),
+        None => free_name("latency", true)?,
+    };
+    let checked = |given| Experiment::from_given(given, Some(&name), Naming::Exact, Some(&args.out));
+    let mut experiment = checked(given.clone())?;
+    if args.ticks.is_none() {
+        let scenario = &experiment.description.scenario;
+        given.file.ticks = Some(match scenario.clock {
+            Clock::Lockstep => TICKS,
+            Clock::Realtime => (ROUND_S / scenario.dt_s).clamp(20.0, TICKS as f64 * 20.0) as u64,
+        });
+        experiment = checked(given)?;
+    }
+    let Scenario { ticks, robots, .. } = &experiment.description.scenario;
+    if ticks.saturating_mul(robots.len() as u64) > RANGES_MAX {
+        let most = RANGES_MAX / robots.len() as u64;
+        return Err(Failure::input(format!(
+            "--ticks: expected at most {most} for {} robots, got {ticks}",
+            robots.len()
+        )));
+    }
+    Ok(experiment)
+}
+
+/// Ticks of a round that are not counted: caches are cold, memory is touched for the first time.
+fn warm_up_ticks(scenario: &Scenario) -> u64 {
+    scenario.ticks / 20
+}
+
+/// Time between two ranges of a robot, ns; `None` in lock step, where each follows the heading before.
+fn dt_ns(scenario: &Scenario) -> Option<u64> {
+    (scenario.clock == Clock::Realtime).then_some((scenario.dt_s * 1e9) as u64)
+}
+
+/// One round of measurements.
+struct Round<'a> {
+    experiment: &'a Experiment,
+    round: u64,
+    termination: &'a Termination,
+    hops_us: HopSummary,
+}
+
+impl Round<'_> {
+    fn measure(&mut self, contender: Contender, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
+        match contender {
+            Contender::System => self.measure_system(latencies_ns),
+            Contender::Reference(reference) => self.measure_reference(reference, latencies_ns),
+        }
+    }
+
+    fn measure_system(&mut self, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
+        let folder = self.experiment.description.out_dir.join(format!("system-{}", self.round));
+        let description = system::run(self.experiment, &folder, self.termination)?;
+        let scenario = &description.scenario;
+        let mut robots: Vec<Waits> = scenario.robots.iter().map(|_| Waits::new(dt_ns(scenario))).collect();
+        let mut sample = |latency_ns| samples::record(latencies_ns, latency_ns);
+        let mut ended_ns = 0;
+        system::for_each_tick(&description, |tick, world| {
+            ended_ns = world.ended_ns;
+            if tick > warm_up_ticks(scenario) {
+                for (waits, robot) in robots.iter_mut().zip(&world.robots) {
+                    waits.add(system::exchange(robot), &mut sample);
+                }
+            }
+        })?;
+        robots.iter_mut().for_each(|waits| waits.end(ended_ns, &mut sample));
+        self.hops_us = crate::report::from_logs(&description, None, Vec::new())?.hops_us;
+        Ok(())
+    }
+
+    fn measure_reference(&self, reference: Reference, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
+        let scenario = &self.experiment.description.scenario;
+        let log = self.experiment.description.out_dir.join(format!("{}-{}.log", reference.name(), self.round));
+        let warm_up = usize::try_from(warm_up_ticks(scenario))?;
+        reference::measure(reference, self.experiment, &log, self.termination, |ticks| {
+            // Every range of a reference is answered before the next goes out.
+            let mut waits = Waits::new(dt_ns(scenario));
+            for exchange in ticks.skip(warm_up) {
+                waits.add(exchange?, |latency_ns| samples::record(latencies_ns, latency_ns));
+            }
+            Ok(())
+        })
+    }
+}

@@ -1,0 +1,327 @@
+//! What a measurement came to: `latency.json` and the table.
+
+use std::path::Path;
+
+use hdrhistogram::Histogram;
+use rangehound_shared::scenario::{Clock, Scenario};
+use serde::{Serialize, Serializer};
+
+use super::reference::Reference;
+use super::{samples, warm_up_ticks};
+use crate::hops::{self, HopSummary, Percentiles};
+use crate::pin::Pin;
+use crate::report::LatencySummary;
+
+/// File name of the figures in the output folder.
+pub(super) const FILE_NAME: &str = "latency.json";
+
+/// Points of a percentile curve from one halving of what is left to the next.
+const POINTS_PER_HALVING: u32 = 5;
+
+/// Who is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Contender {
+    System,
+    Reference(Reference),
+}
+
+impl Contender {
+    pub(super) const ALL: [Self; 3] =
+        [Self::System, Self::Reference(Reference::Iceoryx2), Self::Reference(Reference::Futex)];
+
+    /// All, another one first in each round: so a machine that slows down favours nobody.
+    pub(super) fn in_turns(round: u64) -> [Self; 3] {
+        let mut order = Self::ALL;
+        order.rotate_left((round % 3) as usize);
+        order
+    }
+}
+
+impl std::fmt::Display for Contender {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::System => "system",
+            Self::Reference(reference) => reference.name(),
+        })
+    }
+}
+
+impl Serialize for Contender {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// Something of each contender.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub(super) struct Each<T> {
+    pub(super) system: T,
+    pub(super) iceoryx2: T,
+    pub(super) futex: T,
+}
+
+impl<T> Each<T> {
+    pub(super) fn get(&self, contender: Contender) -> &T {
+        match contender {
+            Contender::System => &self.system,
+            Contender::Reference(Reference::Iceoryx2) => &self.iceoryx2,
+            Contender::Reference(Reference::Futex) => &self.futex,
+        }
+    }
+
+    pub(super) fn get_mut(&mut self, contender: Contender) -> &mut T {
+        match contender {
+            Contender::System => &mut self.system,
+            Contender::Reference(Reference::Iceoryx2) => &mut self.iceoryx2,
+            Contender::Reference(Reference::Futex) => &mut self.futex,
+        }
+    }
+
+    fn map<U>(&self, of: impl Fn(&T) -> U) -> Each<U> {
+        Each { system: of(&self.system), iceoryx2: of(&self.iceoryx2), futex: of(&self.futex) }
+    }
+}
+
+impl Each<Histogram<u64>> {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// If a histogram cannot be made.
+    pub(super) fn histograms() -> anyhow::Result<Self> {
+        Ok(Self { system: samples::histogram()?, iceoryx2: samples::histogram()?, futex: samples::histogram()? })
+    }
+}
+
+/// What a measurement came to; its fields are the keys of `latency.json`.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Outcome {
+    /// Name of the scenario.
+    pub(super) scenario: String,
+    /// Planner of the system.
+    pub(super) planner: &'static str,
+    /// Clock: `realtime` or `lockstep`.
+    pub(super) clock: &'static str,
+    /// Ticks a second; null in lock step.
+    pub(super) rate_hz: Option<f64>,
+    /// Robots.
+    pub(super) robots: usize,
+    /// Time steps of a round.
+    pub(super) ticks: u64,
+    /// The first of them, which are not counted.
+    pub(super) warm_up_ticks: u64,
+    /// Processors that all shared.
+    pub(super) pin: String,
+    /// Latency over all rounds, us.
+    pub(super) latency_us: Each<LatencySummary>,
+    /// Median of the rounds' ratios.
+    pub(super) p50_ratios: Ratios,
+    /// Where the system's time went, us: median of the rounds.
+    pub(super) hops_us: HopSummary,
+    /// The rounds.
+    pub(super) rounds: Vec<Round>,
+    /// Latency at each percentile, over all rounds.
+    pub(super) percentiles: Each<Vec<Point>>,
+    #[serde(skip)]
+    latencies_ns: Each<Histogram<u64>>,
+}
+
+/// One round.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Round {
+    /// Who was measured first, second, third.
+    pub(super) order: [Contender; 3],
+    /// Latency, us.
+    pub(super) latency_us: Each<LatencySummary>,
+    /// Of the medians.
+    pub(super) p50_ratios: Ratios,
+    /// Where the system's time went, us.
+    pub(super) hops_us: HopSummary,
+}
+
+/// The system's median latency over that of each reference: below 1 the system is faster.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub(super) struct Ratios {
+    pub(super) iceoryx2: f64,
+    pub(super) futex: f64,
+}
+
+impl Ratios {
+    fn of(latency_us: &Each<LatencySummary>) -> Self {
+        let over = |reference: &LatencySummary| latency_us.system.p50 / reference.p50;
+        Self { iceoryx2: over(&latency_us.iceoryx2), futex: over(&latency_us.futex) }
+    }
+}
+
+/// A point of a percentile curve.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct Point {
+    /// Part of the samples, %,
+    pub(super) percentile: f64,
+    /// whose latency is at most this, us.
+    pub(super) latency_us: f64,
+}
+
+fn curve(latencies_ns: &Histogram<u64>) -> Vec<Point> {
+    let steps = latencies_ns.iter_quantiles(POINTS_PER_HALVING);
+    let point = |quantile: f64, ns: u64| Point { percentile: 100.0 * quantile, latency_us: ns as f64 / 1e3 };
+    steps.map(|step| point(step.quantile_iterated_to(), step.value_iterated_to())).collect()
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    match values.as_slice() {
+        [] => 0.0,
+        sorted if sorted.len() % 2 == 1 => sorted[middle],
+        sorted => f64::midpoint(sorted[middle - 1], sorted[middle]),
+    }
+}
+
+impl Outcome {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// If a histogram cannot be made.
+    pub(super) fn new(scenario: &Scenario, pin: &Pin) -> anyhow::Result<Self> {
+        Ok(Self {
+            scenario: scenario.name.clone(),
+            planner: scenario.planner.name(),
+            clock: scenario.clock.name(),
+            rate_hz: (scenario.clock == Clock::Realtime).then_some(1.0 / scenario.dt_s),
+            robots: scenario.robots.len(),
+            ticks: scenario.ticks,
+            warm_up_ticks: warm_up_ticks(scenario),
+            pin: pin.to_string(),
+            latency_us: Each::default(),
+            p50_ratios: Ratios::default(),
+            hops_us: HopSummary::default(),
+            rounds: Vec::new(),
+            percentiles: Each::default(),
+            latencies_ns: Each::histograms()?,
+        })
+    }
+
+    /// Adds a round.
+    ///
+    /// # Errors
+    /// If histograms cannot be added up.
+    pub(super) fn add(
+        &mut self,
+        order: [Contender; 3],
+        latencies_ns: &Each<Histogram<u64>>,
+        hops_us: HopSummary,
+    ) -> anyhow::Result<()> {
+        let latency_us = latencies_ns.map(LatencySummary::of);
+        self.rounds.push(Round { order, latency_us, p50_ratios: Ratios::of(&latency_us), hops_us });
+        for contender in Contender::ALL {
+            self.latencies_ns.get_mut(contender).add(latencies_ns.get(contender))?;
+        }
+        self.latency_us = self.latencies_ns.map(LatencySummary::of);
+        self.percentiles = self.latencies_ns.map(curve);
+        let ratios = |of: fn(&Ratios) -> f64| median(self.rounds.iter().map(|round| of(&round.p50_ratios)));
+        self.p50_ratios = Ratios { iceoryx2: ratios(|ratios| ratios.iceoryx2), futex: ratios(|ratios| ratios.futex) };
+        self.hops_us = self.median_hops_us();
+        Ok(())
+    }
+
+    fn median_hops_us(&self) -> HopSummary {
+        let median = |hop: usize, of: fn(Percentiles) -> f64| {
+            median(self.rounds.iter().map(|round| of(round.hops_us.in_order()[hop])))
+        };
+        let percentiles = |hop| Percentiles { p50: median(hop, |us| us.p50), p99: median(hop, |us| us.p99) };
+        HopSummary::from_order(std::array::from_fn(percentiles))
+    }
+
+    /// Writes `latency.json`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub(super) fn write(&self, folder: &Path) -> anyhow::Result<()> {
+        let path = folder.join(FILE_NAME);
+        std::fs::write(&path, serde_json::to_string_pretty(self)? + "\n")
+            .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    }
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { scenario, robots, planner, clock, ticks, warm_up_ticks, pin, .. } = self;
+        let rate = self.rate_hz.map_or(String::new(), |rate_hz| format!(" at {rate_hz:.4} Hz"));
+        writeln!(f, "latency: {scenario}, {robots} robots, {planner} planner, {clock}{rate}, pinned to {pin}")?;
+        let rounds = self.rounds.len();
+        writeln!(f, "  {rounds} rounds of {ticks} ticks, of which the first {warm_up_ticks} are not counted")?;
+        let [p50, p90, p99, p99_9, max] = ["p50", "p90", "p99", "p99.9", "max"];
+        writeln!(f, "  {:<18}{p50:>9} {p90:>9} {p99:>9} {p99_9:>9} {max:>9} {:>9}", "range to heading", "samples")?;
+        for contender in Contender::ALL {
+            let LatencySummary { count, p50, p90, p99, p99_9, max } = self.latency_us.get(contender);
+            let name = contender.to_string();
+            writeln!(f, "  {name:<18}{p50:>9.1} {p90:>9.1} {p99:>9.1} {p99_9:>9.1} {max:>9.1} {count:>9} us")?;
+        }
+        writeln!(f, "  {:<18}{:>9} {:>9}", "system's p50 over", "iceoryx2", "futex")?;
+        let mut row =
+            |name: &str, ratios: &Ratios| writeln!(f, "  {name:<18}{:>9.2} {:>9.2}", ratios.iceoryx2, ratios.futex);
+        for (number, round) in (1..).zip(&self.rounds) {
+            row(&format!("round {number}"), &round.p50_ratios)?;
+        }
+        row("median", &self.p50_ratios)?;
+        writeln!(f, "  {:<18}{p50:>9} {p99:>9}", "system's hops")?;
+        for (name, hop) in hops::NAMES.iter().zip(self.hops_us.in_order()) {
+            writeln!(f, "  {name:<18}{:>9.1} {:>9.1} us", hop.p50, hop.p99)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rangehound_shared::scenario::ScenarioFile;
+
+    use super::*;
+
+    fn outcome() -> Outcome {
+        let file = ScenarioFile { clock: Some("lockstep".to_owned()), ..ScenarioFile::default() };
+        let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
+        Outcome::new(&scenario, &Pin::None).unwrap()
+    }
+
+    /// Latencies of one value each.
+    fn latencies_ns(system: u64, iceoryx2: u64, futex: u64) -> Each<Histogram<u64>> {
+        let mut latencies_ns = Each::histograms().unwrap();
+        for (histogram, value) in [
+            (&mut latencies_ns.system, system),
+            (&mut latencies_ns.iceoryx2, iceoryx2),
+            (&mut latencies_ns.futex, futex),
+        ] {
+            histogram.record(value).unwrap();
+        }
+        latencies_ns
+    }
+
+    #[test]
+    fn ratios_are_the_median_of_the_rounds() {
+        let mut outcome = outcome();
+        for system in [1_000, 4_000, 2_000] {
+            outcome.add(Contender::ALL, &latencies_ns(system, 2_000, 1_000), HopSummary::default()).unwrap();
+        }
+        assert_eq!(outcome.p50_ratios, Ratios { iceoryx2: 1.0, futex: 2.0 });
+        assert_eq!(outcome.latency_us.system.count, 3);
+        assert_eq!(median([4.0, 1.0].into_iter()), 2.5);
+    }
+
+    #[test]
+    fn each_contender_comes_first_in_turn() {
+        let firsts: Vec<Contender> = (1..=3).map(|round| Contender::in_turns(round)[0]).collect();
+        assert!(Contender::ALL.iter().all(|contender| firsts.contains(contender)), "{firsts:?}");
+    }
+
+    #[test]
+    fn a_curve_ends_with_the_largest() {
+        let mut latencies_ns = samples::histogram().unwrap();
+        (1..=1_000).for_each(|us| latencies_ns.record(1_000 * us).unwrap());
+        let curve = curve(&latencies_ns);
+        let last = curve.last().unwrap();
+        assert!(last.percentile == 100.0 && (last.latency_us / 1_000.0 - 1.0).abs() < 1e-3, "{last:?}");
+        assert!(curve.is_sorted_by(|one, next| one.percentile <= next.percentile && one.latency_us <= next.latency_us));
+    }
+}

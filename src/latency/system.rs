@@ -1,0 +1,104 @@
+//! Runs of the system, as a user starts them, and the stamps that they leave.
+
+use std::fs::File;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use rangehound_shared::record::{RobotRecord, WorldRecord};
+use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::signal::Termination;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::samples::Exchange;
+use crate::experiment::Experiment;
+use crate::failure::Failure;
+use crate::tables;
+
+/// How often the run is looked at: seldom, for it is being measured.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// How long a run may take to end when it is asked to.
+const ENDING: Duration = Duration::from_secs(30);
+
+/// What the run says, in its folder.
+const LOG: &str = "run.log";
+
+/// Runs the experiment as a process of its own, with a folder of its own, to its end.
+///
+/// # Errors
+/// [`Failure`], with what the run said last if it failed.
+pub(super) fn run(
+    experiment: &Experiment,
+    folder: &Path,
+    termination: &Termination,
+) -> Result<RunDescription, Failure> {
+    tables::make_folder(folder)?;
+    let scenario = folder.join("asked.toml");
+    std::fs::write(&scenario, experiment.scenario_file.to_toml()?).with_context(|| scenario.display().to_string())?;
+    let log = File::create(folder.join(LOG)).with_context(|| folder.display().to_string())?;
+    let mut child = Command::new("/proc/self/exe")
+        .arg0("rangehound")
+        .arg("run")
+        .arg(&scenario)
+        .args(["--name", &experiment.name.to_string(), "--end-with", &std::process::id().to_string(), "--out"])
+        .arg(folder)
+        // A group of its own: Ctrl-C reaches this process, which ends the run in order.
+        .process_group(0)
+        .stdin(Stdio::null())
+        .stdout(log.try_clone()?)
+        .stderr(log)
+        .spawn()
+        .context("cannot start the run")?;
+    let mut asked: Option<Instant> = None;
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        match asked {
+            None if termination.requested() => {
+                let _ = kill_process(Pid::from_child(&child), Signal::TERM);
+                asked = Some(Instant::now());
+            }
+            Some(at) if at.elapsed() > ENDING => child.kill()?,
+            _ => {}
+        }
+        std::thread::sleep(LOOK);
+    };
+    if asked.is_some() {
+        return Err(Failure::Running(anyhow!("ended before the last round, as asked")));
+    }
+    if !status.success() {
+        let said = std::fs::read_to_string(folder.join(LOG)).unwrap_or_default();
+        let said = said.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
+        let is_input = status.code() == Some(2);
+        return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });
+    }
+    tables::read_description(folder)
+}
+
+/// Walks through the ticks of a run that carry ranges.
+///
+/// # Errors
+/// If its log cannot be read.
+pub(super) fn for_each_tick(
+    description: &RunDescription,
+    mut look: impl FnMut(u64, &WorldRecord),
+) -> anyhow::Result<()> {
+    let RunDescription { run_id, scenario, out_dir } = description;
+    let mut worlds = WorldRecord::reader(out_dir, *run_id, scenario)?;
+    while let Some(record) = worlds.next() {
+        let (tick, words) = record?;
+        if tick > 0 {
+            look(tick, &WorldRecord::from_words(words, scenario));
+        }
+    }
+    Ok(())
+}
+
+/// What a robot's record tells of the exchange.
+pub(super) fn exchange(robot: &RobotRecord) -> Exchange {
+    Exchange { sent_ns: robot.range_sent_ns, held_ns: robot.heading_held_ns }
+}
