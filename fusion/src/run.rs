@@ -3,14 +3,14 @@
 use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, IDLE, Publisher, Sleeper, Subscriber};
+use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{Standstill, monotonic_ns, until};
 use rangehound_shared::message::{Command, Estimate, Range, Refusal, Stages};
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{PlannerSpec, Scenario};
+use rangehound_shared::scenario::{Clock, PlannerSpec, Scenario};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
@@ -203,7 +203,7 @@ impl<'a> Fusion<'a> {
         self.sim.ring(Call::Hello);
         let mut standstill = Standstill::default();
         while !termination.requested() {
-            let calls = self.bed.sleep(self.time_to_wait());
+            let calls = self.wait();
             self.intake.forgive(standstill.look());
             match &self.hold {
                 // Who is called looks whether it leads before it commands; who is idle, now.
@@ -255,6 +255,16 @@ impl<'a> Fusion<'a> {
             self.put_down(last_tick, with_tally(self.centre.estimate(), &tally));
         }
         Ok(())
+    }
+
+    /// Until called, or until the tick's ranges are overdue.
+    fn wait(&self) -> Calls {
+        // In real time the next tick is far away until the first range of it has come.
+        if self.scenario.clock == Clock::Realtime && self.intake.is_empty() {
+            self.bed.sleep(self.time_to_wait())
+        } else {
+            self.bed.wait(self.time_to_wait())
+        }
     }
 
     fn time_to_wait(&self) -> Duration {

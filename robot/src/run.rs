@@ -43,7 +43,7 @@ pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Res
     robot.sim.ring(Call::Hello);
     while !termination.requested() {
         hold.sign();
-        let calls = robot.bed.sleep(robot.time_to_wait());
+        let calls = robot.wait()?;
         robot.look(calls)?;
         if (calls.has(Call::Finished) || robot.present.is_none() || calls.is_empty()) && rendezvous.is_finished() {
             break;
@@ -78,6 +78,8 @@ struct Present {
     time_s: f64,
     range: Range,
     range_sent_ns: u64,
+    /// It has said what it drives if no heading comes.
+    provided: bool,
     drive: Option<Drive>,
 }
 
@@ -105,6 +107,19 @@ impl<'a> Robot<'a> {
             sim: bus.bell_of(Sleeper::Sim),
             fusion: bus.bell_of(Sleeper::Fusion),
         })
+    }
+
+    /// Until called, or until the heading is overdue.
+    fn wait(&mut self) -> Result<Calls, BusError> {
+        // In real time the next tick is far away.
+        if self.scenario.clock == Clock::Lockstep || self.heading_deadline_ns().is_some() {
+            let calls = self.bed.watch();
+            if !calls.is_empty() {
+                return Ok(calls);
+            }
+            self.provide_for_silence()?;
+        }
+        Ok(self.bed.sleep(self.time_to_wait()))
     }
 
     /// In real time, until the heading is overdue; else until called.
@@ -183,18 +198,21 @@ impl<'a> Robot<'a> {
             time_s: header.valid_at_s,
             range,
             range_sent_ns,
+            provided: false,
             drive: None,
         });
-        self.provide_for_silence()
+        Ok(())
     }
 
     /// In real time a tick does not wait for a robot that is late, and a kernel's timers may be later than the rest
-    /// of the tick: so what it drives if nothing comes is said first. Nobody is woken for it.
-    fn provide_for_silence(&self) -> Result<(), BusError> {
-        if let Some(present) = self.present.as_ref().filter(|_| self.heading_deadline_ns().is_some()) {
+    /// of the tick: so what it drives if nothing comes is said before it sleeps. Nobody is woken for it.
+    fn provide_for_silence(&mut self) -> Result<(), BusError> {
+        let Some(present) = self.present.filter(|present| !present.provided) else { return Ok(()) };
+        if self.heading_deadline_ns().is_some() {
             let drive =
-                Drive { headings_refused: 0, ..self.drive(present, self.controller.hold(present.tick), 0, false) };
+                Drive { headings_refused: 0, ..self.drive(&present, self.controller.hold(present.tick), 0, false) };
             self.drives.send(present.tick, present.time_s, &[drive])?;
+            self.present = Some(Present { provided: true, ..present });
         }
         Ok(())
     }

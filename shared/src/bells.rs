@@ -99,9 +99,9 @@ struct Words {
 
 const COUNT_BITS: u32 = 16;
 
-/// How long a process looks out before it sleeps, if other cores may be about to call it: about what falling asleep
-/// and being woken from another core take.
-const WATCH_NS: u64 = 50_000;
+/// How long a process looks out for a call, if other cores may be about to make it: some times what falling asleep and
+/// being woken from another core take, as the rest of the team has to be woken too.
+const WATCH_NS: u64 = 200_000;
 
 /// The words of a run.
 #[derive(Debug, Default, ZeroCopySend)]
@@ -157,7 +157,7 @@ impl Bells {
 pub struct Bed {
     bells: Bells,
     sleeper: Sleeper,
-    /// How long it looks out before it sleeps: on one core, where nobody runs meanwhile, for one look.
+    /// How long it looks out: on one core, where nobody runs meanwhile, for one look.
     watch_ns: u64,
     /// Each call's count at the last look.
     heard: Cell<[u32; CALLS]>,
@@ -169,23 +169,36 @@ impl Bed {
         Self { bells, sleeper, watch_ns: if has_cores { WATCH_NS } else { 0 }, heard: Cell::default() }
     }
 
-    /// Looks out for a call for a moment, then sleeps until called, until time runs out, or until a signal comes. Does
-    /// neither if called since the last time.
-    pub fn sleep(&self, at_most: Duration) -> Calls {
+    /// Looks out for a call that is about to come, and sleeps if it does not: see [`Self::watch`], [`Self::sleep`].
+    pub fn wait(&self, at_most: Duration) -> Calls {
+        let calls = self.watch();
+        if calls.is_empty() { self.sleep(at_most) } else { calls }
+    }
+
+    /// Looks out for a call for a moment, and lets others run meanwhile: cheaper for all than to fall asleep and be
+    /// woken, if the call is about to come.
+    #[must_use]
+    pub fn watch(&self) -> Calls {
         let words = self.bells.words(self.sleeper);
-        let watched_until_ns = monotonic_ns() + self.watch_ns;
-        let rings = loop {
-            // Lets whoever is about to call do so: on a busy core that saves a sleep and a wake-up.
+        let until_ns = monotonic_ns() + self.watch_ns;
+        loop {
             std::thread::yield_now();
-            let rings = words.rings.load(SeqCst);
             let calls = self.calls(words);
-            if !calls.is_empty() || at_most.is_zero() {
+            if !calls.is_empty() || monotonic_ns() >= until_ns {
                 return calls;
             }
-            if monotonic_ns() >= watched_until_ns {
-                break rings;
-            }
-        };
+        }
+    }
+
+    /// Sleeps until called, until time runs out, or until a signal comes. Does not sleep if called since the
+    /// last time.
+    pub fn sleep(&self, at_most: Duration) -> Calls {
+        let words = self.bells.words(self.sleeper);
+        let rings = words.rings.load(SeqCst);
+        let calls = self.calls(words);
+        if !calls.is_empty() || at_most.is_zero() {
+            return calls;
+        }
         words.asleep.fetch_add(1, SeqCst);
         let timeout = Timespec { tv_sec: at_most.as_secs().cast_signed(), tv_nsec: at_most.subsec_nanos().into() };
         // Whatever ends it, a ring just before among them: the caller looks at everything.

@@ -191,7 +191,7 @@ impl<'a> Sim<'a> {
         let mut standstill = Standstill::default();
         let mut repeat_at = Instant::now() + REPEAT;
         while !termination.requested() {
-            let calls = self.bed.sleep(repeat_at.saturating_duration_since(Instant::now()));
+            let calls = self.bed.wait(repeat_at.saturating_duration_since(Instant::now()));
             self.hold.sign();
             let stood_still = standstill.look();
             first_answer = first_answer.map(|first| first + stood_still);
