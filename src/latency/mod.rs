@@ -67,7 +67,12 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
         for (contender, done) in order.into_iter().zip(done..) {
             progress.show(done, &format!("round {}, {contender}", round.round));
             let measured = round.measure(contender, latencies_ns.get_mut(contender));
-            measured.inspect_err(|_| progress.finish())?;
+            measured.map_err(|failure| {
+                progress.finish();
+                // What an end that was asked for looks like to the one who is measured does not matter.
+                let asked = || anyhow::anyhow!("ended before the last round, as asked").into();
+                if termination.requested() { asked() } else { failure }
+            })?;
         }
         outcome.add(order, &latencies_ns, round.hops_us)?;
         // After each round, so that what it showed is not lost.

@@ -2,7 +2,7 @@
 
 use anyhow::anyhow;
 use iceoryx2::node::Node;
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -83,7 +83,7 @@ impl Place {
 /// Sleeps until notified.
 fn wait(listener: &Listener<ipc::Service>, vigil: &mut Vigil<'_>) -> anyhow::Result<()> {
     match listener.timed_wait(|_| {}, WAIT) {
-        Ok(0) => vigil.keep(),
+        Ok(0) | Err(ListenerWaitError::InterruptSignal) => vigil.keep(),
         Ok(_) => Ok(()),
         Err(error) => Err(refused("wait", error)),
     }
