@@ -1,4 +1,6 @@
 //! Fan-in and fan-out over iceoryx2 as it comes: a topic and an event in each direction, and every range an event.
+//!
+//! Whatever the number of robots does not ask for is left at iceoryx2's defaults.
 
 use anyhow::anyhow;
 use iceoryx2::node::Node;
@@ -13,9 +15,6 @@ use rangehound_shared::bus;
 use rangehound_shared::rendezvous::Rendezvous;
 
 use super::{Command, RANGE_TICK, ROBOT, Range, TICK, Vigil, WAIT};
-
-/// Samples that wait for a subscriber: one would do.
-const BUFFER: usize = 2;
 
 fn refused(what: &str, reason: impl std::fmt::Debug) -> anyhow::Error {
     anyhow!("{what} of the iceoryx2 reference: iceoryx2 says {reason:?}")
@@ -44,9 +43,6 @@ impl Place {
             .max_publishers(publishers)
             .max_subscribers(subscribers)
             .max_nodes(self.robots + 1)
-            .subscriber_max_buffer_size(BUFFER)
-            .history_size(0)
-            .enable_safe_overflow(true)
             .open_or_create()
             .map_err(|error| refused(name, error))
     }
@@ -66,7 +62,6 @@ impl Place {
             .max_notifiers(notifiers)
             .max_listeners(listeners)
             .max_nodes(self.robots + 1)
-            .event_id_max_value(self.robots)
             .open_or_create()
             .map_err(|error| refused(name, error))
     }
