@@ -4,11 +4,11 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`system`] | runs of the system, as `rangehound run` does them |
-//! | [`reference`] | the bare exchange, over iceoryx2 and over futexes |
-//! | [`samples`] | from stamps to latencies, the same for all |
-//! | [`outcome`] | the figures: `latency.json` and the table |
-//! | [`picture`] | the percentile curves |
+//! | `system` | runs of the system, as `rangehound run` does them |
+//! | [`mod@reference`] | the bare exchange, over iceoryx2 and over futexes |
+//! | `samples` | from stamps to latencies, the same for all |
+//! | `outcome` | the figures: `latency.json` and the table |
+//! | `picture` | the percentile curves |
 
 mod outcome;
 mod picture;
