@@ -30,6 +30,7 @@ const EXAMPLES: &str = "Examples:
   rangehound scenario > mine.toml                a scenario file to start from
   rangehound track ranges.csv --range-std 0.12   recorded ranges through the same processes
   rangehound compare --robots 5                  all planners on the same 1000 targets, with pictures
+  rangehound latency --robots 10 --pin one-core  how long a heading takes, beside the bare transport
 
 Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or bad input.";
 
@@ -179,7 +180,7 @@ pub struct SupervisionArgs {
     /// only, repeatable [default: always]
     #[arg(long = "restart", value_name = "[KIND=]POLICY")]
     pub rules: Vec<Rule>,
-    /// Processors that all processes of the run share: none of these to choose freely, one-core, or numbers as in 0,1
+    /// Processors for all processes of the run: none (any), one-core, or their numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
 }
@@ -454,7 +455,7 @@ pub struct LatencyArgs {
     /// How headings are chosen: certified, adaptive, standard, grid, greedy, pursue or random [default: the scenario's]
     #[arg(long, value_name = "NAME")]
     pub planner: Option<String>,
-    /// Processors that all processes share: none to choose freely, one-core, or numbers as in 0,1
+    /// Processors for all processes: none (any), one-core, or their numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
     /// How often each is measured, in turns
@@ -463,7 +464,7 @@ pub struct LatencyArgs {
     /// Name of the runs [default: latency, numbered if taken]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Folder for latency.json, latency.svg and the runs' folders; what it holds of an earlier call is replaced
+    /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
     #[arg(long, value_name = "DIR", default_value = "runs/latency")]
     pub out: PathBuf,
 }

@@ -13,6 +13,8 @@
 //! | [`watch`] | progress of a run, as an observer sees it |
 //! | [`plan`] | one step per JSON line, for programs of any language |
 //! | [`chaos`] | campaigns of faults on a live run |
+//! | [`latency`] | the time from range to heading, beside the bare transport |
+//! | [`pin`] | which processors a command runs on |
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`report`], [`hops`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |

@@ -11,6 +11,7 @@
 //! | `command_line` | what a user types: exit codes and one-line complaints |
 //! | `hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
+//! | `latency` | the system beside its references: who is counted, what is left |
 //! | `licences` | every dependency is free to use |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
 //! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
@@ -25,6 +26,7 @@ mod comparison;
 mod distrust;
 mod golden;
 mod hostile;
+mod latency;
 mod licences;
 mod paper;
 mod plan;

@@ -4,11 +4,11 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`system`] | runs of the system, as `rangehound run` does them |
-//! | [`reference`] | the bare exchange, over iceoryx2 and over futexes |
-//! | [`samples`] | from stamps to latencies, the same for all |
-//! | [`outcome`] | the figures: `latency.json` and the table |
-//! | [`picture`] | the percentile curves |
+//! | `system` | runs of the system, as `rangehound run` does them |
+//! | [`mod@reference`] | the bare exchange, over iceoryx2 and over futexes |
+//! | `samples` | from stamps to latencies, the same for all |
+//! | `outcome` | the figures: `latency.json` and the table |
+//! | `picture` | the percentile curves |
 
 mod outcome;
 mod picture;
@@ -67,7 +67,12 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
         for (contender, done) in order.into_iter().zip(done..) {
             progress.show(done, &format!("round {}, {contender}", round.round));
             let measured = round.measure(contender, latencies_ns.get_mut(contender));
-            measured.inspect_err(|_| progress.finish())?;
+            measured.map_err(|failure| {
+                progress.finish();
+                // What an end that was asked for looks like to the one who is measured does not matter.
+                let asked = || anyhow::anyhow!("ended before the last round, as asked").into();
+                if termination.requested() { asked() } else { failure }
+            })?;
         }
         outcome.add(order, &latencies_ns, round.hops_us)?;
         // After each round, so that what it showed is not lost.

@@ -248,7 +248,7 @@ impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { scenario, robots, planner, clock, ticks, warm_up_ticks, pin, .. } = self;
         let rate = self.rate_hz.map_or(String::new(), |rate_hz| format!(" at {rate_hz:.4} Hz"));
-        writeln!(f, "latency: {scenario}, {robots} robots, {planner} planner, {clock}{rate}, pinned to {pin}")?;
+        writeln!(f, "latency: {scenario}, {robots} robots, {planner} planner, {clock}{rate}, pin {pin}")?;
         let rounds = self.rounds.len();
         writeln!(f, "  {rounds} rounds of {ticks} ticks, of which the first {warm_up_ticks} are not counted")?;
         let [p50, p90, p99, p99_9, max] = ["p50", "p90", "p99", "p99.9", "max"];

@@ -33,11 +33,7 @@ fn draw_to(outcome: &Outcome, path: &Path) -> Drawn {
     let root = SVGBackend::new(path, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let colours = colours();
-    let name = |contender| {
-        let p50_us = outcome.latency_us.get(contender).p50;
-        let kind = if contender == Contender::System { "" } else { ", reference" };
-        format!("{contender}{kind}: {p50_us:.1} us median")
-    };
+    let name = |contender| format!("{contender}: median {:.1} us", outcome.latency_us.get(contender).p50);
     let key: Vec<_> = Contender::ALL.into_iter().map(|one| (name(one), *colours.get(one))).collect();
     let below = chart::draw_key(&root, &key)?;
     let height = below.dim_in_pixel().1;
@@ -86,8 +82,8 @@ fn draw_curves(outcome: &Outcome, area: &chart::Area<'_>) -> Drawn {
         .x_labels(last as usize + 1)
         .x_label_formatter(&percentile)
         .y_label_formatter(&chart::short)
-        .x_desc("part of the samples")
-        .y_desc("from range to heading, us: at most")
+        .x_desc("part of the samples that take no longer")
+        .y_desc("from range to heading, us")
         .draw()?;
     for (contender, points) in curves {
         let line = points.iter().filter(|point| point.latency_us > 0.0);

@@ -1,9 +1,10 @@
 //! Fan-in and fan-out over a block of shared memory: the last range wakes the centre, one system call all robots.
 
 use std::sync::atomic::Ordering::{AcqRel, Acquire, Relaxed, Release};
+use std::time::{Duration, Instant};
 
 use ::iceoryx2::prelude::{FileName, SemanticString, ZeroCopySend};
-use anyhow::anyhow;
+use anyhow::{anyhow, bail};
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
 use iceoryx2_bb_posix::access_mode::AccessMode;
 use iceoryx2_cal::dynamic_storage::posix_shared_memory::{Builder, Configuration, Storage};
@@ -11,11 +12,11 @@ use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_shared::signal::Termination;
 use rustix::io::Errno;
 use rustix::thread::futex;
-use rustix::time::Timespec;
 
-use super::{Command, RANGE_TICK, ROBOT, Range, Vigil, WAIT};
+use super::{Command, RANGE_TICK, ROBOT, Range, WAIT};
 
 /// What the nodes share.
 #[derive(Debug, ZeroCopySend)]
@@ -26,8 +27,10 @@ struct Board {
     arrivals: AtomicU64,
     /// Ticks whose ranges are all there: the word that the centre sleeps on.
     full: AtomicU32,
+    /// 1 once the exchange is given up.
+    given_up: AtomicU32,
     /// To a cache line's length.
-    _padding: [u32; 13],
+    _padding: [u32; 12],
     /// Ticks that are answered: the word that the robots sleep on.
     round: AtomicU32,
     command: [AtomicU64; size_of::<Command>() / 8],
@@ -39,7 +42,8 @@ impl Board {
         Self {
             arrivals: AtomicU64::new(0),
             full: AtomicU32::new(0),
-            _padding: [0; 13],
+            given_up: AtomicU32::new(0),
+            _padding: [0; 12],
             round: AtomicU32::new(0),
             command: std::array::from_fn(|_| AtomicU64::new(0)),
             ranges: std::array::from_fn(|_| std::array::from_fn(|_| AtomicU64::new(0))),
@@ -70,40 +74,66 @@ fn open(run: &Rendezvous) -> anyhow::Result<Storage<Board>> {
     builder(run.shared_memory_prefix())?.open(AccessMode::ReadWrite).map_err(|error| refused(&error))
 }
 
-/// Sleeps until the word has this value.
-fn wait_for(word: &AtomicU32, value: u32, vigil: &mut Vigil<'_>) -> anyhow::Result<()> {
-    let at_most = Timespec { tv_sec: 0, tv_nsec: WAIT.subsec_nanos().into() };
+/// Sleeps until the word has this value. Without a limit of time, which would cost a timer each time: the watch has an
+/// eye on it.
+fn wait_for(board: &Board, word: &AtomicU32, value: u32) -> anyhow::Result<()> {
     loop {
         let now = word.load(Acquire);
         if now == value {
-            vigil.end();
             return Ok(());
         }
-        match futex::wait(word, futex::Flags::empty(), now, Some(&at_most)) {
-            Ok(()) | Err(Errno::AGAIN) => {}
-            Err(Errno::TIMEDOUT | Errno::INTR) => vigil.keep()?,
+        if board.given_up.load(Relaxed) != 0 {
+            bail!("ended before its last tick, as asked or because nobody was heard any more");
+        }
+        match futex::wait(word, futex::Flags::empty(), now, None) {
+            Ok(()) | Err(Errno::AGAIN | Errno::INTR) => {}
             Err(error) => return Err(error.into()),
         }
     }
 }
 
-pub(super) struct Centre<'a> {
-    board: Storage<Board>,
-    ranges: Vec<Range>,
-    vigil: Vigil<'a>,
+/// Has an eye on the exchange, in the background: gives it up, for all nodes, when this one is asked to end or nobody has
+/// been heard for so long.
+fn watch(board: Storage<Board>, termination: &Termination, silence: Duration) {
+    let termination = termination.clone();
+    std::thread::spawn(move || {
+        let board = board.get();
+        let (mut heard, mut since) = ((0, 0), Instant::now());
+        loop {
+            std::thread::sleep(WAIT);
+            let now = (board.arrivals.load(Relaxed), board.round.load(Relaxed));
+            // Until the first range, everybody waits for the word to start.
+            if now != heard || now.0 == 0 {
+                (heard, since) = (now, Instant::now());
+            }
+            if termination.requested() || since.elapsed() > silence {
+                board.given_up.store(1, Relaxed);
+                // Again and again: one may have been about to sleep.
+                for word in [&board.full, &board.round] {
+                    let _ = futex::wake(word, futex::Flags::empty(), i32::MAX as u32);
+                }
+            }
+        }
+    });
 }
 
-impl<'a> Centre<'a> {
-    pub(super) fn open(run: &Rendezvous, vigil: Vigil<'a>) -> anyhow::Result<Self> {
+pub(super) struct Centre {
+    board: Storage<Board>,
+    ranges: Vec<Range>,
+}
+
+impl Centre {
+    pub(super) fn open(run: &Rendezvous, termination: &Termination, silence: Duration) -> anyhow::Result<Self> {
+        watch(open(run)?, termination, silence);
         let robots = run.description().scenario.robots.len();
-        Ok(Self { board: open(run)?, ranges: vec![Range::default(); robots], vigil })
+        Ok(Self { board: open(run)?, ranges: vec![Range::default(); robots] })
     }
 }
 
-impl super::Centre for Centre<'_> {
+impl super::Centre for Centre {
     fn collect(&mut self, tick: u64) -> anyhow::Result<()> {
         let board = self.board.get();
-        wait_for(&board.full, tick as u32, &mut self.vigil)?;
+        wait_for(board, &board.full, tick as u32)?;
         for (range, words) in self.ranges.iter_mut().zip(&board.ranges) {
             *range = words.each_ref().map(|word| word.load(Relaxed));
             if range[RANGE_TICK] != tick {
@@ -128,19 +158,19 @@ impl super::Centre for Centre<'_> {
     }
 }
 
-pub(super) struct Robot<'a> {
+pub(super) struct Robot {
     board: Storage<Board>,
     robots: u64,
-    vigil: Vigil<'a>,
 }
 
-impl<'a> Robot<'a> {
-    pub(super) fn open(run: &Rendezvous, vigil: Vigil<'a>) -> anyhow::Result<Self> {
-        Ok(Self { board: open(run)?, robots: run.description().scenario.robots.len() as u64, vigil })
+impl Robot {
+    pub(super) fn open(run: &Rendezvous, termination: &Termination, silence: Duration) -> anyhow::Result<Self> {
+        watch(open(run)?, termination, silence);
+        Ok(Self { board: open(run)?, robots: run.description().scenario.robots.len() as u64 })
     }
 }
 
-impl super::Robot for Robot<'_> {
+impl super::Robot for Robot {
     fn publish(&mut self, range: &Range) -> anyhow::Result<()> {
         let board = self.board.get();
         for (word, value) in board.ranges[range[ROBOT] as usize].iter().zip(range) {
@@ -155,7 +185,7 @@ impl super::Robot for Robot<'_> {
 
     fn command(&mut self, tick: u64) -> anyhow::Result<Command> {
         let board = self.board.get();
-        wait_for(&board.round, tick as u32, &mut self.vigil)?;
+        wait_for(board, &board.round, tick as u32)?;
         Ok(board.command.each_ref().map(|word| word.load(Relaxed)))
     }
 }

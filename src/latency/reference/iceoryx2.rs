@@ -1,8 +1,12 @@
 //! Fan-in and fan-out over iceoryx2 as it comes: a topic and an event in each direction, and every range an event.
+//!
+//! Services have room for the robots that there are, and no more: it costs. The rest is left at iceoryx2's defaults.
 
-use anyhow::anyhow;
+use std::time::{Duration, Instant};
+
+use anyhow::{anyhow, bail};
 use iceoryx2::node::Node;
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -11,11 +15,9 @@ use iceoryx2::service::port_factory::event::PortFactory as Event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 use rangehound_shared::bus;
 use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_shared::signal::Termination;
 
-use super::{Command, RANGE_TICK, ROBOT, Range, TICK, Vigil, WAIT};
-
-/// Samples that wait for a subscriber: one would do.
-const BUFFER: usize = 2;
+use super::{Command, RANGE_TICK, ROBOT, Range, TICK, WAIT};
 
 fn refused(what: &str, reason: impl std::fmt::Debug) -> anyhow::Error {
     anyhow!("{what} of the iceoryx2 reference: iceoryx2 says {reason:?}")
@@ -44,9 +46,6 @@ impl Place {
             .max_publishers(publishers)
             .max_subscribers(subscribers)
             .max_nodes(self.robots + 1)
-            .subscriber_max_buffer_size(BUFFER)
-            .history_size(0)
-            .enable_safe_overflow(true)
             .open_or_create()
             .map_err(|error| refused(name, error))
     }
@@ -66,6 +65,7 @@ impl Place {
             .max_notifiers(notifiers)
             .max_listeners(listeners)
             .max_nodes(self.robots + 1)
+            // A listener looks through all ids that there may be.
             .event_id_max_value(self.robots)
             .open_or_create()
             .map_err(|error| refused(name, error))
@@ -80,10 +80,39 @@ impl Place {
     }
 }
 
+/// Sees to it that no wait is for ever.
+struct Vigil<'a> {
+    termination: &'a Termination,
+    limit: Duration,
+    since: Option<Instant>,
+}
+
+impl<'a> Vigil<'a> {
+    fn new(termination: &'a Termination, limit: Duration) -> Self {
+        Self { termination, limit, since: None }
+    }
+
+    /// To be called after a wait that brought nothing.
+    fn keep(&mut self) -> anyhow::Result<()> {
+        if self.termination.requested() {
+            bail!("ended before its last tick, as asked");
+        }
+        if self.since.get_or_insert_with(Instant::now).elapsed() > self.limit {
+            bail!("heard nothing for {:?}", self.limit);
+        }
+        Ok(())
+    }
+
+    /// To be called when what was waited for has come.
+    fn end(&mut self) {
+        self.since = None;
+    }
+}
+
 /// Sleeps until notified.
 fn wait(listener: &Listener<ipc::Service>, vigil: &mut Vigil<'_>) -> anyhow::Result<()> {
     match listener.timed_wait(|_| {}, WAIT) {
-        Ok(0) => vigil.keep(),
+        Ok(0) | Err(ListenerWaitError::InterruptSignal) => vigil.keep(),
         Ok(_) => Ok(()),
         Err(error) => Err(refused("wait", error)),
     }
@@ -100,7 +129,7 @@ pub(super) struct Centre<'a> {
 }
 
 impl<'a> Centre<'a> {
-    pub(super) fn open(run: &Rendezvous, vigil: Vigil<'a>) -> anyhow::Result<Self> {
+    pub(super) fn open(run: &Rendezvous, termination: &'a Termination, silence: Duration) -> anyhow::Result<Self> {
         let place = Place::of(run, "centre")?;
         let port = |error: &dyn std::fmt::Debug| refused("port", error);
         Ok(Self {
@@ -109,7 +138,7 @@ impl<'a> Centre<'a> {
             listener: place.range_event()?.listener_builder().create().map_err(|error| port(&error))?,
             notifier: place.command_event()?.notifier_builder().create().map_err(|error| port(&error))?,
             newest: vec![Range::default(); place.robots],
-            vigil,
+            vigil: Vigil::new(termination, silence),
             _place: place,
         })
     }
@@ -150,7 +179,12 @@ pub(super) struct Robot<'a> {
 }
 
 impl<'a> Robot<'a> {
-    pub(super) fn open(run: &Rendezvous, id: usize, vigil: Vigil<'a>) -> anyhow::Result<Self> {
+    pub(super) fn open(
+        run: &Rendezvous,
+        id: usize,
+        termination: &'a Termination,
+        silence: Duration,
+    ) -> anyhow::Result<Self> {
         let place = Place::of(run, &format!("robot-{id}"))?;
         let port = |error: &dyn std::fmt::Debug| refused("port", error);
         let notifier = place.range_event()?.notifier_builder().default_event_id(EventId::new(id)).create();
@@ -159,7 +193,7 @@ impl<'a> Robot<'a> {
             commands: place.commands()?.subscriber_builder().create().map_err(|error| port(&error))?,
             notifier: notifier.map_err(|error| port(&error))?,
             listener: place.command_event()?.listener_builder().create().map_err(|error| port(&error))?,
-            vigil,
+            vigil: Vigil::new(termination, silence),
             _place: place,
         })
     }

@@ -5,8 +5,8 @@
 //!
 //! | reference | a range wakes the centre | the command wakes the robots |
 //! |---|---|---|
-//! | [`iceoryx2`] | each by an event | an event to each |
-//! | [`futex`] | the last one by a futex | one futex for all |
+//! | `iceoryx2` | each by an event | an event to each |
+//! | `futex` | the last one by a futex | one futex for all |
 //!
 //! They are runs as the system's are: named, in folders of their own, cleaned up after by the same rules.
 
@@ -18,11 +18,9 @@ mod processes;
 pub use node::latency_node;
 pub(super) use processes::measure;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use anyhow::bail;
 use clap::ValueEnum;
-use rangehound_shared::signal::Termination;
 
 /// How nodes of a reference talk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -76,37 +74,8 @@ trait Robot {
     fn command(&mut self, tick: u64) -> anyhow::Result<Command>;
 }
 
-/// Longest single wait: how soon a node sees that it is asked to end.
+/// How soon a node sees that it is asked to end.
 const WAIT: Duration = Duration::from_millis(100);
 
-/// A node that hears nothing for so long, beyond the time of a tick, gives up.
+/// Where nobody is heard for so long, beyond the time of a tick, nodes give up.
 const SILENCE: Duration = Duration::from_secs(5);
-
-/// Sees to it that no wait is for ever.
-struct Vigil<'a> {
-    termination: &'a Termination,
-    limit: Duration,
-    since: Option<Instant>,
-}
-
-impl<'a> Vigil<'a> {
-    fn new(termination: &'a Termination, dt: Duration) -> Self {
-        Self { termination, limit: SILENCE + dt, since: None }
-    }
-
-    /// To be called after a wait that brought nothing.
-    fn keep(&mut self) -> anyhow::Result<()> {
-        if self.termination.requested() {
-            bail!("ended before its last tick, as asked");
-        }
-        if self.since.get_or_insert_with(Instant::now).elapsed() > self.limit {
-            bail!("heard nothing for {:?}", self.limit);
-        }
-        Ok(())
-    }
-
-    /// To be called when what was waited for has come.
-    fn end(&mut self) {
-        self.since = None;
-    }
-}

@@ -9,14 +9,15 @@ use std::time::Duration;
 use anyhow::anyhow;
 use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::rendezvous::Role;
-use rangehound_shared::scenario::{Clock, Scenario};
+use rangehound_shared::scenario::Scenario;
 use rustix::io::Errno;
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use rustix::time::Timespec;
 
-use super::{Centre, Command, DUE, Reference, Robot, TICK, Vigil, futex, iceoryx2};
+use super::{Centre, Command, DUE, Reference, Robot, SILENCE, TICK, futex, iceoryx2};
 use crate::cli::LatencyNodeArgs;
 use crate::failure::Failure;
+use crate::latency::dt_ns;
 use crate::node::{join, prepare};
 
 /// What a node says once it can be heard.
@@ -30,20 +31,21 @@ pub fn latency_node(args: &LatencyNodeArgs) -> Result<(), Failure> {
     let termination = prepare(args.role, &args.node.parent)?;
     let run = join(&args.node.name, &termination)?;
     let scenario = &run.description().scenario;
-    let vigil = Vigil::new(&termination, Duration::from_nanos(dt_ns(scenario).unwrap_or(0)));
+    let silence = SILENCE + Duration::from_nanos(dt_ns(scenario).unwrap_or(0));
     match (args.reference, args.role) {
-        (Reference::Iceoryx2, Role::Fusion) => be_centre(iceoryx2::Centre::open(&run, vigil)?, scenario)?,
-        (Reference::Futex, Role::Fusion) => be_centre(futex::Centre::open(&run, vigil)?, scenario)?,
-        (Reference::Iceoryx2, Role::Robot(id)) => be_robot(iceoryx2::Robot::open(&run, id, vigil)?, id, scenario)?,
-        (Reference::Futex, Role::Robot(id)) => be_robot(futex::Robot::open(&run, vigil)?, id, scenario)?,
+        (Reference::Iceoryx2, Role::Fusion) => {
+            be_centre(iceoryx2::Centre::open(&run, &termination, silence)?, scenario)?;
+        }
+        (Reference::Iceoryx2, Role::Robot(id)) => {
+            be_robot(iceoryx2::Robot::open(&run, id, &termination, silence)?, id, scenario)?;
+        }
+        (Reference::Futex, Role::Fusion) => be_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
+        (Reference::Futex, Role::Robot(id)) => {
+            be_robot(futex::Robot::open(&run, &termination, silence)?, id, scenario)?
+        }
         (_, role) => return Err(Failure::input(format!("--role: expected fusion or robot-N, got {role}"))),
     }
     Ok(())
-}
-
-/// Time between two ticks; `None` in lock step, where the command in hand starts the next.
-pub(crate) fn dt_ns(scenario: &Scenario) -> Option<u64> {
-    (scenario.clock == Clock::Realtime).then_some((scenario.dt_s * 1e9) as u64)
 }
 
 /// Waits for all ranges, answers all robots, and says when the next range is due.

@@ -44,16 +44,15 @@ pub(in crate::latency) fn measure(
         futex::create(&run)?;
     }
     let scenario = &experiment.description.scenario;
+    let said = File::create(log).with_context(|| log.display().to_string())?;
     let mut team = Team { nodes: Vec::new(), log: log.to_owned() };
     for role in std::iter::once(Role::Fusion).chain((0..scenario.robots.len()).map(Role::Robot)) {
-        team.nodes.push(Node::start(reference, role, &run, log, termination)?);
+        team.nodes.push(Node::start(reference, role, &run, said.try_clone()?, termination)?);
     }
     let exchanged = team.exchange(scenario.ticks, &mut robot).map_err(|error| team.explain(reference, error));
-    drop(team);
-    exchanged?;
-    // It has nothing to tell but failures.
+    // What it had to tell has been told.
     let _ = std::fs::remove_file(log);
-    Ok(())
+    Ok(exchanged?)
 }
 
 struct Team<'a> {
@@ -97,7 +96,10 @@ impl Team<'_> {
     fn explain(&self, reference: Reference, error: anyhow::Error) -> anyhow::Error {
         let said = std::fs::read_to_string(&self.log).unwrap_or_default();
         match said.lines().next() {
-            Some(first) => anyhow!("a node of the {} reference failed: {first}", reference.name()),
+            Some(first) => {
+                let first = first.trim_start_matches("rangehound: ");
+                anyhow!("a node of the {} reference failed: {first}", reference.name())
+            }
             None => error.context(format!("the {} reference failed", reference.name())),
         }
     }
@@ -129,10 +131,9 @@ impl<'a> Node<'a> {
         reference: Reference,
         role: Role,
         run: &Rendezvous,
-        log: &Path,
+        log: File,
         termination: &'a Termination,
     ) -> anyhow::Result<Self> {
-        let log = File::options().create(true).append(true).open(log).with_context(|| log.display().to_string())?;
         // Not by its path, which another build may have taken meanwhile.
         let mut child = Command::new("/proc/self/exe")
             .arg0("rangehound")
@@ -172,6 +173,6 @@ impl Read for Output<'_> {
                 return self.pipe.read(bytes);
             }
         }
-        Err(std::io::Error::other("ended before the last round, as asked"))
+        Err(std::io::Error::other("not waited for any more"))
     }
 }
