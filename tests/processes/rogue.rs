@@ -54,8 +54,9 @@ fn rogue() {
                 .unwrap();
         }
         for bell in &bells {
-            [Call::World, Call::Range, Call::Heading, Call::Drive].map(|call| bell.ring(call));
-            bell.ring(Call::Hello);
+            for call in [Call::World, Call::Range, Call::Heading, Call::Drive, Call::Hello] {
+                bell.ring(call);
+            }
         }
     }
     println!("sent {} messages in {:?}", 4 * round, began.elapsed());

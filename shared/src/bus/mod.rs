@@ -44,6 +44,9 @@ const PLACES: usize = 16;
 /// More room on a topic's other side than there are robots.
 const PLACES_BESIDE_ROBOTS: usize = 16;
 
+/// Publishers that are gone and whose last samples a subscriber may yet take: 4 kB of each subscriber's memory for each.
+const EXPIRED: usize = 16;
+
 /// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
 
@@ -254,6 +257,7 @@ pub fn node(run: &Rendezvous, name: &str) -> Result<Node<ipc::Service>, BusError
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = EXPIRED;
     let node_error = |reason: &dyn std::fmt::Debug| BusError::new(format!("node {name}"), format!("{reason:?}"));
     let node_name = NodeName::new(name).map_err(|error| node_error(&error))?;
     let node = NodeBuilder::new()
