@@ -1,5 +1,6 @@
 //! Runs with real processes: the same estimates as in one process, whatever happens to them.
 
+mod allocations;
 mod by_hand;
 mod disturbed;
 mod missing;

@@ -103,6 +103,13 @@ const COUNT_BITS: u32 = 16;
 /// being woken from another core take, as the rest of the team has to be woken too.
 const WATCH_NS: u64 = 200_000;
 
+/// Nobody of the team runs for so long at a time: who had this turn computes something else. From such, only who is
+/// woken from sleep gets the processor back at once.
+const LONG_TURN_NS: u64 = 1_000_000;
+
+/// After a long turn, waits until the next look-out.
+const WAITS_AFTER_LONG_TURN: u32 = 250;
+
 /// The words of a run.
 #[derive(Debug, Default, ZeroCopySend)]
 #[repr(C)]
@@ -159,6 +166,8 @@ pub struct Bed {
     sleeper: Sleeper,
     /// How long it looks out: on one core, where nobody runs meanwhile, for one look.
     watch_ns: u64,
+    /// Waits for which it does not look out.
+    asleep_at_once: Cell<u32>,
     /// Each call's count at the last look.
     heard: Cell<[u32; CALLS]>,
 }
@@ -166,7 +175,13 @@ pub struct Bed {
 impl Bed {
     pub(crate) fn new(bells: Bells, sleeper: Sleeper) -> Self {
         let has_cores = rustix::thread::sched_getaffinity(None).is_ok_and(|cores| cores.count() > 1);
-        Self { bells, sleeper, watch_ns: if has_cores { WATCH_NS } else { 0 }, heard: Cell::default() }
+        Self {
+            bells,
+            sleeper,
+            watch_ns: if has_cores { WATCH_NS } else { 0 },
+            asleep_at_once: Cell::default(),
+            heard: Cell::default(),
+        }
     }
 
     /// Looks out for a call that is about to come, and sleeps if it does not: see [`Self::watch`], [`Self::sleep`].
@@ -179,12 +194,21 @@ impl Bed {
     /// woken, if the call is about to come.
     #[must_use]
     pub fn watch(&self) -> Calls {
+        if let Some(fewer) = self.asleep_at_once.get().checked_sub(1) {
+            self.asleep_at_once.set(fewer);
+            return Calls::default();
+        }
         let words = self.bells.words(self.sleeper);
-        let until_ns = monotonic_ns() + self.watch_ns;
+        let mut now_ns = monotonic_ns();
+        let until_ns = now_ns + self.watch_ns;
         loop {
             std::thread::yield_now();
             let calls = self.calls(words);
-            if !calls.is_empty() || monotonic_ns() >= until_ns {
+            let since_ns = std::mem::replace(&mut now_ns, monotonic_ns());
+            if self.watch_ns > 0 && now_ns - since_ns > LONG_TURN_NS {
+                self.asleep_at_once.set(WAITS_AFTER_LONG_TURN);
+            }
+            if !calls.is_empty() || now_ns >= until_ns {
                 return calls;
             }
         }

@@ -1,0 +1,81 @@
+//! Memory: once a run is under way, a node puts nothing on the heap but what iceoryx2 does to send.
+
+use std::io::Read;
+use std::process::{Child, Command, Stdio};
+
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
+use rangehound_shared::scenario::{Scenario, ScenarioFile};
+use rangehound_shared::signal::Termination;
+
+use crate::support::Run;
+
+/// Tells a node its run and its role.
+const RUN: &str = "RANGEHOUND_TEST_NODE_RUN";
+const ROLE: &str = "RANGEHOUND_TEST_NODE_ROLE";
+
+/// What a node sends in a tick of lock step. iceoryx2 0.10 makes one allocation for each message that it lends.
+const SENT_IN_A_TICK: u64 = 2;
+
+/// A node of the run, which does not outlive its test.
+struct Node(Child);
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Not a test: a node's process, started by the test below.
+#[test]
+#[ignore = "the main function of a node"]
+fn node() {
+    let (Ok(name), Ok(role)) = (std::env::var(RUN), std::env::var(ROLE)) else { return };
+    let name: RunName = name.parse().unwrap();
+    let termination = Termination::listen().unwrap();
+    let run = Rendezvous::join(&name, &termination, || {}).unwrap();
+    let counted = allocation_counter::measure(|| match role.parse().unwrap() {
+        Role::Sim => rangehound_sim::run::run(&run, &termination).unwrap(),
+        Role::Fusion => rangehound_fusion::run::run(&run, &termination).unwrap(),
+        Role::Robot(id) => rangehound_robot::run::run(&run, id, &termination).unwrap(),
+        other => panic!("{other}"),
+    });
+    println!("allocations {}", counted.count_total);
+}
+
+/// Allocations of simulator, fusion and a robot in a run of so many ticks, start and end included.
+fn allocations(ticks: u64) -> Vec<u64> {
+    let run = Run::new();
+    let text = format!("clock = \"lockstep\"\npatience_s = \"forever\"\nticks = {ticks}\n[robots]\ncount = 2\n");
+    let file = ScenarioFile::parse(&text, "test").unwrap();
+    let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+    std::fs::create_dir(run.path("out")).unwrap();
+    let founded =
+        Rendezvous::found(&run.name.parse().unwrap(), RunDescription::new(scenario, run.path("out"))).unwrap();
+    let nodes = ["sim", "fusion", "robot-0", "robot-1"].map(|role| {
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.args(["--exact", "processes::allocations::node", "--ignored", "--nocapture"]);
+        Node(command.envs([(RUN, run.name.as_str()), (ROLE, role)]).stdout(Stdio::piped()).spawn().unwrap())
+    });
+    run.wait_until("the run has ended", || founded.is_finished());
+    let counted = nodes.map(|mut node| {
+        let mut said = String::new();
+        node.0.stdout.take().unwrap().read_to_string(&mut said).unwrap();
+        let count = said.lines().find_map(|line| line.split_once("allocations ")?.1.parse().ok());
+        count.unwrap_or_else(|| panic!("{said}"))
+    });
+    drop(founded);
+    run.assert_nothing_left();
+    counted[..3].to_vec()
+}
+
+#[test]
+fn a_tick_allocates_nothing_but_what_sending_does() {
+    let ticks = [500, 2_500];
+    let [short, long] = ticks.map(allocations);
+    let sent = SENT_IN_A_TICK * (ticks[1] - ticks[0]);
+    for (role, (short, long)) in ["sim", "fusion", "robot"].iter().zip(short.into_iter().zip(long)) {
+        // A busy machine may make the simulator repeat a tick now and then.
+        assert!((long - short).abs_diff(sent) <= sent / 20, "{role}: {} for {sent} messages", long - short);
+    }
+}
