@@ -57,6 +57,9 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
     for stale in [outcome::FILE_NAME, picture::FILE_NAME] {
         let _ = std::fs::remove_file(folder.join(stale));
     }
+    for stale in (1..).map(|round| system::folder(folder, round)).take_while(|stale| stale.exists()) {
+        let _ = std::fs::remove_dir_all(stale);
+    }
     let mut outcome = Outcome::new(&description.scenario, &args.pin)?;
     let mut progress = Progress::new("measurement", args.rounds * Contender::ALL.len() as u64);
     for (round, done) in (1..=args.rounds).zip((0..).step_by(Contender::ALL.len())) {
@@ -167,7 +170,7 @@ impl Round<'_> {
     }
 
     fn measure_system(&mut self, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
-        let folder = self.experiment.description.out_dir.join(format!("system-{}", self.round));
+        let folder = system::folder(&self.experiment.description.out_dir, self.round);
         let description = system::run(self.experiment, &folder, self.termination)?;
         let scenario = &description.scenario;
         let mut robots: Vec<Waits> = scenario.robots.iter().map(|_| Waits::new(dt_ns(scenario))).collect();

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -25,6 +25,11 @@ const ENDING: Duration = Duration::from_secs(30);
 
 /// What the run says, in its folder.
 const LOG: &str = "run.log";
+
+/// Where the run of a round goes.
+pub(super) fn folder(out_dir: &Path, round: u64) -> PathBuf {
+    out_dir.join(format!("system-{round}"))
+}
 
 /// Runs the experiment as a process of its own, with a folder of its own, to its end.
 ///
