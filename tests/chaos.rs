@@ -16,7 +16,7 @@ fn hits(outcome: &Value, key: &str) -> Vec<String> {
 #[test]
 fn faults_of_all_kinds_break_no_promise_in_lock_step() {
     let run = Run::new();
-    let said = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 3000").finish().succeeded();
+    let said = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 20000").finish().succeeded();
     assert!(said.stdout.contains("all kept"), "{said:#?}");
     assert!(said.stdout.lines().take(12).all(|line| line.len() <= 100), "{said:#?}");
     let outcome = outcome(&run);
@@ -36,7 +36,7 @@ fn faults_of_all_kinds_break_no_promise_in_lock_step() {
 #[test]
 fn standbys_take_over_and_blackouts_are_got_over() {
     let run = Run::new();
-    let words = "--standby 1 --kinds kill,blackout --roles fusion,standby --faults 12 --rate 2 --ticks 4000";
+    let words = "--standby 1 --kinds kill,blackout --roles fusion,standby --faults 12 --rate 2 --ticks 20000";
     let said = run.command(&format!("chaos {words}")).finish().succeeded();
     assert!(said.stdout.contains("all kept"), "{said:#?}");
     let outcome = outcome(&run);

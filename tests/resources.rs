@@ -91,7 +91,7 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
     let run = Run::new();
     std::fs::create_dir(run.path("out")).unwrap();
     let script = mounted("mount -t tmpfs -o size=400k none out");
-    let words = "run --clock lockstep --ticks 30000 --patience forever";
+    let words = "run --clock lockstep --ticks 300000 --patience forever";
     let outcome = run.command_by(&script, words).finish();
     assert_refused(&outcome, 1, &["out", "No space left on device"]);
     for file in ["estimate.ticks", "world.ticks"] {

@@ -205,12 +205,12 @@ impl<'a> Fusion<'a> {
         while !termination.requested() {
             let calls = self.wait();
             self.intake.forgive(standstill.look());
-            match &self.hold {
-                // Who is called looks whether it leads before it commands; who is idle, now.
-                Some(hold) if !calls.is_empty() => hold.sign(),
-                _ => self.require_lead()?,
-            }
+            let tick = self.centre.next_tick();
             self.act()?;
+            if self.centre.next_tick() == tick {
+                // It has commanded nothing, which is when it looks whether it leads.
+                self.require_lead()?;
+            }
             if (calls.has(Call::Finished) || calls.is_empty()) && self.rendezvous.is_finished() {
                 // What never came in real time is missing, but every tick has its estimate.
                 self.take_ranges()?;

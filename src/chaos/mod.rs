@@ -89,7 +89,7 @@ fn experiment(args: &ChaosArgs) -> Result<Experiment, Failure> {
 /// Ticks of one run: seconds in lock step, until the faults are in and got over in real time.
 fn enough_ticks(scenario: &Scenario, args: &ChaosArgs) -> u64 {
     match scenario.clock {
-        Clock::Lockstep => (60_000 / scenario.robots.len().max(1) as u64).clamp(1_000, 20_000),
+        Clock::Lockstep => (400_000 / scenario.robots.len().max(1) as u64).clamp(4_000, 100_000),
         Clock::Realtime => ((args.faults as f64 / args.rate + 3.0) / scenario.dt_s).clamp(50.0, 100_000.0) as u64,
     }
 }

@@ -71,11 +71,11 @@ fn allocations(ticks: u64) -> Vec<u64> {
 
 #[test]
 fn a_tick_allocates_nothing_but_what_sending_does() {
-    let ticks = [500, 2_500];
+    let ticks = [1_000, 21_000];
     let [short, long] = ticks.map(allocations);
     let sent = SENT_IN_A_TICK * (ticks[1] - ticks[0]);
     for (role, (short, long)) in ["sim", "fusion", "robot"].iter().zip(short.into_iter().zip(long)) {
-        // A busy machine may make the simulator repeat a tick now and then.
+        // How a node finds the others as it starts differs from run to run, and a busy machine repeats a tick now and then.
         assert!((long - short).abs_diff(sent) <= sent / 20, "{role}: {} for {sent} messages", long - short);
     }
 }

@@ -17,7 +17,7 @@ fn pids(run: &Run) -> Vec<Pid> {
 
 #[test]
 fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
-    let words = "--ticks 500 --patience forever";
+    let words = "--ticks 20000 --patience forever";
     let run = Run::new();
     let first = run.lockstep(words);
     // Held, so that it lives for as long as the second needs to notice.
@@ -83,7 +83,7 @@ fn an_interrupt_ends_even_nodes_that_cannot_hear_it() {
 
 #[test]
 fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
-    let words = "--ticks 12000 --patience forever";
+    let words = "--ticks 60000 --patience forever";
     let run = Run::new();
     let supervisor = run.lockstep(words);
     run.wait_for_ticks(200);
@@ -108,18 +108,18 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
     assert_eq!(counts("starts"), [4, 4, 3, 4, 2]);
     assert_eq!(counts("kills"), [3, 3, 2, 3, 1]);
     assert_eq!(counts("exits"), [0; 5]);
-    assert_eq!(report["ranges"]["published"], 3 * 12_000);
-    assert_eq!(report["ranges"]["fused"], 3 * 12_000);
+    assert_eq!(report["ranges"]["published"], 3 * 60_000);
+    assert_eq!(report["ranges"]["fused"], 3 * 60_000);
     run.assert_nothing_left();
 }
 
 /// The supervisor too, so that nobody is left to start anything again.
 #[test]
 fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
-    let words = "--ticks 6000 --patience forever";
+    let words = "--ticks 60000 --patience forever";
     let run = Run::new();
     let mut supervisor = run.lockstep(words);
-    for ticks in [500, 1_500, 3_000] {
+    for ticks in [500, 15_000, 30_000] {
         run.wait_for_ticks(ticks);
         let nodes: Vec<Pid> = ROLES.iter().map(|role| run.pid_of(role, 1)).collect();
         supervisor.signal(Signal::KILL);
@@ -131,7 +131,7 @@ fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
     }
     supervisor.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
-    assert_eq!(run.report()["ranges"]["fused"], 3 * 6_000);
+    assert_eq!(run.report()["ranges"]["fused"], 3 * 60_000);
     run.assert_nothing_left();
 
     let refused = run.start(&["resume", "nowhere"]).finish();
@@ -275,7 +275,7 @@ fn only_the_stopped_robot_is_left_out() {
 /// They would write over each other's logs and checkpoints.
 #[test]
 fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
-    let words = "--ticks 4000 --patience forever";
+    let words = "--ticks 40000 --patience forever";
     let run = Run::new();
     let first = run.lockstep(words);
     let robot = run.pid_of("robot-0", 1);
@@ -315,7 +315,7 @@ fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name
 /// As a build in the middle of a long run does.
 #[test]
 fn a_run_whose_program_file_is_replaced_goes_on() {
-    let words = "--ticks 4000 --patience forever";
+    let words = "--ticks 40000 --patience forever";
     let run = Run::new();
     let program = run.path("program");
     std::fs::copy(env!("CARGO_BIN_EXE_rangehound"), &program).unwrap();

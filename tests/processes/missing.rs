@@ -103,7 +103,7 @@ fn a_hung_node_is_killed_after_the_patience_and_replaced() {
 /// Who waits for simulator or fusion loses nothing.
 #[test]
 fn in_lock_step_hangs_of_simulator_and_fusion_change_nothing() {
-    let words = "--ticks 3000 --patience 2";
+    let words = "--ticks 60000 --patience 2";
     let run = Run::new();
     let supervisor = run.lockstep(words);
     for role in ["fusion", "sim"] {
@@ -268,7 +268,7 @@ fn a_robot_that_comes_late_takes_part_from_then_on() {
 /// As a suspended machine would be, with the supervisor and without.
 #[test]
 fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
-    let words = "--ticks 6000 --patience 1";
+    let words = "--ticks 60000 --patience 1";
     let oracle = digest_in_process(words);
     for is_supervisor_stopped in [true, false] {
         for clock in CLOCKS {

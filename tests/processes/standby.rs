@@ -13,7 +13,7 @@ fn wait_for_lead(run: &Run, start: u64) {
 
 #[test]
 fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
-    let words = "--ticks 8000 --patience forever";
+    let words = "--ticks 80000 --patience forever";
     let run = Run::new();
     let supervisor = run.lockstep(&format!("{words} --standby 2"));
     run.wait_for_ticks(50);
@@ -27,7 +27,7 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
     supervisor.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
     let report = run.report();
-    assert_eq!(report["ranges"]["fused"], 24_000, "{report}");
+    assert_eq!(report["ranges"]["fused"], 240_000, "{report}");
     let names: Vec<&str> =
         report["nodes"].as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
     assert!(names.ends_with(&["standby-1", "standby-2"]), "{names:?}");
@@ -37,7 +37,7 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
 /// Stopped at any moment, it is deposed; continued, it commands nobody and stands by.
 #[test]
 fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
-    let words = "--ticks 20000 --patience forever";
+    let words = "--ticks 300000 --patience forever";
     let run = Run::new();
     let supervisor = run.lockstep(&format!("{words} --standby 1"));
     run.wait_for_ticks(50);
@@ -52,7 +52,7 @@ fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
     }
     supervisor.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
-    assert_eq!(run.report()["ranges"]["fused"], 60_000);
+    assert_eq!(run.report()["ranges"]["fused"], 900_000);
     run.assert_nothing_left();
 }
 
@@ -80,7 +80,7 @@ fn in_real_time_a_standby_leaves_no_robot_long_without_a_heading() {
 #[test]
 fn a_standby_started_by_hand_leads_if_nobody_does() {
     let run = Run::new();
-    let sim = run.command("sim --clock lockstep --ticks 3000 --patience forever");
+    let sim = run.command("sim --clock lockstep --ticks 30000 --patience forever");
     let mut nodes: Vec<_> = (0..3).map(|id| run.node(&format!("robot --id {id}"))).collect();
     let first = run.node("fusion --standby");
     run.wait_for_ticks(5);
