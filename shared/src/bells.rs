@@ -103,8 +103,8 @@ const COUNT_BITS: u32 = 16;
 /// being woken from another core take, as the rest of the team has to be woken too.
 const WATCH_NS: u64 = 200_000;
 
-/// Nobody of the team runs for so long at a time: who had this turn computes something else. From such, only who is
-/// woken from sleep gets the processor back at once.
+/// The team takes no longer for a round of turns, unless it is large and on one processor: who had this one computes
+/// something else. From such, only who is woken from sleep gets the processor back at once.
 const LONG_TURN_NS: u64 = 1_000_000;
 
 /// After a long turn, waits until the next look-out.
@@ -205,7 +205,7 @@ impl Bed {
             std::thread::yield_now();
             let calls = self.calls(words);
             let since_ns = std::mem::replace(&mut now_ns, monotonic_ns());
-            if self.watch_ns > 0 && now_ns - since_ns > LONG_TURN_NS {
+            if now_ns - since_ns > LONG_TURN_NS {
                 self.asleep_at_once.set(WAITS_AFTER_LONG_TURN);
             }
             if !calls.is_empty() || now_ns >= until_ns {
