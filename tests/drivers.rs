@@ -71,8 +71,8 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
         assert!((0.0..=10.0).contains(&speed_mps.parse::<f64>().unwrap()), "{line}");
     }
     let report = run.report();
-    let ranges = ["fused", "rejected", "missing"].map(|key| report["ranges"][key].as_u64().unwrap());
-    assert!(ranges[0] > 0 && ranges[2] > 0 && ranges.iter().sum::<u64>() == 200, "{report}");
+    let count = |key: &str| report["ranges"][key].as_u64().unwrap();
+    assert!(count("fused") > 0 && count("missing") > 0, "{report}");
     assert!(report["refused"]["malformed"].as_u64().unwrap() > 0, "{report}");
     run.assert_nothing_left();
 }

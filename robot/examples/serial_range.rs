@@ -9,12 +9,12 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Parser;
 use rangehound_robot::run::run_with;
 use rangehound_robot::serial::{SerialActuator, SerialSensor};
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunName};
-use rangehound_shared::scenario::Calibration;
+use rangehound_shared::scenario::{Calibration, bounds};
 use rangehound_shared::signal::Termination;
 
 /// One robot of a run, with its range sensor and its drive on a serial port.
@@ -46,6 +46,8 @@ struct Args {
 fn main() -> Result<()> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
     let args = Args::parse();
+    ensure!(bounds::BIAS_M.contains(&args.range_bias), "--range-bias: expected {:?} m", bounds::BIAS_M);
+    ensure!(bounds::SCALE.contains(&args.range_scale), "--range-scale: expected {:?}", bounds::SCALE);
     let termination = Termination::listen()?;
     Role::Robot(args.id).name_process();
     let waiting = || log::warn!("waiting for run {}; `rangehound sim --name {0}` starts it", args.name);

@@ -128,11 +128,9 @@ impl<S: RangeSensor, A: Actuator> Robot<'_, S, A> {
             hold.sign();
             let calls = self.wait()?;
             self.look(calls)?;
+            self.stop_without_ticks();
             if (calls.has(Call::Finished) || self.present.is_none() || calls.is_empty()) && rendezvous.is_finished() {
                 break;
-            }
-            if calls.is_empty() {
-                self.stop_without_ticks();
             }
         }
         Ok(())
@@ -295,10 +293,10 @@ impl<S: RangeSensor, A: Actuator> Robot<'_, S, A> {
     /// In real time, when the simulator has been silent for longer than a heading is held: the simulator's bodies stand
     /// then, and so shall one that moves by itself.
     fn stop_without_ticks(&mut self) {
-        let Some(present) = self.present.filter(|_| self.is_moving) else { return };
+        let moves_by_the_clock = self.is_moving && self.scenario.clock == Clock::Realtime;
+        let Some(present) = self.present.filter(|_| moves_by_the_clock) else { return };
         let held_ns = ((HOLD_TICKS + 1) as f64 * self.scenario.dt_s * 1e9) as u64;
-        let is_over = until(present.range.tick_began_ns.saturating_add(held_ns)).is_zero();
-        if self.scenario.clock == Clock::Realtime && is_over {
+        if until(present.range.tick_began_ns.saturating_add(held_ns)).is_zero() {
             self.carry_out(Command::default());
         }
     }
