@@ -8,7 +8,7 @@ use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::planner::{PlannerError, Vector};
 use rangehound_fusion::report::Report;
 use rangehound_robot::drive::Controller;
-use rangehound_robot::sensor::Sensor;
+use rangehound_robot::sensor::{RangeSensor, Sensor};
 use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::message::Drive;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};

@@ -18,7 +18,7 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
-use rangehound_robot::sensor::Sensor;
+use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
 use rangehound_shared::bounded::{self, Rationed};
 use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
@@ -194,8 +194,8 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let mut truths = create(&out_dir.join("truth.csv"))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
-    let mut sensors: Vec<Sensor> =
-        (0..scenario.robots.len()).filter_map(|robot| Sensor::new(scenario, robot)).collect();
+    let mut sensors: Vec<SimulatedSensor> =
+        (0..scenario.robots.len()).filter_map(|robot| SimulatedSensor::new(scenario, robot)).collect();
     while let Some(record) = reader.next() {
         let (tick, words) = record?;
         let WorldRecord { time_s, truth, robots, .. } = WorldRecord::from_words(words, scenario);

@@ -22,7 +22,8 @@ use rangehound::supervisor::restart::Rule;
 use rangehound::{picture, report, tables};
 use rangehound_fusion::{Centre, centre};
 use rangehound_robot::drive::Controller;
-use rangehound_robot::sensor::Sensor;
+use rangehound_robot::sensor::{RangeSensor, Sensor};
+use rangehound_robot::serial::read_ranges;
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::recording::Recording;
@@ -447,6 +448,16 @@ fn hostile_log(dice: &mut Dice, sound: &[u8]) -> Vec<u8> {
         bytes[at..at + 8].copy_from_slice(&word.to_le_bytes());
     }
     bytes
+}
+
+#[test]
+fn hostile_serial_lines() {
+    let documents = [b"\n12.34\r\nA,5\n".to_vec(), b"half\nanchor 7,0.25\n\n-1\nnan\n".to_vec(), vec![b'1'; 300]];
+    attack_parser("serial lines", 1.0, &documents, |bytes| {
+        read_ranges(bytes, |range_m| assert!(range_m.is_none_or(|range_m| range_m.is_finite() && range_m >= 0.0)))
+            .unwrap();
+        Verdict::Taken
+    });
 }
 
 /// What nodes of this run could send if they were broken.

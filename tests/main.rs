@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `paper` | the paper's experiment, many seeds in one process: do the figures come out |
 //! | `distrust` | robots whose sensors fail, many seeds in one process: the right one is named |
+//! | `drivers` | a robot whose sensor and drive are on a port: the example, fed through a FIFO |
 //! | `golden` | the filter against numbers from independent implementations |
 //! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
 //! | `chaos` | campaigns of faults: every promise kept, nothing left behind |
@@ -24,6 +25,7 @@ mod chaos;
 mod command_line;
 mod comparison;
 mod distrust;
+mod drivers;
 mod golden;
 mod hostile;
 mod latency;

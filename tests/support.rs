@@ -63,10 +63,20 @@ impl Run {
 
     /// Starts the program from a shell script, which it replaces: `$@` is the program with its arguments.
     pub(crate) fn start_by(&self, script: &str, args: &[&str]) -> Process {
+        self.start_program_by(script, Path::new(PROGRAM), args)
+    }
+
+    /// Starts another program.
+    pub(crate) fn start_program(&self, program: &Path, args: &[&str]) -> Process {
+        self.start_program_by("exec \"$@\"", program, args)
+    }
+
+    fn start_program_by(&self, script: &str, program: &Path, args: &[&str]) -> Process {
         let number = self.started.replace(self.started.get() + 1);
         let [stdout, stderr] = ["stdout", "stderr"].map(|stream| self.path(&format!(".{number}.{stream}")));
         let child = Command::new("sh")
-            .args(["-c", script, "sh", PROGRAM])
+            .args(["-c", script, "sh"])
+            .arg(program)
             .args(args)
             .current_dir(self.folder.path())
             .env_remove("RUST_LOG")
@@ -248,6 +258,10 @@ impl Process {
         kill_process(self.pid(), signal).unwrap();
     }
 
+    pub(crate) fn stdout(&self) -> String {
+        read_if_file(&self.stdout).unwrap_or_default()
+    }
+
     pub(crate) fn stderr(&self) -> String {
         read_if_file(&self.stderr).unwrap_or_default()
     }
@@ -269,8 +283,7 @@ impl Process {
             assert!(began.elapsed() < LIMIT, "{} has not ended in {LIMIT:?}\n{}", self.args, self.stderr());
             std::thread::sleep(POLL);
         };
-        let stdout = read_if_file(&self.stdout).unwrap_or_default();
-        Outcome { code: status.code(), stdout, stderr: self.stderr() }
+        Outcome { code: status.code(), stdout: self.stdout(), stderr: self.stderr() }
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a robot drives, pure: the heading it is given, the last one for a while, or nothing.
+//! What a robot drives: the heading it is given, the last one for a while, or nothing; and the trait of what does so.
 
 use rangehound_shared::message::Command;
 
@@ -40,6 +40,29 @@ impl Controller {
             Some((given, command)) if tick.saturating_sub(given) <= HOLD_TICKS => command,
             _ => Command::default(),
         }
+    }
+}
+
+/// What carries out a robot's commands.
+///
+/// The [`Controller`] stands before it: speeds are within the robot's limit, and in real time a robot without ticks
+/// or headings is told to stop after [`HOLD_TICKS`], as it is when its part in the run ends. A killed process tells
+/// nothing: a vehicle stops by itself when no command comes for longer.
+pub trait Actuator {
+    /// Carries out a command until the next one, and returns what the robot drives, which is how the simulator moves
+    /// its body: the command, or what is known to be driven in its place.
+    ///
+    /// It is on the control path, and hands the command over without waiting for the motion.
+    fn carry_out(&mut self, command: Command) -> Command;
+}
+
+/// The actuator of a body that others move: the simulator, which does as it is told, or a recording.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct SimulatedActuator;
+
+impl Actuator for SimulatedActuator {
+    fn carry_out(&mut self, command: Command) -> Command {
+        command
     }
 }
 

@@ -3,12 +3,17 @@
 //! At each tick it measures its range, publishes it, and drives as the heading that comes back says.
 //! It has no state worth keeping: killed and started again, it goes on with the present tick.
 //!
+//! A robot of one's own is a [`sensor::RangeSensor`] and a [`drive::Actuator`], given to [`run::run_with`] in place of
+//! the simulated ones; [`serial`] has both for a port, and `robot/examples/serial_range.rs` is the program round them.
+//!
 //! | module | what |
 //! |---|---|
-//! | [`sensor`] | from what the world shows to a range: noise, or calibration of a recorded one |
-//! | [`drive`] | from headings, or their absence, to motion |
+//! | [`sensor`] | the range sensor: simulated (noise), recorded (calibration), or one's own |
+//! | [`drive`] | from headings, or their absence, to commands; what carries them out |
+//! | [`serial`] | a sensor and a drive that speak lines of text over a port |
 //! | [`run`] | the process |
 
 pub mod drive;
 pub mod run;
 pub mod sensor;
+pub mod serial;

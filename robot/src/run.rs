@@ -1,14 +1,14 @@
-//! The robot's process: ports and loop round [`Sensor`] and [`Controller`].
+//! The robot's process: ports and loop round a [`RangeSensor`], the [`Controller`] and an [`Actuator`].
 
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::clock::{heading_deadline_ns, monotonic_ns, until};
 use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::signal::Termination;
 
-use crate::drive::Controller;
-use crate::sensor::Sensor;
+use crate::drive::{Actuator, Controller, HOLD_TICKS, SimulatedActuator};
+use crate::sensor::{RangeSensor, Sensor};
 
 /// Why a robot ended early.
 #[derive(Debug, thiserror::Error)]
@@ -29,34 +29,68 @@ pub enum RobotError {
     },
 }
 
-/// Runs one robot until the run ends or until asked to end.
+impl RobotError {
+    fn no_such(scenario: &Scenario, id: usize) -> Self {
+        Self::NoSuchRobot { id, last: scenario.robots.len() - 1 }
+    }
+}
+
+/// Runs one robot, as the scenario has it, until the run ends or until asked to end.
 ///
 /// # Errors
 /// [`RobotError`].
 pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Result<(), RobotError> {
     let scenario = &rendezvous.description().scenario;
-    let last = scenario.robots.len() - 1;
-    let sensor = Sensor::new(scenario, id).ok_or(RobotError::NoSuchRobot { id, last })?;
-    let hold = rendezvous.roster().take(Role::Robot(id))?;
-    let bus = Bus::of_role(rendezvous, Role::Robot(id), &hold)?;
-    let mut robot = Robot::new(scenario, id, sensor, &bus, rendezvous.roster().starts(Role::Fusion))?;
-    robot.sim.ring(Call::Hello);
-    while !termination.requested() {
-        hold.sign();
-        let calls = robot.wait()?;
-        robot.look(calls)?;
-        if (calls.has(Call::Finished) || robot.present.is_none() || calls.is_empty()) && rendezvous.is_finished() {
-            break;
-        }
-    }
-    Ok(())
+    let mut sensor = Sensor::new(scenario, id).ok_or_else(|| RobotError::no_such(scenario, id))?;
+    run_with(rendezvous, id, &mut sensor, &mut SimulatedActuator, termination)
 }
 
-struct Robot<'a> {
+/// Runs one robot with a sensor and an actuator of one's own. Whatever ends it, the last command is to stop.
+///
+/// # Errors
+/// [`RobotError`].
+pub fn run_with<S: RangeSensor, A: Actuator>(
+    rendezvous: &Rendezvous,
+    id: usize,
+    sensor: &mut S,
+    actuator: &mut A,
+    termination: &Termination,
+) -> Result<(), RobotError> {
+    let scenario = &rendezvous.description().scenario;
+    let spec = scenario.robots.get(id).ok_or_else(|| RobotError::no_such(scenario, id))?;
+    let hold = rendezvous.roster().take(Role::Robot(id))?;
+    let bus = Bus::of_role(rendezvous, Role::Robot(id), &hold)?;
+    let mut robot = Robot {
+        scenario,
+        id,
+        sensor,
+        controller: Controller::new(spec.speed_mps),
+        actuator,
+        is_moving: false,
+        present: None,
+        fusion_incarnation: rendezvous.roster().starts(Role::Fusion),
+        headings_refused: 0,
+        ranges: bus.publisher(1)?,
+        drives: bus.publisher(1)?,
+        worlds: bus.subscriber()?,
+        headings: bus.subscriber()?,
+        bed: bus.sleep_as(Sleeper::Robots),
+        sim: bus.bell_of(Sleeper::Sim),
+        fusion: bus.bell_of(Sleeper::Fusion),
+    };
+    robot.sim.ring(Call::Hello);
+    let ended = robot.take_part(rendezvous, &hold, termination);
+    robot.carry_out(Command::default());
+    ended
+}
+
+struct Robot<'a, S, A> {
     scenario: &'a Scenario,
     id: usize,
-    sensor: Sensor,
+    sensor: &'a mut S,
     controller: Controller,
+    actuator: &'a mut A,
+    is_moving: bool,
     present: Option<Present>,
     /// Greatest incarnation of fusion that has been heard or counted: none before it is obeyed.
     fusion_incarnation: u64,
@@ -83,30 +117,23 @@ struct Present {
     drive: Option<Drive>,
 }
 
-impl<'a> Robot<'a> {
-    fn new(
-        scenario: &'a Scenario,
-        id: usize,
-        sensor: Sensor,
-        bus: &Bus,
-        fusion_incarnation: u64,
-    ) -> Result<Self, BusError> {
-        Ok(Self {
-            scenario,
-            id,
-            sensor,
-            controller: Controller::new(scenario.robots[id].speed_mps),
-            present: None,
-            fusion_incarnation,
-            headings_refused: 0,
-            ranges: bus.publisher(1)?,
-            drives: bus.publisher(1)?,
-            worlds: bus.subscriber()?,
-            headings: bus.subscriber()?,
-            bed: bus.sleep_as(Sleeper::Robots),
-            sim: bus.bell_of(Sleeper::Sim),
-            fusion: bus.bell_of(Sleeper::Fusion),
-        })
+impl<S: RangeSensor, A: Actuator> Robot<'_, S, A> {
+    fn take_part(
+        &mut self,
+        rendezvous: &Rendezvous,
+        hold: &RoleHold,
+        termination: &Termination,
+    ) -> Result<(), RobotError> {
+        while !termination.requested() {
+            hold.sign();
+            let calls = self.wait()?;
+            self.look(calls)?;
+            self.stop_without_ticks();
+            if (calls.has(Call::Finished) || self.present.is_none() || calls.is_empty()) && rendezvous.is_finished() {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Until called, or until the heading is overdue.
@@ -179,7 +206,8 @@ impl<'a> Robot<'a> {
         if let Some(told) = self.present.and_then(|present| present.drive) {
             self.headings_refused -= told.headings_refused;
         }
-        let range_m = self.sensor.measure(header.tick, entry);
+        // What is known at tick 0 is the prior.
+        let range_m = if header.tick > 0 { self.sensor.measure(header.tick, entry) } else { None };
         let range = Range {
             robot: self.id as u64,
             present: u64::from(range_m.is_some()),
@@ -252,18 +280,35 @@ impl<'a> Robot<'a> {
         let Some(command) = fresh.filter(|_| !obeyed) else { return Ok(()) };
         // Overdue, but the tick is not over: better late than held.
         let is_late = present.drive.is_some();
-        let driven = self.controller.obey(tick, command);
-        self.send_drive(driven, held_ns, is_late)
+        let obeyed = self.controller.obey(tick, command);
+        self.send_drive(obeyed, held_ns, is_late)
     }
 
     fn drive_without_heading(&mut self) -> Result<(), BusError> {
         let Some(present) = &self.present else { return Ok(()) };
-        let driven = self.controller.hold(present.tick);
-        self.send_drive(driven, 0, false)
+        let held = self.controller.hold(present.tick);
+        self.send_drive(held, 0, false)
     }
 
-    fn send_drive(&mut self, driven: Command, heading_held_ns: u64, is_late: bool) -> Result<(), BusError> {
+    /// In real time, when the simulator has been silent for longer than a heading is held: the simulator's bodies stand
+    /// then, and so shall one that moves by itself.
+    fn stop_without_ticks(&mut self) {
+        let moves_by_the_clock = self.is_moving && self.scenario.clock == Clock::Realtime;
+        let Some(present) = self.present.filter(|_| moves_by_the_clock) else { return };
+        let held_ns = ((HOLD_TICKS + 1) as f64 * self.scenario.dt_s * 1e9) as u64;
+        if until(present.range.tick_began_ns.saturating_add(held_ns)).is_zero() {
+            self.carry_out(Command::default());
+        }
+    }
+
+    fn carry_out(&mut self, command: Command) -> Command {
+        self.is_moving = command != Command::default();
+        self.actuator.carry_out(command)
+    }
+
+    fn send_drive(&mut self, command: Command, heading_held_ns: u64, is_late: bool) -> Result<(), BusError> {
         let Some(present) = self.present else { return Ok(()) };
+        let driven = self.carry_out(command);
         let drive = self.drive(&present, driven, heading_held_ns, is_late);
         self.present = Some(Present { drive: Some(drive), ..present });
         self.drives.send(present.tick, present.time_s, &[drive])?;

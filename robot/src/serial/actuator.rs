@@ -1,0 +1,95 @@
+//! A drive on a port.
+
+use std::fs::File;
+use std::io::{ErrorKind, Result, Write};
+use std::path::Path;
+
+use rangehound_shared::message::Command;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+use super::writer;
+use crate::drive::Actuator;
+
+/// Writes each command to a port as `heading_rad,speed_mps`.
+///
+/// A command that the port does not take at once is not carried out: the drive is taken to go on with the one before.
+/// The first one lost is told in the log.
+#[derive(Debug)]
+pub struct SerialActuator {
+    port: File,
+    line: Vec<u8>,
+    carried_out: Command,
+    has_told: bool,
+}
+
+impl SerialActuator {
+    /// The drive on a port, as [`crate::serial`] says where commands go.
+    ///
+    /// # Errors
+    /// The system's, if there is no such port or it cannot be written to.
+    pub fn open(port: &Path) -> Result<Self> {
+        Ok(Self::new(writer(port)?))
+    }
+
+    fn new(port: File) -> Self {
+        Self { port, line: Vec::new(), carried_out: Command::default(), has_told: false }
+    }
+
+    fn send(&mut self, command: Command) -> Result<()> {
+        // A port that is ready has room for more than a line, so that the loop never waits for it.
+        let mut ports = [PollFd::new(&self.port, PollFlags::OUT)];
+        if poll(&mut ports, Some(&Timespec::default()))? == 0 {
+            return Err(ErrorKind::WouldBlock.into());
+        }
+        self.line.clear();
+        writeln!(self.line, "{:.6},{:.6}", command.heading_rad, command.speed_mps)?;
+        self.port.write_all(&self.line)
+    }
+}
+
+impl Actuator for SerialActuator {
+    fn carry_out(&mut self, command: Command) -> Command {
+        match self.send(command) {
+            Ok(()) => self.carried_out = command,
+            Err(error) if !self.has_told => {
+                log::warn!("port: takes no command ({error}); the drive goes on with the one before");
+                self.has_told = true;
+            }
+            Err(_) => {}
+        }
+        self.carried_out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, pipe};
+    use std::os::fd::OwnedFd;
+
+    #[test]
+    fn a_command_is_a_line() {
+        let (mut drive, port) = pipe().unwrap();
+        let mut actuator = SerialActuator::new(OwnedFd::from(port).into());
+        let command = Command { heading_rad: -1.25, speed_mps: 8.0 };
+        assert_eq!(actuator.carry_out(command), command);
+        assert_eq!(actuator.carry_out(Command::default()), Command::default());
+        drop(actuator);
+        let mut lines = String::new();
+        drive.read_to_string(&mut lines).unwrap();
+        assert_eq!(lines, "-1.250000,8.000000\n0.000000,0.000000\n");
+    }
+
+    #[test]
+    fn a_port_that_takes_nothing_holds_up_nobody() {
+        let (drive, port) = pipe().unwrap();
+        let mut actuator = SerialActuator::new(OwnedFd::from(port).into());
+        let commands = (0..100_000).map(|speed| Command { heading_rad: 0.0, speed_mps: f64::from(speed) });
+        let lost = commands.filter(|command| actuator.carry_out(*command) != *command).count();
+        assert!(lost > 0 && actuator.has_told);
+        let last = actuator.carried_out;
+        assert_eq!(actuator.carry_out(Command::default()), last, "it is full");
+        drop(drive);
+        assert_eq!(actuator.carry_out(Command::default()), last, "nobody reads it");
+    }
+}

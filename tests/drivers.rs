@@ -1,0 +1,94 @@
+//! A robot whose range sensor and drive are on a port: the example's own process, fed through a FIFO.
+
+use std::fs::File;
+use std::io::Write;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::PathBuf;
+
+use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat};
+use rustix::process::Signal;
+
+use crate::support::Run;
+
+const STOP: &str = "0.000000,0.000000";
+
+/// The example beside this binary: built by `cargo test`, but not by `cargo test --test integration`.
+fn example() -> Option<PathBuf> {
+    let example = std::env::current_exe().unwrap().parent()?.parent()?.join("examples/serial_range");
+    if !example.exists() {
+        println!("skipped: `cargo build -p rangehound-robot --example serial_range` makes what is tested");
+    }
+    example.exists().then_some(example)
+}
+
+#[test]
+fn a_robot_on_a_port_takes_part_in_a_run() {
+    let Some(example) = example() else { return };
+    let run = Run::new();
+    run.write("mine.toml", "clock = \"realtime\"\ndt_s = 0.02\nticks = 200\n[robots]\ncount = 1\n");
+    let port = run.path("port");
+    mknodat(CWD, &port, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+
+    let sim = run.command("sim mine.toml");
+    let watch = run.node("watch");
+    run.wait_until("the watch has joined", || watch.has_joined());
+    let fusion = run.node("fusion");
+    let robot = run.start_program(&example, &["--name", &run.name, "--id", "0", "--port", port.to_str().unwrap()]);
+
+    // Open to both sides and never full: this test waits for nobody by it.
+    let flags = OFlags::NONBLOCK.bits().cast_signed();
+    let mut radio = File::options().read(true).write(true).custom_flags(flags).open(&port).unwrap();
+    let mut say_until_tick = |line: &str, tick: u64| {
+        run.wait_until(&format!("tick {tick}"), || {
+            let _ = radio.write(line.as_bytes());
+            run.last_world().is_some_and(|(ticks, _)| ticks >= tick)
+        });
+    };
+    say_until_tick("A,15.0\n", 50);
+    let endless = format!("nonsense\nnan\n{}\n", "1".repeat(10_000));
+    say_until_tick(&endless, 55);
+    // A number, but no range that anything has: fusion refuses it.
+    say_until_tick("1e13\n", 100);
+
+    let moving = |line: &&str| !line.ends_with(",0.000000");
+    assert!(robot.stdout().lines().any(|line| moving(&line)), "{}", robot.stdout());
+    sim.signal(Signal::STOP);
+    run.wait_until("the robot without ticks has stopped", || robot.stdout().lines().next_back() == Some(STOP));
+    sim.signal(Signal::CONT);
+    drop(radio);
+    run.wait_until("the robot has seen the end of the stream", || robot.stderr().contains("port: ended"));
+
+    let outcome = robot.finish().succeeded();
+    for node in [sim, fusion, watch] {
+        node.finish().succeeded();
+    }
+    let told = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
+    assert_eq!((told("port: expected lines like"), told("port: ended")), (1, 1), "{outcome:#?}");
+    assert_eq!(outcome.stdout.lines().next_back(), Some(STOP));
+    for line in outcome.stdout.lines() {
+        let (heading_rad, speed_mps) = line.split_once(',').unwrap();
+        assert!(heading_rad.parse::<f64>().unwrap().abs() < 7.0, "{line}");
+        assert!((0.0..=10.0).contains(&speed_mps.parse::<f64>().unwrap()), "{line}");
+    }
+    let report = run.report();
+    let count = |key: &str| report["ranges"][key].as_u64().unwrap();
+    assert!(count("fused") > 0 && count("missing") > 0, "{report}");
+    assert!(report["refused"]["malformed"].as_u64().unwrap() > 0, "{report}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_port_or_robot_that_is_not_there_is_refused() {
+    let Some(example) = example() else { return };
+    let run = Run::new();
+    let sim = run.command("sim --clock realtime --ticks 1000");
+    run.wait_until("the run is founded", || sim.has_joined());
+    let refusal =
+        |id: &str, port: &str| run.start_program(&example, &["--name", &run.name, "--id", id, "--port", port]).finish();
+    for (refused, names) in [(refusal("0", "/dev/no-such-port"), "/dev/no-such-port"), (refusal("9", "-"), "--id")] {
+        assert!(refused.code == Some(1) && refused.stderr.contains(names), "{refused:#?}");
+    }
+    sim.signal(Signal::INT);
+    sim.finish();
+    run.assert_nothing_left();
+}
