@@ -75,7 +75,8 @@ fn a_tick_allocates_nothing_but_what_sending_does() {
     let [short, long] = ticks.map(allocations);
     let sent = SENT_IN_A_TICK * (ticks[1] - ticks[0]);
     for (role, (short, long)) in ["sim", "fusion", "robot"].iter().zip(short.into_iter().zip(long)) {
-        // How a node finds the others as it starts differs from run to run, and a busy machine repeats a tick now and then.
-        assert!((long - short).abs_diff(sent) <= sent / 20, "{role}: {} for {sent} messages", long - short);
+        // How a node finds the others as it starts differs from run to run by some thousand; one a tick would be a half more.
+        let of_ticks = long.saturating_sub(short);
+        assert!(of_ticks.abs_diff(sent) <= sent / 5, "{role}: {of_ticks} for {sent} messages");
     }
 }
