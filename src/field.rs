@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::{Matrix2, Vector2};
 use plotters::prelude::*;
 
-use crate::chart::{self, Area, Drawn, ESTIMATE, Plane, TARGET, dash};
+use crate::chart::{self, Area, Drawn, ESTIMATE, KeyEntry, Plane, TARGET};
 
 /// Covariance ellipses along the track.
 const ELLIPSES: usize = 16;
@@ -13,12 +13,13 @@ const ELLIPSES: usize = 16;
 /// Teams up to this size have each robot in the legend.
 const FEW_ROBOTS: usize = 10;
 
-/// What the colours are, for a key beside several fields.
+/// What the colours are, for a key above one field or several.
 #[must_use]
-pub fn key(robots: usize) -> Vec<(String, RGBColor)> {
+pub fn key(robots: usize) -> Vec<KeyEntry> {
     let bodies = [("target".to_owned(), TARGET), ("estimate, 3 sigma".to_owned(), ESTIMATE)];
     let named = if robots <= FEW_ROBOTS { robots } else { 0 };
-    bodies.into_iter().chain((0..named).map(|id| (format!("robot {id}"), chart::robot_colour(id)))).collect()
+    let robots = (0..named).map(|id| (format!("robot {id}"), chart::robot_colour(id)));
+    bodies.into_iter().chain(robots).map(|(name, colour)| (name, colour.stroke_width(6))).collect()
 }
 
 /// Who was where, by tick; all in m and m^2.
@@ -86,35 +87,47 @@ impl Paths {
         self.truths_m.iter().flatten().chain(self.robots_m.iter().flatten())
     }
 
+    /// Size of a picture of this width by [`Self::draw_whole`], px.
+    #[must_use]
+    pub fn whole_size(&self, width: u32) -> (u32, u32) {
+        (width, width + chart::key_height(width, &key(self.robots_m.len())))
+    }
+
+    /// Draws all of the field under a key.
+    ///
+    /// # Errors
+    /// The backend's.
+    pub fn draw_whole(&self, area: &Area<'_>) -> Drawn {
+        let below = chart::draw_key(area, &key(self.robots_m.len()))?;
+        self.draw(&below, Square::around(self.estimates_m.iter().chain(self.bodies())), None)
+    }
+
     /// Draws them on a square of the field.
     ///
     /// # Errors
     /// The backend's.
-    pub fn draw(&self, area: &Area<'_>, square: Square, caption: Option<(&str, RGBColor)>, legend: bool) -> Drawn {
+    pub fn draw(&self, area: &Area<'_>, square: Square, caption: Option<(&str, RGBColor)>) -> Drawn {
         let (x, y) = square.ranges();
         let mut builder = ChartBuilder::on(area);
-        builder.margin(20).x_label_area_size(50).y_label_area_size(70);
+        // As much beside the plot as above and below it: a square stays one.
+        builder.margin(20).margin_top(40).margin_bottom(40).x_label_area_size(60).y_label_area_size(100);
         if let Some((caption, colour)) = caption {
             builder.caption(caption, chart::caption_font(&colour));
         }
         let mut chart = builder.build_cartesian_2d(x, y)?;
-        chart::draw_axes(&mut chart, "x, m", "y, m")?;
+        chart::draw_axes(&mut chart, "x, m", "y, m", chart::short)?;
         self.draw_robots(&mut chart, square)?;
         self.draw_ellipses(&mut chart, square)?;
         let estimates = square.pieces(self.estimates_m.iter().map(|p| (p.x, p.y)));
-        let mut label = Some("estimate, 3 sigma");
         for piece in estimates {
-            let drawn = chart.draw_series(LineSeries::new(piece, ESTIMATE.stroke_width(2)))?;
-            if let Some(label) = label.take() {
-                drawn.label(label).legend(dash(ESTIMATE));
-            }
+            chart.draw_series(LineSeries::new(piece, ESTIMATE.stroke_width(2)))?;
         }
         let truth: Vec<(f64, f64)> = self.truths_m.iter().flatten().map(|p| (p.x, p.y)).collect();
         if let Some(end) = truth.last().copied() {
-            chart.draw_series(LineSeries::new(truth, TARGET.stroke_width(3)))?.label("target").legend(dash(TARGET));
+            chart.draw_series(LineSeries::new(truth, TARGET.stroke_width(3)))?;
             chart.draw_series(std::iter::once(Circle::new(end, 9, TARGET.filled())))?;
         }
-        if legend { chart::draw_legend(&mut chart, SeriesLabelPosition::UpperLeft) } else { Ok(()) }
+        Ok(())
     }
 
     fn draw_robots(&self, chart: &mut Plane<'_, '_>, square: Square) -> Drawn {
@@ -126,10 +139,7 @@ impl Paths {
             }
             if let Some(last) = path.last() {
                 let marker = TriangleMarker::new((last.x, last.y), 12, colour.filled());
-                let drawn = chart.draw_series(std::iter::once(marker))?;
-                if few {
-                    drawn.label(format!("robot {id}")).legend(move |at| TriangleMarker::new(at, 10, colour.filled()));
-                }
+                chart.draw_series(std::iter::once(marker))?;
             }
         }
         Ok(())

@@ -17,14 +17,16 @@
 //! | [`pin`] | which processors a command runs on |
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`compare`] | Monte Carlo of the planners on all cores |
-//! | [`report`], [`hops`], [`tables`], [`picture`] | what a run leaves: `report.json`, CSV, a picture |
-//! | [`chart`], [`field`] | what all pictures are drawn with |
+//! | [`report`], [`hops`], [`tables`], [`page`], [`picture`] | what a run leaves: `report.json`, CSV, `report.html`, a picture |
+//! | [`curves`] | what is drawn of a run: its logs, thinned |
+//! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
 
 pub mod chaos;
 pub mod chart;
 pub mod cli;
 pub mod compare;
+pub mod curves;
 pub mod experiment;
 pub mod failure;
 pub mod field;
@@ -32,6 +34,9 @@ pub mod hops;
 pub mod in_process;
 pub mod latency;
 pub mod node;
+pub mod over_time;
+pub mod page;
+pub mod percentiles;
 pub mod picture;
 pub mod pin;
 pub mod plan;

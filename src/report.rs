@@ -15,6 +15,7 @@ use rangehound_shared::tick_log::TickLogError;
 use serde::Serialize;
 
 use crate::hops::{self, HopSummary, Hops};
+use crate::percentiles::{self, Point};
 
 /// File name of the report in a run folder.
 pub const FILE_NAME: &str = "report.json";
@@ -63,6 +64,9 @@ pub struct Report {
     pub headings: HeadingSummary,
     /// From publishing a range to holding the heading computed from it.
     pub latency_us: LatencySummary,
+    /// The same as a curve.
+    #[serde(skip)]
+    pub percentiles: Vec<Point>,
     /// Where that time went.
     pub hops_us: HopSummary,
     /// The processes.
@@ -195,6 +199,46 @@ pub struct NodeSummary {
     pub exits: u64,
     /// How often it was killed because it gave no sign of life: among the kills too.
     pub hangs: u64,
+    /// What happened to it when, monotonic ns, in order, as far as its supervisor knows.
+    #[serde(skip)]
+    pub incidents: Vec<(u64, Incident)>,
+}
+
+impl NodeSummary {
+    /// A process that was started so often, and of which no more is known.
+    #[must_use]
+    pub fn new(name: String, starts: u64) -> Self {
+        Self { name, starts, kills: 0, exits: 0, hangs: 0, incidents: Vec::new() }
+    }
+}
+
+/// What happens to a process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Incident {
+    /// It gave no sign of life for too long; it is killed next.
+    Hung,
+    /// It was ended by a signal.
+    Killed,
+    /// It ended by itself before the run did.
+    Exited,
+    /// It was started.
+    Started,
+}
+
+impl Incident {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Hung, Self::Killed, Self::Exited, Self::Started];
+}
+
+impl std::fmt::Display for Incident {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Hung => "hung",
+            Self::Killed => "killed",
+            Self::Exited => "exited",
+            Self::Started => "started",
+        })
+    }
 }
 
 /// A true track: positions by time, from a file that the tracker never saw.
@@ -398,6 +442,7 @@ impl Tally {
             distrusted: self.distrusted,
             headings: self.headings,
             latency_us: LatencySummary::of(&self.latency_ns),
+            percentiles: percentiles::curve(&self.latency_ns),
             hops_us: self.hops.summary(),
             nodes,
         }
@@ -541,7 +586,7 @@ impl std::fmt::Display for Report {
             writeln!(f, "    p50 of hops    {}", hops.join(", "))?;
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
-            let NodeSummary { name, starts, kills, exits, hangs } = node;
+            let NodeSummary { name, starts, kills, exits, hangs, .. } = node;
             let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
             writeln!(f, "  {name:<16} {starts} starts, {kills} kills, {exits} early exits{hung}")?;
         }

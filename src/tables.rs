@@ -5,7 +5,7 @@
 //! | `scenario.toml` | the scenario as it was run, command line included |
 //! | `report.json` | see [`crate::report`] |
 //! | `estimate.csv` | the track: a row for each tick |
-//! | `picture.svg` | see [`crate::picture`] |
+//! | `report.html`, `picture.svg` | see [`crate::page`], [`crate::picture`] |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
 //! | `run.sealed` | what the run is, for `resume` |
@@ -27,10 +27,11 @@ use rangehound_shared::rendezvous::{Role, RunDescription};
 use rangehound_shared::scenario::Source;
 use rangehound_shared::sealed;
 
+use crate::curves::Curves;
 use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
-use crate::picture;
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
+use crate::{page, picture};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
@@ -72,7 +73,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
         let _ = std::fs::remove_file(log.path());
     }
     let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
-    let results = [report::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
+    let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
     for stale in results.into_iter().chain(checkpoints.iter().map(String::as_str)) {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }
@@ -138,10 +139,22 @@ pub fn report_and_tables(
     let written = report::write(&report, &description.out_dir);
     let table = write_estimate_csv(description);
     let recorded = if recording { write_recording(description) } else { Ok(()) };
-    picture::draw_if_possible(description, truth);
+    if let Err(error) = draw(&report, description, truth) {
+        log::warn!("there is no picture, or no page: {error}");
+    }
     written.and(table).and(recorded)?;
     printed?;
     Ok(report)
+}
+
+/// Draws what people look at: the page, and the picture.
+///
+/// # Errors
+/// If a log cannot be read, holds numbers that cannot be drawn, or a file cannot be written.
+pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<()> {
+    let curves = Curves::read(description, truth)?;
+    picture::draw(&curves, &description.out_dir)?;
+    page::write(report, &curves, &description.out_dir)
 }
 
 /// Makes a folder for results, unless it is there.

@@ -168,13 +168,7 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
         return Ok(());
     }
     let nodes = roles(description.scenario.robots.len())
-        .map(|role| NodeSummary {
-            name: role.to_string(),
-            starts: rendezvous.roster().starts(role),
-            kills: 0,
-            exits: 0,
-            hangs: 0,
-        })
+        .map(|role| NodeSummary::new(role.to_string(), rendezvous.roster().starts(role)))
         .collect();
     tables::report_and_tables(description, None, false, nodes).map(drop)
 }

@@ -19,7 +19,7 @@ use rangehound::failure::one_short_line;
 use rangehound::in_process::{self, Team};
 use rangehound::plan::line::Desk;
 use rangehound::supervisor::restart::Rule;
-use rangehound::{picture, report, tables};
+use rangehound::{report, tables};
 use rangehound_fusion::{Centre, centre};
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::{RangeSensor, Sensor};
@@ -427,7 +427,7 @@ fn hostile_logs() {
             tables::write_estimate_csv(&description)?;
             tables::write_recording(&description)?;
             // Slow, and mostly the same.
-            if dice.chance(0.02) { picture::draw(&description, None) } else { Ok(()) }
+            if dice.chance(0.02) { tables::draw(&report, &description, None) } else { Ok(()) }
         });
         match done {
             Ok(()) => Verdict::Taken,

@@ -14,6 +14,7 @@
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `latency` | the system beside its references: who is counted, what is left |
 //! | `licences` | every dependency is free to use |
+//! | `page` | `report.html`: whole, small, offline, and the faults are in it |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
 //! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
 //! | `strangers` | other users and other versions: kept out, in a clear line |
@@ -30,6 +31,7 @@ mod golden;
 mod hostile;
 mod latency;
 mod licences;
+mod page;
 mod paper;
 mod plan;
 mod processes;

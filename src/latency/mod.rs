@@ -8,7 +8,7 @@
 //! | [`mod@reference`] | the bare exchange, over iceoryx2 and over futexes |
 //! | `samples` | from stamps to latencies, the same for all |
 //! | `outcome` | the figures: `latency.json` and the table |
-//! | `picture` | the percentile curves |
+//! | `picture` | the percentile curves and the hops |
 
 mod outcome;
 mod picture;

@@ -9,14 +9,12 @@ use serde::{Serialize, Serializer};
 use super::reference::Reference;
 use super::{samples, warm_up_ticks};
 use crate::hops::{self, HopSummary, Percentiles};
+use crate::percentiles::{self, Point};
 use crate::pin::Pin;
 use crate::report::LatencySummary;
 
 /// File name of the figures in the output folder.
 pub(super) const FILE_NAME: &str = "latency.json";
-
-/// Points of a percentile curve from one halving of what is left to the next.
-const POINTS_PER_HALVING: u32 = 5;
 
 /// Who is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -152,21 +150,6 @@ impl Ratios {
     }
 }
 
-/// A point of a percentile curve.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(super) struct Point {
-    /// Part of the samples, %,
-    pub(super) percentile: f64,
-    /// whose latency is at most this, us.
-    pub(super) latency_us: f64,
-}
-
-fn curve(latencies_ns: &Histogram<u64>) -> Vec<Point> {
-    let steps = latencies_ns.iter_quantiles(POINTS_PER_HALVING);
-    let point = |quantile: f64, ns: u64| Point { percentile: 100.0 * quantile, latency_us: ns as f64 / 1e3 };
-    steps.map(|step| point(step.quantile_iterated_to(), step.value_iterated_to())).collect()
-}
-
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
@@ -218,7 +201,7 @@ impl Outcome {
             self.latencies_ns.get_mut(contender).add(latencies_ns.get(contender))?;
         }
         self.latency_us = self.latencies_ns.map(LatencySummary::of);
-        self.percentiles = self.latencies_ns.map(curve);
+        self.percentiles = self.latencies_ns.map(percentiles::curve);
         let ratios = |of: fn(&Ratios) -> f64| median(self.rounds.iter().map(|round| of(&round.p50_ratios)));
         self.p50_ratios = Ratios { iceoryx2: ratios(|ratios| ratios.iceoryx2), futex: ratios(|ratios| ratios.futex) };
         self.hops_us = self.median_hops_us();
@@ -313,15 +296,5 @@ mod tests {
     fn each_contender_comes_first_in_turn() {
         let firsts: Vec<Contender> = (1..=3).map(|round| Contender::in_turns(round)[0]).collect();
         assert!(Contender::ALL.iter().all(|contender| firsts.contains(contender)), "{firsts:?}");
-    }
-
-    #[test]
-    fn a_curve_ends_with_the_largest() {
-        let mut latencies_ns = samples::histogram().unwrap();
-        (1..=1_000).for_each(|us| latencies_ns.record(1_000 * us).unwrap());
-        let curve = curve(&latencies_ns);
-        let last = curve.last().unwrap();
-        assert!(last.percentile == 100.0 && (last.latency_us / 1_000.0 - 1.0).abs() < 1e-3, "{last:?}");
-        assert!(curve.is_sorted_by(|one, next| one.percentile <= next.percentile && one.latency_us <= next.latency_us));
     }
 }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
 use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RoleHold, Roster};
 use rangehound_shared::signal::Termination;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -18,7 +19,7 @@ use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
 use crate::cli::SupervisionArgs;
 use crate::failure::Failure;
-use crate::report::NodeSummary;
+use crate::report::{Incident, NodeSummary};
 use crate::watch;
 
 /// How long nodes may take to end by themselves once the run is over, and once they are asked to.
@@ -156,7 +157,7 @@ impl<'a> Nodes<'a> {
             {
                 log::warn!("{} gave no sign of life for {limit:?} while others did: it is killed", node.role);
                 running.silence = Silence::default();
-                node.summary.hangs += 1;
+                node.note(Incident::Hung);
             }
         }
     }
@@ -255,7 +256,7 @@ impl Running {
 
 impl Node {
     fn new(role: Role, has_standbys: bool) -> Self {
-        let summary = NodeSummary { name: role.to_string(), starts: 0, kills: 0, exits: 0, hangs: 0 };
+        let summary = NodeSummary::new(role.to_string(), 0);
         Self { role, has_standbys, running: None, summary, deaths: 0, failures: 0, restart_at: None }
     }
 
@@ -287,7 +288,7 @@ impl Node {
         let ended = pidfd_open(Pid::from_child(&child), PidfdFlags::empty()).ok();
         let (since, silence) = (Instant::now(), Silence::default());
         self.running = Some(Running { child, ended, since, silence, has_led: false });
-        self.summary.starts += 1;
+        self.note(Incident::Started);
         self.restart_at = None;
         Ok(())
     }
@@ -339,12 +340,20 @@ impl Node {
         if !status.success() && !is_kill(status) {
             self.failures += 1;
         }
-        if status.signal().is_some() {
-            self.summary.kills += 1;
-        } else {
-            self.summary.exits += 1;
-        }
+        self.note(if status.signal().is_some() { Incident::Killed } else { Incident::Exited });
         Ok(Some(status))
+    }
+
+    /// Counts what has happened to it just now.
+    fn note(&mut self, incident: Incident) {
+        let NodeSummary { starts, kills, exits, hangs, incidents, .. } = &mut self.summary;
+        *match incident {
+            Incident::Started => starts,
+            Incident::Killed => kills,
+            Incident::Exited => exits,
+            Incident::Hung => hangs,
+        } += 1;
+        incidents.push((monotonic_ns(), incident));
     }
 
     /// How long to wait before it is started again: not at all after one death, longer and longer while
