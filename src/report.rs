@@ -583,7 +583,7 @@ impl std::fmt::Display for Report {
             )?;
             let hops = hops::NAMES.iter().zip(self.hops_us.in_order());
             let hops: Vec<String> = hops.map(|(name, hop)| format!("{name} {:.1}", hop.p50)).collect();
-            writeln!(f, "    p50 of hops    {}", hops.join(", "))?;
+            writeln!(f, "  hops, us p50     {}", hops.join(", "))?;
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
             let NodeSummary { name, starts, kills, exits, hangs, .. } = node;
