@@ -1,6 +1,8 @@
 //! One node: what `sim`, `fusion` and `robot` run, started by hand or by `run`.
 
 use std::fs::File;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
 
 use rangehound_fusion::run::FusionError;
 use rangehound_robot::run::RobotError;
@@ -101,6 +103,14 @@ pub fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> 
     role.name_process();
     end_with(parent)?;
     Ok(termination)
+}
+
+/// This program once more; not by its path, which another build may have taken meanwhile.
+#[must_use]
+pub fn this_program() -> Command {
+    let mut command = Command::new("/proc/self/exe");
+    command.arg0("rangehound");
+    command
 }
 
 /// Has this process asked to end when the one that started it ends.

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::support::Run;
+use crate::support::{Run, assert_refused_at_once};
 
 fn outcome(run: &Run) -> Value {
     serde_json::from_str(&run.read("chaos.json")).unwrap()
@@ -77,11 +77,6 @@ fn nonsense_is_refused_before_anything_starts() {
         ("chaos --roles standby", "--roles: expected --standby 1 or more"),
         ("chaos --patience 1", "--patience: expected forever"),
     ] {
-        let run = Run::new();
-        let refused = run.command(words).finish();
-        assert_eq!(refused.code, Some(2), "{refused:#?}");
-        let [complaint] = refused.complaints()[..] else { panic!("{refused:#?}") };
-        assert!(complaint.contains(expected), "{complaint}");
-        assert!(!run.path("out").exists());
+        assert_refused_at_once(words, expected);
     }
 }

@@ -3,7 +3,7 @@
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::support::Run;
+use crate::support::{Run, assert_refused_at_once};
 
 fn outcome(run: &Run) -> Value {
     serde_json::from_str(&run.read("latency.json")).unwrap()
@@ -79,11 +79,6 @@ fn nonsense_is_refused_before_anything_starts() {
         ("latency --pin all", "expected none, one-core, or processors by number"),
         ("latency --pin 1000", "--pin 1000: expected processors that there are"),
     ] {
-        let run = Run::new();
-        let refused = run.command(words).finish();
-        assert_eq!(refused.code, Some(2), "{refused:#?}");
-        let [complaint] = refused.complaints()[..] else { panic!("{refused:#?}") };
-        assert!(complaint.contains(expected), "{complaint}");
-        assert!(!run.path("out").exists());
+        assert_refused_at_once(words, expected);
     }
 }

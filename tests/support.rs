@@ -26,6 +26,17 @@ pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_rangehound");
 
 const POLL: Duration = Duration::from_millis(1);
 
+/// Runs a command that is refused in one line, with nothing made.
+#[track_caller]
+pub(crate) fn assert_refused_at_once(words: &str, expected: &str) {
+    let run = Run::new();
+    let refused = run.command(words).finish();
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    let [complaint] = refused.complaints()[..] else { panic!("{refused:#?}") };
+    assert!(complaint.contains(expected), "{complaint}");
+    assert!(!run.path("out").exists());
+}
+
 /// One run: a name that nobody else has, and a folder that the program works in. The run folder
 /// is `out` in it.
 pub(crate) struct Run {

@@ -9,27 +9,16 @@ use std::rc::Rc;
 use std::sync::atomic::Ordering::{AcqRel, Acquire, Relaxed, SeqCst};
 use std::time::Duration;
 
-use iceoryx2::prelude::{FileName, SemanticString, ZeroCopySend};
+use iceoryx2::prelude::ZeroCopySend;
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
-use iceoryx2_bb_posix::access_mode::AccessMode;
-use iceoryx2_cal::dynamic_storage::posix_shared_memory::{Builder, Configuration, Storage};
-use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
-use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 use rustix::thread::futex;
 use rustix::time::Timespec;
 
+use crate::block::{Block, BlockError};
 use crate::clock::monotonic_ns;
 
-/// Why there are no bells.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot be used: iceoryx2 says {0}")]
-pub struct BellsError(String);
-
-impl BellsError {
-    fn new(reason: &dyn std::fmt::Debug) -> Self {
-        Self(format!("{reason:?}"))
-    }
-}
+/// Name of the block that holds them.
+const NAME: &str = "bells";
 
 /// Who can be woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,35 +111,23 @@ struct Board {
 
 /// One process's view of the run's bells.
 #[derive(Debug, Clone)]
-pub(crate) struct Bells(Rc<Storage<Board>>);
-
-fn builder<'a>(prefix: &str) -> Result<Builder<'a, Board>, BellsError> {
-    let prefix = FileName::new(prefix.as_bytes()).map_err(|reason| BellsError::new(&reason))?;
-    let name = FileName::new(b"bells").map_err(|reason| BellsError::new(&reason))?;
-    let config = Configuration::default().prefix(&prefix);
-    Ok(Builder::new(&name).config(&config).has_ownership(false))
-}
+pub(crate) struct Bells(Rc<Block<Board>>);
 
 /// Makes the bells of a run whose shared memory has this prefix: before anybody can join it.
 ///
 /// # Errors
-/// [`BellsError`] if the system refuses.
-pub(crate) fn create(prefix: &str) -> Result<(), BellsError> {
-    let builder = builder(prefix)?.initializer(|board, _| {
-        board.write(Board::default());
-        true
-    });
-    builder.create().map(drop).map_err(|reason| BellsError::new(&reason))
+/// [`BlockError`] if the system refuses.
+pub(crate) fn create(prefix: &str) -> Result<(), BlockError> {
+    Block::create(prefix, NAME, Board::default)
 }
 
 impl Bells {
-    pub(crate) fn open(prefix: &str) -> Result<Self, BellsError> {
-        let storage = builder(prefix)?.open(AccessMode::ReadWrite);
-        storage.map(|storage| Self(Rc::new(storage))).map_err(|reason| BellsError::new(&reason))
+    pub(crate) fn open(prefix: &str) -> Result<Self, BlockError> {
+        Block::open(prefix, NAME).map(|block| Self(Rc::new(block)))
     }
 
     fn words(&self, sleeper: Sleeper) -> &Words {
-        let board = self.0.get();
+        let board: &Board = &self.0;
         match sleeper {
             Sleeper::Sim => &board.sim,
             Sleeper::Fusion => &board.fusion,
@@ -215,7 +192,7 @@ impl Bed {
     }
 
     /// Sleeps until called, until time runs out, or until a signal comes. Does not sleep if called since the
-    /// last time.
+    /// last time. May end without a call, if that of a ring was seen before the ring had ended.
     pub fn sleep(&self, at_most: Duration) -> Calls {
         let words = self.bells.words(self.sleeper);
         let rings = words.rings.load(SeqCst);

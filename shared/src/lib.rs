@@ -12,6 +12,7 @@
 //! | [`message`] | what travels on each topic |
 //! | [`bus`] | topics and their iceoryx2 services |
 //! | [`bells`] | wake-ups |
+//! | [`block`] | words of shared memory that all processes of a run see |
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`robot_set`] | a set of robots' ids |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
@@ -23,6 +24,7 @@
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
 pub mod bells;
+pub mod block;
 pub mod bounded;
 pub mod bus;
 pub mod checkpoint;

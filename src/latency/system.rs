@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -15,7 +15,9 @@ use rustix::process::{Pid, Signal, kill_process};
 use super::samples::Exchange;
 use crate::experiment::Experiment;
 use crate::failure::Failure;
-use crate::tables;
+use crate::hops::HopSummary;
+use crate::node::this_program;
+use crate::{report, tables};
 
 /// How often the run is looked at: seldom, for it is being measured.
 const LOOK: Duration = Duration::from_millis(50);
@@ -44,8 +46,7 @@ pub(super) fn run(
     let scenario = folder.join("asked.toml");
     std::fs::write(&scenario, experiment.scenario_file.to_toml()?).with_context(|| scenario.display().to_string())?;
     let log = File::create(folder.join(LOG)).with_context(|| folder.display().to_string())?;
-    let mut child = Command::new("/proc/self/exe")
-        .arg0("rangehound")
+    let mut child = this_program()
         .arg("run")
         .arg(&scenario)
         .args(["--name", &experiment.name.to_string(), "--end-with", &std::process::id().to_string(), "--out"])
@@ -98,6 +99,20 @@ pub(super) fn for_each_tick(
         }
     }
     Ok(())
+}
+
+/// The run's hops, as it has reported them.
+///
+/// # Errors
+/// If its report cannot be read.
+pub(super) fn hops_us(description: &RunDescription) -> anyhow::Result<HopSummary> {
+    #[derive(serde::Deserialize)]
+    struct Reported {
+        hops_us: HopSummary,
+    }
+    let path = description.out_dir.join(report::FILE_NAME);
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    Ok(serde_json::from_str::<Reported>(&text).with_context(|| path.display().to_string())?.hops_us)
 }
 
 /// What a robot's record tells of the exchange.

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
@@ -19,6 +19,7 @@ use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
 use crate::cli::SupervisionArgs;
 use crate::failure::Failure;
+use crate::node::this_program;
 use crate::report::{Incident, NodeSummary};
 use crate::watch;
 
@@ -269,9 +270,7 @@ impl Node {
         let log = File::options().create(true).append(true).open(&log_path);
         // Where no log can be kept, the user sees what the node says.
         let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
-        // Not by its path, which another build may have taken meanwhile.
-        let mut command = Command::new("/proc/self/exe");
-        command.arg0("rangehound");
+        let mut command = this_program();
         match self.role {
             Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
             Role::Fusion | Role::Standby(_) if self.has_standbys => command.args(["fusion", "--standby"]),

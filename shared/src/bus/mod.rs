@@ -29,8 +29,9 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use rustix::process::Pid;
 
+use crate::bells::Bells;
 pub use crate::bells::{Bed, Bell, Call, Calls, Sleeper};
-use crate::bells::{Bells, BellsError};
+use crate::block::BlockError;
 use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
@@ -136,7 +137,7 @@ impl Bus {
     pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
         let node = node(run, name)?;
         let senders = Rc::new(Senders::new(run.roster().clone()));
-        let bells_error = |error: BellsError| BusError { what: "bells".to_owned(), reason: error.to_string() };
+        let bells_error = |error: BlockError| BusError { what: "bells".to_owned(), reason: error.to_string() };
         let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
         let RunDescription { run_id, scenario, .. } = run.description();
         Ok(Self {

@@ -27,7 +27,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::bells::{self, BellsError};
+use crate::bells;
+use crate::block::BlockError;
 use crate::bounded;
 use crate::protocol::OtherBuild;
 use crate::resources::{self, Shortage};
@@ -173,7 +174,7 @@ pub enum RendezvousError {
     },
     /// The bells cannot be made.
     #[error(transparent)]
-    Bells(#[from] BellsError),
+    Bells(#[from] BlockError),
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
     Io {

@@ -3,20 +3,20 @@
 use std::sync::atomic::Ordering::{AcqRel, Acquire, Relaxed, Release};
 use std::time::{Duration, Instant};
 
-use ::iceoryx2::prelude::{FileName, SemanticString, ZeroCopySend};
+use ::iceoryx2::prelude::ZeroCopySend;
 use anyhow::{anyhow, bail};
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
-use iceoryx2_bb_posix::access_mode::AccessMode;
-use iceoryx2_cal::dynamic_storage::posix_shared_memory::{Builder, Configuration, Storage};
-use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
-use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 use rangehound_shared::ROBOTS_MAX;
+use rangehound_shared::block::{Block, BlockError};
 use rangehound_shared::rendezvous::Rendezvous;
 use rangehound_shared::signal::Termination;
 use rustix::io::Errno;
 use rustix::thread::futex;
 
 use super::{Command, RANGE_TICK, ROBOT, Range, WAIT};
+
+/// Name of the block that the nodes share.
+const NAME: &str = "latency";
 
 /// What the nodes share.
 #[derive(Debug, ZeroCopySend)]
@@ -51,27 +51,17 @@ impl Board {
     }
 }
 
-fn builder<'a>(prefix: &str) -> anyhow::Result<Builder<'a, Board>> {
-    let prefix = FileName::new(prefix.as_bytes()).map_err(|error| refused(&error))?;
-    let name = FileName::new(b"latency").map_err(|error| refused(&error))?;
-    Ok(Builder::new(&name).config(&Configuration::default().prefix(&prefix)).has_ownership(false))
+fn refused(reason: BlockError) -> anyhow::Error {
+    anyhow!("shared memory of the futex reference {reason}")
 }
 
-fn refused(reason: &dyn std::fmt::Debug) -> anyhow::Error {
-    anyhow!("shared memory of the futex reference: iceoryx2 says {reason:?}")
-}
-
-/// Makes the block: before any node opens it. It goes with the run's other shared memory.
+/// Makes the block: before any node opens it.
 pub(super) fn create(run: &Rendezvous) -> anyhow::Result<()> {
-    let builder = builder(run.shared_memory_prefix())?.initializer(|board, _| {
-        board.write(Board::new());
-        true
-    });
-    builder.create().map(drop).map_err(|error| refused(&error))
+    Block::create(run.shared_memory_prefix(), NAME, Board::new).map_err(refused)
 }
 
-fn open(run: &Rendezvous) -> anyhow::Result<Storage<Board>> {
-    builder(run.shared_memory_prefix())?.open(AccessMode::ReadWrite).map_err(|error| refused(&error))
+fn open(run: &Rendezvous) -> anyhow::Result<Block<Board>> {
+    Block::open(run.shared_memory_prefix(), NAME).map_err(refused)
 }
 
 /// Sleeps until the word has this value. Without a limit of time, which would cost a timer each time: the watch has an
@@ -94,10 +84,10 @@ fn wait_for(board: &Board, word: &AtomicU32, value: u32) -> anyhow::Result<()> {
 
 /// Has an eye on the exchange, in the background: gives it up, for all nodes, when this one is asked to end or nobody has
 /// been heard for so long.
-fn watch(board: Storage<Board>, termination: &Termination, silence: Duration) {
+fn watch(board: Block<Board>, termination: &Termination, silence: Duration) {
     let termination = termination.clone();
     std::thread::spawn(move || {
-        let board = board.get();
+        let board: &Board = &board;
         let (mut heard, mut since) = ((0, 0), Instant::now());
         loop {
             std::thread::sleep(WAIT);
@@ -118,7 +108,7 @@ fn watch(board: Storage<Board>, termination: &Termination, silence: Duration) {
 }
 
 pub(super) struct Centre {
-    board: Storage<Board>,
+    board: Block<Board>,
     ranges: Vec<Range>,
 }
 
@@ -132,7 +122,7 @@ impl Centre {
 
 impl super::Centre for Centre {
     fn collect(&mut self, tick: u64) -> anyhow::Result<()> {
-        let board = self.board.get();
+        let board: &Board = &self.board;
         wait_for(board, &board.full, tick as u32)?;
         for (range, words) in self.ranges.iter_mut().zip(&board.ranges) {
             *range = words.each_ref().map(|word| word.load(Relaxed));
@@ -148,7 +138,7 @@ impl super::Centre for Centre {
     }
 
     fn answer(&mut self, command: &Command) -> anyhow::Result<()> {
-        let board = self.board.get();
+        let board: &Board = &self.board;
         for (word, value) in board.command.iter().zip(command) {
             word.store(*value, Relaxed);
         }
@@ -159,7 +149,7 @@ impl super::Centre for Centre {
 }
 
 pub(super) struct Robot {
-    board: Storage<Board>,
+    board: Block<Board>,
     robots: u64,
 }
 
@@ -172,7 +162,7 @@ impl Robot {
 
 impl super::Robot for Robot {
     fn publish(&mut self, range: &Range) -> anyhow::Result<()> {
-        let board = self.board.get();
+        let board: &Board = &self.board;
         for (word, value) in board.ranges[range[ROBOT] as usize].iter().zip(range) {
             word.store(*value, Relaxed);
         }
@@ -184,7 +174,7 @@ impl super::Robot for Robot {
     }
 
     fn command(&mut self, tick: u64) -> anyhow::Result<Command> {
-        let board = self.board.get();
+        let board: &Board = &self.board;
         wait_for(board, &board.round, tick as u32)?;
         Ok(board.command.each_ref().map(|word| word.load(Relaxed)))
     }

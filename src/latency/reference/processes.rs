@@ -5,7 +5,7 @@ use std::io::{BufReader, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdout, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -20,7 +20,7 @@ use super::{Reference, WAIT, futex};
 use crate::experiment::Experiment;
 use crate::failure::Failure;
 use crate::latency::samples::Exchange;
-use crate::node::input_or_running;
+use crate::node::{input_or_running, this_program};
 
 /// From the word to start to the start, so that all have it.
 const LEAD: Duration = Duration::from_millis(20);
@@ -134,9 +134,7 @@ impl<'a> Node<'a> {
         log: File,
         termination: &'a Termination,
     ) -> anyhow::Result<Self> {
-        // Not by its path, which another build may have taken meanwhile.
-        let mut child = Command::new("/proc/self/exe")
-            .arg0("rangehound")
+        let mut child = this_program()
             .args(["latency-node", "--reference", reference.name(), "--role", &role.to_string()])
             .args(["--name", &run.name().to_string(), "--end-with", &std::process::id().to_string()])
             // A group of its own: Ctrl-C reaches this process, which ends the nodes in order.
