@@ -29,7 +29,7 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
     for tick in 0..=scenario.ticks {
         team.tick()?;
         let record = EstimateRecord { time_s: team.centre.time_s(), estimate: team.centre.estimate() };
-        estimates.write(tick, record.to_words())?;
+        estimates.write(tick, record.to_words(team.centre.exchanges(tick, &team.reports)))?;
         let (world, drives) = (team.world.as_ref(), &team.drives);
         let words = WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), drives);
         worlds.write(tick, words)?;

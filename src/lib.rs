@@ -18,6 +18,7 @@
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`report`], [`hops`], [`tables`], [`page`], [`picture`] | what a run leaves: `report.json`, CSV, `report.html`, a picture |
+//! | [`frame`] | a run tick by tick, all that travelled on its topics |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
@@ -30,6 +31,7 @@ pub mod curves;
 pub mod experiment;
 pub mod failure;
 pub mod field;
+pub mod frame;
 pub mod hops;
 pub mod in_process;
 pub mod latency;

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::record::Exchange;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clearance, Scenario, Source};
 use rangehound_shared::sealed::SealError;
@@ -318,6 +319,13 @@ impl Centre {
     #[must_use]
     pub fn commands(&self) -> &[Command] {
         &self.commands
+    }
+
+    /// The last tick's exchange with each robot, as it is put down, given what each said at it.
+    pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Report>]) -> impl Iterator<Item = Exchange> + 'a {
+        said.iter()
+            .zip(&self.commands)
+            .map(move |(said, command)| Exchange { heard: said.map(|report| report.heard(tick)), command: *command })
     }
 
     /// What the last [`Self::plan`] chose, and what it is worth.

@@ -48,6 +48,20 @@ pub struct Record {
     robots: Vec<RobotRecord>,
     /// When the last tick began, monotonic ns: what most say, or a step after the one before.
     began_ns: u64,
+    /// What was said of the last tick, by robot, and since the one before of earlier ones: what is put down of it.
+    said: Vec<Option<Report>>,
+    said_late: Vec<LateReport>,
+}
+
+/// A report that came after its tick and was used all the same.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LateReport {
+    /// Its own tick.
+    pub tick: u64,
+    /// Whose it is.
+    pub robot: usize,
+    /// What it says.
+    pub report: Report,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -58,6 +72,20 @@ struct RobotRecord {
     heard: u64,
     /// The newest tick at which its place was believed, and the place.
     place: (u64, Vector),
+}
+
+impl Record {
+    /// What was said of the last tick, by robot.
+    #[must_use]
+    pub fn said(&self) -> &[Option<Report>] {
+        &self.said
+    }
+
+    /// What was said of earlier ticks since the one before the last.
+    #[must_use]
+    pub fn said_late(&self) -> &[LateReport] {
+        &self.said_late
+    }
 }
 
 /// Gathers the reports of the present tick.
@@ -79,6 +107,7 @@ pub struct Intake {
     first_ns: Option<u64>,
     last_range_ns: u64,
     tally: Tally,
+    late: Vec<LateReport>,
     ahead: Option<u64>,
     repeat_asked: bool,
 }
@@ -99,6 +128,8 @@ impl Intake {
             record: Record {
                 robots: scenario.robots.iter().map(|robot| of_robot(robot.start_m)).collect(),
                 began_ns: 0,
+                said: vec![None; robots],
+                said_late: Vec::new(),
             },
             reports: vec![None; robots],
             spoke: vec![false; robots],
@@ -107,6 +138,7 @@ impl Intake {
             first_ns: None,
             last_range_ns: 0,
             tally: Tally::default(),
+            late: Vec::new(),
             ahead: None,
             repeat_asked: false,
         }
@@ -120,7 +152,7 @@ impl Intake {
 
     /// Goes on from the record of an intake of the same scenario; false if it is not such. `now_ns` is monotonic.
     pub fn restore(&mut self, record: Record, now_ns: u64) -> bool {
-        let fits = record.robots.len() == self.reports.len();
+        let fits = [record.robots.len(), record.said.len()] == [self.reports.len(); 2];
         if fits {
             self.record = record;
             if self.record.began_ns > now_ns {
@@ -251,8 +283,10 @@ impl Intake {
         match centre.take_late(tick, id, report) {
             Late::Fused => self.tally.fused_late += 1,
             Late::Rejected => self.tally.rejected_late += 1,
-            Late::NoRange | Late::Missed => {}
+            Late::NoRange => {}
+            Late::Missed => return,
         }
+        self.late.push(LateReport { tick, robot: id, report });
     }
 
     /// The newest tick that a robot is ahead at, once: the ticks before it are over.
@@ -350,11 +384,15 @@ impl Intake {
             let told_ns = median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);
             told_ns.unwrap_or_else(|| self.earliest_ns())
         };
-        for ((record, report), spoke) in self.record.robots.iter_mut().zip(&mut self.reports).zip(&mut self.spoke) {
+        for ((record, report), spoke) in self.record.robots.iter_mut().zip(&self.reports).zip(&mut self.spoke) {
             record.misses = if *spoke { 0 } else { record.misses.saturating_add(1) };
             record.heard = record.heard << 1 | u64::from(report.is_some());
-            (*report, *spoke) = (None, false);
+            *spoke = false;
         }
+        self.record.said.copy_from_slice(&self.reports);
+        self.reports.fill(None);
+        self.record.said_late.clear();
+        self.record.said_late.append(&mut self.late);
         self.began_ns.clear();
         self.times_s.clear();
         self.first_ns = None;

@@ -13,7 +13,7 @@ use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clock, PlannerSpec, Scenario};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::signal::Termination;
-use rangehound_shared::tick_log::TickLogWriter;
+use rangehound_shared::tick_log::{TickLogError, TickLogWriter};
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{self, Centre, Diverged};
@@ -381,9 +381,8 @@ impl<'a> Fusion<'a> {
     }
 
     fn put_down(&mut self, tick: u64, estimate: Estimate) {
-        let record = EstimateRecord { time_s: self.centre.time_s(), estimate };
         if let Some(log) = &mut self.log
-            && let Err(error) = log.write(tick, record.to_words())
+            && let Err(error) = write(log, self.scenario, &self.centre, self.intake.record(), tick, estimate)
         {
             log::warn!("goes on without a log: {error}");
             self.log = None;
@@ -401,6 +400,23 @@ impl<'a> Fusion<'a> {
         }
         Ok(())
     }
+}
+
+/// Puts a tick down, with all that it takes to go through it again: what was heard of each robot, in time or late.
+fn write(
+    log: &mut TickLogWriter,
+    scenario: &Scenario,
+    centre: &Centre,
+    heard: &intake::Record,
+    tick: u64,
+    estimate: Estimate,
+) -> Result<(), TickLogError> {
+    let record = EstimateRecord { time_s: centre.time_s(), estimate };
+    log.write(tick, record.to_words(centre.exchanges(tick, heard.said())))?;
+    for late in heard.said_late() {
+        EstimateRecord::amend(log, scenario, late.tick, late.robot, late.report.heard(tick))?;
+    }
+    Ok(())
 }
 
 /// An estimate with what came besides its tick's ranges.

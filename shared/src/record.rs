@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::message::{Drive, Estimate, Refusal, Stages, WorldEntry};
+use crate::message::{Command, Drive, Estimate, RangeKind, Refusal, Stages, WorldEntry};
 use crate::robot_set;
 use crate::scenario::Scenario;
 use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
@@ -28,6 +28,26 @@ pub struct EstimateRecord {
     pub estimate: Estimate,
 }
 
+/// Fusion's part with one robot at one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Exchange {
+    /// What it took from the robot's message of this tick, if one came in time to be used.
+    pub heard: Option<Heard>,
+    /// What it told the robot.
+    pub command: Command,
+}
+
+/// What fusion took from a robot's message.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Heard {
+    /// Where the robot was, m.
+    pub position_m: [f64; 2],
+    /// Its range and the range's standard deviation, m; `None` if its sensor had none.
+    pub range_m: Option<(f64, f64)>,
+    /// The first tick whose estimate knows of it: the message's own, or a later one if it came late.
+    pub taken_at: u64,
+}
+
 /// The simulator's words of one tick.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WorldRecord {
@@ -46,12 +66,16 @@ pub struct WorldRecord {
 pub struct RobotRecord {
     /// Where it was, m.
     pub position_m: [f64; 2],
+    /// What the world told its sensor, m, if anything: the true range, or a recorded one.
+    pub range_m: Option<f64>,
     /// When it published its range, monotonic ns, if its sensor had one.
     pub range_sent_ns: Option<u64>,
     /// When it held the tick's heading, monotonic ns, if it did.
     pub heading_held_ns: Option<u64>,
     /// What it drove by.
     pub heading: Heading,
+    /// What it drove; standing if it did not answer.
+    pub driven: Command,
     /// Headings that it refused, since the tick before.
     pub headings_refused: u64,
 }
@@ -93,10 +117,19 @@ impl Heading {
 
 impl EstimateRecord {
     /// Words before the state: single ones, then those of `refused` and `distrusted`.
-    const TALLIES: usize = 17 + Refusal::ALL.len() + robot_set::WORDS;
+    const TALLIES: usize = 18 + Refusal::ALL.len() + robot_set::WORDS;
 
-    fn words(state_dim: usize) -> usize {
+    /// Words of the part with one robot: what was heard, and the command.
+    const WORDS_PER_ROBOT: usize = Self::WORDS_HEARD + 2;
+    const WORDS_HEARD: usize = 5;
+
+    /// Words before the parts with the robots.
+    fn words_of_estimate(state_dim: usize) -> usize {
         Self::TALLIES + state_dim + state_dim * state_dim
+    }
+
+    fn words(scenario: &Scenario) -> usize {
+        Self::words_of_estimate(scenario.motion.state_dim()) + Self::WORDS_PER_ROBOT * scenario.robots.len()
     }
 
     /// Opens fusion's log for writing.
@@ -104,7 +137,7 @@ impl EstimateRecord {
     /// # Errors
     /// If the file cannot be opened.
     pub fn writer(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogWriter, TickLogError> {
-        TickLogWriter::open(&estimate_log(out_dir), run_id, Self::words(scenario.motion.state_dim()))
+        TickLogWriter::open(&estimate_log(out_dir), run_id, Self::words(scenario))
     }
 
     /// Opens fusion's log for reading.
@@ -112,11 +145,11 @@ impl EstimateRecord {
     /// # Errors
     /// If the file cannot be read.
     pub fn reader(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogReader, TickLogError> {
-        TickLogReader::open(&estimate_log(out_dir), run_id, Self::words(scenario.motion.state_dim()))
+        TickLogReader::open(&estimate_log(out_dir), run_id, Self::words(scenario))
     }
 
-    /// The record as words.
-    pub fn to_words(&self) -> impl Iterator<Item = u64> {
+    /// The record as words, with the parts with all robots in the order of their ids.
+    pub fn to_words(&self, exchanges: impl IntoIterator<Item = Exchange>) -> impl Iterator<Item = u64> {
         let e = &self.estimate;
         let n = e.state_dim as usize;
         let tallies = [
@@ -127,6 +160,7 @@ impl EstimateRecord {
             e.missing,
             e.late,
             e.objective.to_bits(),
+            e.lower_bound.to_bits(),
             e.digest[0],
             e.digest[1],
             e.fused_late,
@@ -139,7 +173,37 @@ impl EstimateRecord {
             e.stages.sent_ns,
         ];
         let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
-        tallies.into_iter().chain(e.refused).chain(e.distrusted).chain(numbers)
+        let robots = exchanges.into_iter().flat_map(|Exchange { heard, command }| {
+            let [x, y, range, std, taken] = heard.map_or([0; Self::WORDS_HEARD], Heard::to_words);
+            [x, y, range, std, taken, command.heading_rad.to_bits(), command.speed_mps.to_bits()]
+        });
+        tallies.into_iter().chain(e.refused).chain(e.distrusted).chain(numbers).chain(robots)
+    }
+
+    /// Puts down what was heard late of a robot, in the record of its own tick.
+    ///
+    /// # Errors
+    /// If the system refuses the write.
+    pub fn amend(
+        log: &mut TickLogWriter,
+        scenario: &Scenario,
+        tick: u64,
+        robot: usize,
+        heard: Heard,
+    ) -> Result<(), TickLogError> {
+        let first = Self::words_of_estimate(scenario.motion.state_dim()) + Self::WORDS_PER_ROBOT * robot;
+        log.amend(tick, first, heard.to_words())
+    }
+
+    /// The parts with all robots, in the order of their ids, in words that [`Self::to_words`] made.
+    pub fn exchanges(words: &[u64], state_dim: usize) -> impl Iterator<Item = Exchange> {
+        let robots = words.get(Self::words_of_estimate(state_dim)..).unwrap_or_default();
+        robots.as_chunks::<{ Self::WORDS_PER_ROBOT }>().0.iter().map(|[x, y, range, std, taken, heading, speed]| {
+            Exchange {
+                heard: Heard::from_words([*x, *y, *range, *std, *taken]),
+                command: Command { heading_rad: f64::from_bits(*heading), speed_mps: f64::from_bits(*speed) },
+            }
+        })
     }
 
     /// The record in words that [`Self::to_words`] made, for a state of this dimension.
@@ -154,19 +218,20 @@ impl EstimateRecord {
             missing: word(4),
             late: word(5),
             objective: f64::from_bits(word(6)),
-            digest: [word(7), word(8)],
-            fused_late: word(9),
-            rejected_late: word(10),
+            lower_bound: f64::from_bits(word(7)),
+            digest: [word(8), word(9)],
+            fused_late: word(10),
+            rejected_late: word(11),
             stages: Stages {
-                last_range_ns: word(11),
-                began_ns: word(12),
-                filtered_ns: word(13),
-                planned_ns: word(14),
-                saved_ns: word(15),
-                sent_ns: word(16),
+                last_range_ns: word(12),
+                began_ns: word(13),
+                filtered_ns: word(14),
+                planned_ns: word(15),
+                saved_ns: word(16),
+                sent_ns: word(17),
             },
-            refused: std::array::from_fn(|i| word(17 + i)),
-            distrusted: std::array::from_fn(|i| word(17 + Refusal::ALL.len() + i)),
+            refused: std::array::from_fn(|i| word(18 + i)),
+            distrusted: std::array::from_fn(|i| word(18 + Refusal::ALL.len() + i)),
             ..Estimate::default()
         };
         for (i, value) in estimate.state.iter_mut().take(state_dim).enumerate() {
@@ -179,8 +244,23 @@ impl EstimateRecord {
     }
 }
 
+impl Heard {
+    fn to_words(self) -> [u64; EstimateRecord::WORDS_HEARD] {
+        let Self { position_m: [x_m, y_m], range_m, taken_at } = self;
+        // No sensor has a standard deviation of zero.
+        let (range_m, std_m) = range_m.unwrap_or_default();
+        [x_m.to_bits(), y_m.to_bits(), range_m.to_bits(), std_m.to_bits(), taken_at + 1]
+    }
+
+    fn from_words([x, y, range, std, taken]: [u64; EstimateRecord::WORDS_HEARD]) -> Option<Self> {
+        let range_m = (std != 0).then_some((f64::from_bits(range), f64::from_bits(std)));
+        let taken_at = taken.checked_sub(1)?;
+        Some(Self { position_m: [f64::from_bits(x), f64::from_bits(y)], range_m, taken_at })
+    }
+}
+
 impl WorldRecord {
-    const WORDS_PER_ROBOT: usize = 6;
+    const WORDS_PER_ROBOT: usize = 9;
 
     fn words(scenario: &Scenario) -> usize {
         2 + Self::truth_dim(scenario) + Self::WORDS_PER_ROBOT * scenario.robots.len()
@@ -220,7 +300,11 @@ impl WorldRecord {
         let robots = world.iter().zip(drives).flat_map(|(entry, drive)| {
             let [sent_ns, held_ns] = drive.map_or([0; 2], |drive| [drive.range_sent_ns, drive.heading_held_ns]);
             let (heading, refused) = (Heading::of(*drive) as u64, drive.map_or(0, |drive| drive.headings_refused));
-            [entry.x_m.to_bits(), entry.y_m.to_bits(), sent_ns, held_ns, heading, refused]
+            let [heading_rad, speed_mps] = drive.map_or([0.0; 2], |drive| [drive.heading_rad, drive.speed_mps]);
+            let is_absent = entry.range_kind == RangeKind::Absent.to_bits();
+            let range_m = if is_absent { f64::NAN } else { entry.range_m };
+            let [x, y, range, rad, mps] = [entry.x_m, entry.y_m, range_m, heading_rad, speed_mps].map(f64::to_bits);
+            [x, y, range, sent_ns, held_ns, heading, rad, mps, refused]
         });
         [time_s.to_bits(), ended_ns].into_iter().chain(truth.iter().map(|value| value.to_bits())).chain(robots)
     }
@@ -241,11 +325,13 @@ impl WorldRecord {
                 .as_chunks::<{ Self::WORDS_PER_ROBOT }>()
                 .0
                 .iter()
-                .map(|[x, y, sent_ns, held_ns, heading, refused]| RobotRecord {
-                    position_m: [f64::from_bits(*x), f64::from_bits(*y)],
+                .map(|[x, y, range, sent_ns, held_ns, heading, rad, mps, refused]| RobotRecord {
+                    position_m: [float(x), float(y)],
+                    range_m: Some(float(range)).filter(|range_m| !range_m.is_nan()),
                     range_sent_ns: stamp(*sent_ns),
                     heading_held_ns: stamp(*held_ns),
                     heading: Heading::ALL.get(*heading as usize).copied().unwrap_or_default(),
+                    driven: Command { heading_rad: float(rad), speed_mps: float(mps) },
                     headings_refused: *refused,
                 })
                 .collect(),
@@ -271,6 +357,7 @@ mod tests {
             refused: [9, 10, 11, 12, 13, 14],
             distrusted: [15, 16, 17, 18],
             objective: 0.25,
+            lower_bound: 0.125,
             digest: [19, 20],
             stages: Stages {
                 last_range_ns: 21,
@@ -285,8 +372,13 @@ mod tests {
         estimate.state[..2].copy_from_slice(&[0.5, -0.5]);
         estimate.covariance[..4].copy_from_slice(&[4.0, 1.0, 1.0, 2.0]);
         let record = EstimateRecord { time_s: 0.7, estimate };
-        let words: Vec<u64> = record.to_words().collect();
-        assert_eq!(words.len(), EstimateRecord::words(2));
+        let heard = Heard { position_m: [0.0, 0.0], range_m: None, taken_at: 0 };
+        let late = Heard { position_m: [1.0, -2.0], range_m: Some((-0.5, 1.5)), taken_at: 12 };
+        let command = Command { heading_rad: -3.0, speed_mps: 4.0 };
+        let exchanges = [None, Some(heard), Some(late)].map(|heard| Exchange { heard, command });
+        let words: Vec<u64> = record.to_words(exchanges).collect();
+        assert_eq!(words.len(), EstimateRecord::words_of_estimate(2) + 3 * EstimateRecord::WORDS_PER_ROBOT);
         assert_eq!(EstimateRecord::from_words(&words, 2), record);
+        assert!(EstimateRecord::exchanges(&words, 2).eq(exchanges));
     }
 }

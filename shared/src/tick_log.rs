@@ -76,10 +76,25 @@ impl TickLogWriter {
         for word in words.into_iter().take(self.record_words) {
             self.bytes.extend(word.to_le_bytes());
         }
-        let record_len = 8 * (self.record_words + 1);
-        self.bytes.resize(record_len, 0);
-        let offset = 8 * HEADER_WORDS as u64 + tick * record_len as u64;
+        self.bytes.resize(8 * (self.record_words + 1), 0);
+        self.file.write_all_at(&self.bytes, self.offset(tick)).map_err(|error| TickLogError::new(&self.path, error))
+    }
+
+    /// Writes over some words of a record, from its `first` on.
+    ///
+    /// # Errors
+    /// If the system refuses the write.
+    pub fn amend(&mut self, tick: u64, first: usize, words: impl IntoIterator<Item = u64>) -> Result<(), TickLogError> {
+        self.bytes.clear();
+        for word in words.into_iter().take(self.record_words.saturating_sub(first)) {
+            self.bytes.extend(word.to_le_bytes());
+        }
+        let offset = self.offset(tick) + 8 * (first as u64 + 1);
         self.file.write_all_at(&self.bytes, offset).map_err(|error| TickLogError::new(&self.path, error))
+    }
+
+    fn offset(&self, tick: u64) -> u64 {
+        8 * (HEADER_WORDS as u64 + tick * (self.record_words as u64 + 1))
     }
 }
 
@@ -136,15 +151,37 @@ impl TickLogReader {
             }
             let tick = self.tick;
             self.tick += 1;
-            let (chunks, _) = self.bytes.as_chunks::<8>();
-            let (mark, record) = chunks.split_first()?;
-            if u64::from_le_bytes(*mark) == tick + 1 {
-                for (word, chunk) in self.words.iter_mut().zip(record) {
-                    *word = u64::from_le_bytes(*chunk);
-                }
+            if self.decode(tick) {
                 return Some(Ok((tick, &self.words)));
             }
         }
+    }
+
+    /// The record of one tick, wherever [`Self::next`] is; `None` if it was not written. One that is being written
+    /// while this reads may be half of each; an older one is whole.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn at(&mut self, tick: u64) -> Result<Option<&[u64]>, TickLogError> {
+        // Where no file reaches there is nothing.
+        let offset =
+            tick.checked_mul(self.bytes.len() as u64).and_then(|bytes| bytes.checked_add(8 * HEADER_WORDS as u64));
+        let Some(offset) = offset.filter(|offset| *offset <= i64::MAX as u64) else { return Ok(None) };
+        match self.input.get_ref().read_exact_at(&mut self.bytes, offset) {
+            Ok(()) => Ok(self.decode(tick).then_some(&*self.words)),
+            Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(None),
+            Err(error) => Err(TickLogError::new(&self.path, error)),
+        }
+    }
+
+    /// Turns the bytes that were read into words; false if they are not the record of this tick.
+    fn decode(&mut self, tick: u64) -> bool {
+        let (chunks, _) = self.bytes.as_chunks::<8>();
+        let Some((mark, record)) = chunks.split_first() else { return false };
+        for (word, chunk) in self.words.iter_mut().zip(record) {
+            *word = u64::from_le_bytes(*chunk);
+        }
+        u64::from_le_bytes(*mark) == tick + 1
     }
 }
 
@@ -172,7 +209,11 @@ mod tests {
         drop(log);
         let mut again = TickLogWriter::open(&path, 7, 2).unwrap();
         again.write(3, [30, 31]).unwrap();
-        assert_eq!(read_all(&path), [(0, vec![1, 0]), (3, vec![30, 31])]);
+        again.amend(0, 1, [2, 9]).unwrap();
+        assert_eq!(read_all(&path), [(0, vec![1, 2]), (3, vec![30, 31])]);
+        let mut reader = TickLogReader::open(&path, 7, 2).unwrap();
+        let records = [3, 0, 1, 4, u64::MAX - 1].map(|tick| reader.at(tick).unwrap().map(<[u64]>::to_vec));
+        assert_eq!(records, [Some(vec![30, 31]), Some(vec![1, 2]), None, None, None]);
     }
 
     #[test]
