@@ -1,5 +1,6 @@
 //! `rangehound`: reads the command line and turns the one result into an exit code.
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -11,6 +12,11 @@ use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, watch}
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
+    // Anything that is not UTF-8 is for the command line to refuse.
+    let args: Result<Vec<String>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
+    if let Some(command) = args.ok().and_then(|args| node::as_started(&args)) {
+        return exit_code(dispatch(command));
+    }
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
@@ -18,10 +24,11 @@ fn main() -> ExitCode {
         }
         Err(error) => return Failure::input(one_line(&error)).report(),
     };
-    match dispatch(cli.command.unwrap_or_else(|| Command::Run(RunArgs::default()))) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
-    }
+    exit_code(dispatch(cli.command.unwrap_or_else(|| Command::Run(RunArgs::default()))))
+}
+
+fn exit_code(outcome: Result<(), Failure>) -> ExitCode {
+    outcome.map_or_else(|failure| failure.report(), |()| ExitCode::SUCCESS)
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {

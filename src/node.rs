@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::os::unix::process::CommandExt;
-use std::process::Command;
+use std::process;
 
 use rangehound_fusion::run::FusionError;
 use rangehound_robot::run::RobotError;
@@ -11,7 +11,7 @@ use rangehound_shared::signal::Termination;
 use rangehound_sim::run::SimError;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-use crate::cli::{FusionArgs, ParentArgs, RobotArgs, SimArgs};
+use crate::cli::{Command, ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::{self, Failure};
 use crate::tables;
@@ -107,10 +107,43 @@ pub fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> 
 
 /// This program once more; not by its path, which another build may have taken meanwhile.
 #[must_use]
-pub fn this_program() -> Command {
-    let mut command = Command::new("/proc/self/exe");
+pub fn this_program() -> process::Command {
+    let mut command = process::Command::new("/proc/self/exe");
     command.arg0("rangehound");
     command
+}
+
+/// The command line of a node of a run that ends with this process, as a person would write it, in the one order that
+/// [`as_started`] reads.
+#[must_use]
+pub fn command_line(role: Role, name: &RunName) -> Vec<String> {
+    let kind = match role {
+        Role::Robot(id) => vec!["robot".to_owned(), "--id".to_owned(), id.to_string()],
+        Role::Standby(_) => vec!["fusion".to_owned(), "--standby".to_owned()],
+        role => vec![role.to_string()],
+    };
+    let run = ["--name".to_owned(), name.to_string(), "--end-with".to_owned(), process::id().to_string()];
+    kind.into_iter().chain(run).collect()
+}
+
+/// Reads what [`command_line`] has written, and nothing else. The parser of people's command lines knows every command
+/// with all its flags, and would leave a megabyte more in the memory of each node.
+#[must_use]
+pub fn as_started(args: &[String]) -> Option<Command> {
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let (kind, ["--name", name, "--end-with", pid]) = args.split_last_chunk()? else { return None };
+    let name: RunName = name.parse().ok()?;
+    let parent = ParentArgs { end_with: Some(pid.parse().ok()?) };
+    Some(match kind {
+        ["sim"] => {
+            let experiment = ExperimentArgs { name: Some(name), ..ExperimentArgs::default() };
+            Command::Sim(SimArgs { experiment, parent })
+        }
+        ["fusion"] => Command::Fusion(FusionArgs { node: NodeArgs { name, parent }, standby: false }),
+        ["fusion", "--standby"] => Command::Fusion(FusionArgs { node: NodeArgs { name, parent }, standby: true }),
+        ["robot", "--id", id] => Command::Robot(RobotArgs { id: id.parse().ok()?, node: NodeArgs { name, parent } }),
+        _ => return None,
+    })
 }
 
 /// Has this process asked to end when the one that started it ends.
@@ -140,5 +173,32 @@ pub fn input_or_running(error: RendezvousError) -> Failure {
         | RendezvousError::Unusable { .. }
         | RendezvousError::StateLost { .. } => Failure::input(error),
         other => Failure::Running(anyhow::Error::new(other)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::Cli;
+    use clap::Parser;
+
+    #[test]
+    fn nodes_read_what_they_are_started_with_as_the_command_line_would() {
+        let name: RunName = "demo".parse().unwrap();
+        for role in [Role::Sim, Role::Fusion, Role::Standby(1), Role::Robot(0), Role::Robot(255)] {
+            let args = command_line(role, &name);
+            let parsed = Cli::parse_from(std::iter::once("rangehound".to_owned()).chain(args.clone()));
+            assert_eq!(format!("{:?}", as_started(&args)), format!("{:?}", parsed.command), "{role}");
+        }
+    }
+
+    #[test]
+    fn what_people_write_is_left_to_the_command_line() {
+        for line in
+            ["", "robot --id 0 --name demo", "robot --id x --name demo --end-with 1", "run --name demo --end-with 1"]
+        {
+            let args: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+            assert!(as_started(&args).is_none(), "{line}");
+        }
     }
 }

@@ -19,7 +19,7 @@ use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
 use crate::cli::SupervisionArgs;
 use crate::failure::Failure;
-use crate::node::this_program;
+use crate::node::{command_line, this_program};
 use crate::report::{Incident, NodeSummary};
 use crate::watch;
 
@@ -270,14 +270,11 @@ impl Node {
         let log = File::options().create(true).append(true).open(&log_path);
         // Where no log can be kept, the user sees what the node says.
         let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
+        // Where others can lead, one that was started as fusion stands by too: another may lead when it comes.
+        let role = if self.role == Role::Fusion && self.has_standbys { Role::Standby(1) } else { self.role };
         let mut command = this_program();
-        match self.role {
-            Role::Robot(id) => command.args(["robot", "--id", &id.to_string()]),
-            Role::Fusion | Role::Standby(_) if self.has_standbys => command.args(["fusion", "--standby"]),
-            role => command.arg(role.to_string()),
-        };
         command
-            .args(["--name", &rendezvous.name().to_string(), "--end-with", &std::process::id().to_string()])
+            .args(command_line(role, rendezvous.name()))
             // A group of its own: Ctrl-C reaches the supervisor, which ends the nodes in order.
             .process_group(0)
             .stdin(Stdio::null())

@@ -45,8 +45,9 @@ const PLACES: usize = 16;
 /// More room on a topic's other side than there are robots.
 const PLACES_BESIDE_ROBOTS: usize = 16;
 
-/// Publishers that are gone and whose last samples a subscriber may yet take: 4 kB of each subscriber's memory for each.
-const EXPIRED: usize = 16;
+/// Publishers that are gone and whose last samples a subscriber may yet take: 4 kB of its memory for each. What is lost beyond them comes again
+/// with the next repeat.
+const EXPIRED: usize = 4;
 
 /// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
