@@ -21,6 +21,7 @@
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
+//! | [`terminal`] | how output looks |
 
 pub mod chaos;
 pub mod chart;
@@ -44,4 +45,5 @@ pub mod remote;
 pub mod report;
 pub mod supervisor;
 pub mod tables;
+pub mod terminal;
 pub mod watch;

@@ -7,14 +7,15 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, watch};
+use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, terminal, watch};
 
 fn main() -> ExitCode {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
+    terminal::start_log();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
-            return failure::print(error).map_or_else(|failure| failure.report(), |()| ExitCode::SUCCESS);
+            return failure::print(error.render().ansi())
+                .map_or_else(|failure| failure.report(), |()| ExitCode::SUCCESS);
         }
         Err(error) => return Failure::input(one_line(&error)).report(),
     };

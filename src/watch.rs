@@ -1,6 +1,5 @@
 //! Progress of a run, as an observer sees it: never woken, never waited for.
 
-use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -12,7 +11,7 @@ use rangehound_shared::signal::Termination;
 use crate::cli::NodeArgs;
 use crate::failure::{self, Failure};
 use crate::report::{NodeSummary, position_covariance};
-use crate::{node, tables};
+use crate::{node, tables, terminal};
 
 /// How often an observer looks.
 pub const LOOK: Duration = Duration::from_millis(50);
@@ -112,6 +111,7 @@ impl Watch {
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
+    is_drawn: bool,
     step: &'static str,
     steps: u64,
     last_line: Option<Instant>,
@@ -122,26 +122,38 @@ impl Progress {
     #[must_use]
     pub fn new(step: &'static str, steps: u64) -> Self {
         let bar = ProgressBar::new(steps).with_prefix(step);
-        if let Ok(style) = ProgressStyle::with_template("{bar:20} {prefix} {pos}/{len}  {msg}") {
+        if let Ok(style) = ProgressStyle::with_template("{bar:16} {prefix} {pos}/{len}  {wide_msg}") {
             bar.set_style(style);
         }
-        Self { bar, step, steps, last_line: None }
+        let is_drawn = terminal::draws_on_stderr();
+        terminal::set_bar(is_drawn.then(|| bar.clone()));
+        Self { bar, is_drawn, step, steps, last_line: None }
     }
 
     /// Takes the bar away: what follows is the report.
     pub fn finish(&self) {
-        self.bar.finish_and_clear();
+        if self.is_drawn {
+            self.bar.finish_and_clear();
+            terminal::set_bar(None);
+        }
     }
 
     /// Shows how many steps are done.
     pub fn show(&mut self, done: u64, message: &str) {
-        if std::io::stderr().is_terminal() {
+        if self.is_drawn {
             self.bar.set_position(done);
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
             failure::tell(format_args!("{} {done}/{}  {message}", self.step, self.steps));
             self.last_line = Some(Instant::now());
         }
+    }
+}
+
+impl Drop for Progress {
+    /// An error must not leave the bar behind.
+    fn drop(&mut self) {
+        self.finish();
     }
 }
 
