@@ -46,7 +46,7 @@ pub enum Command {
     /// Run one robot alone
     Robot(RobotArgs),
     /// Attach to a run: show its progress, and write its report when it ends
-    Watch(NodeArgs),
+    Watch(WatchArgs),
     /// Plan one step for each JSON line of a file or of standard input, for programs of any language
     Plan(PlanArgs),
     /// Go on with a run all of whose processes are gone, from its checkpoints
@@ -89,6 +89,9 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
     /// Who to end with
     #[command(flatten)]
     pub parent: ParentArgs,
@@ -159,7 +162,18 @@ pub struct FusionArgs {
     pub standby: bool,
 }
 
-/// `watch`, and what the nodes have in common.
+/// `watch`.
+#[derive(Debug, Args)]
+pub struct WatchArgs {
+    /// Which run
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What the nodes and who watches them have in common.
 #[derive(Debug, Args)]
 pub struct NodeArgs {
     /// Name of the run to join; waits for it to be founded
@@ -197,6 +211,9 @@ pub struct ResumeArgs {
     /// Who is started, and started again
     #[command(flatten)]
     pub supervision: SupervisionArgs,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// A run to act on from another terminal.
@@ -205,6 +222,9 @@ pub struct RemoteArgs {
     /// Name of the run [default: the only one that goes on]
     #[arg(long)]
     pub name: Option<RunName>,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `status`.
@@ -213,9 +233,12 @@ pub struct StatusArgs {
     /// The run
     #[command(flatten)]
     pub run: RemoteArgs,
-    /// Print one line of JSON
+    /// Show robots one by one, however many are well
     #[arg(long)]
-    pub json: bool,
+    pub all: bool,
+    /// Show it again every second, until the run ends or Ctrl-C
+    #[arg(long)]
+    pub watch: bool,
 }
 
 /// `kill` and `restart`.
@@ -256,6 +279,9 @@ pub struct ChaosArgs {
     /// Seed of the faults
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
     pub chaos_seed: u64,
+    /// Print the outcome as one line of JSON, with the keys of chaos.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 const CHAOS_EXITS: &str = "Exit codes: 0 all promises kept, 1 one broken or ended by Ctrl-C, 2 bad usage or bad input.";
@@ -344,6 +370,9 @@ pub struct TrackArgs {
     /// Run folder: estimate.csv, report, logs [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `plan`.
@@ -432,6 +461,9 @@ pub struct CompareArgs {
     /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/compare")]
     pub out: PathBuf,
+    /// Print the figures as one line of JSON, with the keys of compare.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `latency`.
@@ -467,6 +499,9 @@ pub struct LatencyArgs {
     /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
     #[arg(long, value_name = "DIR", default_value = "runs/latency")]
     pub out: PathBuf,
+    /// Print the figures as one line of JSON, with the keys of latency.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 const LATENCY_EXAMPLES: &str =

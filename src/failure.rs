@@ -85,12 +85,19 @@ pub fn tell(line: impl std::fmt::Display) {
 /// # Errors
 /// [`Failure::Running`], such as a full disk's.
 pub fn print(text: impl std::fmt::Display) -> Result<(), Failure> {
+    print_if_read(text).map(drop)
+}
+
+/// The same; false if nobody reads it.
+///
+/// # Errors
+/// As [`print`].
+pub fn print_if_read(text: impl std::fmt::Display) -> Result<bool, Failure> {
     let mut out = terminal::stream(std::io::stdout().lock());
     match write!(out, "{text}").and_then(|()| out.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(anyhow::Error::new(error).context("standard output").into())
-        }
-        _ => Ok(()),
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(anyhow::Error::new(error).context("standard output").into()),
     }
 }
 

@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, terminal, watch};
+use rangehound::{chaos, compare, latency, node, plan, remote, status, supervisor, terminal, watch};
 
 fn main() -> ExitCode {
     terminal::start_log();
@@ -34,7 +34,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
         Command::Resume(args) => supervisor::resume(&args),
-        Command::Status(args) => remote::status(&args),
+        Command::Status(args) => status::status(&args),
         Command::Kill(args) => remote::kill(&args),
         Command::Restart(args) => remote::restart(&args),
         Command::Stop(args) => remote::stop(&args),

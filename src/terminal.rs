@@ -72,6 +72,14 @@ pub fn write_above_bar(text: impl Display) -> std::io::Result<()> {
     }
 }
 
+/// Empties the screen that standard output is, and goes to its top.
+///
+/// # Errors
+/// Those of writing.
+pub fn clear_screen() -> std::io::Result<()> {
+    std::io::stdout().write_all(b"\x1b[H\x1b[2J")
+}
+
 /// Starts the log on standard error: for a person, without stamps and above the bar; for files, with stamps.
 pub fn start_log() {
     let mut log = env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn"));

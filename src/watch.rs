@@ -8,10 +8,11 @@ use rangehound_shared::message::{Estimate, Truth};
 use rangehound_shared::rendezvous::Role;
 use rangehound_shared::signal::Termination;
 
-use crate::cli::NodeArgs;
+use crate::cli::WatchArgs;
 use crate::failure::{self, Failure};
 use crate::report::{NodeSummary, position_covariance};
-use crate::{node, tables, terminal};
+use crate::tables::{self, Keep};
+use crate::{node, terminal};
 
 /// How often an observer looks.
 pub const LOOK: Duration = Duration::from_millis(50);
@@ -161,9 +162,9 @@ impl Drop for Progress {
 ///
 /// # Errors
 /// [`Failure`].
-pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
+pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    let rendezvous = node::join(&args.name, &termination)?;
+    let rendezvous = node::join(&args.node.name, &termination)?;
     let bus = Bus::connect(&rendezvous, "observer")?;
     let description = rendezvous.description();
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
@@ -182,7 +183,8 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
     let nodes = roles(description.scenario.robots.len())
         .map(|role| NodeSummary::new(role.to_string(), rendezvous.roster().starts(role)))
         .collect();
-    tables::report_and_tables(description, None, false, nodes).map(drop)
+    let keep = Keep { json: args.json, ..Keep::default() };
+    tables::report_and_tables(description, &keep, nodes).map(drop)
 }
 
 /// The nodes of a run.

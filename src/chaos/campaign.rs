@@ -192,7 +192,7 @@ impl<'a> Campaign<'a> {
                 }
             }
             if idle > HUNG && live.last_fault.elapsed() > HUNG {
-                failure::tell(Status::of(rendezvous));
+                failure::tell(Status::of(rendezvous).text(false));
                 break Life::Over(Ended::Hung);
             }
             let message = format!("run {}, tick {}", self.rounds, live.ticks.newest);
