@@ -21,6 +21,7 @@
 //! | [`report`], [`hops`], [`tables`], [`page`], [`picture`] | what a run leaves: `report.json`, CSV, `report.html`, a picture |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`shell`] | completions and manual pages |
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |
 
@@ -44,6 +45,7 @@ pub mod pin;
 pub mod plan;
 pub mod remote;
 pub mod report;
+pub mod shell;
 pub mod status;
 pub mod supervisor;
 pub mod tables;

@@ -2,16 +2,17 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::FromArgMatches;
 use clap::error::ErrorKind;
-use rangehound::cli::{Cli, Command, RunArgs, one_line};
+use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, remote, status, supervisor, terminal, watch};
+use rangehound::{chaos, compare, latency, node, plan, remote, shell, status, supervisor, terminal, watch};
 
 fn main() -> ExitCode {
     terminal::start_log();
-    let cli = match Cli::try_parse() {
+    let given = cli::command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match given {
         Ok(cli) => cli,
         Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
             return failure::print(error.render().ansi())
@@ -43,6 +44,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Compare(args) => compare::compare(&args),
         Command::Latency(args) => latency::latency(&args),
         Command::LatencyNode(args) => latency::reference::latency_node(&args),
+        Command::Completions(args) => shell::completions(&args),
+        Command::Man(args) => shell::man(&args),
         Command::Scenario => failure::print(DEFAULT_SCENARIO),
     }
 }

@@ -182,7 +182,7 @@ pub fn make_folder(folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))
 }
 
-fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
+pub(crate) fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
     Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", folder.display()))
 }
 

@@ -256,19 +256,19 @@ impl Display for Comparison {
         writeln!(f, "{runs} runs of each planner, seeds {seed} to {last_seed}, in {wall_s:.1} s")?;
         writeln!(f)?;
         let of = |name: &str| self.planning_time.iter().find(|scaling| scaling.name == name);
-        writeln!(f, "                  trace, m²     variance, m²    trace above optimum, %")?;
+        writeln!(f, "{:>26}{:>16}{:>24}", "trace, m²", "variance, m²", "trace above optimum, %")?;
         write_row(f, "", ["end", "mean", "end", "mean", "p50", "p99", "max"])?;
         for planner in &self.planners {
             write_row(f, &planner.name, planner.uncertainty())?;
         }
         writeln!(f)?;
-        writeln!(f, "               position error, m  consistency         diverged, %")?;
+        writeln!(f, "{:>34}{:>16}{:>22}", "position error, m", "consistency", "diverged, %")?;
         write_row(f, "", ["RMS", "median", "p95", "ANEES", "NIS", "rate", "95 % interval"])?;
         for planner in &self.planners {
             write_row(f, &planner.name, planner.errors())?;
         }
         writeln!(f)?;
-        writeln!(f, "                     planning, us            |S| above optimum")?;
+        writeln!(f, "{:>34}{:>24}", "planning, us", "|S| above optimum")?;
         write_row(f, "", ["p50", "p99", "over M", "p50", "p99", "max"])?;
         for planner in &self.planners {
             write_row(f, &planner.name, planner.planning(of(&planner.name)))?;
