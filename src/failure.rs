@@ -91,7 +91,7 @@ pub fn print(text: impl std::fmt::Display) -> Result<(), Failure> {
 /// The same; false if nobody reads it.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`print()`].
 pub fn print_if_read(text: impl std::fmt::Display) -> Result<bool, Failure> {
     let mut out = terminal::stream(std::io::stdout().lock());
     match write!(out, "{text}").and_then(|()| out.flush()) {
@@ -104,7 +104,7 @@ pub fn print_if_read(text: impl std::fmt::Display) -> Result<bool, Failure> {
 /// Prints a value as one line of JSON: lines of many calls in one file are a table.
 ///
 /// # Errors
-/// [`Failure::Running`], as [`print`].
+/// [`Failure::Running`], as [`print()`].
 pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     print(serde_json::to_string(value)? + "\n")
 }

@@ -142,6 +142,11 @@ impl Progress {
     /// Shows how many steps are done.
     pub fn show(&mut self, done: u64, message: &str) {
         if self.is_drawn {
+            if self.bar.is_finished() {
+                // Taken away for what was printed meanwhile, as between the runs of a campaign.
+                self.bar.reset();
+                terminal::set_bar(Some(self.bar.clone()));
+            }
             self.bar.set_position(done);
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
