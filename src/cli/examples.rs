@@ -119,7 +119,7 @@ const KILL: &str = "Examples:
   rangehound kill fusion --name demo";
 
 const RESTART: &str = "Example:
-  rangehound restart robot-1                     after a change of its driver, say";
+  rangehound restart robot-1                     its successor is a new process";
 
 const STOP: &str = "Example:
   rangehound stop --name demo                    its report is still written";
@@ -140,7 +140,7 @@ the system was faster than that reference.
 
 Examples:
   rangehound latency --robots 10 --pin one-core  software alone, one processor
-  rangehound latency --robots 10 --rate 100      in real time, all asleep between";
+  rangehound latency --robots 10 --rate 100      in real time, mostly asleep";
 
 const SCENARIO: &str = "Example:
   rangehound scenario > mine.toml
