@@ -1,15 +1,20 @@
 //! The command line, as clap reads it.
 
+mod examples;
+
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Arg, Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use rangehound_shared::rendezvous::{Role, RunName};
-use rangehound_shared::scenario::PatienceKey;
+use rangehound_shared::scenario::{PLANNERS, PatienceKey};
 
 use crate::latency::reference::Reference;
 use crate::pin::Pin;
 use crate::supervisor::restart::Rule;
+use crate::terminal;
 use rangehound_fusion::run::STANDBYS_MAX;
 
 /// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
@@ -17,61 +22,61 @@ use rangehound_fusion::run::STANDBYS_MAX;
 ///
 /// Without a command it runs the paper's experiment (as `rangehound run`).
 #[derive(Debug, Parser)]
-#[command(name = "rangehound", version, after_help = EXAMPLES)]
+#[command(name = "rangehound", version, max_term_width = terminal::WIDTH, after_help = examples::ALL)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
     pub command: Option<Command>,
 }
 
-const EXAMPLES: &str = "Examples:
-  rangehound                                     the paper's experiment, 20 s in real time
-  rangehound run --clock lockstep --robots 10    ten robots, as fast as the processes can
-  rangehound scenario > mine.toml                a scenario file to start from
-  rangehound track ranges.csv --range-std 0.12   recorded ranges through the same processes
-  rangehound compare --robots 5                  all planners on the same 1000 targets, with pictures
-  rangehound latency --robots 10 --pin one-core  how long a heading takes, beside the bare transport
-
-Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or bad input.";
-
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Start simulator, fusion centre and robots, watch them, and write the run folder
+    /// Start simulator, fusion centre and robots, watch them, report
     Run(RunArgs),
-    /// Run the simulator alone: founds the run if nobody has (other nodes join it by --name)
+    /// Run the simulator alone; it founds the run that others join by --name
     Sim(SimArgs),
     /// Run the fusion centre alone
     Fusion(FusionArgs),
     /// Run one robot alone
     Robot(RobotArgs),
-    /// Attach to a run: show its progress, and write its report when it ends
-    Watch(NodeArgs),
-    /// Plan one step for each JSON line of a file or of standard input, for programs of any language
+    /// Show the progress of a run started by hand, and report when it ends
+    Watch(WatchArgs),
+    /// Plan one step for each JSON line, for programs of any language
     Plan(PlanArgs),
-    /// Go on with a run all of whose processes are gone, from its checkpoints
+    /// Go on from its checkpoints with a run all of whose processes are gone
     Resume(ResumeArgs),
-    /// Show a run: where it is, and each node's state, process and starts
+    /// Show a run: where it is, and who is running, stopped, hung or gone
     Status(StatusArgs),
-    /// Kill a node of a run, as a crash would: its supervisor starts it again
+    /// Kill a node as a crash would: its run starts it again
     Kill(RemoteNodeArgs),
     /// End a node of a run in order and wait for its successor
     Restart(RemoteNodeArgs),
     /// End a run in order, as Ctrl-C in its terminal would
     Stop(RemoteArgs),
-    /// Hurt a run of its own at random times, by a seed, and judge whether it kept its promises
+    /// Kill and stop nodes of its own runs at random, and judge the outcome
     Chaos(ChaosArgs),
-    /// Measure the time from range to heading, beside raw iceoryx2 and futexes doing the same exchange
+    /// Measure the time from range to heading, beside the bare transport
     Latency(LatencyArgs),
     /// One node of a reference that `latency` measures
     #[command(hide = true)]
     LatencyNode(LatencyNodeArgs),
-    /// Print the default scenario file, to start one's own from
+    /// Print the default scenario file, to start your own from
     Scenario,
-    /// Track recorded ranges: the same processes, one robot process for each sensor
+    /// Track recorded ranges, one robot process for each sensor
     Track(TrackArgs),
-    /// Compare the planners: many runs of each in this one process, a table and pictures
+    /// Compare the planners over many runs: tables and pictures
     Compare(CompareArgs),
+    /// Print the script by which a shell completes commands and flags
+    Completions(CompletionsArgs),
+    /// Print the manual page, or write one for each command to a folder
+    Man(ManArgs),
+}
+
+/// The command line with all that `--help` tells.
+#[must_use]
+pub fn command() -> clap::Command {
+    examples::add(Cli::command())
 }
 
 /// `run`.
@@ -80,7 +85,7 @@ pub struct RunArgs {
     /// The experiment, as a whole
     #[command(flatten)]
     pub experiment: ExperimentArgs,
-    /// Compose the same steps in this one process, without shared memory: same estimates, same digest
+    /// Take all steps in this one process, without shared memory: same estimates, same digest
     #[arg(long)]
     pub in_process: bool,
     /// Who is started, and started again
@@ -89,6 +94,9 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
     /// Who to end with
     #[command(flatten)]
     pub parent: ParentArgs,
@@ -111,13 +119,14 @@ pub struct ExperimentArgs {
     /// What starts the next tick: wall time, or all answers
     #[arg(long)]
     pub clock: Option<ClockArg>,
-    /// How headings are chosen: certified, adaptive, standard, grid, greedy, pursue or random
-    #[arg(long, value_name = "NAME")]
+    /// How headings are chosen
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
     /// Least distance of the robots to the predicted target, m
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub stand_off: Option<f64>,
-    /// Silence after which lock step goes on without a robot: seconds or "forever"
+    /// Silence after which lock step goes on without a robot, and a silent process is killed and started again: seconds or
+    /// "forever"
     #[arg(long, value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub patience: Option<PatienceKey>,
     /// Name of the run: nodes find each other by it [default: the scenario's name, numbered if taken]
@@ -159,7 +168,18 @@ pub struct FusionArgs {
     pub standby: bool,
 }
 
-/// `watch`, and what the nodes have in common.
+/// `watch`.
+#[derive(Debug, Args)]
+pub struct WatchArgs {
+    /// Which run
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What the nodes and who watches them have in common.
 #[derive(Debug, Args)]
 pub struct NodeArgs {
     /// Name of the run to join; waits for it to be founded
@@ -176,8 +196,8 @@ pub struct SupervisionArgs {
     /// Fusion processes that stand by to take over from the one that leads
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
     pub standby: usize,
-    /// Start nodes again that have ended: always, on-failure or never; KIND=POLICY for sim, fusion or robot
-    /// only, repeatable [default: always]
+    /// Start nodes again that have ended: always, on-failure or never; sim=POLICY, fusion=POLICY or robot=POLICY for one
+    /// kind, repeatable [default: always]
     #[arg(long = "restart", value_name = "[KIND=]POLICY")]
     pub rules: Vec<Rule>,
     /// Processors for all processes of the run: none (any), one-core, or their numbers as in 0,1
@@ -197,6 +217,9 @@ pub struct ResumeArgs {
     /// Who is started, and started again
     #[command(flatten)]
     pub supervision: SupervisionArgs,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// A run to act on from another terminal.
@@ -205,6 +228,9 @@ pub struct RemoteArgs {
     /// Name of the run [default: the only one that goes on]
     #[arg(long)]
     pub name: Option<RunName>,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `status`.
@@ -213,9 +239,12 @@ pub struct StatusArgs {
     /// The run
     #[command(flatten)]
     pub run: RemoteArgs,
-    /// Print one line of JSON
+    /// Show robots one by one, however many are well
     #[arg(long)]
-    pub json: bool,
+    pub all: bool,
+    /// Show it again every second, until the run ends or Ctrl-C
+    #[arg(long)]
+    pub watch: bool,
 }
 
 /// `kill` and `restart`.
@@ -230,7 +259,6 @@ pub struct RemoteNodeArgs {
 
 /// `chaos`.
 #[derive(Debug, Args)]
-#[command(after_help = CHAOS_EXITS)]
 pub struct ChaosArgs {
     /// The experiment; in lock step, the default here, with endless patience
     #[command(flatten)]
@@ -256,9 +284,10 @@ pub struct ChaosArgs {
     /// Seed of the faults
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
     pub chaos_seed: u64,
+    /// Print the outcome as one line of JSON, with the keys of chaos.json
+    #[arg(long)]
+    pub json: bool,
 }
-
-const CHAOS_EXITS: &str = "Exit codes: 0 all promises kept, 1 one broken or ended by Ctrl-C, 2 bad usage or bad input.";
 
 /// A kind of fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -335,7 +364,7 @@ pub struct TrackArgs {
     /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
-    /// Compose the same steps in this one process, without shared memory
+    /// Take all steps in this one process, without shared memory
     #[arg(long)]
     pub in_process: bool,
     /// Name of the run [default: after the file, numbered if taken]
@@ -344,17 +373,18 @@ pub struct TrackArgs {
     /// Run folder: estimate.csv, report, logs [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `plan`.
 #[derive(Debug, Default, Args)]
-#[command(after_help = PLAN_EXAMPLE)]
 pub struct PlanArgs {
     /// Problems, one JSON object a line; - or nothing for standard input
     pub file: Option<PathBuf>,
-    /// Planner of the lines that name none: certified, adaptive, standard, grid, greedy, pursue or random
-    /// [default: certified]
-    #[arg(long, value_name = "NAME")]
+    /// Planner of the lines that name none [default: certified]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
     /// Node budget of the certified planner
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
@@ -373,40 +403,20 @@ pub struct PlanArgs {
     pub seed: Option<u64>,
 }
 
-const PLAN_EXAMPLE: &str =
-    "A line holds the predicted position covariance (m^2), the predicted target (m), the time that robots move
-before they measure, and the team:
-
-  {\"prior_position_covariance\":[[4,0.5],[0.5,2]],\"target\":[0,0],\"time_step_s\":0.1,\"robots\":
-   [{\"position\":[20,0],\"max_speed\":10,\"range_std\":1},{\"position\":[0,15],\"max_speed\":10,\"range_std\":1}]}
-
-(in one line). It may add stand_off_m, stand_off_sigma, separation_m (clearances, 0 if absent) and planner (a name).
-Its answer is one line, in the same order:
-
-  {\"planner\":..,\"headings_rad\":[..],\"speeds_mps\":[..],\"objective\":..,\"lower_bound\":..,\"certified\":..,
-   \"position_trace_m2\":..,\"plan_us\":..}
-
-objective is |S|, no headings reach less than lower_bound; certified: the two are one but for rounding. A line that
-makes no sense is answered by {\"line\":N,\"error\":\"..\"}, told on standard error too, and the next one is read; lines
-count from 1, blank ones are skipped. Answers come at once when no more input is there.
-
-Exit codes: 0 done, 1 failed while running, 2 bad usage or a line that makes no sense.";
-
 /// `compare`.
 #[derive(Debug, Args)]
 pub struct CompareArgs {
     /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
     pub scenario: Option<PathBuf>,
-    /// The same as a flag
+    /// The same scenario file, as a flag
     #[arg(long = "scenario", value_name = "FILE", conflicts_with = "scenario")]
     pub scenario_flag: Option<PathBuf>,
-    /// Planners to compare, separated by commas: certified, adaptive, standard, greedy, pursue, random,
-    /// and grid, which is for small teams only
+    /// Planners to compare, separated by commas
     #[arg(
         long,
         value_name = "NAMES",
         value_delimiter = ',',
-        value_parser = trimmed,
+        value_parser = PlannerName,
         default_value = "certified,adaptive,standard,greedy,pursue,random"
     )]
     pub planners: Vec<String>,
@@ -432,11 +442,13 @@ pub struct CompareArgs {
     /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/compare")]
     pub out: PathBuf,
+    /// Print the figures as one line of JSON, with the keys of compare.json
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// `latency`.
 #[derive(Debug, Args)]
-#[command(after_help = LATENCY_EXAMPLES)]
 pub struct LatencyArgs {
     /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
     pub scenario: Option<PathBuf>,
@@ -452,8 +464,8 @@ pub struct LatencyArgs {
     /// Ticks a second in real time [default: the scenario's]
     #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// How headings are chosen: certified, adaptive, standard, grid, greedy, pursue or random [default: the scenario's]
-    #[arg(long, value_name = "NAME")]
+    /// How headings are chosen [default: the scenario's]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
     /// Processors for all processes: none (any), one-core, or their numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
@@ -467,16 +479,25 @@ pub struct LatencyArgs {
     /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
     #[arg(long, value_name = "DIR", default_value = "runs/latency")]
     pub out: PathBuf,
+    /// Print the figures as one line of JSON, with the keys of latency.json
+    #[arg(long)]
+    pub json: bool,
 }
 
-const LATENCY_EXAMPLES: &str =
-    "It runs the whole system (simulator, fusion with filter, planner and checkpoints, robots) and, in turns, the bare
-exchange of the same messages over raw iceoryx2 and over futexes, on this machine, now; a ratio below 1 means that the
-system was faster than that reference.
+/// `completions`.
+#[derive(Debug, Args)]
+pub struct CompletionsArgs {
+    /// The shell
+    pub shell: clap_complete::Shell,
+}
 
-Examples:
-  rangehound latency --robots 10 --pin one-core      software alone, without wake-ups across processors
-  rangehound latency --robots 10 --rate 100          in real time, all asleep between ticks";
+/// `man`.
+#[derive(Debug, Args)]
+pub struct ManArgs {
+    /// Folder for the pages of all commands [default: prints that of rangehound]
+    #[arg(value_name = "DIR")]
+    pub folder: Option<PathBuf>,
+}
 
 /// `latency-node`.
 #[derive(Debug, Args)]
@@ -490,6 +511,35 @@ pub struct LatencyNodeArgs {
     /// The run
     #[command(flatten)]
     pub node: NodeArgs,
+}
+
+/// What each planner does, in the order of [`PLANNERS`].
+const PLANNERS_DO: [&str; PLANNERS.len()] = [
+    "The global optimum of each step, with a proof",
+    "The paper's adaptive relaxation",
+    "Standard relaxation",
+    "Exhaustive search, for up to 4 robots",
+    "Each robot by itself",
+    "Straight to the predicted target",
+    "Random headings",
+];
+
+/// Completes the names of planners, but takes any: who plans says what is wrong with it.
+#[derive(Debug, Clone, Copy)]
+struct PlannerName;
+
+impl TypedValueParser for PlannerName {
+    type Value = String;
+
+    fn parse_ref(&self, command: &clap::Command, _: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        let refused = || clap::Error::new(ErrorKind::InvalidUtf8).with_cmd(command);
+        value.to_str().map(|name| name.trim().to_owned()).ok_or_else(refused)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        let planners = PLANNERS.into_iter().zip(PLANNERS_DO);
+        Some(Box::new(planners.map(|(name, does)| PossibleValue::new(name).help(does))))
+    }
 }
 
 /// A value for all sensors, or for one: `0.1` or `105=0.1`.
@@ -512,11 +562,6 @@ impl std::str::FromStr for PerSensor {
         };
         Ok(Self { sensor, value: value.parse().map_err(|_| expected())? })
     }
-}
-
-#[expect(clippy::unnecessary_wraps, reason = "the shape that the parser asks for")]
-fn trimmed(text: &str) -> Result<String, String> {
-    Ok(text.trim().to_owned())
 }
 
 fn whole(text: &str) -> Result<u64, String> {

@@ -4,6 +4,10 @@ use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
+use serde::Serialize;
+
+use crate::terminal::{self, BAD};
+
 /// Longest complaint, bytes: what it quotes may be as long as a file.
 const COMPLAINT_CHARS_MAX: usize = 400;
 
@@ -42,7 +46,7 @@ impl Failure {
 }
 
 fn complain(problem: &str) {
-    tell(format_args!("rangehound: {}", one_short_line(problem)));
+    tell(format_args!("{BAD}rangehound:{BAD:#} {}", one_short_line(problem)));
 }
 
 /// An error and what caused it, each said once: many errors quote their cause themselves.
@@ -72,7 +76,7 @@ pub fn one_short_line(problem: &str) -> String {
 
 /// A line on standard error. If nobody can read it, nothing is lost but the line: `eprintln!` would panic.
 pub fn tell(line: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = terminal::write_above_bar(format_args!("{line}\n"));
 }
 
 /// Prints to standard output. Whoever read it may have had enough; anything else that keeps it from being printed
@@ -81,13 +85,28 @@ pub fn tell(line: impl std::fmt::Display) {
 /// # Errors
 /// [`Failure::Running`], such as a full disk's.
 pub fn print(text: impl std::fmt::Display) -> Result<(), Failure> {
-    let mut out = std::io::stdout().lock();
+    print_if_read(text).map(drop)
+}
+
+/// The same; false if nobody reads it.
+///
+/// # Errors
+/// As [`print()`].
+pub fn print_if_read(text: impl std::fmt::Display) -> Result<bool, Failure> {
+    let mut out = terminal::stream(std::io::stdout().lock());
     match write!(out, "{text}").and_then(|()| out.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(anyhow::Error::new(error).context("standard output").into())
-        }
-        _ => Ok(()),
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(anyhow::Error::new(error).context("standard output").into()),
     }
+}
+
+/// Prints a value as one line of JSON: lines of many calls in one file are a table.
+///
+/// # Errors
+/// [`Failure::Running`], as [`print()`].
+pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
+    print(serde_json::to_string(value)? + "\n")
 }
 
 impl<E: Into<anyhow::Error>> From<E> for Failure {

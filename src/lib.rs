@@ -8,7 +8,8 @@
 //! | [`cli`] | the command line |
 //! | [`experiment`] | from command line to a validated scenario |
 //! | [`supervisor`] | `run`, `resume`, `track`: starts the nodes, watches, starts them again, ends them |
-//! | [`remote`] | `status`, `kill`, `restart`, `stop`: acting on a run from another terminal |
+//! | [`remote`] | `kill`, `restart`, `stop`: acting on a run from another terminal |
+//! | [`mod@status`] | `status`: a run at the moment |
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`watch`] | progress of a run, as an observer sees it |
 //! | [`plan`] | one step per JSON line, for programs of any language |
@@ -21,7 +22,9 @@
 //! | [`frame`] | a run tick by tick, all that travelled on its topics |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`shell`] | completions and manual pages |
 //! | [`failure`] | exit codes |
+//! | [`terminal`] | how output looks |
 
 pub mod chaos;
 pub mod chart;
@@ -44,6 +47,9 @@ pub mod pin;
 pub mod plan;
 pub mod remote;
 pub mod report;
+pub mod shell;
+pub mod status;
 pub mod supervisor;
 pub mod tables;
+pub mod terminal;
 pub mod watch;

@@ -3,24 +3,26 @@
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::FromArgMatches;
 use clap::error::ErrorKind;
-use rangehound::cli::{Cli, Command, RunArgs, one_line};
+use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, watch};
+use rangehound::{chaos, compare, latency, node, plan, remote, shell, status, supervisor, terminal, watch};
 
 fn main() -> ExitCode {
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
+    terminal::start_log();
     // Anything that is not UTF-8 is for the command line to refuse.
     let args: Result<Vec<String>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
     if let Some(command) = args.ok().and_then(|args| node::as_started(&args)) {
         return exit_code(dispatch(command));
     }
-    let cli = match Cli::try_parse() {
+    let given = cli::command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match given {
         Ok(cli) => cli,
         Err(error) if matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
-            return failure::print(error).map_or_else(|failure| failure.report(), |()| ExitCode::SUCCESS);
+            return failure::print(error.render().ansi())
+                .map_or_else(|failure| failure.report(), |()| ExitCode::SUCCESS);
         }
         Err(error) => return Failure::input(one_line(&error)).report(),
     };
@@ -40,7 +42,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
         Command::Resume(args) => supervisor::resume(&args),
-        Command::Status(args) => remote::status(&args),
+        Command::Status(args) => status::status(&args),
         Command::Kill(args) => remote::kill(&args),
         Command::Restart(args) => remote::restart(&args),
         Command::Stop(args) => remote::stop(&args),
@@ -49,6 +51,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Compare(args) => compare::compare(&args),
         Command::Latency(args) => latency::latency(&args),
         Command::LatencyNode(args) => latency::reference::latency_node(&args),
+        Command::Completions(args) => shell::completions(&args),
+        Command::Man(args) => shell::man(&args),
         Command::Scenario => failure::print(DEFAULT_SCENARIO),
     }
 }

@@ -109,7 +109,8 @@ pub fn prepare(role: Role, parent: &ParentArgs) -> Result<Termination, Failure> 
 #[must_use]
 pub fn this_program() -> process::Command {
     let mut command = process::Command::new("/proc/self/exe");
-    command.arg0("rangehound");
+    // What it says goes to a log, and from there may be quoted.
+    command.arg0("rangehound").env("NO_COLOR", "1");
     command
 }
 

@@ -1,4 +1,4 @@
-//! Acting on a run from another terminal: `status`, `kill`, `restart`, `stop`.
+//! A run, seen and acted on from another terminal: what `status` tells; `kill`, `restart`, `stop`.
 
 use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant, SystemTime};
@@ -9,9 +9,10 @@ use rangehound_shared::record::WorldRecord;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunName, living_runs};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 use serde::Serialize;
+use serde_json::json;
 
-use crate::cli::{RemoteArgs, RemoteNodeArgs, StatusArgs};
-use crate::failure::{Failure, print};
+use crate::cli::{RemoteArgs, RemoteNodeArgs};
+use crate::failure::{Failure, print, print_json};
 use crate::node::input_or_running;
 use crate::watch;
 
@@ -26,42 +27,32 @@ const HUNG: Duration = Duration::from_secs(1);
 /// A run as it is at the moment.
 #[derive(Debug, Serialize)]
 pub(crate) struct Status {
-    name: String,
-    scenario: String,
+    pub(crate) name: String,
+    pub(crate) scenario: String,
     /// Newest tick that is over, and the run's last.
-    tick: u64,
-    ticks: u64,
-    out_dir: String,
+    pub(crate) tick: u64,
+    pub(crate) ticks: u64,
+    pub(crate) out_dir: String,
     /// The process that leads as fusion, and how many leads there have been.
-    leader: Option<i32>,
-    leads: u64,
+    pub(crate) leader: Option<i32>,
+    pub(crate) leads: u64,
     /// Processes that stand by to lead.
-    standbys: usize,
-    nodes: Vec<NodeStatus>,
+    pub(crate) standbys: usize,
+    pub(crate) nodes: Vec<NodeStatus>,
 }
 
 /// A node as it is at the moment.
 #[derive(Debug, Serialize)]
-struct NodeStatus {
-    name: String,
+pub(crate) struct NodeStatus {
+    pub(crate) name: String,
     /// `running`, `stopped` (by a signal), `hung` (gives no sign of life) or `gone`.
-    state: &'static str,
-    pid: Option<i32>,
-    starts: u64,
+    pub(crate) state: &'static str,
+    pub(crate) pid: Option<i32>,
+    pub(crate) starts: u64,
     /// Since its last sign of life, s; by the wall clock, so that a jump of it shows until the next sign.
-    silent_s: Option<f64>,
+    pub(crate) silent_s: Option<f64>,
     /// Resident memory, kB.
-    resident_kb: Option<u64>,
-}
-
-/// `rangehound status`.
-///
-/// # Errors
-/// [`Failure`].
-pub fn status(args: &StatusArgs) -> Result<(), Failure> {
-    let run = join(&args.run)?;
-    let status = Status::of(&run);
-    if args.json { print(serde_json::to_string(&status)? + "\n") } else { print(format!("{status}\n")) }
+    pub(crate) resident_kb: Option<u64>,
 }
 
 /// `rangehound kill`: SIGKILL, as a crash would end it.
@@ -71,7 +62,11 @@ pub fn status(args: &StatusArgs) -> Result<(), Failure> {
 pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
     let run = join(&args.run)?;
     let pid = signal(&run, args.node, Signal::KILL)?;
-    print(format!("killed {}, process {}\n", args.node, pid.as_raw_pid()))
+    let pid = pid.as_raw_pid();
+    if args.run.json {
+        return print_json(&json!({ "name": run.name().to_string(), "node": args.node.to_string(), "pid": pid }));
+    }
+    print(format!("killed {}, process {pid}\n", args.node))
 }
 
 /// `rangehound restart`: asks a node to end and waits for the one that takes its place.
@@ -91,8 +86,12 @@ pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
         if run.roster().starts(args.node) > starts
             && let Some(pid) = run.roster().holder(args.node)
         {
-            let starts = run.roster().starts(args.node);
-            return print(format!("{} is now process {}, start {starts}\n", args.node, pid.as_raw_pid()));
+            let (starts, node, pid) = (run.roster().starts(args.node), args.node.to_string(), pid.as_raw_pid());
+            if args.run.json {
+                let name = run.name().to_string();
+                return print_json(&json!({ "name": name, "node": node, "pid": pid, "starts": starts }));
+            }
+            return print(format!("{node} is now process {pid}, start {starts}\n"));
         }
         if began.elapsed() > PATIENCE {
             let problem = format!("{} has ended, but nobody has started it again", args.node);
@@ -129,21 +128,28 @@ pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
         }
         std::thread::sleep(POLL);
     }
+    if args.json {
+        return print_json(&json!({ "name": name.to_string() }));
+    }
     print(format!("run {name} has ended\n"))
 }
 
 /// The run that is meant: the one of this name, or the only one there is.
-fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
+pub(crate) fn run_named(args: &RemoteArgs) -> Result<RunName, Failure> {
     let living = living_runs();
-    let name = match (&args.name, living.as_slice()) {
-        (Some(name), _) => name.clone(),
-        (None, [only]) => only.clone(),
-        (None, []) => return Err(Failure::input("no run is going on")),
+    match (&args.name, living.as_slice()) {
+        (Some(name), _) => Ok(name.clone()),
+        (None, [only]) => Ok(only.clone()),
+        (None, []) => Err(Failure::input("expected a run that goes on, there is none")),
         (None, several) => {
             let names: Vec<String> = several.iter().map(RunName::to_string).collect();
-            return Err(Failure::input(format!("--name: expected one of the runs {}, got none", names.join(", "))));
+            Err(Failure::input(format!("--name: expected one of the runs {}, got none", names.join(", "))))
         }
-    };
+    }
+}
+
+fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
+    let name = run_named(args)?;
     let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
     run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
 }
@@ -216,24 +222,5 @@ impl NodeStatus {
         let silent_s = silent.map(|silent| silent.as_secs_f64());
         let resident_kb = field("VmRSS:").and_then(|text| text.split(' ').next()?.parse().ok());
         Self { name: role.to_string(), state, pid, starts: run.roster().starts(role), silent_s, resident_kb }
-    }
-}
-
-impl std::fmt::Display for Status {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { name, scenario, tick, ticks, out_dir, leader, leads, standbys, nodes } = self;
-        writeln!(f, "run {name}: {scenario}, tick {tick} of {ticks}, in {out_dir}")?;
-        match leader {
-            Some(pid) => writeln!(f, "process {pid} leads, the lead number {leads}; {standbys} stand by")?,
-            None => writeln!(f, "nobody leads; {standbys} stand by")?,
-        }
-        write!(f, "{:<12} {:<8} {:>8} {:>7} {:>10} {:>9}", "node", "state", "pid", "starts", "silent", "memory")?;
-        for NodeStatus { name, state, pid, starts, silent_s, resident_kb } in nodes {
-            let pid = pid.map_or("-".to_owned(), |pid| pid.to_string());
-            let silent = silent_s.map_or("-".to_owned(), |silent_s| format!("{silent_s:.2} s"));
-            let memory = resident_kb.map_or("-".to_owned(), |kb| format!("{:.1} MB", kb as f64 / 1_024.0));
-            write!(f, "\n{name:<12} {state:<8} {pid:>8} {starts:>7} {silent:>10} {memory:>9}")?;
-        }
-        Ok(())
     }
 }

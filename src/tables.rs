@@ -31,7 +31,7 @@ use crate::curves::Curves;
 use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
-use crate::{page, picture};
+use crate::{page, picture, terminal};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
@@ -124,18 +124,35 @@ pub fn look_for_writable(description: &RunDescription) -> Result<File, Failure> 
     Ok(claim)
 }
 
+/// What is done with a run's logs beyond its report, and how that is printed.
+#[derive(Debug, Default)]
+pub struct Keep {
+    /// The ranges and the true track are written as a recording.
+    pub recording: bool,
+    /// The true track to compare with, where the run itself knows none.
+    pub truth: Option<Truth>,
+    /// The report is printed as JSON.
+    pub json: bool,
+}
+
 /// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
 ///
 /// # Errors
 /// [`Failure::Running`] with the first file that could not be read or written.
 pub fn report_and_tables(
     description: &RunDescription,
-    truth: Option<&Truth>,
-    recording: bool,
+    keep: &Keep,
     nodes: Vec<NodeSummary>,
 ) -> Result<Report, Failure> {
+    let &Keep { recording, ref truth, json } = keep;
+    let truth = truth.as_ref();
     let report = report::from_logs(description, truth, nodes)?;
-    let printed = failure::print(format!("{report}\n  run folder       {}\n", description.out_dir.display()));
+    let printed = if json {
+        failure::print_json(&report)
+    } else {
+        let folder = terminal::field("run folder", description.out_dir.display());
+        failure::print(format!("{report}\n{folder}\n"))
+    };
     let written = report::write(&report, &description.out_dir);
     let table = write_estimate_csv(description);
     let recorded = if recording { write_recording(description) } else { Ok(()) };
@@ -165,7 +182,7 @@ pub fn make_folder(folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))
 }
 
-fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
+pub(crate) fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
     Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", folder.display()))
 }
 

@@ -1,6 +1,5 @@
 //! Progress of a run, as an observer sees it: never woken, never waited for.
 
-use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -9,10 +8,11 @@ use rangehound_shared::message::{Estimate, Truth};
 use rangehound_shared::rendezvous::Role;
 use rangehound_shared::signal::Termination;
 
-use crate::cli::NodeArgs;
+use crate::cli::WatchArgs;
 use crate::failure::{self, Failure};
 use crate::report::{NodeSummary, position_covariance};
-use crate::{node, tables};
+use crate::tables::{self, Keep};
+use crate::{node, terminal};
 
 /// How often an observer looks.
 pub const LOOK: Duration = Duration::from_millis(50);
@@ -112,6 +112,7 @@ impl Watch {
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
+    is_drawn: bool,
     step: &'static str,
     steps: u64,
     last_line: Option<Instant>,
@@ -122,20 +123,30 @@ impl Progress {
     #[must_use]
     pub fn new(step: &'static str, steps: u64) -> Self {
         let bar = ProgressBar::new(steps).with_prefix(step);
-        if let Ok(style) = ProgressStyle::with_template("{bar:20} {prefix} {pos}/{len}  {msg}") {
+        if let Ok(style) = ProgressStyle::with_template("{bar:16} {prefix} {pos}/{len}  {wide_msg}") {
             bar.set_style(style);
         }
-        Self { bar, step, steps, last_line: None }
+        let is_drawn = terminal::draws_on_stderr();
+        terminal::set_bar(is_drawn.then(|| bar.clone()));
+        Self { bar, is_drawn, step, steps, last_line: None }
     }
 
     /// Takes the bar away: what follows is the report.
     pub fn finish(&self) {
-        self.bar.finish_and_clear();
+        if self.is_drawn {
+            self.bar.finish_and_clear();
+            terminal::set_bar(None);
+        }
     }
 
     /// Shows how many steps are done.
     pub fn show(&mut self, done: u64, message: &str) {
-        if std::io::stderr().is_terminal() {
+        if self.is_drawn {
+            if self.bar.is_finished() {
+                // Taken away for what was printed meanwhile, as between the runs of a campaign.
+                self.bar.reset();
+                terminal::set_bar(Some(self.bar.clone()));
+            }
             self.bar.set_position(done);
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
@@ -145,13 +156,20 @@ impl Progress {
     }
 }
 
+impl Drop for Progress {
+    /// An error must not leave the bar behind.
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
 /// `rangehound watch`: attaches to a run started by hand, and reports when it ends.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
+pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    let rendezvous = node::join(&args.name, &termination)?;
+    let rendezvous = node::join(&args.node.name, &termination)?;
     let bus = Bus::connect(&rendezvous, "observer")?;
     let description = rendezvous.description();
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
@@ -170,7 +188,8 @@ pub fn watch(args: &NodeArgs) -> Result<(), Failure> {
     let nodes = roles(description.scenario.robots.len())
         .map(|role| NodeSummary::new(role.to_string(), rendezvous.roster().starts(role)))
         .collect();
-    tables::report_and_tables(description, None, false, nodes).map(drop)
+    let keep = Keep { json: args.json, ..Keep::default() };
+    tables::report_and_tables(description, &keep, nodes).map(drop)
 }
 
 /// The nodes of a run.

@@ -18,7 +18,7 @@ fn faults_of_all_kinds_break_no_promise_in_lock_step() {
     let run = Run::new();
     let said = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 20000").finish().succeeded();
     assert!(said.stdout.contains("all kept"), "{said:#?}");
-    assert!(said.stdout.lines().take(12).all(|line| line.len() <= 100), "{said:#?}");
+    assert!(said.stdout.lines().all(|line| line.len() <= 80 || line.contains("run folder")), "{said:#?}");
     let outcome = outcome(&run);
     assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
     assert_eq!(outcome["ranges"]["missing"], 0, "{outcome:#}");

@@ -18,6 +18,7 @@
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
 //! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
 //! | `strangers` | other users and other versions: kept out, in a clear line |
+//! | `terminal` | what is printed: widths, colours, JSON; completions and manual pages |
 //! | `support` | run names, watchdogs, temporary folders |
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
@@ -39,3 +40,4 @@ mod recordings;
 mod resources;
 mod strangers;
 mod support;
+mod terminal;

@@ -19,7 +19,7 @@ use super::faults::{Fault, Faults, Kind};
 use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
 use crate::cli::ChaosArgs;
 use crate::experiment::Experiment;
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::in_process;
 use crate::node::input_or_running;
 use crate::remote::{Status, process_in, signal};
@@ -192,7 +192,7 @@ impl<'a> Campaign<'a> {
                 }
             }
             if idle > HUNG && live.last_fault.elapsed() > HUNG {
-                eprintln!("{}", Status::of(rendezvous));
+                failure::tell(Status::of(rendezvous).text(false));
                 break Life::Over(Ended::Hung);
             }
             let message = format!("run {}, tick {}", self.rounds, live.ticks.newest);
@@ -237,6 +237,8 @@ impl Run {
         let output = File::options().create(true).append(true).open(out_dir.join(LOG))?;
         command
             .args(["--name", &name.to_string(), "--standby", &standbys.to_string()])
+            // What it says is quoted.
+            .env("NO_COLOR", "1")
             // A group of its own: Ctrl-C reaches this process, which ends the run in order.
             .process_group(0)
             .stdin(Stdio::null())

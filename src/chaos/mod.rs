@@ -14,7 +14,7 @@ use rangehound_shared::signal::Termination;
 use crate::cli::{ChaosArgs, ClockArg, ExperimentArgs};
 use crate::experiment::{Experiment, Naming, free_name};
 use crate::failure::{self, Failure};
-use crate::tables;
+use crate::{tables, terminal};
 use campaign::Campaign;
 use faults::Faults;
 use outcome::Outcome;
@@ -45,7 +45,12 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
             break;
         }
     }
-    failure::print(format!("{outcome}\n  run folder       {}\n", description.out_dir.display()))?;
+    if args.json {
+        failure::print_json(&outcome)?;
+    } else {
+        let folder = terminal::field("run folder", description.out_dir.display());
+        failure::print(format!("{outcome}\n{folder}\n"))?;
+    }
     match outcome.broken.as_slice() {
         [] => Ok(()),
         broken => Err(Failure::Running(anyhow::anyhow!("{}", broken.join("; ")))),

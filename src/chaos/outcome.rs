@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::faults::Kind;
 use crate::cli::ChaosArgs;
 use crate::report::{HeadingSummary, RangeSummary};
+use crate::terminal::{BAD, GOOD, TITLE, field};
 
 /// File name of the outcome in the campaign's folder.
 pub(super) const FILE_NAME: &str = "chaos.json";
@@ -332,46 +333,60 @@ impl std::fmt::Display for Outcome {
         let Self { scenario, clock, robots, chaos_seed, ticks, ranges, headings, .. } = self;
         let done = self.injected.iter().map(|hit| hit.fault + 1).max().unwrap_or(0);
         let wall_s: f64 = self.rounds.iter().map(|round| round.wall_s).sum();
-        writeln!(f, "chaos: {scenario}, {robots} robots, {done} of {} faults, seed {chaos_seed}", self.faults_asked)?;
-        writeln!(f, "  {clock:<16} {ticks} ticks in {} runs, {wall_s:.1} s", self.rounds.len())?;
-        writeln!(f, "  {:<46}{:>24}{:>25}", "", "ms until role is taken", "until it is at work")?;
-        writeln!(
-            f,
-            "  {:<8} {:>5} {:>5} {:>6} {:>8} {:>9} {:>8}{:>8}{:>8} {:>8}{:>8}{:>8}",
-            "hit", "kill", "stop", "storm", "several", "blackout", "p50", "p99", "max", "p50", "p99", "max"
-        )?;
-        for RoleSummary { role, kill, stop, storm, several, blackout, restart_ms, recovery_ms } in &self.faults {
-            write!(f, "  {role:<8} {kill:>5} {stop:>5} {storm:>6} {several:>8} {blackout:>9}")?;
-            for times_ms in [restart_ms, recovery_ms] {
-                match times_ms {
-                    Some(Percentiles { p50, p99, max, .. }) => write!(f, " {p50:>8.1}{p99:>8.1}{max:>8.1}")?,
-                    None => write!(f, " {:>8}{:>8}{:>8}", "-", "-", "-")?,
-                }
-            }
-            writeln!(f)?;
-        }
+        let asked = self.faults_asked;
+        writeln!(f, "{TITLE}chaos{TITLE:#}: {scenario}, {robots} robots, {done} of {asked} faults, seed {chaos_seed}")?;
+        let runs = self.rounds.len();
+        writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {runs} runs, {wall_s:.1} s")))?;
+        self.fmt_faults(f)?;
         let RangeSummary { published, fused, missing, .. } = ranges;
-        writeln!(f, "  ranges           {published} published: {fused} fused, {missing} missing")?;
+        writeln!(f, "{}", field("ranges", format_args!("{published} published: {fused} fused, {missing} missing")))?;
         let HeadingSummary { fresh, late, none, refused } = headings;
-        writeln!(f, "  headings         {fresh} fresh, {late} late, {none} none, {refused} refused")?;
+        let driven = format!("{fresh} fresh, {late} late, {none} none, {refused} refused");
+        writeln!(f, "{}", field("headings", driven))?;
         // Where the estimates must be the same, so is their error.
         if let Some(PositionError { hurt, alone }) =
             self.position_rmse_m.as_ref().filter(|_| self.digest_equal.is_none())
         {
             let more = 100.0 * (hurt / alone - 1.0);
-            writeln!(f, "  position error   {hurt:.3} m RMS, {alone:.3} left alone: {more:+.1} %")?;
+            let error = format!("{hurt:.3} m RMS, {alone:.3} left alone: {more:+.1} %");
+            writeln!(f, "{}", field("position error", error))?;
         }
         let digest = match self.digest_equal {
-            Some(true) => "that of the run left alone",
-            Some(false) => "NOT that of the run left alone",
-            None => "not compared",
+            Some(true) => "that of the run left alone".to_owned(),
+            Some(false) => format!("{BAD}NOT{BAD:#} that of the run left alone"),
+            None => "not compared".to_owned(),
         };
-        writeln!(f, "  digest           {digest}")?;
-        writeln!(f, "  left over        {} files, {} processes", self.files_left.len(), self.processes_left.len())?;
-        match self.broken.as_slice() {
-            [] => write!(f, "  promises         all kept"),
-            broken => write!(f, "  promises         {} broken", broken.len()),
+        writeln!(f, "{}", field("digest", digest))?;
+        let (files, processes) = (self.files_left.len(), self.processes_left.len());
+        writeln!(f, "{}", field("left over", format_args!("{files} files, {processes} processes")))?;
+        let promises = match self.broken.len() {
+            0 => format!("{GOOD}all kept{GOOD:#}"),
+            broken => format!("{BAD}{broken} broken{BAD:#}"),
+        };
+        write!(f, "{}", field("promises", promises))
+    }
+}
+
+impl Outcome {
+    /// Who was hit how often, and how long each kind of node took to come back.
+    fn fmt_faults(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [kill, stop, storm, several, blackout] = ["kill", "stop", "storm", "several", "blackout"];
+        writeln!(f, "  {:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}", "hit")?;
+        for RoleSummary { role, kill, stop, storm, several, blackout, .. } in &self.faults {
+            writeln!(f, "  {role:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}")?;
         }
+        writeln!(f, "  {:<16} {:>26} {:>30}", "back, ms", "until its role is taken", "until it is at work")?;
+        let [p50, p99, max] = ["p50", "p99", "max"];
+        writeln!(f, "  {:<16} {p50:>8} {p99:>8} {max:>8} {p50:>12} {p99:>8} {max:>8}", "")?;
+        for RoleSummary { role, restart_ms, recovery_ms, .. } in &self.faults {
+            let [taken, at_work] = [restart_ms, recovery_ms].map(|times_ms| match times_ms {
+                Some(Percentiles { p50, p99, max, .. }) => [p50, p99, max].map(|time_ms| format!("{time_ms:.1}")),
+                None => ["-"; 3].map(str::to_owned),
+            });
+            let [[a, b, c], [d, e, g]] = [taken, at_work];
+            writeln!(f, "  {role:<16} {a:>8} {b:>8} {c:>8} {d:>12} {e:>8} {g:>8}")?;
+        }
+        Ok(())
     }
 }
 

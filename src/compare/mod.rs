@@ -70,8 +70,10 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
     std::fs::write(&path, serde_json::to_string_pretty(&comparison)? + "\n")
         .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
     pictures::draw(&comparison, &scenarios, &args.out)?;
-    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", args.out.display()))?;
-    Ok(())
+    if args.json {
+        return failure::print_json(&comparison);
+    }
+    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", args.out.display()))
 }
 
 /// What is to be run, and each planner's first scenario.

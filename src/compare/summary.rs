@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::monte_carlo::{Sample, Trial};
 use super::planning_time::Scaling;
 use super::statistics::{Interval, chi_square_mean_bounds, fraction_at_most, mean, percentile, wilson_interval};
+use crate::terminal::TITLE;
 
 /// A run has diverged if its mean position error over this many last ticks is above
 /// [`DIVERGED_ERROR_M`].
@@ -250,86 +251,91 @@ impl Display for Comparison {
             sigma => format!("{stand_off_m} m or {sigma} sigma"),
         };
         let last_seed = seed.wrapping_add(runs.saturating_sub(1));
-        writeln!(f, "{scenario}: {robots} robots, stand-off {stand_off}, {ticks} ticks, {runs} runs of each")?;
-        writeln!(f, "planner, with seeds {seed} to {last_seed}, in {:.1} s", self.wall_s)?;
+        writeln!(f, "{TITLE}{scenario}{TITLE:#}: {robots} robots, stand-off {stand_off}, {ticks} ticks")?;
+        let wall_s = self.wall_s;
+        writeln!(f, "{runs} runs of each planner, seeds {seed} to {last_seed}, in {wall_s:.1} s")?;
         writeln!(f)?;
-        writeln!(
-            f,
-            "                trace, m²    variance, m²      position error, m    ANEES    NIS  diverged, % (95 %)"
-        )?;
-        writeln!(f, "               end   mean      end   mean     RMS  median    p95")?;
+        let of = |name: &str| self.planning_time.iter().find(|scaling| scaling.name == name);
+        writeln!(f, "{:>26}{:>16}{:>24}", "trace, m²", "variance, m²", "trace above optimum, %")?;
+        write_row(f, "", ["end", "mean", "end", "mean", "p50", "p99", "max"])?;
         for planner in &self.planners {
-            planner.fmt_tracking(f)?;
+            write_row(f, &planner.name, planner.uncertainty())?;
         }
         writeln!(f)?;
-        writeln!(f, "             planning, us           |S| above optimum      trace above optimum, %   time over M")?;
-        writeln!(f, "              p50     p99       p50      p99      max       p50      p99      max")?;
+        writeln!(f, "{:>34}{:>16}{:>22}", "position error, m", "consistency", "diverged, %")?;
+        write_row(f, "", ["RMS", "median", "p95", "ANEES", "NIS", "rate", "95 % interval"])?;
         for planner in &self.planners {
-            let scaling = self.planning_time.iter().find(|scaling| scaling.name == planner.name);
-            planner.fmt_planning(f, scaling)?;
+            write_row(f, &planner.name, planner.errors())?;
         }
         writeln!(f)?;
+        writeln!(f, "{:>34}{:>24}", "planning, us", "|S| above optimum")?;
+        write_row(f, "", ["p50", "p99", "over M", "p50", "p99", "max"])?;
+        for planner in &self.planners {
+            write_row(f, &planner.name, planner.planning(of(&planner.name)))?;
+        }
         let Interval { low, high } = anees_bounds;
-        writeln!(
+        write!(
             f,
-            "Trace and variance (largest eigenvalue) of the position covariance: median over the runs, at the"
-        )?;
-        writeln!(
-            f,
-            "end and its mean over time. Errors, ANEES and NIS hold all runs, diverged ones too; ANEES and NIS"
-        )?;
-        writeln!(
-            f,
-            "are ideally 1, and at one tick 95 % of consistent filters have an ANEES from {low:.2} to {high:.2}."
-        )?;
-        writeln!(
-            f,
-            "Diverged: over {DIVERGED_ERROR_M} m off in the mean of the last {DIVERGED_TICKS} ticks. Above optimum: against the certified"
-        )?;
-        write!(f, "lower bound of the same step, |S| relative to the sum of all lambda. Time over M: M robots.")
+            "
+Trace and variance (largest eigenvalue) of the position covariance: median over
+the runs, at the end and its mean over time. Errors, ANEES and NIS hold all
+runs, diverged ones too; ANEES and NIS are ideally 1, and at one tick 95 % of
+consistent filters have an ANEES from {low:.2} to {high:.2}. Diverged: over {DIVERGED_ERROR_M} m off
+in the mean of the last {DIVERGED_TICKS} ticks. Above optimum: against the certified lower
+bound of the same step, |S| relative to the sum of all lambda. Over M: how the
+time to plan grows with the number of robots."
+        )
     }
 }
 
+/// A row of a table: a name and figures below their heads.
+fn write_row(f: &mut Formatter<'_>, name: &str, figures: impl IntoIterator<Item = impl Display>) -> std::fmt::Result {
+    write!(f, "{name:<10}")?;
+    for figure in figures {
+        write!(f, " {figure:>7}")?;
+    }
+    writeln!(f)
+}
+
 impl Summary {
-    fn fmt_tracking(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        let Self { position_trace_m2, max_eigenvalue_m2, position_rmse_m, divergence, .. } = self;
-        let Interval { low, high } = divergence.interval;
-        writeln!(
-            f,
-            "{:<10} {:>7} {:>6}  {:>7} {:>6}  {:>6} {:>7} {:>6}  {:>7} {:>6}  {:>5.1} ({:.1}-{:.1})",
-            self.name,
-            figure(position_trace_m2.r#final),
-            figure(position_trace_m2.mean),
-            figure(max_eigenvalue_m2.r#final),
-            figure(max_eigenvalue_m2.mean),
+    fn uncertainty(&self) -> [String; 7] {
+        let Self { position_trace_m2, max_eigenvalue_m2, trace_excess_percent: excess, .. } = self;
+        [
+            position_trace_m2.r#final,
+            position_trace_m2.mean,
+            max_eigenvalue_m2.r#final,
+            max_eigenvalue_m2.mean,
+            excess.p50,
+            excess.p99,
+            excess.max,
+        ]
+        .map(figure)
+    }
+
+    fn errors(&self) -> [String; 7] {
+        let Self { position_rmse_m, divergence: Divergence { rate, interval: Interval { low, high }, .. }, .. } = self;
+        [
             figure(position_rmse_m.all),
             figure(position_rmse_m.median),
             figure(position_rmse_m.p95),
             figure(self.anees),
             figure(self.nis_per_dof),
-            100.0 * divergence.rate,
-            100.0 * low,
-            100.0 * high,
-        )
+            format!("{:.1}", 100.0 * rate),
+            format!("{:>13}", format!("{:.1} to {:.1}", 100.0 * low, 100.0 * high)),
+        ]
     }
 
-    fn fmt_planning(&self, f: &mut Formatter<'_>, scaling: Option<&Scaling>) -> std::fmt::Result {
-        let Self { planning_us, gap, trace_excess_percent: excess, .. } = self;
+    fn planning(&self, scaling: Option<&Scaling>) -> [String; 6] {
+        let Self { planning_us, gap, .. } = self;
         let law = scaling.and_then(|scaling| scaling.law);
-        writeln!(
-            f,
-            "{:<10} {:>6} {:>7}  {:>8} {:>8} {:>8}  {:>8} {:>8} {:>8}  {:>12}",
-            self.name,
+        [
             figure(planning_us.p50),
             figure(planning_us.p99),
+            law.map_or(String::new(), |law| format!("M^{:.2}", law.exponent)),
             figure(gap.p50),
             figure(gap.p99),
             figure(gap.max),
-            figure(excess.p50),
-            figure(excess.p99),
-            figure(excess.max),
-            law.map_or(String::new(), |law| format!("M^{:.2}", law.exponent)),
-        )
+        ]
     }
 }
 

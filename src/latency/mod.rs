@@ -83,6 +83,9 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
     }
     progress.finish();
     picture::draw(&outcome, folder)?;
+    if args.json {
+        return failure::print_json(&outcome);
+    }
     failure::print(format!("{outcome}\nfigures and picture in {}\n", folder.display()))
 }
 

@@ -12,6 +12,7 @@ use crate::hops::{self, HopSummary, Percentiles};
 use crate::percentiles::{self, Point};
 use crate::pin::Pin;
 use crate::report::LatencySummary;
+use crate::terminal::{TITLE, wrapped};
 
 /// File name of the figures in the output folder.
 pub(super) const FILE_NAME: &str = "latency.json";
@@ -231,26 +232,31 @@ impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { scenario, robots, planner, clock, ticks, warm_up_ticks, pin, .. } = self;
         let rate = self.rate_hz.map_or(String::new(), |rate_hz| format!(" at {rate_hz:.4} Hz"));
-        writeln!(f, "latency: {scenario}, {robots} robots, {planner} planner, {clock}{rate}, pin {pin}")?;
+        let what = format!("{robots} robots, {planner} planner, {clock}{rate}, pin {pin}");
+        writeln!(f, "{TITLE}latency{TITLE:#}: {scenario}, {}", wrapped(&what, 11 + scenario.len()))?;
         let rounds = self.rounds.len();
         writeln!(f, "  {rounds} rounds of {ticks} ticks, of which the first {warm_up_ticks} are not counted")?;
         let [p50, p90, p99, p99_9, max] = ["p50", "p90", "p99", "p99.9", "max"];
-        writeln!(f, "  {:<18}{p50:>9} {p90:>9} {p99:>9} {p99_9:>9} {max:>9} {:>9}", "range to heading", "samples")?;
+        writeln!(
+            f,
+            "  {:<20}{p50:>8} {p90:>8} {p99:>8} {p99_9:>9} {max:>10} {:>9}",
+            "range to heading, us", "samples"
+        )?;
         for contender in Contender::ALL {
             let LatencySummary { count, p50, p90, p99, p99_9, max } = self.latency_us.get(contender);
             let name = contender.to_string();
-            writeln!(f, "  {name:<18}{p50:>9.1} {p90:>9.1} {p99:>9.1} {p99_9:>9.1} {max:>9.1} {count:>9} us")?;
+            writeln!(f, "  {name:<20}{p50:>8.1} {p90:>8.1} {p99:>8.1} {p99_9:>9.1} {max:>10.1} {count:>9}")?;
         }
-        writeln!(f, "  {:<18}{:>9} {:>9}", "system's p50 over", "iceoryx2", "futex")?;
+        writeln!(f, "  {:<20}{:>8} {:>8}", "system's p50 over", "iceoryx2", "futex")?;
         let mut row =
-            |name: &str, ratios: &Ratios| writeln!(f, "  {name:<18}{:>9.2} {:>9.2}", ratios.iceoryx2, ratios.futex);
+            |name: &str, ratios: &Ratios| writeln!(f, "  {name:<20}{:>8.2} {:>8.2}", ratios.iceoryx2, ratios.futex);
         for (number, round) in (1..).zip(&self.rounds) {
             row(&format!("round {number}"), &round.p50_ratios)?;
         }
         row("median", &self.p50_ratios)?;
-        writeln!(f, "  {:<18}{p50:>9} {p99:>9}", "system's hops")?;
+        writeln!(f, "  {:<20}{p50:>8} {p99:>8}", "system's hops, us")?;
         for (name, hop) in hops::NAMES.iter().zip(self.hops_us.in_order()) {
-            writeln!(f, "  {name:<18}{:>9.1} {:>9.1} us", hop.p50, hop.p99)?;
+            writeln!(f, "  {name:<20}{:>8.1} {:>8.1}", hop.p50, hop.p99)?;
         }
         Ok(())
     }

@@ -16,10 +16,10 @@ use rangehound_shared::signal::Termination;
 use crate::cli::{ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
+use crate::in_process;
 use crate::node::{end_with, input_or_running};
-use crate::report::Truth;
+use crate::tables::{self, Keep};
 use crate::watch::{Progress, Watch};
-use crate::{in_process, tables};
 use cleaner::Cleaner;
 use losses::Losses;
 use nodes::Nodes;
@@ -31,7 +31,7 @@ use nodes::Nodes;
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     end_with(&args.parent)?;
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
-    let keep = Keep { recording: args.write_recording, truth: None };
+    let keep = Keep { recording: args.write_recording, truth: None, json: args.json };
     execute(experiment, args.in_process, &args.supervision, &keep)
 }
 
@@ -42,7 +42,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    execute(experiment, args.in_process, &args.supervision, &Keep { recording: false, truth })
+    execute(experiment, args.in_process, &args.supervision, &Keep { recording: false, truth, json: args.json })
 }
 
 /// `rangehound resume`: goes on with a run all of whose processes are gone.
@@ -56,13 +56,8 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
     let look = || tables::look_for_writable(&description);
-    supervise(&name, &description, &args.supervision, &Keep { recording: false, truth: None }, look)
-}
-
-/// What is done with a run's logs beyond the report.
-struct Keep {
-    recording: bool,
-    truth: Option<Truth>,
+    let keep = Keep { json: args.json, ..Keep::default() };
+    supervise(&name, &description, &args.supervision, &keep, look)
 }
 
 fn execute(
@@ -81,7 +76,7 @@ fn execute(
             }
         })?;
         progress.finish();
-        tables::report_and_tables(description, keep.truth.as_ref(), keep.recording, Vec::new())?;
+        tables::report_and_tables(description, keep, Vec::new())?;
         return Ok(());
     }
     supervise(name, description, supervision, keep, || tables::prepare_folder(&experiment))
@@ -121,7 +116,7 @@ fn supervise(
         Ok::<_, Failure>((nodes.summaries(), outcome))
     })?;
     drop(rendezvous);
-    let reported = tables::report_and_tables(description, keep.truth.as_ref(), keep.recording, summaries);
+    let reported = tables::report_and_tables(description, keep, summaries);
     // Why the run ended early comes first.
     outcome?;
     let ticks = reported?.ticks;

@@ -1,0 +1,95 @@
+//! The report of a run, computed from the logs of its nodes.
+//!
+//! | module | what |
+//! |---|---|
+//! | `summary` | the figures: the keys of `report.json` |
+//! | `tally` | adding them up tick by tick |
+//! | `truth` | a true track to compare with |
+//! | `print` | the report on the terminal |
+
+mod print;
+mod summary;
+mod tally;
+mod truth;
+
+use std::path::Path;
+
+use nalgebra::Vector2;
+use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::scenario::Scenario;
+use rangehound_shared::tick_log::TickLogError;
+
+pub use summary::{
+    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+};
+pub use tally::{Tally, position_covariance, position_error};
+pub use truth::Truth;
+
+/// File name of the report in a run folder.
+pub const FILE_NAME: &str = "report.json";
+
+/// Computes the report of a run from its logs.
+///
+/// # Errors
+/// If a log cannot be read.
+pub fn from_logs(
+    description: &RunDescription,
+    truth: Option<&Truth>,
+    nodes: Vec<NodeSummary>,
+) -> anyhow::Result<Report> {
+    let RunDescription { run_id, scenario, out_dir } = description;
+    let mut tally = Tally::new()?;
+    let mut worlds = Worlds::open(description)?;
+    let mut estimates = EstimateRecord::reader(out_dir, *run_id, scenario)?;
+    let state_dim = scenario.motion.state_dim();
+    while let Some(record) = estimates.next() {
+        let (tick, words) = record?;
+        let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
+        let world = worlds.at(tick, &mut tally)?;
+        if let Some(world) = world {
+            tally.add_hops(&estimate.stages, &world.robots);
+        }
+        let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
+        let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(time_s)));
+        tally.add_estimate(tick, &estimate, truth_m);
+    }
+    worlds.at(u64::MAX, &mut tally)?;
+    Ok(tally.report(scenario, nodes))
+}
+
+/// Walks through the simulator's log beside fusion's.
+struct Worlds<'a> {
+    scenario: &'a Scenario,
+    reader: rangehound_shared::tick_log::TickLogReader,
+    last: Option<(u64, WorldRecord)>,
+}
+
+impl<'a> Worlds<'a> {
+    fn open(description: &'a RunDescription) -> Result<Self, TickLogError> {
+        let RunDescription { run_id, scenario, out_dir } = description;
+        Ok(Self { scenario, reader: WorldRecord::reader(out_dir, *run_id, scenario)?, last: None })
+    }
+
+    /// The record of a tick, if there is one; all up to it are added to the tally.
+    fn at(&mut self, tick: u64, tally: &mut Tally) -> Result<Option<&WorldRecord>, TickLogError> {
+        while self.last.as_ref().is_none_or(|(last, _)| *last < tick) {
+            let Some(record) = self.reader.next() else { break };
+            let (at, words) = record?;
+            let record = WorldRecord::from_words(words, self.scenario);
+            tally.add_world(record.ended_ns, &record.robots);
+            self.last = Some((at, record));
+        }
+        Ok(self.last.as_ref().filter(|(last, _)| *last == tick).map(|(_, record)| record))
+    }
+}
+
+/// Writes `report.json`.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
+    let path = out_dir.join(FILE_NAME);
+    std::fs::write(&path, serde_json::to_string_pretty(report)? + "\n")
+        .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+}

@@ -1,0 +1,232 @@
+//! Adding up a run tick by tick.
+
+use hdrhistogram::Histogram;
+use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::STATE_DIM_MAX;
+use rangehound_shared::digest::Digest;
+use rangehound_shared::message::{Estimate, Stages};
+use rangehound_shared::record::RobotRecord;
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::Scenario;
+
+use super::{
+    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+};
+use crate::hops::Hops;
+use crate::percentiles;
+
+/// Adds up a run tick by tick.
+#[derive(Debug)]
+pub struct Tally {
+    ticks: u64,
+    digest: Digest,
+    squared_error_m2: Mean,
+    nees: Mean,
+    nis: Mean,
+    traces_m2: Vec<f64>,
+    ranges: RangeSummary,
+    refused: RefusalSummary,
+    distrusted: Vec<Distrust>,
+    headings: HeadingSummary,
+    latency_ns: Histogram<u64>,
+    hops: Hops,
+    first_end_ns: Option<u64>,
+    last_end_ns: u64,
+}
+
+#[derive(Debug, Default)]
+struct Mean {
+    sum: f64,
+    count: f64,
+}
+
+impl Mean {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.count += 1.0;
+    }
+
+    fn value(&self) -> Option<f64> {
+        (self.count > 0.0).then(|| self.sum / self.count)
+    }
+}
+
+impl Tally {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// If the histogram cannot be made.
+    pub fn new() -> anyhow::Result<Self> {
+        Ok(Self {
+            ticks: 0,
+            digest: Digest::default(),
+            squared_error_m2: Mean::default(),
+            nees: Mean::default(),
+            nis: Mean::default(),
+            traces_m2: Vec::new(),
+            ranges: RangeSummary::default(),
+            refused: RefusalSummary::default(),
+            distrusted: Vec::new(),
+            headings: HeadingSummary::default(),
+            // Grows with the largest value; 3 digits are what the report shows.
+            latency_ns: Histogram::new(3)?,
+            hops: Hops::new()?,
+            first_end_ns: None,
+            last_end_ns: 0,
+        })
+    }
+
+    /// Adds fusion's side of a tick; `truth_m` is the target's true position, where it is known.
+    pub fn add_estimate(&mut self, tick: u64, estimate: &Estimate, truth_m: Option<Vector2<f64>>) {
+        self.digest = Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]));
+        self.ranges.add(estimate);
+        self.refused.add(estimate);
+        self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));
+        if estimate.fused > 0 {
+            self.nis.sum += estimate.nis;
+            self.nis.count += estimate.fused as f64;
+        }
+        if tick == 0 {
+            return;
+        }
+        self.ticks = tick;
+        let covariance = position_covariance(estimate);
+        self.traces_m2.push(covariance.trace());
+        if let Some(truth_m) = truth_m {
+            let (squared_error_m2, nees) = position_error(estimate, truth_m);
+            self.squared_error_m2.add(squared_error_m2);
+            if let Some(nees) = nees {
+                self.nees.add(nees / 2.0);
+            }
+        }
+    }
+
+    /// Begins and ends the times of distrust.
+    fn add_distrust(&mut self, tick: u64, distrusted: RobotSet) {
+        let mut begun = distrusted;
+        for open in self.distrusted.iter_mut().filter(|distrust| distrust.to_tick.is_none()) {
+            if distrusted.contains(open.robot) {
+                begun.set(open.robot, false);
+            } else {
+                open.to_tick = Some(tick);
+            }
+        }
+        if !begun.is_empty() {
+            self.distrusted.extend(begun.iter().map(|robot| Distrust { robot, from_tick: tick, to_tick: None }));
+        }
+    }
+
+    /// Adds the simulator's side of a tick.
+    pub fn add_world<'a>(&mut self, ended_ns: u64, robots: impl IntoIterator<Item = &'a RobotRecord>) {
+        self.first_end_ns.get_or_insert(ended_ns);
+        self.last_end_ns = ended_ns;
+        for robot in robots {
+            self.ranges.published += u64::from(robot.range_sent_ns.is_some());
+            self.headings.add(robot);
+            if let Some(latency_ns) = robot.latency_ns() {
+                // Resizes as needed, so nothing can be out of its bounds.
+                let _ = self.latency_ns.record(latency_ns);
+            }
+        }
+    }
+
+    /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
+    pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
+        for robot in robots {
+            self.hops.add(stages, robot);
+        }
+    }
+
+    /// The report.
+    #[must_use]
+    pub fn report(mut self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
+        let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
+        let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
+        self.traces_m2.sort_unstable_by(f64::total_cmp);
+        Report {
+            scenario: scenario.name.clone(),
+            seed: scenario.seed,
+            clock: scenario.clock.name().to_owned(),
+            planner: scenario.planner.name().to_owned(),
+            robots: scenario.robots.len(),
+            ticks: self.ticks,
+            wall_s,
+            ticks_per_s: if wall_s > 0.0 { self.ticks as f64 / wall_s } else { 0.0 },
+            digest: self.digest.to_string(),
+            position_rmse_m: self.squared_error_m2.value().map(f64::sqrt),
+            anees: self.nees.value(),
+            nis_mean: self.nis.value(),
+            position_trace_m2: TraceSummary {
+                r#final: last_trace_m2,
+                median: self.traces_m2.get(self.traces_m2.len() / 2).copied().unwrap_or(0.0),
+            },
+            ranges: self.ranges,
+            refused: self.refused,
+            distrusted: self.distrusted,
+            headings: self.headings,
+            latency_us: LatencySummary::of(&self.latency_ns),
+            percentiles: percentiles::curve(&self.latency_ns),
+            hops_us: self.hops.summary(),
+            nodes,
+        }
+    }
+}
+
+/// The 2 x 2 block of the position.
+#[must_use]
+pub fn position_covariance(estimate: &Estimate) -> Matrix2<f64> {
+    let n = (estimate.state_dim as usize).clamp(2, STATE_DIM_MAX);
+    let p = &estimate.covariance;
+    Matrix2::new(p[0], p[1], p[n], p[n + 1])
+}
+
+/// Squared position error, m^2, and the same normalised by the covariance (NEES, two degrees of freedom);
+/// `None` for the latter if the covariance is singular.
+#[must_use]
+pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Option<f64>) {
+    let error_m = Vector2::new(estimate.state[0], estimate.state[1]) - truth_m;
+    let inverse = position_covariance(estimate).try_inverse();
+    (error_m.norm_squared(), inverse.map(|inverse| error_m.dot(&(inverse * error_m))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_came_late_was_not_missing_after_all() {
+        let mut tally = Tally::new().unwrap();
+        let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
+        tally.add_estimate(1, &tick(1, 2), None);
+        tally.add_estimate(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }, None);
+        tally.add_estimate(3, &Estimate { rejected: 1, ..tick(1, 1) }, None);
+        let expected = RangeSummary { published: 0, fused: 6, rejected: 2, late: 3, fused_late: 1, missing: 1 };
+        assert_eq!(tally.ranges, expected);
+        assert_eq!(tally.ranges.fused + tally.ranges.rejected + tally.ranges.missing, 3 * 3);
+    }
+
+    #[test]
+    fn times_of_distrust_begin_and_end() {
+        let mut tally = Tally::new().unwrap();
+        let distrusted = [&[][..], &[1], &[1, 70], &[70], &[1, 70]];
+        for (tick, robots) in distrusted.iter().enumerate() {
+            let mut set = RobotSet::default();
+            robots.iter().for_each(|robot| set.set(*robot, true));
+            let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
+            tally.add_estimate(tick as u64, &estimate, None);
+        }
+        let distrust = |robot, from_tick, to_tick| Distrust { robot, from_tick, to_tick };
+        assert_eq!(tally.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
+    }
+
+    #[test]
+    fn refusals_are_told_by_cause() {
+        let mut tally = Tally::new().unwrap();
+        let estimate = Estimate { refused: [1, 2, 3, 4, 5, 6], ..Estimate::default() };
+        tally.add_estimate(1, &estimate, None);
+        tally.add_estimate(2, &estimate, None);
+        let json = serde_json::to_string(&tally.refused).unwrap();
+        let expected = r#"{"impostor":2,"out_of_range":4,"malformed":6,"future":8,"contradiction":10,"jump":12}"#;
+        assert_eq!(json, expected);
+    }
+}
