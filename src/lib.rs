@@ -1,5 +1,12 @@
 //! The operator's tool: starts, watches and reports runs of rangehound.
 //!
+//! It stands outside the loop that the nodes are in, starts and watches them, and reads what they put down:
+//!
+//! ```text
+//! sim --world--> robot 0..M-1 --range--> fusion --heading--> robot 0..M-1 --drive--> sim
+//!                                           `--estimate--> observers        sim --truth--> observers
+//! ```
+//!
 //! The binary `rangehound` is the tool and also each node: `rangehound sim`, `rangehound fusion`,
 //! `rangehound robot --id 3`. This crate alone knows all roles.
 //!

@@ -132,6 +132,12 @@ impl Centre {
         Self { past: Some(Past::default()), ..self }
     }
 
+    /// The same centre with another planner than its scenario's.
+    #[must_use]
+    pub fn planned_by(self, planner: Box<dyn Planner>) -> Self {
+        Self { planner, ..self }
+    }
+
     /// What [`Self::restore`] needs to go on from here, to the bit; but for the ticks kept for late reports.
     ///
     /// # Errors

@@ -1,5 +1,12 @@
 //! The fusion centre.
 //!
+//! Its place in the loop is between the robots' ranges and their headings; observers hear what it knows:
+//!
+//! ```text
+//! robot 0..M-1 --range--> FUSION --heading--> robot 0..M-1
+//!                           `--estimate--> observers
+//! ```
+//!
 //! Each tick it takes the ranges of all robots, updates the target's estimate with an extended
 //! Kalman filter, predicts it one step ahead, and plans every robot's heading so that the next
 //! ranges tell most. [`Centre`] is the pure step; [`run`] is the process round it: ports, loop, log.

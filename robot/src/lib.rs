@@ -1,5 +1,11 @@
 //! One robot.
 //!
+//! Its place in the loop is everywhere that one part of the team acts by itself:
+//!
+//! ```text
+//! sim --world--> ROBOT --range--> fusion --heading--> ROBOT --drive--> sim
+//! ```
+//!
 //! At each tick it measures its range, publishes it, and drives as the heading that comes back says.
 //! It has no state worth keeping: killed and started again, it goes on with the present tick.
 //!

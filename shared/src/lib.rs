@@ -1,5 +1,12 @@
 //! What all nodes of a rangehound run agree on.
 //!
+//! The whole loop, each arrow a topic of its own:
+//!
+//! ```text
+//! sim --world--> robot 0..M-1 --range--> fusion --heading--> robot 0..M-1 --drive--> sim
+//!                                           `--estimate--> observers        sim --truth--> observers
+//! ```
+//!
 //! The members `sim`, `robot` and `fusion` depend on this crate and never on each other;
 //! whatever two of them must share stands here once:
 //!

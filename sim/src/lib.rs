@@ -1,5 +1,12 @@
 //! The simulator.
 //!
+//! Its place in the loop is where a tick begins and ends; observers hear what only it knows:
+//!
+//! ```text
+//! robot 0..M-1 --drive--> SIM --world--> robot 0..M-1
+//!                          `--truth--> observers
+//! ```
+//!
 //! It keeps the team's clock: `world(k)` says where each robot is and what its sensor would measure,
 //! and the next tick starts when the robots have said what they drive (lock step) or when it is time
 //! (real time). What it shows of the target are ranges only; the true state goes to observers.

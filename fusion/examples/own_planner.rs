@@ -1,0 +1,89 @@
+//! A planner of one's own, tried beside the built-in ones: three robots and a target, in one process.
+//!
+//! ```sh
+//! cargo run --release -p rangehound-fusion --example own_planner
+//! ```
+//!
+//! To have it in the tool: put it into a file in `fusion/src/planner/`, with a line in its `for_team` and a variant of
+//! `PlannerSpec`. `rangehound run`, `plan` and `compare` then know it by its name.
+
+use std::path::Path;
+
+use rangehound_fusion::Centre;
+use rangehound_fusion::planner::{Plan, Planner, Problem, Vector, for_team};
+use rangehound_fusion::report::Report;
+use rangehound_shared::draws::{Draws, Stream};
+use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioFile};
+
+/// Each robot in turn answers what its teammates do: it points its vector against the sum of all others, or as near to
+/// that as its arc allows. One round, so it is fast; the built-in relaxation goes on until nothing moves.
+#[derive(Debug)]
+struct BestReplies;
+
+impl Planner for BestReplies {
+    fn name(&self) -> &'static str {
+        "best replies"
+    }
+
+    fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
+        let arms = problem.arms();
+        // At first nobody moves: the middle of an arc is where its robot looks now.
+        plan.directions.clear();
+        plan.directions.extend(arms.iter().map(|arm| arm.centre));
+        let mut sum = problem.sum(&plan.directions);
+        for (arm, direction) in arms.iter().zip(&mut plan.directions) {
+            let others = sum - *direction * arm.lambda;
+            *direction = arm.nearest(-others, arm.centre);
+            sum = others + *direction * arm.lambda;
+        }
+        // Headings, speeds and worth follow from the directions.
+        plan.complete(problem);
+    }
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "built in", Path::new(""))?;
+    let built_in = |spec| for_team(spec, scenario.robots.len(), scenario.seed);
+    let planners: [Box<dyn Planner>; 4] = [
+        Box::new(BestReplies),
+        built_in(PlannerSpec::Certified { nodes: 2_000 })?,
+        built_in(PlannerSpec::Greedy)?,
+        built_in(PlannerSpec::Random)?,
+    ];
+    println!("{:<14}{:>24}", "planner", "median trace, m^2");
+    for planner in planners {
+        let name = planner.name();
+        println!("{name:<14}{:>24.3}", median_trace_m2(&scenario, planner)?);
+    }
+    Ok(())
+}
+
+/// Lets the team follow a target for a while: what the filter knows at the end of each tick, in the median.
+fn median_trace_m2(scenario: &Scenario, planner: Box<dyn Planner>) -> Result<f64, Box<dyn std::error::Error>> {
+    let mut centre = Centre::new(scenario)?.planned_by(planner);
+    let mut robots_m: Vec<Vector> =
+        scenario.robots.iter().map(|robot| Vector::new(robot.start_m[0], robot.start_m[1])).collect();
+    let stream = |robot| Draws::new(scenario.seed, Stream::RangeNoise { robot });
+    let mut noise: Vec<Draws> = (0..robots_m.len()).map(stream).collect();
+    let mut traces_m2 = Vec::new();
+    for tick in 0..=300 {
+        let time_s = tick as f64 * scenario.dt_s;
+        let target_m = Vector::new(6.0 * time_s, 8.0 * (0.2 * time_s).sin());
+        let measured = robots_m.iter().zip(&mut noise).zip(&scenario.robots).map(|((at_m, noise), robot)| {
+            let mut drawn = [0.0];
+            noise.standard_normal(tick, &mut drawn);
+            let range_m = (target_m - *at_m).norm() + robot.range_std_m * drawn[0];
+            // At tick 0 nothing is measured yet.
+            Some(Report { position_m: *at_m, range_m: (tick > 0).then_some((range_m, robot.range_std_m)) })
+        });
+        let reports: Vec<Option<Report>> = measured.collect();
+        centre.update(time_s, &reports)?;
+        for (at_m, command) in robots_m.iter_mut().zip(centre.plan()) {
+            *at_m += Vector::from_angle(command.heading_rad) * (command.speed_mps * scenario.dt_s);
+        }
+        let (p, n) = (centre.covariance(), centre.state().len());
+        traces_m2.push(p[0] + p[n + 1]);
+    }
+    traces_m2.sort_by(f64::total_cmp);
+    Ok(traces_m2[traces_m2.len() / 2])
+}
