@@ -38,12 +38,9 @@ use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
 use senders::{Senders, Standing};
 
-/// Room on the side of a topic where one node speaks or listens: for that node, its standbys, observers, and the
-/// dead of the past until they are cleaned. Each message costs a look at every place, taken or not.
+/// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past
+/// until they are cleaned. Each message costs a look at every place, taken or not.
 const PLACES: usize = 16;
-
-/// More room on a topic's other side than there are robots.
-const PLACES_BESIDE_ROBOTS: usize = 16;
 
 /// Publishers that are gone and whose last samples a subscriber may yet take: 4 kB of its memory for each. What is lost beyond them comes again
 /// with the next repeat.
@@ -184,9 +181,9 @@ impl Bus {
             .service_builder(&name)
             .publish_subscribe::<[T]>()
             .user_header::<Header>()
-            .max_publishers(if T::FROM_ROBOTS { self.robots + PLACES_BESIDE_ROBOTS } else { PLACES })
-            .max_subscribers(if T::FROM_ROBOTS { PLACES } else { self.robots + PLACES_BESIDE_ROBOTS })
-            .max_nodes(self.robots + PLACES_BESIDE_ROBOTS + PLACES)
+            .max_publishers(if T::FROM_ROBOTS { self.robots + PLACES } else { PLACES })
+            .max_subscribers(if T::FROM_ROBOTS { PLACES } else { self.robots + PLACES })
+            .max_nodes(self.robots + 2 * PLACES)
             .subscriber_max_buffer_size(BUFFER)
             .subscriber_max_borrowed_samples(BUFFER)
             .history_size(0)
