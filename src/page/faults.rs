@@ -5,8 +5,7 @@ use std::fmt::Write;
 
 use plotters::prelude::*;
 
-use super::sections::WIDTH;
-use super::{Section, escaped};
+use super::{Section, WIDTH, escaped};
 use crate::chart::{self, COLOURS, Drawn, ESTIMATE, KeyEntry};
 use crate::curves::{Curves, Stretch};
 use crate::report::{Distrust, Incident, NodeSummary, Report};

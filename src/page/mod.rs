@@ -14,6 +14,9 @@ use std::path::Path;
 use crate::curves::Curves;
 use crate::report::Report;
 
+/// Width of all pictures, px: labels can be read on a phone.
+const WIDTH: u32 = 1_000;
+
 /// File name of the page in a run folder.
 pub const FILE_NAME: &str = "report.html";
 

@@ -2,16 +2,13 @@
 
 use plotters::prelude::*;
 
-use super::{Section, faults};
+use super::{Section, WIDTH, faults};
 use crate::chart::{self, COLOURS, ESTIMATE, TARGET};
 use crate::compare::statistics::{Interval, chi_square_mean_bounds, percentile};
 use crate::curves::{Curves, DRAWABLE_MAX, Stretch};
 use crate::over_time::{Band, Line, OverTime};
 use crate::percentiles;
 use crate::report::Report;
-
-/// Width of all pictures, px: labels can be read on a phone.
-pub(super) const WIDTH: u32 = 1_000;
 
 const HEIGHT: u32 = 600;
 
