@@ -1,6 +1,7 @@
 //! `run`, `resume` and `track`: starts the nodes of a run, watches them, ends them, and reports.
 
 mod cleaner;
+mod companions;
 mod losses;
 mod nodes;
 pub mod restart;
@@ -21,6 +22,7 @@ use crate::report::Truth;
 use crate::watch::{Progress, Watch};
 use crate::{in_process, tables};
 use cleaner::Cleaner;
+use companions::Companions;
 use losses::Losses;
 use nodes::Nodes;
 
@@ -105,6 +107,7 @@ fn supervise(
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
+        let mut companions = Companions::of(&rendezvous);
         let mut losses = Losses::new(description);
         let mut is_blind = false;
         let outcome = nodes.supervise(&hold, &termination, || {
@@ -115,8 +118,10 @@ fn supervise(
                 log::warn!("progress cannot be shown: {error}");
             }
             losses.look(watch.newest_ticks());
+            companions.look();
         });
         nodes.end(rendezvous.is_finished());
+        companions.end(&termination);
         watch.finish();
         Ok::<_, Failure>((nodes.summaries(), outcome))
     })?;
