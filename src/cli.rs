@@ -49,6 +49,8 @@ pub enum Command {
     Watch(NodeArgs),
     /// Plan one step for each JSON line of a file or of standard input, for programs of any language
     Plan(PlanArgs),
+    /// Write a run into one file, run.mcap, while it goes on or after it; `run` and `track` start this by themselves
+    Record(RecordArgs),
     /// Go on with a run all of whose processes are gone, from its checkpoints
     Resume(ResumeArgs),
     /// Show a run: where it is, and each node's state, process and starts
@@ -89,6 +91,68 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
+    /// Who to end with
+    #[command(flatten)]
+    pub parent: ParentArgs,
+}
+
+/// Whether a run is recorded.
+#[derive(Debug, Default, Args)]
+pub struct RecordingArgs {
+    /// Write run.mcap to the run folder, which viewers and `rangehound replay` open: on unless --no-record is given
+    #[arg(long, overrides_with = "no_record")]
+    pub record: bool,
+    /// Do not write run.mcap
+    #[arg(long, overrides_with = "record")]
+    pub no_record: bool,
+    /// How large it may become
+    #[command(flatten)]
+    pub limit: RecordLimitArgs,
+}
+
+/// How large a recording may become.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct RecordLimitArgs {
+    /// End the recording, not the run, when it has so many megabytes
+    #[arg(long = "record-limit", value_name = "MB", value_parser = whole, allow_negative_numbers = true, default_value_t = RECORD_LIMIT_MB)]
+    pub limit_mb: u64,
+}
+
+/// Enough for hours of the paper's experiment.
+const RECORD_LIMIT_MB: u64 = 1_000;
+
+impl Default for RecordLimitArgs {
+    fn default() -> Self {
+        Self { limit_mb: RECORD_LIMIT_MB }
+    }
+}
+
+impl RecordLimitArgs {
+    /// The same in bytes.
+    #[must_use]
+    pub fn bytes(self) -> u64 {
+        self.limit_mb.saturating_mul(1_000_000)
+    }
+}
+
+/// `record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Folder of a run that is over [default: the run of --name, while it goes on]
+    #[arg(value_name = "DIR", conflicts_with = "name")]
+    pub folder: Option<PathBuf>,
+    /// Name of the run to join; waits for it to be founded
+    #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
+    pub name: RunName,
+    /// The file [default: run.mcap in the run folder]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// How large it may become
+    #[command(flatten)]
+    pub limit: RecordLimitArgs,
     /// Who to end with
     #[command(flatten)]
     pub parent: ParentArgs,
@@ -197,6 +261,9 @@ pub struct ResumeArgs {
     /// Who is started, and started again
     #[command(flatten)]
     pub supervision: SupervisionArgs,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
 }
 
 /// A run to act on from another terminal.
@@ -338,6 +405,9 @@ pub struct TrackArgs {
     /// Compose the same steps in this one process, without shared memory
     #[arg(long)]
     pub in_process: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
     /// Name of the run [default: after the file, numbered if taken]
     #[arg(long)]
     pub name: Option<RunName>,

@@ -19,6 +19,7 @@
 //! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`report`], [`hops`], [`tables`], [`page`], [`picture`] | what a run leaves: `report.json`, CSV, `report.html`, a picture |
 //! | [`frame`] | a run tick by tick, all that travelled on its topics |
+//! | [`run_mcap`], [`recorder`] | a run in one file that viewers open, and who writes it while the run goes on |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
@@ -42,8 +43,10 @@ pub mod percentiles;
 pub mod picture;
 pub mod pin;
 pub mod plan;
+pub mod recorder;
 pub mod remote;
 pub mod report;
+pub mod run_mcap;
 pub mod supervisor;
 pub mod tables;
 pub mod watch;

@@ -7,6 +7,7 @@
 //! | `estimate.csv` | the track: a row for each tick |
 //! | `report.html`, `picture.svg` | see [`crate::page`], [`crate::picture`] |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
+//! | `run.mcap` | the whole run in one file, see [`crate::run_mcap`] |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
 //! | `run.sealed` | what the run is, for `resume` |
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
@@ -31,7 +32,7 @@ use crate::curves::Curves;
 use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
-use crate::{page, picture};
+use crate::{page, picture, run_mcap};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
@@ -74,6 +75,10 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
     }
     let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
     let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
+    let recording = out_dir.join(run_mcap::FILE_NAME);
+    for stale in [run_mcap::file::partial(&recording), recording] {
+        let _ = std::fs::remove_file(stale);
+    }
     for stale in results.into_iter().chain(checkpoints.iter().map(String::as_str)) {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }

@@ -14,13 +14,13 @@ use rangehound_shared::bus::Bus;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
 use rangehound_shared::signal::Termination;
 
-use crate::cli::{ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
+use crate::cli::{RecordingArgs, ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::{end_with, input_or_running};
 use crate::report::Truth;
 use crate::watch::{Progress, Watch};
-use crate::{in_process, tables};
+use crate::{in_process, recorder, tables};
 use cleaner::Cleaner;
 use companions::Companions;
 use losses::Losses;
@@ -33,7 +33,7 @@ use nodes::Nodes;
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     end_with(&args.parent)?;
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
-    let keep = Keep { recording: args.write_recording, truth: None };
+    let keep = Keep { ranges: args.write_recording, truth: None, recording: &args.recording };
     execute(experiment, args.in_process, &args.supervision, &keep)
 }
 
@@ -44,7 +44,8 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    execute(experiment, args.in_process, &args.supervision, &Keep { recording: false, truth })
+    let keep = Keep { ranges: false, truth, recording: &args.recording };
+    execute(experiment, args.in_process, &args.supervision, &keep)
 }
 
 /// `rangehound resume`: goes on with a run all of whose processes are gone.
@@ -58,20 +59,23 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
     let look = || tables::look_for_writable(&description);
-    supervise(&name, &description, &args.supervision, &Keep { recording: false, truth: None }, look)
+    let keep = Keep { ranges: false, truth: None, recording: &args.recording };
+    supervise(&name, &description, &args.supervision, &keep, look)
 }
 
 /// What is done with a run's logs beyond the report.
-struct Keep {
-    recording: bool,
+struct Keep<'a> {
+    /// Whether they become a recording that `track` reads.
+    ranges: bool,
     truth: Option<Truth>,
+    recording: &'a RecordingArgs,
 }
 
 fn execute(
     experiment: Experiment,
     in_process: bool,
     supervision: &SupervisionArgs,
-    keep: &Keep,
+    keep: &Keep<'_>,
 ) -> Result<(), Failure> {
     let Experiment { name, description, .. } = &experiment;
     if in_process {
@@ -83,7 +87,10 @@ fn execute(
             }
         })?;
         progress.finish();
-        tables::report_and_tables(description, keep.truth.as_ref(), keep.recording, Vec::new())?;
+        if !keep.recording.no_record {
+            recorder::record_logs(description, None, keep.recording.limit.bytes(), &Termination::listen()?)?;
+        }
+        tables::report_and_tables(description, keep.truth.as_ref(), keep.ranges, Vec::new())?;
         return Ok(());
     }
     supervise(name, description, supervision, keep, || tables::prepare_folder(&experiment))
@@ -94,7 +101,7 @@ fn supervise(
     name: &RunName,
     description: &RunDescription,
     supervision: &SupervisionArgs,
-    keep: &Keep,
+    keep: &Keep<'_>,
     prepare_folder: impl FnOnce() -> Result<File, Failure>,
 ) -> Result<(), Failure> {
     let termination = Termination::listen()?;
@@ -108,6 +115,9 @@ fn supervise(
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
         let mut companions = Companions::of(&rendezvous);
+        if !keep.recording.no_record {
+            companions.start("record", vec!["--record-limit".to_owned(), keep.recording.limit.limit_mb.to_string()]);
+        }
         let mut losses = Losses::new(description);
         let mut is_blind = false;
         let outcome = nodes.supervise(&hold, &termination, || {
@@ -121,12 +131,12 @@ fn supervise(
             companions.look();
         });
         nodes.end(rendezvous.is_finished());
-        companions.end(&termination);
         watch.finish();
+        companions.end(&termination);
         Ok::<_, Failure>((nodes.summaries(), outcome))
     })?;
     drop(rendezvous);
-    let reported = tables::report_and_tables(description, keep.truth.as_ref(), keep.recording, summaries);
+    let reported = tables::report_and_tables(description, keep.truth.as_ref(), keep.ranges, summaries);
     // Why the run ended early comes first.
     outcome?;
     let ticks = reported?.ticks;
