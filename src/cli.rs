@@ -51,6 +51,8 @@ pub enum Command {
     Plan(PlanArgs),
     /// Write a run into one file, run.mcap, while it goes on or after it; `run` and `track` start this by themselves
     Record(RecordArgs),
+    /// Feed a recording's ranges to a fresh fusion: are all estimates the same to the bit, what would be different?
+    Replay(ReplayArgs),
     /// Go on with a run all of whose processes are gone, from its checkpoints
     Resume(ResumeArgs),
     /// Show a run: where it is, and each node's state, process and starts
@@ -98,6 +100,34 @@ pub struct RunArgs {
     #[command(flatten)]
     pub parent: ParentArgs,
 }
+
+/// `replay`.
+#[derive(Debug, Args)]
+#[command(after_help = REPLAY_EXITS)]
+pub struct ReplayArgs {
+    /// The recording: run.mcap of a run folder
+    pub file: PathBuf,
+    /// Another planner: what would it have told the robots, where they were?
+    #[arg(long, value_name = "NAME")]
+    pub planner: Option<String>,
+    /// Another gate, in standard deviations of an innovation
+    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
+    pub gate: Option<f64>,
+    /// Another spectral density of the target's noise, such as of its acceleration, m^2/s^3
+    #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
+    pub accel_psd: Option<f64>,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Make a whole file of one that was cut short or damaged, with all ticks up to there
+    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "json"])]
+    pub repair: bool,
+    /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
+    #[arg(long, value_name = "FILE", requires = "repair")]
+    pub out: Option<PathBuf>,
+}
+
+const REPLAY_EXITS: &str = "Exit codes: 0 bit-identical, compared or repaired, 1 an estimate differs, 2 bad usage or a file that cannot be used.";
 
 /// Whether a run is recorded.
 #[derive(Debug, Default, Args)]

@@ -20,6 +20,7 @@
 //! | [`report`], [`hops`], [`tables`], [`page`], [`picture`] | what a run leaves: `report.json`, CSV, `report.html`, a picture |
 //! | [`frame`] | a run tick by tick, all that travelled on its topics |
 //! | [`run_mcap`], [`recorder`] | a run in one file that viewers open, and who writes it while the run goes on |
+//! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`failure`] | exit codes |
@@ -45,6 +46,7 @@ pub mod pin;
 pub mod plan;
 pub mod recorder;
 pub mod remote;
+pub mod replay;
 pub mod report;
 pub mod run_mcap;
 pub mod supervisor;

@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, recorder, remote, supervisor, watch};
+use rangehound::{chaos, compare, latency, node, plan, recorder, remote, replay, supervisor, watch};
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
@@ -33,6 +33,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
         Command::Record(args) => recorder::record(&args),
+        Command::Replay(args) => replay::replay(&args),
         Command::Resume(args) => supervisor::resume(&args),
         Command::Status(args) => remote::status(&args),
         Command::Kill(args) => remote::kill(&args),

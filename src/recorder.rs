@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use rangehound_fusion::LATE_TICKS_MAX;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::scenario::Clock;
 use rangehound_shared::signal::Termination;
 use rustix::thread::{Timespec, nanosleep};
 
@@ -25,6 +26,9 @@ const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
 
 /// Everybody else's turn comes first.
 const NICE: i32 = 19;
+
+/// What it may take of each look of a run in lock step, which takes all that it is given: the rest can wait for its end.
+const SHARE: Duration = Duration::from_millis(1);
 
 /// How long fusion may take to put its last tick down once all are asked to end.
 const FUSION_ENDS: Duration = Duration::from_secs(1);
@@ -149,7 +153,9 @@ impl<'a> Recorder<'a> {
     /// Records the ticks that nobody will change any more.
     fn advance_to_settled(&mut self) -> Result<(), Failure> {
         if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(SETTLED_TICKS)) {
-            while self.next <= settled && !self.is_full {
+            let is_pressed = self.description.scenario.clock == Clock::Lockstep;
+            let began = Instant::now();
+            while self.next <= settled && !self.is_full && (!is_pressed || began.elapsed() < SHARE) {
                 self.advance()?;
             }
         }
