@@ -53,8 +53,8 @@ pub fn record(args: &RecordArgs) -> Result<(), Failure> {
     let _ = rustix::thread::set_name(c"rh-recorder");
     node::end_with(&args.parent)?;
     let _ = rustix::process::nice(NICE);
-    let rendezvous = node::join(&args.name, &termination)?;
-    follow(rendezvous, args, &termination)
+    let rendezvous = node::join(&args.name, &termination)?.look_on();
+    follow(&rendezvous, args, &termination)
 }
 
 /// Records what the logs of a run hold.
@@ -73,7 +73,7 @@ pub fn record_logs(
 }
 
 /// Records a run until its end, or until asked to end.
-fn follow(rendezvous: Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<(), Failure> {
+fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<(), Failure> {
     let description = rendezvous.description().clone();
     let mut recorder = Recorder::begin(&description, args.out.as_deref(), args.limit.bytes())?;
     while !rendezvous.is_finished() && !termination.requested() {
@@ -83,18 +83,18 @@ fn follow(rendezvous: Rendezvous, args: &RecordArgs, termination: &Termination) 
         }
         sleep(LOOK);
     }
+    // It puts its last tick down after the simulator has ended the run.
     let began = Instant::now();
     let fusion_puts_down = || rendezvous.roster().is_held(Role::Fusion);
-    while fusion_puts_down() && (!termination.requested() || began.elapsed() < FUSION_ENDS) {
+    let may_wait = || if termination.requested() { began.elapsed() < FUSION_ENDS } else { rendezvous.is_finished() };
+    while fusion_puts_down() && may_wait() {
         recorder.advance_to_settled()?;
         sleep(LOOK / 10);
     }
-    if fusion_puts_down() {
+    if fusion_puts_down() && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;
         log::warn!("the recording ends before the run, as asked: tick {} and later are not in it", recorder.next);
     } else {
-        // Whoever resumes the run finds nobody in it.
-        drop(rendezvous);
         recorder.catch_up(termination)?;
     }
     recorder.finish()

@@ -4,7 +4,7 @@
 use std::io::Read;
 
 use mcap::McapError;
-use mcap::records::{Record, op};
+use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::sealed::SealError;
@@ -157,7 +157,7 @@ impl<R: Read> FrameReader<R> {
             Some(Ok(LinearReadEvent::Record { opcode, data })) => run.take(opcode, data),
             Some(Err(McapError::UnexpectedEof)) => Err(ReadError::Cut { after: run.last }),
             Some(Err(McapError::BadMagic)) if run.description.is_none() => Err(ReadError::Foreign),
-            Some(Err(error)) => Err(run.damaged(&error)),
+            Some(Err(error)) => Err(run.damaged(error)),
         }
     }
 }
@@ -172,7 +172,7 @@ fn read(input: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
 }
 
 impl Run {
-    fn damaged(&self, reason: &McapError) -> ReadError {
+    fn damaged(&self, reason: impl ToString) -> ReadError {
         ReadError::Damaged { reason: reason.to_string(), after: self.last }
     }
 
@@ -181,27 +181,30 @@ impl Run {
             // What follows is index and summary.
             return self.end();
         }
-        if ![op::HEADER, op::CHANNEL, op::MESSAGE, op::ATTACHMENT].contains(&opcode) {
-            return Ok(None);
-        }
-        match mcap::parse_record(opcode, data).map_err(|error| self.damaged(&error))? {
-            Record::Header(header) if header.profile != PROFILE => Err(ReadError::Foreign),
-            Record::Attachment { header, data, .. } => {
-                match header.name.as_str() {
-                    SCENARIO => self.scenario_text = Some(data.into_owned()),
-                    DESCRIPTION if self.description.is_none() => self.description = Some(RunDescription::open(&data)?),
-                    _ => {}
+        let mut record = Fields(data);
+        match opcode {
+            op::HEADER if record.string() != Some(PROFILE.as_bytes()) => Err(ReadError::Foreign),
+            op::ATTACHMENT => {
+                let (name, data) = record.attachment().ok_or_else(|| self.damaged("an attachment makes no sense"))?;
+                if name == SCENARIO.as_bytes() {
+                    self.scenario_text = Some(data.to_owned());
+                } else if name == DESCRIPTION.as_bytes() && self.description.is_none() {
+                    self.description = Some(RunDescription::open(data)?);
                 }
                 Ok(None)
             }
-            Record::Channel(channel) => {
-                let topic = TOPICS.iter().position(|topic| *topic == channel.topic);
-                if let Some(topic) = topic.filter(|_| !self.channels.iter().any(|(id, _)| *id == channel.id)) {
-                    self.channels.push((channel.id, topic));
+            op::CHANNEL => {
+                let (id, topic) = record.channel().ok_or_else(|| self.damaged("a channel makes no sense"))?;
+                let topic = TOPICS.iter().position(|known| known.as_bytes() == topic);
+                if let Some(topic) = topic.filter(|_| !self.channels.iter().any(|(known, _)| *known == id)) {
+                    self.channels.push((id, topic));
                 }
                 Ok(None)
             }
-            Record::Message { header, data } => self.hear(header.channel_id, &data),
+            op::MESSAGE => {
+                let (channel, data) = record.message().ok_or_else(|| self.damaged("a message makes no sense"))?;
+                self.hear(channel, data)
+            }
             _ => Ok(None),
         }
     }
@@ -233,5 +236,48 @@ impl Run {
         let Some((tick, gathering)) = self.gathering.take() else { return Ok(None) };
         self.last = Some(tick);
         Ok(Some(gathering.into_frame()?))
+    }
+}
+
+/// The fields of a record one after the other. The library's own parser takes as much memory as a damaged length says.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn take(&mut self, len: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(len)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        self.take(2)?.try_into().ok().map(u16::from_le_bytes)
+    }
+
+    fn string(&mut self) -> Option<&'a [u8]> {
+        let len = u32::from_le_bytes(self.take(4)?.try_into().ok()?);
+        self.take(len as usize)
+    }
+
+    /// Name and data.
+    fn attachment(mut self) -> Option<(&'a [u8], &'a [u8])> {
+        self.take(16)?;
+        let name = self.string()?;
+        self.string()?;
+        let len = u64::from_le_bytes(self.take(8)?.try_into().ok()?);
+        Some((name, self.take(usize::try_from(len).ok()?)?))
+    }
+
+    /// Id and topic.
+    fn channel(mut self) -> Option<(u16, &'a [u8])> {
+        let id = self.u16()?;
+        self.u16()?;
+        Some((id, self.string()?))
+    }
+
+    /// Id of its channel, and data.
+    fn message(mut self) -> Option<(u16, &'a [u8])> {
+        let channel = self.u16()?;
+        self.take(4 + 8 + 8)?;
+        Some((channel, self.0))
     }
 }
