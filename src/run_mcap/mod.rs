@@ -3,14 +3,11 @@
 //! | module | what |
 //! |---|---|
 //! | [`topics`] | what travelled, message by message, from and to a [`Frame`](crate::frame::Frame) |
-//! | [`scene`] | the same as people see it, in the well-known messages of [`foxglove`] |
+//! | [`scene`] | the same as people see it, in the well-known messages of Foxglove |
 //! | [`write`](mod@write), [`file`](mod@file) | frames into a file |
 //! | [`read`] | frames out of a file, which may be damaged or somebody else's |
-//! | [`protobuf`] | messages and their schemas |
 
 pub mod file;
-pub mod foxglove;
-pub mod protobuf;
 pub mod read;
 pub mod scene;
 pub mod topics;

@@ -4,14 +4,15 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Matrix2, SymmetricEigen};
-use rangehound_shared::scenario::Scenario;
-
-use super::foxglove::{
+use foxglove::messages::line_primitive::Type as LineType;
+use foxglove::messages::packed_element_field::NumericType;
+use foxglove::messages::{
     ArrowPrimitive, Color, Duration, LinePrimitive, PackedElementField, Point3, PointCloud, Pose, PosesInFrame,
     Quaternion, SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, Vector3,
 };
-use super::protobuf::Enum;
+use nalgebra::{Matrix2, SymmetricEigen};
+use rangehound_shared::scenario::Scenario;
+
 use crate::frame::Frame;
 use crate::report::position_covariance;
 
@@ -19,7 +20,7 @@ use crate::report::position_covariance;
 const FRAME: &str = "field";
 
 /// How long the way that somebody has gone stays visible, s.
-const TRAIL_S: i64 = 5;
+const TRAIL_S: i32 = 5;
 
 /// Scenes a second of the run's time, at the most.
 const SCENES_PER_S: f64 = 10.0;
@@ -76,11 +77,11 @@ impl Scene {
         }
         let size_m = if self.size_m > 0.0 { rounded(self.size_m) } else { 0.5 };
         let timestamp = Some(timestamp(time_ns));
-        let entity = |id: String, lifetime_s: i64| SceneEntity {
-            timestamp: timestamp.clone(),
+        let entity = |id: String, lifetime_s: i32| SceneEntity {
+            timestamp,
             frame_id: FRAME.to_owned(),
             id,
-            lifetime: (lifetime_s > 0).then_some(Duration { seconds: lifetime_s, nanos: 0 }),
+            lifetime: (lifetime_s > 0).then_some(Duration::new(lifetime_s, 0)),
             ..SceneEntity::default()
         };
         let mut entities = Vec::new();
@@ -152,9 +153,11 @@ pub fn estimate_cloud(frame: &Frame, time_ns: u64) -> PointCloud {
 }
 
 fn cloud(places: impl IntoIterator<Item = [f64; 2]>, time_ns: u64) -> PointCloud {
-    const FLOAT32: u64 = 7;
-    let field =
-        |(name, offset): (&str, u32)| PackedElementField { name: name.to_owned(), offset, r#type: Enum::new(FLOAT32) };
+    let field = |(name, offset): (&str, u32)| PackedElementField {
+        name: name.to_owned(),
+        offset,
+        r#type: NumericType::Float32 as i32,
+    };
     let numbers = places.into_iter().flat_map(|[x_m, y_m]| [x_m as f32, y_m as f32, 0.0]);
     PointCloud {
         timestamp: Some(timestamp(time_ns)),
@@ -162,13 +165,13 @@ fn cloud(places: impl IntoIterator<Item = [f64; 2]>, time_ns: u64) -> PointCloud
         pose: Some(pose([0.0; 2], 0.0)),
         point_stride: 12,
         fields: [("x", 0), ("y", 4), ("z", 8)].map(field).to_vec(),
-        data: numbers.flat_map(f32::to_le_bytes).collect(),
+        data: numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>().into(),
     }
 }
 
 fn timestamp(time_ns: u64) -> Timestamp {
     const NS_PER_S: u64 = 1_000_000_000;
-    Timestamp { seconds: (time_ns / NS_PER_S).cast_signed(), nanos: (time_ns % NS_PER_S) as i32 }
+    Timestamp::new((time_ns / NS_PER_S) as u32, (time_ns % NS_PER_S) as u32)
 }
 
 fn target_of(frame: &Frame) -> Option<[f64; 2]> {
@@ -238,25 +241,23 @@ fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: [
 }
 
 fn circle([x_m, y_m]: [f64; 2], radius_m: f64, points: usize, [r, g, b, _]: [f64; 4]) -> LinePrimitive {
-    const LINE_LOOP: u64 = 1;
     let points = (0..points).map(|point| {
         let (sin, cos) = (TAU * point as f64 / points as f64).sin_cos();
         Point3 { x: rounded(x_m + radius_m * cos), y: rounded(y_m + radius_m * sin), z: 0.0 }
     });
-    line(LINE_LOOP, points.collect(), [r, g, b, 0.4])
+    line(LineType::LineLoop, points.collect(), [r, g, b, 0.4])
 }
 
 /// From where all were to where they are.
 fn trail(before: &[Option<[f64; 2]>], now: &[Option<[f64; 2]>]) -> LinePrimitive {
-    const LINE_LIST: u64 = 2;
     let steps = before.iter().zip(now).filter_map(|(before, now)| Some([(*before)?, (*now)?]));
     let points = steps.flatten().map(|[x_m, y_m]| Point3 { x: rounded(x_m), y: rounded(y_m), z: 0.0 });
-    line(LINE_LIST, points.collect(), [0.4, 0.4, 0.4, 0.8])
+    line(LineType::LineList, points.collect(), [0.4, 0.4, 0.4, 0.8])
 }
 
-fn line(kind: u64, points: Vec<Point3>, of: [f64; 4]) -> LinePrimitive {
+fn line(kind: LineType, points: Vec<Point3>, of: [f64; 4]) -> LinePrimitive {
     LinePrimitive {
-        r#type: Enum::new(kind),
+        r#type: kind as i32,
         pose: Some(pose([0.0; 2], 0.0)),
         thickness: 2.0,
         scale_invariant: true,

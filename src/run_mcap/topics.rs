@@ -9,178 +9,249 @@ use rangehound_shared::record::{EstimateRecord, Exchange, Heading as Followed, H
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source, bounds};
 
-use super::protobuf::{Enum, Enumeration, Malformed, Message, messages};
 use crate::frame::Frame;
+use prost::DecodeError;
 
 /// Nothing that can have been recorded is farther away, m.
 const PLACE_MAX_M: f64 = 1e12;
 
-/// What a robot drove by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct HeadingState;
-
-impl Enumeration for HeadingState {
-    const NAME: &'static str = "rangehound.HeadingState";
-    const VALUES: &'static [&'static str] = &["HEADING_UNKNOWN", "HEADING_FRESH", "HEADING_LATE", "HEADING_NONE"];
+/// Topic `/world`: where all are, from the simulator to the robots.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct World {
+    /// The tick.
+    #[prost(uint64, tag = "1")]
+    pub tick: u64,
+    /// Its time.
+    #[prost(double, tag = "2")]
+    pub time_s: f64,
+    /// The robots, by id.
+    #[prost(message, repeated, tag = "3")]
+    pub robots: Vec<Place>,
+    /// When the tick was over.
+    #[prost(uint64, tag = "4")]
+    pub ended_ns: u64,
 }
 
-messages! {
-    /// Topic `/world`: where all are, from the simulator to the robots.
-    World = "rangehound.World" {
-        /// The tick.
-        1 tick: u64,
-        /// Its time.
-        2 time_s: f64,
-        /// The robots, by id.
-        3 robots: Vec<Place>,
-        /// When the tick was over.
-        4 ended_ns: u64,
-    }
-    /// One robot's place in the world.
-    Place = "rangehound.Place" {
-        /// East.
-        1 x_m: f64,
-        /// North.
-        2 y_m: f64,
-        /// What its sensor is told: the true range, or a recorded one.
-        3 range_m: Option<f64>,
-    }
-    /// Topic `/range`: a robot's word to fusion.
-    Range = "rangehound.Range" {
-        /// The tick.
-        1 tick: u64,
-        /// Its time.
-        2 time_s: f64,
-        /// Whose it is.
-        3 robot: u64,
-        /// Where the robot was: east.
-        4 x_m: f64,
-        /// North.
-        5 y_m: f64,
-        /// What it measured, if its sensor had a range and fusion used the message.
-        6 range_m: Option<f64>,
-        /// Standard deviation of that.
-        7 range_std_m: Option<f64>,
-        /// The first tick whose estimate knows of it: a later one if it came late; none if fusion never used it.
-        8 taken_at_tick: Option<u64>,
-        /// When it was published, as far as the simulator was told.
-        9 sent_ns: Option<u64>,
-    }
-    /// Topic `/heading`: fusion's word to all robots.
-    Heading = "rangehound.Heading" {
-        /// The tick.
-        1 tick: u64,
-        /// Its time.
-        2 time_s: f64,
-        /// One for each robot, by id.
-        3 commands: Vec<CommandTo>,
-        /// When it was sent.
-        4 sent_ns: u64,
-    }
-    /// What one robot is told.
-    CommandTo = "rangehound.Command" {
-        /// Anticlockwise from east.
-        1 heading_rad: f64,
-        /// Its speed.
-        2 speed_mps: f64,
-    }
-    /// Topic `/drive`: what a robot does, to the simulator.
-    Drive = "rangehound.Drive" {
-        /// The tick.
-        1 tick: u64,
-        /// Its time.
-        2 time_s: f64,
-        /// Which robot.
-        3 robot: u64,
-        /// Anticlockwise from east.
-        4 heading_rad: f64,
-        /// Its speed.
-        5 speed_mps: f64,
-        /// What it drove by.
-        6 heading: Enum<HeadingState>,
-        /// When it had published its range.
-        7 range_sent_ns: Option<u64>,
-        /// When it held the heading.
-        8 heading_held_ns: Option<u64>,
-        /// Headings it refused since the tick before.
-        9 headings_refused: u64,
-    }
-    /// Topic `/estimate`: what fusion knows after the tick.
-    Estimate = "rangehound.Estimate" {
-        /// The tick.
-        1 tick: u64,
-        /// Its time.
-        2 time_s: f64,
-        /// Position first: m, then m/s and so on, as the target model has it.
-        3 state: Vec<f64>,
-        /// Of the state, row by row.
-        4 covariance: Vec<f64>,
-        /// Normalised innovation squared, of `fused` degrees of freedom.
-        5 nis: f64,
-        /// Ranges fused.
-        6 fused: u64,
-        /// Ranges that failed the gate, or whose robot is distrusted.
-        7 rejected: u64,
-        /// Robots not heard.
-        8 missing: u64,
-        /// Ranges of earlier ticks since the last estimate.
-        9 late: u64,
-        /// Of those, fused at their own time.
-        10 fused_late: u64,
-        /// Of those, rejected at their own time.
-        11 rejected_late: u64,
-        /// Messages refused since the last estimate.
-        12 refused: Option<Refused>,
-        /// Ids of robots that are distrusted.
-        13 distrusted: Vec<u64>,
-        /// The planner's `|S|`, 1/m^2.
-        14 objective: f64,
-        /// Lower bound on it; minus infinity from planners that prove none.
-        15 lower_bound: f64,
-        /// When fusion came how far.
-        16 stages: Option<Stages>,
-        /// Rolling hash over all estimates up to this one: after the last, the report's.
-        17 digest: String,
-    }
-    /// Messages refused, by cause.
-    Refused = "rangehound.Refused" {
-        /// Its sender does not hold the role.
-        1 impostor: u64,
-        /// Of no robot of the team.
-        2 out_of_range: u64,
-        /// Numbers without sense.
-        3 malformed: u64,
-        /// Of a tick that cannot have begun.
-        4 future: u64,
-        /// Not what was said before.
-        5 contradiction: u64,
-        /// Where the robot cannot have come.
-        6 jump: u64,
-    }
-    /// When fusion came to each stage of the tick.
-    Stages = "rangehound.Stages" {
-        /// The last range was sent.
-        1 last_range_ns: u64,
-        /// Fusion had all that it waited for.
-        2 began_ns: u64,
-        /// The ranges were fused.
-        3 filtered_ns: u64,
-        /// The headings were chosen.
-        4 planned_ns: u64,
-        /// The checkpoint was written.
-        5 saved_ns: u64,
-        /// The headings were sent.
-        6 sent_ns: u64,
-    }
-    /// Topic `/truth`: where the target is, which fusion and robots never see.
-    Truth = "rangehound.Truth" {
-        /// The tick.
-        1 tick: u64,
-        /// Its time.
-        2 time_s: f64,
-        /// As in the estimate.
-        3 state: Vec<f64>,
-    }
+/// One robot's place in the world.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Place {
+    /// East.
+    #[prost(double, tag = "1")]
+    pub x_m: f64,
+    /// North.
+    #[prost(double, tag = "2")]
+    pub y_m: f64,
+    /// What its sensor is told: the true range, or a recorded one.
+    #[prost(double, optional, tag = "3")]
+    pub range_m: Option<f64>,
+}
+
+/// Topic `/range`: a robot's word to fusion.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Range {
+    /// The tick.
+    #[prost(uint64, tag = "1")]
+    pub tick: u64,
+    /// Its time.
+    #[prost(double, tag = "2")]
+    pub time_s: f64,
+    /// Whose it is.
+    #[prost(uint64, tag = "3")]
+    pub robot: u64,
+    /// Where the robot was: east.
+    #[prost(double, tag = "4")]
+    pub x_m: f64,
+    /// North.
+    #[prost(double, tag = "5")]
+    pub y_m: f64,
+    /// What it measured, if its sensor had a range and fusion used the message.
+    #[prost(double, optional, tag = "6")]
+    pub range_m: Option<f64>,
+    /// Standard deviation of that.
+    #[prost(double, optional, tag = "7")]
+    pub range_std_m: Option<f64>,
+    /// The first tick whose estimate knows of it: a later one if it came late; none if fusion never used it.
+    #[prost(uint64, optional, tag = "8")]
+    pub taken_at_tick: Option<u64>,
+    /// When it was published, as far as the simulator was told.
+    #[prost(uint64, optional, tag = "9")]
+    pub sent_ns: Option<u64>,
+}
+
+/// Topic `/heading`: fusion's word to all robots.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Heading {
+    /// The tick.
+    #[prost(uint64, tag = "1")]
+    pub tick: u64,
+    /// Its time.
+    #[prost(double, tag = "2")]
+    pub time_s: f64,
+    /// One for each robot, by id.
+    #[prost(message, repeated, tag = "3")]
+    pub commands: Vec<CommandTo>,
+    /// When it was sent.
+    #[prost(uint64, tag = "4")]
+    pub sent_ns: u64,
+}
+
+/// What one robot is told.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct CommandTo {
+    /// Anticlockwise from east.
+    #[prost(double, tag = "1")]
+    pub heading_rad: f64,
+    /// Its speed.
+    #[prost(double, tag = "2")]
+    pub speed_mps: f64,
+}
+
+/// Topic `/drive`: what a robot does, to the simulator.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Drive {
+    /// The tick.
+    #[prost(uint64, tag = "1")]
+    pub tick: u64,
+    /// Its time.
+    #[prost(double, tag = "2")]
+    pub time_s: f64,
+    /// Which robot.
+    #[prost(uint64, tag = "3")]
+    pub robot: u64,
+    /// Anticlockwise from east.
+    #[prost(double, tag = "4")]
+    pub heading_rad: f64,
+    /// Its speed.
+    #[prost(double, tag = "5")]
+    pub speed_mps: f64,
+    /// What it drove by: `fresh`, `late`, `none` or `unknown`, as in the report.
+    #[prost(string, tag = "6")]
+    pub heading: String,
+    /// When it had published its range.
+    #[prost(uint64, optional, tag = "7")]
+    pub range_sent_ns: Option<u64>,
+    /// When it held the heading.
+    #[prost(uint64, optional, tag = "8")]
+    pub heading_held_ns: Option<u64>,
+    /// Headings it refused since the tick before.
+    #[prost(uint64, tag = "9")]
+    pub headings_refused: u64,
+}
+
+/// Topic `/estimate`: what fusion knows after the tick.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Estimate {
+    /// The tick.
+    #[prost(uint64, tag = "1")]
+    pub tick: u64,
+    /// Its time.
+    #[prost(double, tag = "2")]
+    pub time_s: f64,
+    /// Position first: m, then m/s and so on, as the target model has it.
+    #[prost(double, repeated, tag = "3")]
+    pub state: Vec<f64>,
+    /// Of the state, row by row.
+    #[prost(double, repeated, tag = "4")]
+    pub covariance: Vec<f64>,
+    /// Normalised innovation squared, of `fused` degrees of freedom.
+    #[prost(double, tag = "5")]
+    pub nis: f64,
+    /// Ranges fused.
+    #[prost(uint64, tag = "6")]
+    pub fused: u64,
+    /// Ranges that failed the gate, or whose robot is distrusted.
+    #[prost(uint64, tag = "7")]
+    pub rejected: u64,
+    /// Robots not heard.
+    #[prost(uint64, tag = "8")]
+    pub missing: u64,
+    /// Ranges of earlier ticks since the last estimate.
+    #[prost(uint64, tag = "9")]
+    pub late: u64,
+    /// Of those, fused at their own time.
+    #[prost(uint64, tag = "10")]
+    pub fused_late: u64,
+    /// Of those, rejected at their own time.
+    #[prost(uint64, tag = "11")]
+    pub rejected_late: u64,
+    /// Messages refused since the last estimate.
+    #[prost(message, optional, tag = "12")]
+    pub refused: Option<Refused>,
+    /// Ids of robots that are distrusted.
+    #[prost(uint64, repeated, tag = "13")]
+    pub distrusted: Vec<u64>,
+    /// The planner's `|S|`, 1/m^2.
+    #[prost(double, tag = "14")]
+    pub objective: f64,
+    /// Lower bound on it; minus infinity from planners that prove none.
+    #[prost(double, tag = "15")]
+    pub lower_bound: f64,
+    /// When fusion came how far.
+    #[prost(message, optional, tag = "16")]
+    pub stages: Option<Stages>,
+    /// Rolling hash over all estimates up to this one: after the last, the report's.
+    #[prost(string, tag = "17")]
+    pub digest: String,
+}
+
+/// Messages refused, by cause.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Refused {
+    /// Its sender does not hold the role.
+    #[prost(uint64, tag = "1")]
+    pub impostor: u64,
+    /// Of no robot of the team.
+    #[prost(uint64, tag = "2")]
+    pub out_of_range: u64,
+    /// Numbers without sense.
+    #[prost(uint64, tag = "3")]
+    pub malformed: u64,
+    /// Of a tick that cannot have begun.
+    #[prost(uint64, tag = "4")]
+    pub future: u64,
+    /// Not what was said before.
+    #[prost(uint64, tag = "5")]
+    pub contradiction: u64,
+    /// Where the robot cannot have come.
+    #[prost(uint64, tag = "6")]
+    pub jump: u64,
+}
+
+/// When fusion came to each stage of the tick.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Stages {
+    /// The last range was sent.
+    #[prost(uint64, tag = "1")]
+    pub last_range_ns: u64,
+    /// Fusion had all that it waited for.
+    #[prost(uint64, tag = "2")]
+    pub began_ns: u64,
+    /// The ranges were fused.
+    #[prost(uint64, tag = "3")]
+    pub filtered_ns: u64,
+    /// The headings were chosen.
+    #[prost(uint64, tag = "4")]
+    pub planned_ns: u64,
+    /// The checkpoint was written.
+    #[prost(uint64, tag = "5")]
+    pub saved_ns: u64,
+    /// The headings were sent.
+    #[prost(uint64, tag = "6")]
+    pub sent_ns: u64,
+}
+
+/// Topic `/truth`: where the target is, which fusion and robots never see.
+#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+pub struct Truth {
+    /// The tick.
+    #[prost(uint64, tag = "1")]
+    pub tick: u64,
+    /// Its time.
+    #[prost(double, tag = "2")]
+    pub time_s: f64,
+    /// As in the estimate.
+    #[prost(double, repeated, tag = "3")]
+    pub state: Vec<f64>,
 }
 
 /// A message of one of the topics.
@@ -197,6 +268,14 @@ pub enum OnTopic {
 
 /// The topics, in the order of [`OnTopic`].
 pub const TOPICS: [&str; 6] = ["/world", "/range", "/heading", "/drive", "/estimate", "/truth"];
+
+/// Puts a message's bytes after what is there.
+///
+/// # Errors
+/// If they cannot be put there.
+pub fn encode(message: &impl foxglove::Encode, out: &mut Vec<u8>) -> std::io::Result<()> {
+    message.encode(out).map_err(|error| std::io::Error::other(error.to_string()))
+}
 
 impl OnTopic {
     /// Place of its topic in [`TOPICS`].
@@ -225,31 +304,33 @@ impl OnTopic {
         (1..u64::MAX).contains(&stamp).then_some(stamp)
     }
 
-    /// Puts its bytes after what is there.
-    pub fn encode(&self, out: &mut Vec<u8>) {
+    /// Puts its bytes after what is there: every field, for the sign of a zero counts too.
+    ///
+    /// # Errors
+    /// If they cannot be put there.
+    pub fn encode(&self, out: &mut Vec<u8>) -> std::io::Result<()> {
         match self {
-            Self::World(message) => message.encode(out),
-            Self::Range(message) => message.encode(out),
-            Self::Heading(message) => message.encode(out),
-            Self::Drive(message) => message.encode(out),
-            Self::Estimate(message) => message.encode(out),
-            Self::Truth(message) => message.encode(out),
+            Self::World(message) => encode(message, out),
+            Self::Range(message) => encode(message, out),
+            Self::Heading(message) => encode(message, out),
+            Self::Drive(message) => encode(message, out),
+            Self::Estimate(message) => encode(&**message, out),
+            Self::Truth(message) => encode(message, out),
         }
     }
 
     /// The message that these bytes are, on the topic with this place in [`TOPICS`].
     ///
     /// # Errors
-    /// [`Malformed`].
-    pub fn decode(topic: usize, bytes: &[u8]) -> Result<Self, Malformed> {
+    /// [`DecodeError`].
+    pub fn decode(topic: usize, bytes: &[u8]) -> Result<Self, DecodeError> {
         Ok(match topic {
-            0 => Self::World(World::decode(bytes)?),
-            1 => Self::Range(Range::decode(bytes)?),
-            2 => Self::Heading(Heading::decode(bytes)?),
-            3 => Self::Drive(Drive::decode(bytes)?),
-            4 => Self::Estimate(Box::new(Estimate::decode(bytes)?)),
-            5 => Self::Truth(Truth::decode(bytes)?),
-            _ => return Err(Malformed),
+            0 => Self::World(prost::Message::decode(bytes)?),
+            1 => Self::Range(prost::Message::decode(bytes)?),
+            2 => Self::Heading(prost::Message::decode(bytes)?),
+            3 => Self::Drive(prost::Message::decode(bytes)?),
+            4 => Self::Estimate(Box::new(prost::Message::decode(bytes)?)),
+            _ => Self::Truth(prost::Message::decode(bytes)?),
         })
     }
 
@@ -316,7 +397,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 robot,
                 heading_rad,
                 speed_mps,
-                heading: Enum::new(body.heading as u64),
+                heading: name_of(body.heading).to_owned(),
                 range_sent_ns: body.range_sent_ns,
                 heading_held_ns: body.heading_held_ns,
                 headings_refused: body.headings_refused,
@@ -490,17 +571,23 @@ impl Gathering {
         for (robot, drive) in world.robots.iter_mut().zip(driven) {
             let Some(drive) = drive else { continue };
             robot.driven = Command { heading_rad: drive.heading_rad, speed_mps: drive.speed_mps };
-            robot.heading = match drive.heading.number {
-                1 => Followed::Fresh,
-                2 => Followed::Late,
-                3 => Followed::None,
-                _ => Followed::Unknown,
-            };
+            robot.heading =
+                Followed::ALL.into_iter().find(|heading| name_of(*heading) == drive.heading).unwrap_or_default();
             robot.range_sent_ns = drive.range_sent_ns;
             robot.heading_held_ns = drive.heading_held_ns;
             robot.headings_refused = drive.headings_refused;
         }
         Ok(Frame { tick, estimate: estimate.ok_or(lacking("/estimate"))?, exchanges, world })
+    }
+}
+
+/// What is in a message of what a robot drove by.
+fn name_of(heading: Followed) -> &'static str {
+    match heading {
+        Followed::Unknown => "unknown",
+        Followed::Fresh => "fresh",
+        Followed::Late => "late",
+        Followed::None => "none",
     }
 }
 

@@ -7,15 +7,15 @@ use std::io::{Seek, SeekFrom, Write};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
+use foxglove::Encode;
+use foxglove::messages::{PointCloud, PosesInFrame, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::{protocol, sealed};
 
-use super::foxglove::{PointCloud, PosesInFrame, SceneUpdate};
-use super::protobuf::{Message, Types};
 use super::scene::{self, Scene};
-use super::topics::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, messages_of};
+use super::topics::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode, messages_of};
 use super::{DESCRIPTION, PROFILE, SCENARIO};
 use crate::frame::Frame;
 
@@ -122,7 +122,7 @@ impl<W: Write + Seek> FrameWriter<W> {
         self.last_ns = time_ns;
         for message in messages_of(frame) {
             self.bytes.clear();
-            message.encode(&mut self.bytes);
+            message.encode(&mut self.bytes)?;
             let channel = self.topics[message.topic()];
             self.put(channel, frame.tick, time_ns, message.sent_ns())?;
         }
@@ -159,9 +159,9 @@ impl<W: Write + Seek> FrameWriter<W> {
         Ok(self.mcap.into_inner().out)
     }
 
-    fn view(&mut self, view: usize, tick: u64, time_ns: u64, message: &impl Message) -> Result<(), McapError> {
+    fn view(&mut self, view: usize, tick: u64, time_ns: u64, message: &impl Encode) -> Result<(), McapError> {
         self.bytes.clear();
-        message.encode(&mut self.bytes);
+        encode(message, &mut self.bytes)?;
         self.put(self.views[view], tick, time_ns, None)
     }
 
@@ -173,9 +173,13 @@ impl<W: Write + Seek> FrameWriter<W> {
     }
 }
 
-fn channel<M: Message, W: Write + Seek>(mcap: &mut mcap::Writer<W>, topic: &str) -> Result<u16, McapError> {
-    let schema = mcap.add_schema(M::NAME, "protobuf", &Types::schema_of::<M>())?;
-    mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+fn channel<M: Encode, W: Write + Seek>(mcap: &mut mcap::Writer<W>, topic: &str) -> Result<u16, McapError> {
+    let schema = match M::get_schema() {
+        Some(schema) => mcap.add_schema(&schema.name, &schema.encoding, &schema.data)?,
+        // As the format writes it that there is none.
+        None => 0,
+    };
+    mcap.add_channel(schema, topic, &M::get_message_encoding(), &BTreeMap::new())
 }
 
 fn attach<W: Write + Seek>(
