@@ -89,12 +89,12 @@ fn others_read_what_a_run_with_kills_was_and_it_replays_to_the_bit() {
     assert_eq!((&told["ticks"], &told["ranges_in_time"]), (&8_000.into(), &24_000.into()), "{told}");
 
     let expected: BTreeMap<&str, (&str, u64)> = BTreeMap::from([
-        ("/world", ("rangehound.World", 8_001)),
-        ("/range", ("rangehound.Range", 24_003)),
-        ("/heading", ("rangehound.Heading", 8_001)),
-        ("/drive", ("rangehound.Drive", 24_003)),
-        ("/estimate", ("rangehound.Estimate", 8_001)),
-        ("/truth", ("rangehound.Truth", 8_001)),
+        ("/world", ("world.World", 8_001)),
+        ("/range", ("range.Range", 24_003)),
+        ("/heading", ("heading.Heading", 8_001)),
+        ("/drive", ("drive.Drive", 24_003)),
+        ("/estimate", ("estimate.Estimate", 8_001)),
+        ("/truth", ("truth.Truth", 8_001)),
         ("/scene", ("foxglove.SceneUpdate", 8_001)),
         ("/scene/robots", ("foxglove.PosesInFrame", 8_001)),
         ("/scene/target", ("foxglove.PointCloud", 8_001)),

@@ -49,6 +49,8 @@ pub struct FrameWriter<W: Write + Seek> {
     /// Time of the first frame, s: the file's zero.
     first_s: Option<f64>,
     last_ns: u64,
+    /// The newest stamp of a sender, by topic.
+    stamps_ns: [Option<u64>; TOPICS.len()],
     flushed: Instant,
     bytes: Vec<u8>,
 }
@@ -102,6 +104,7 @@ impl<W: Write + Seek> FrameWriter<W> {
             bytes_written,
             first_s: None,
             last_ns: 0,
+            stamps_ns: [None; TOPICS.len()],
             flushed: Instant::now(),
             bytes: Vec::new(),
         })
@@ -122,9 +125,18 @@ impl<W: Write + Seek> FrameWriter<W> {
         self.last_ns = time_ns;
         for message in messages_of(frame) {
             self.bytes.clear();
+<<<<<<< HEAD
             message.encode(&mut self.bytes)?;
             let channel = self.topics[message.topic()];
             self.put(channel, frame.tick, time_ns, message.sent_ns())?;
+=======
+            message.encode(&mut self.bytes);
+            // Where one is not known, as after a kill, the topic stays in its clock all the same.
+            let stamp_ns = &mut self.stamps_ns[message.topic()];
+            *stamp_ns = message.sent_ns().or(*stamp_ns);
+            let (channel, publish_ns) = (self.topics[message.topic()], stamp_ns.unwrap_or(time_ns));
+            self.put(channel, frame.tick, time_ns, publish_ns)?;
+>>>>>>> recording
         }
         if let Some(scene) = self.scene.update(&self.description.scenario, frame, time_ns) {
             self.view(0, frame.tick, time_ns, &scene)?;
@@ -161,13 +173,17 @@ impl<W: Write + Seek> FrameWriter<W> {
 
     fn view(&mut self, view: usize, tick: u64, time_ns: u64, message: &impl Encode) -> Result<(), McapError> {
         self.bytes.clear();
+<<<<<<< HEAD
         encode(message, &mut self.bytes)?;
         self.put(self.views[view], tick, time_ns, None)
+=======
+        message.encode(&mut self.bytes);
+        self.put(self.views[view], tick, time_ns, time_ns)
+>>>>>>> recording
     }
 
     /// Puts the bytes at hand on a channel.
-    fn put(&mut self, channel_id: u16, tick: u64, log_time: u64, sent_ns: Option<u64>) -> Result<(), McapError> {
-        let publish_time = sent_ns.unwrap_or(log_time);
+    fn put(&mut self, channel_id: u16, tick: u64, log_time: u64, publish_time: u64) -> Result<(), McapError> {
         let header = MessageHeader { channel_id, sequence: tick as u32, log_time, publish_time };
         self.mcap.write_to_known_channel(&header, &self.bytes)
     }
