@@ -44,6 +44,10 @@ pub enum Command {
     Watch(WatchArgs),
     /// Plan one step for each JSON line, for programs of any language
     Plan(PlanArgs),
+    /// Write a run into one file, run.mcap, while it goes on or after it; `run` and `track` start this by themselves
+    Record(RecordArgs),
+    /// Feed a recording's ranges to a fresh fusion: are all estimates the same to the bit, what would be different?
+    Replay(ReplayArgs),
     /// Go on from its checkpoints with a run all of whose processes are gone
     Resume(ResumeArgs),
     /// Show a run: where it is, and who is running, stopped, hung or gone
@@ -97,6 +101,93 @@ pub struct RunArgs {
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
+    /// Who to end with
+    #[command(flatten)]
+    pub parent: ParentArgs,
+}
+
+/// `replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// The recording: run.mcap of a run folder
+    pub file: PathBuf,
+    /// Another planner: what would it have told the robots, where they were?
+    #[arg(long, value_name = "NAME")]
+    pub planner: Option<String>,
+    /// Another gate, in standard deviations of an innovation
+    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
+    pub gate: Option<f64>,
+    /// Another spectral density of the target's noise, such as of its acceleration, m^2/s^3
+    #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
+    pub accel_psd: Option<f64>,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Make a whole file of one that was cut short or damaged, with all ticks up to there
+    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "json"])]
+    pub repair: bool,
+    /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
+    #[arg(long, value_name = "FILE", requires = "repair")]
+    pub out: Option<PathBuf>,
+}
+
+/// Whether a run is recorded.
+#[derive(Debug, Default, Args)]
+pub struct RecordingArgs {
+    /// Write run.mcap to the run folder, which viewers and `rangehound replay` open: on unless --no-record is given
+    #[arg(long, overrides_with = "no_record")]
+    pub record: bool,
+    /// Do not write run.mcap
+    #[arg(long, overrides_with = "record")]
+    pub no_record: bool,
+    /// How large it may become
+    #[command(flatten)]
+    pub limit: RecordLimitArgs,
+}
+
+/// How large a recording may become.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct RecordLimitArgs {
+    /// End the recording, not the run, when it has so many megabytes
+    #[arg(long = "record-limit", value_name = "MB", value_parser = whole, allow_negative_numbers = true, default_value_t = RECORD_LIMIT_MB)]
+    pub limit_mb: u64,
+}
+
+/// Enough for hours of the paper's experiment.
+const RECORD_LIMIT_MB: u64 = 1_000;
+
+impl Default for RecordLimitArgs {
+    fn default() -> Self {
+        Self { limit_mb: RECORD_LIMIT_MB }
+    }
+}
+
+impl RecordLimitArgs {
+    /// The same in bytes.
+    #[must_use]
+    pub fn bytes(self) -> u64 {
+        self.limit_mb.saturating_mul(1_000_000)
+    }
+}
+
+/// `record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Folder of a run that is over [default: the run of --name, while it goes on]
+    #[arg(value_name = "DIR", conflicts_with = "name")]
+    pub folder: Option<PathBuf>,
+    /// Name of the run to join; waits for it to be founded
+    #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
+    pub name: RunName,
+    /// The file [default: run.mcap in the run folder]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// How large it may become
+    #[command(flatten)]
+    pub limit: RecordLimitArgs,
     /// Who to end with
     #[command(flatten)]
     pub parent: ParentArgs,
@@ -220,6 +311,9 @@ pub struct ResumeArgs {
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
 }
 
 /// A run to act on from another terminal.
@@ -367,6 +461,9 @@ pub struct TrackArgs {
     /// Take all steps in this one process, without shared memory
     #[arg(long)]
     pub in_process: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
     /// Name of the run [default: after the file, numbered if taken]
     #[arg(long)]
     pub name: Option<RunName>,

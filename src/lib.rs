@@ -27,6 +27,8 @@
 //! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`report`], [`hops`], [`tables`], [`page`], [`picture`] | what a run leaves: `report.json`, CSV, `report.html`, a picture |
 //! | [`frame`] | a run tick by tick, all that travelled on its topics |
+//! | [`run_mcap`], [`recorder`] | a run in one file that viewers open, and who writes it while the run goes on |
+//! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`shell`] | completions and manual pages |
@@ -52,8 +54,11 @@ pub mod percentiles;
 pub mod picture;
 pub mod pin;
 pub mod plan;
+pub mod recorder;
 pub mod remote;
+pub mod replay;
 pub mod report;
+pub mod run_mcap;
 pub mod shell;
 pub mod status;
 pub mod supervisor;

@@ -8,7 +8,9 @@ use clap::error::ErrorKind;
 use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, remote, shell, status, supervisor, terminal, watch};
+use rangehound::{
+    chaos, compare, latency, node, plan, recorder, remote, replay, shell, status, supervisor, terminal, watch,
+};
 
 fn main() -> ExitCode {
     terminal::start_log();
@@ -41,6 +43,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Fusion(args) => node::fusion(&args),
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
+        Command::Record(args) => recorder::record(&args),
+        Command::Replay(args) => replay::replay(&args),
         Command::Resume(args) => supervisor::resume(&args),
         Command::Status(args) => status::status(&args),
         Command::Kill(args) => remote::kill(&args),

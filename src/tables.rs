@@ -7,6 +7,7 @@
 //! | `estimate.csv` | the track: a row for each tick |
 //! | `report.html`, `picture.svg` | see [`crate::page`], [`crate::picture`] |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
+//! | `run.mcap` | the whole run in one file, see [`crate::run_mcap`] |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
 //! | `run.sealed` | what the run is, for `resume` |
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
@@ -31,7 +32,7 @@ use crate::curves::Curves;
 use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
-use crate::{page, picture, terminal};
+use crate::{page, picture, run_mcap, terminal};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
@@ -74,6 +75,10 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
     }
     let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
     let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
+    let recording = out_dir.join(run_mcap::FILE_NAME);
+    for stale in [run_mcap::file::partial(&recording), recording] {
+        let _ = std::fs::remove_file(stale);
+    }
     for stale in results.into_iter().chain(checkpoints.iter().map(String::as_str)) {
         let _ = std::fs::remove_file(out_dir.join(stale));
     }
@@ -128,7 +133,7 @@ pub fn look_for_writable(description: &RunDescription) -> Result<File, Failure> 
 #[derive(Debug, Default)]
 pub struct Keep {
     /// The ranges and the true track are written as a recording.
-    pub recording: bool,
+    pub ranges: bool,
     /// The true track to compare with, where the run itself knows none.
     pub truth: Option<Truth>,
     /// The report is printed as JSON.
@@ -144,7 +149,7 @@ pub fn report_and_tables(
     keep: &Keep,
     nodes: Vec<NodeSummary>,
 ) -> Result<Report, Failure> {
-    let &Keep { recording, ref truth, json } = keep;
+    let &Keep { ranges, ref truth, json } = keep;
     let truth = truth.as_ref();
     let report = report::from_logs(description, truth, nodes)?;
     let printed = if json {
@@ -155,7 +160,7 @@ pub fn report_and_tables(
     };
     let written = report::write(&report, &description.out_dir);
     let table = write_estimate_csv(description);
-    let recorded = if recording { write_recording(description) } else { Ok(()) };
+    let recorded = if ranges { write_recording(description) } else { Ok(()) };
     if let Err(error) = draw(&report, description, truth) {
         log::warn!("there is no picture, or no page: {error}");
     }

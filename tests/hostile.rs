@@ -18,6 +18,9 @@ use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
 use rangehound::in_process::{self, Team};
 use rangehound::plan::line::Desk;
+use rangehound::replay::steps::{Steps, difference};
+use rangehound::run_mcap::read::FrameReader;
+use rangehound::run_mcap::scene::Scene;
 use rangehound::supervisor::restart::Rule;
 use rangehound::{report, tables};
 use rangehound_fusion::{Centre, centre};
@@ -221,6 +224,8 @@ fn hostile_command_lines() {
         "restart sim",
         "status --json",
         "resume runs/a --name a --restart never",
+        "record --name a --out b.mcap --record-limit 5",
+        "replay a.mcap --planner greedy --gate 3 --accel-psd 0.1 --json",
         "plan - --planner random --nodes 5 --iterations 3 --alpha 0.5 --step-rad 0.1 --seed 4",
         "chaos --faults 5 --kinds kill,stop --roles sim,robot --rate 3 --chaos-seed 2",
         "compare --planners certified,random --runs 3 --threads 2",
@@ -433,6 +438,68 @@ fn hostile_logs() {
             Ok(()) => Verdict::Taken,
             Err(error) => refused(error),
         }
+    });
+}
+
+/// Two kinds of files: as the recorder writes them, where damage meets a checksum, and without chunks and checksums, where it
+/// meets the messages.
+#[test]
+fn hostile_run_files() {
+    let plain = |bytes: &[u8]| {
+        let options =
+            mcap::WriteOptions::new().profile("rangehound").use_chunks(false).calculate_data_section_crc(false);
+        let mut out = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+        let mut written = 0;
+        for record in mcap::read::LinearReader::new(bytes).unwrap() {
+            match record.unwrap() {
+                mcap::records::Record::Attachment { header, data, .. } => {
+                    let mcap::records::AttachmentHeader { log_time, create_time, name, media_type } = header;
+                    out.attach(&mcap::Attachment { log_time, create_time, name, media_type, data }).unwrap();
+                }
+                // In the file as written, all channels come before the first message, in the same order.
+                mcap::records::Record::Chunk { header, data } if written == 0 => {
+                    written += 1;
+                    for record in mcap::read::ChunkReader::new(header, &data).unwrap() {
+                        match record.unwrap() {
+                            mcap::records::Record::Channel(channel) => {
+                                let known = out.add_channel(0, &channel.topic, "protobuf", &channel.metadata).unwrap();
+                                assert_eq!(known, channel.id);
+                            }
+                            mcap::records::Record::Message { header, data } => {
+                                out.write_to_known_channel(&header, &data).unwrap();
+                            }
+                            _ => {}
+                        }
+                    }
+                }
+                _ => {}
+            }
+        }
+        out.finish().unwrap();
+        out.into_inner().into_inner()
+    };
+    let sound: Vec<Vec<u8>> = ["paper.toml", "recording/replay.toml"]
+        .iter()
+        .map(|file| {
+            let (description, frames) = crate::run_mcap::frames(file, 5);
+            crate::run_mcap::recorded(&description, &frames)
+        })
+        .collect();
+    let mut documents: Vec<Vec<u8>> = sound.iter().map(|bytes| plain(bytes)).collect();
+    documents.extend(sound);
+    attack_parser("run files", 0.2, &documents, |bytes| {
+        let read = || -> Result<(), String> {
+            let mut reader = FrameReader::open(bytes).map_err(|error| error.to_string())?;
+            let scenario = reader.description().map_err(|error| error.to_string())?.scenario.clone();
+            let mut steps = Steps::new(&scenario).map_err(|error| error.to_string())?;
+            while let Some(frame) = reader.next_frame().map_err(|error| error.to_string())? {
+                let estimate = steps.step(&frame).map_err(|error| error.to_string())?;
+                let _ = difference(&frame, &estimate, steps.commands());
+                let _ = Scene::default().update(&scenario, &frame, 0);
+            }
+            Ok(())
+        };
+        read().map_or_else(refused, |()| Verdict::Taken)
     });
 }
 

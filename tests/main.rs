@@ -17,6 +17,7 @@
 //! | `page` | `report.html`: whole, small, offline, and the faults are in it |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
 //! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
+//! | `run_mcap` | a run in one file: for other readers, replayed to the bit, cut, repaired, bounded |
 //! | `strangers` | other users and other versions: kept out, in a clear line |
 //! | `terminal` | what is printed: widths, colours, JSON; completions and manual pages |
 //! | `support` | run names, watchdogs, temporary folders |
@@ -38,6 +39,7 @@ mod plan;
 mod processes;
 mod recordings;
 mod resources;
+mod run_mcap;
 mod strangers;
 mod support;
 mod terminal;

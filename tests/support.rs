@@ -103,16 +103,22 @@ impl Run {
 
     /// Starts a command, words split at spaces, on this run's name and folder.
     pub(crate) fn command(&self, words: &str) -> Process {
+        self.start(&self.args_of(words))
+    }
+
+    /// A command's words with this run's name and folder. What is not asked to record does not: a test has no use for it.
+    fn args_of<'a>(&'a self, words: &'a str) -> Vec<&'a str> {
         let mut args: Vec<&str> = words.split_whitespace().collect();
+        if matches!(args.first(), Some(&("run" | "track"))) && !args.contains(&"--record") {
+            args.push("--no-record");
+        }
         args.extend(["--name", &self.name, "--out", "out"]);
-        self.start(&args)
+        args
     }
 
     /// Starts a command of this run from a shell script, as [`Self::start_by`] does.
     pub(crate) fn command_by(&self, script: &str, words: &str) -> Process {
-        let mut args: Vec<&str> = words.split_whitespace().collect();
-        args.extend(["--name", &self.name, "--out", "out"]);
-        self.start_by(script, &args)
+        self.start_by(script, &self.args_of(words))
     }
 
     /// Starts `run` in lock step.

@@ -34,3 +34,4 @@ mod tracking;
 pub mod trust;
 
 pub use centre::Centre;
+pub use past::LATE_TICKS_MAX;

@@ -9,7 +9,7 @@ use crate::trust::Trust;
 
 /// Ticks that are kept: a range that is later is fused no more. Half a second of the paper's ticks; a process that
 /// was not run for longer has missed more than its range.
-pub(crate) const LATE_TICKS_MAX: usize = 5;
+pub const LATE_TICKS_MAX: usize = 5;
 
 /// A tick that was processed, with all that it takes to do so again.
 #[derive(Debug)]

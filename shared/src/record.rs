@@ -103,7 +103,8 @@ pub enum Heading {
 }
 
 impl Heading {
-    const ALL: [Self; 4] = [Self::Unknown, Self::Fresh, Self::Late, Self::None];
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Unknown, Self::Fresh, Self::Late, Self::None];
 
     fn of(drive: Option<Drive>) -> Self {
         match drive {

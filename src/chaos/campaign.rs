@@ -236,7 +236,7 @@ impl Run {
     fn spawn(mut command: Command, name: &RunName, standbys: usize, out_dir: &Path) -> anyhow::Result<Child> {
         let output = File::options().create(true).append(true).open(out_dir.join(LOG))?;
         command
-            .args(["--name", &name.to_string(), "--standby", &standbys.to_string()])
+            .args(["--no-record", "--name", &name.to_string(), "--standby", &standbys.to_string()])
             // What it says is quoted.
             .env("NO_COLOR", "1")
             // A group of its own: Ctrl-C reaches this process, which ends the run in order.

@@ -22,13 +22,16 @@ Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or
 bad input.";
 
 /// Below each command's flags.
-const EACH: [(&str, &str); 18] = [
+const EACH: [(&str, &str); 21] = [
     ("run", RUN),
     ("sim", SIM),
     ("fusion", FUSION),
     ("robot", ROBOT),
     ("watch", WATCH),
     ("plan", PLAN),
+    ("record", RECORD),
+    ("replay", REPLAY),
+    ("live", LIVE),
     ("resume", RESUME),
     ("status", STATUS),
     ("kill", KILL),
@@ -77,6 +80,26 @@ const ROBOT: &str = "Example:
 const WATCH: &str = "Examples:
   rangehound watch --name demo
   rangehound watch --name demo --json > demo.json";
+
+const RECORD: &str = "Examples:
+  rangehound record --name demo                  a run started by hand
+  rangehound record runs/paper                   one that is over
+
+Foxglove, Rerun and any reader of MCAP files open what it writes.";
+
+const REPLAY: &str = "Examples:
+  rangehound replay runs/paper/run.mcap          the same estimates, to the bit?
+  rangehound replay runs/paper/run.mcap --planner greedy
+  rangehound replay runs/paper/run.mcap --gate 3
+  rangehound replay run.mcap.partial --repair    what a kill has left
+
+Exit codes: 0 bit-identical, compared or repaired, 1 an estimate differs,
+2 bad usage or a file that cannot be used.";
+
+const LIVE: &str = "Example:
+  rangehound live --name demo                    prints the address of its page
+
+Only who knows the token in the address may look or act, from this machine.";
 
 const PLAN: &str = "A line holds the predicted position covariance (m^2), the predicted target (m),
 the time that robots move before they measure, and the team, all in one line:

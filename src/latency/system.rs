@@ -49,7 +49,14 @@ pub(super) fn run(
     let mut child = this_program()
         .arg("run")
         .arg(&scenario)
-        .args(["--name", &experiment.name.to_string(), "--end-with", &std::process::id().to_string(), "--out"])
+        .args([
+            "--no-record",
+            "--name",
+            &experiment.name.to_string(),
+            "--end-with",
+            &std::process::id().to_string(),
+            "--out",
+        ])
         .arg(folder)
         // A group of its own: Ctrl-C reaches this process, which ends the run in order.
         .process_group(0)

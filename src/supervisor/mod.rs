@@ -1,6 +1,7 @@
 //! `run`, `resume` and `track`: starts the nodes of a run, watches them, ends them, and reports.
 
 mod cleaner;
+mod companions;
 mod losses;
 mod nodes;
 pub mod restart;
@@ -13,14 +14,15 @@ use rangehound_shared::bus::Bus;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
 use rangehound_shared::signal::Termination;
 
-use crate::cli::{ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
+use crate::cli::{RecordingArgs, ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
-use crate::in_process;
 use crate::node::{end_with, input_or_running};
 use crate::tables::{self, Keep};
 use crate::watch::{Progress, Watch};
+use crate::{in_process, recorder};
 use cleaner::Cleaner;
+use companions::Companions;
 use losses::Losses;
 use nodes::Nodes;
 
@@ -31,8 +33,8 @@ use nodes::Nodes;
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     end_with(&args.parent)?;
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
-    let keep = Keep { recording: args.write_recording, truth: None, json: args.json };
-    execute(experiment, args.in_process, &args.supervision, &keep)
+    let keep = Keep { ranges: args.write_recording, truth: None, json: args.json };
+    execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
 }
 
 /// `rangehound track`.
@@ -42,7 +44,8 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    execute(experiment, args.in_process, &args.supervision, &Keep { recording: false, truth, json: args.json })
+    let keep = Keep { ranges: false, truth, json: args.json };
+    execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
 }
 
 /// `rangehound resume`: goes on with a run all of whose processes are gone.
@@ -57,13 +60,14 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
     };
     let look = || tables::look_for_writable(&description);
     let keep = Keep { json: args.json, ..Keep::default() };
-    supervise(&name, &description, &args.supervision, &keep, look)
+    supervise(&name, &description, &args.supervision, &args.recording, &keep, look)
 }
 
 fn execute(
     experiment: Experiment,
     in_process: bool,
     supervision: &SupervisionArgs,
+    recording: &RecordingArgs,
     keep: &Keep,
 ) -> Result<(), Failure> {
     let Experiment { name, description, .. } = &experiment;
@@ -76,10 +80,13 @@ fn execute(
             }
         })?;
         progress.finish();
+        if !recording.no_record {
+            recorder::record_logs(description, None, recording.limit.bytes(), &Termination::listen()?)?;
+        }
         tables::report_and_tables(description, keep, Vec::new())?;
         return Ok(());
     }
-    supervise(name, description, supervision, keep, || tables::prepare_folder(&experiment))
+    supervise(name, description, supervision, recording, keep, || tables::prepare_folder(&experiment))
 }
 
 /// Starts the processes of a run, sees to them until it ends, and reports.
@@ -87,6 +94,7 @@ fn supervise(
     name: &RunName,
     description: &RunDescription,
     supervision: &SupervisionArgs,
+    recording: &RecordingArgs,
     keep: &Keep,
     prepare_folder: impl FnOnce() -> Result<File, Failure>,
 ) -> Result<(), Failure> {
@@ -100,6 +108,10 @@ fn supervise(
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
+        let mut companions = Companions::of(&rendezvous);
+        if !recording.no_record {
+            companions.start("record", vec!["--record-limit".to_owned(), recording.limit.limit_mb.to_string()]);
+        }
         let mut losses = Losses::new(description);
         let mut is_blind = false;
         let outcome = nodes.supervise(&hold, &termination, || {
@@ -110,9 +122,11 @@ fn supervise(
                 log::warn!("progress cannot be shown: {error}");
             }
             losses.look(watch.newest_ticks());
+            companions.look();
         });
         nodes.end(rendezvous.is_finished());
         watch.finish();
+        companions.end(&termination);
         Ok::<_, Failure>((nodes.summaries(), outcome))
     })?;
     drop(rendezvous);

@@ -367,7 +367,7 @@ fn is_kill(status: ExitStatus) -> bool {
     status.signal() == Some(Signal::KILL.as_raw())
 }
 
-fn describe(status: ExitStatus) -> String {
+pub(super) fn describe(status: ExitStatus) -> String {
     match (status.signal(), status.code()) {
         (Some(signal), _) if signal == Signal::BUS.as_raw() => {
             format!("was killed by signal {signal}: it had no shared memory left, /dev/shm is full or has failed")

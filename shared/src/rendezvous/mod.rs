@@ -295,6 +295,14 @@ impl Rendezvous {
         Ok(Some(Self { roster: Roster::of(&place), place, description, members: Some(members) }))
     }
 
+    /// Leaves the run and goes on looking: nobody who founds or resumes it waits for this process.
+    #[must_use]
+    pub fn look_on(self) -> Self {
+        let mut onlooker = self;
+        onlooker.members = None;
+        onlooker
+    }
+
     /// The run.
     #[must_use]
     pub fn description(&self) -> &RunDescription {

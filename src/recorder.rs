@@ -1,0 +1,230 @@
+//! `record`: writes a run into one file while it goes on, and ends with it.
+//!
+//! It reads what the nodes put down anyway, some ticks behind them, so that the run does not know of it: nothing is missed
+//! however far it falls behind, no memory grows, and one that is killed begins anew and loses nothing.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::scenario::Clock;
+use rangehound_shared::signal::Termination;
+use rustix::thread::{Timespec, nanosleep};
+
+use crate::cli::RecordArgs;
+use crate::failure::Failure;
+use crate::frame::Frames;
+use crate::run_mcap::FILE_NAME;
+use crate::run_mcap::file::RunFile;
+use crate::run_mcap::write::Written;
+use crate::watch::{LOOK, Progress};
+use crate::{node, tables};
+
+/// Fusion amends a tick's record for so long, and may be at the one after.
+const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
+
+/// Everybody else's turn comes first.
+const NICE: i32 = 19;
+
+/// What it may take of each look of a run in lock step, which takes all that it is given: the rest can wait for its end.
+const SHARE: Duration = Duration::from_millis(1);
+
+/// How long fusion may take to put its last tick down once all are asked to end.
+const FUSION_ENDS: Duration = Duration::from_secs(1);
+
+/// How long what has been put down is still recorded once an end is asked for.
+const CATCH_UP: Duration = Duration::from_secs(5);
+
+/// Whoever has to wait for longer wants to know what for.
+const UNEXPLAINED: Duration = Duration::from_secs(1);
+
+/// `rangehound record`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn record(args: &RecordArgs) -> Result<(), Failure> {
+    let termination = Termination::listen()?;
+    if let Some(folder) = &args.folder {
+        let description = tables::read_description(folder)?;
+        return record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination);
+    }
+    // The kernel keeps 15 bytes.
+    let _ = rustix::thread::set_name(c"rh-recorder");
+    node::end_with(&args.parent)?;
+    let _ = rustix::process::nice(NICE);
+    let rendezvous = node::join(&args.name, &termination)?.look_on();
+    follow(&rendezvous, args, &termination)
+}
+
+/// Records what the logs of a run hold.
+///
+/// # Errors
+/// [`Failure`] if there are none, or the file cannot be written.
+pub fn record_logs(
+    description: &RunDescription,
+    out: Option<&Path>,
+    bytes_max: u64,
+    termination: &Termination,
+) -> Result<(), Failure> {
+    let mut recorder = Recorder::begin(description, out, bytes_max)?;
+    recorder.catch_up(termination)?;
+    recorder.finish()
+}
+
+/// Records a run until its end, or until asked to end.
+fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<(), Failure> {
+    let description = rendezvous.description().clone();
+    let mut recorder = Recorder::begin(&description, args.out.as_deref(), args.limit.bytes())?;
+    while !rendezvous.is_finished() && !termination.requested() {
+        recorder.advance_to_settled()?;
+        if recorder.is_full {
+            return recorder.finish();
+        }
+        sleep(LOOK);
+    }
+    // It puts its last tick down after the simulator has ended the run.
+    let began = Instant::now();
+    let fusion_puts_down = || rendezvous.roster().is_held(Role::Fusion);
+    let may_wait = || if termination.requested() { began.elapsed() < FUSION_ENDS } else { rendezvous.is_finished() };
+    while fusion_puts_down() && may_wait() {
+        recorder.advance_to_settled()?;
+        sleep(LOOK / 10);
+    }
+    if fusion_puts_down() && !rendezvous.is_finished() {
+        recorder.advance_to_settled()?;
+        log::warn!("the recording ends before the run, as asked: tick {} and later are not in it", recorder.next);
+    } else {
+        recorder.catch_up(termination)?;
+    }
+    recorder.finish()
+}
+
+/// Sleeps; less if a signal comes.
+fn sleep(time: Duration) {
+    let _ = nanosleep(&Timespec { tv_sec: time.as_secs().cast_signed(), tv_nsec: time.subsec_nanos().into() });
+}
+
+/// A recording in the making.
+struct Recorder<'a> {
+    description: &'a RunDescription,
+    frames: Option<Frames>,
+    file: RunFile,
+    path: PathBuf,
+    bytes_max: u64,
+    /// The first tick that is not recorded.
+    next: u64,
+    recorded: u64,
+    /// Ticks that nobody put down, and the first of them.
+    holes: (u64, u64),
+    is_full: bool,
+}
+
+impl<'a> Recorder<'a> {
+    fn begin(description: &'a RunDescription, out: Option<&Path>, bytes_max: u64) -> Result<Self, Failure> {
+        let path = out.map_or_else(|| description.out_dir.join(FILE_NAME), Path::to_owned);
+        let unusable = |error: anyhow::Error| Failure::input(format!("expected a file that can be written: {error:#}"));
+        let file = RunFile::begin(&path, description, bytes_max).map_err(unusable)?;
+        Ok(Self {
+            description,
+            frames: None,
+            file,
+            path,
+            bytes_max,
+            next: 0,
+            recorded: 0,
+            holes: (0, 0),
+            is_full: false,
+        })
+    }
+
+    /// The newest tick that is in the logs, if there are any.
+    fn newest(&mut self) -> Result<Option<u64>, Failure> {
+        if self.frames.is_none() {
+            // In the first moments of a run there is none.
+            self.frames = Frames::open(self.description).ok();
+        }
+        Ok(match &self.frames {
+            Some(frames) => frames.newest_tick()?,
+            None => None,
+        })
+    }
+
+    /// Records the ticks that nobody will change any more.
+    fn advance_to_settled(&mut self) -> Result<(), Failure> {
+        if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(SETTLED_TICKS)) {
+            let is_pressed = self.description.scenario.clock == Clock::Lockstep;
+            let began = Instant::now();
+            while self.next <= settled && !self.is_full && (!is_pressed || began.elapsed() < SHARE) {
+                self.advance()?;
+            }
+        }
+        self.file.flush_if_due().map_err(unwritable)
+    }
+
+    /// Records all that is there, after the run.
+    fn catch_up(&mut self, termination: &Termination) -> Result<(), Failure> {
+        let Some(newest) = self.newest()? else { return Ok(()) };
+        let began = Instant::now();
+        let mut asked: Option<Instant> = None;
+        let mut progress = Progress::new("recording tick", newest);
+        while self.next <= newest && !self.is_full {
+            self.advance()?;
+            if self.next.is_multiple_of(256) {
+                if began.elapsed() > UNEXPLAINED {
+                    progress.show(self.next, "");
+                }
+                if termination.requested() && asked.get_or_insert_with(Instant::now).elapsed() > CATCH_UP {
+                    log::warn!("the recording ends as asked: tick {} and later are not in it", self.next);
+                    break;
+                }
+            }
+        }
+        progress.finish();
+        Ok(())
+    }
+
+    /// Records the next tick.
+    fn advance(&mut self) -> Result<(), Failure> {
+        let tick = self.next;
+        let Some(frames) = &mut self.frames else { return Ok(()) };
+        match frames.at(tick)? {
+            Some(frame) => match self.file.write(&frame).map_err(unwritable)? {
+                Written::Taken => self.recorded += 1,
+                Written::Full => {
+                    let limit_mb = self.bytes_max / 1_000_000;
+                    log::warn!(
+                        "{} has its {limit_mb} MB (--record-limit): from tick {tick} on nothing is recorded",
+                        self.path.display()
+                    );
+                    self.is_full = true;
+                    return Ok(());
+                }
+            },
+            None => {
+                let (count, first) = self.holes;
+                self.holes = (count + 1, if count == 0 { tick } else { first });
+            }
+        }
+        self.next += 1;
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), Failure> {
+        let Self { file, path, recorded, holes: (lost, first), .. } = self;
+        if lost > 0 {
+            log::warn!("{lost} ticks from tick {first} on are not in the logs, so not recorded either");
+        }
+        if recorded == 0 {
+            file.discard();
+            log::warn!("{} is not there: the run has left no logs", path.display());
+            return Ok(());
+        }
+        file.finish().map_err(unwritable)
+    }
+}
+
+/// Beginning anew would not help: the run goes on without a recording.
+fn unwritable(error: anyhow::Error) -> Failure {
+    Failure::input(format!("recording ends, the file that there is can be repaired: {error:#}"))
+}
