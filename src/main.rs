@@ -7,7 +7,7 @@ use clap::error::ErrorKind;
 use rangehound::cli::{Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{chaos, compare, latency, node, plan, remote, supervisor, watch};
+use rangehound::{chaos, compare, latency, live, node, plan, remote, supervisor, watch};
 
 fn main() -> ExitCode {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
@@ -32,6 +32,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Fusion(args) => node::fusion(&args),
         Command::Robot(args) => node::robot(&args),
         Command::Watch(args) => watch::watch(&args),
+        Command::Live(args) => live::live(&args),
         Command::Resume(args) => supervisor::resume(&args),
         Command::Status(args) => remote::status(&args),
         Command::Kill(args) => remote::kill(&args),

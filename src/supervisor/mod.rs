@@ -108,6 +108,10 @@ fn supervise(
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
         let mut companions = Companions::of(&rendezvous);
+        if let Some(port) = supervision.show.live {
+            let port = port.map(|port| ["--port".to_owned(), port.to_string()]);
+            companions.start("live", port.into_iter().flatten().collect());
+        }
         let mut losses = Losses::new(description);
         let mut is_blind = false;
         let outcome = nodes.supervise(&hold, &termination, || {

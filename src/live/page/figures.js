@@ -1,0 +1,56 @@
+// Numbers with their units, and the row of key figures.
+
+// Three digits that count, without powers of ten where people can read them plainly.
+export function number(value) {
+  if (value == null) return "–";
+  const size = Math.abs(value);
+  if (size === 0) return "0";
+  if (size >= 1e6 || size < 1e-4) return value.toExponential(1);
+  if (size >= 1000) return whole(value);
+  return String(Number(value.toPrecision(3)));
+}
+
+// Digits in threes, with narrow spaces.
+export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
+
+export const metres = (value) => (value == null ? "–" : `${value >= 10 ? value.toFixed(1) : value.toFixed(2)} m`);
+
+export function micros(value) {
+  if (value == null) return "–";
+  return value >= 10000 ? `${number(value / 1000)} ms` : `${number(value)} µs`;
+}
+
+function figuresOf({ tick, time_s, ticks_per_s, tally, latency }, about) {
+  const { all, recent } = latency;
+  const percentiles = (some) => (some ? `${number(some.p50)} · ${number(some.p90)} · ${number(some.p99)} <small>µs</small>` : "–");
+  const seen = tally.ticks < tick ? `<small> of ${whole(tally.ticks)} ticks</small>` : "";
+  return [
+    ["tick", `${whole(tick)} <small>of ${whole(about.ticks)}</small>`],
+    ["time", `${time_s >= 100 ? whole(time_s) : time_s.toFixed(1)} <small>s</small>`],
+    ["speed", `${ticks_per_s == null ? "–" : number(ticks_per_s)} <small>ticks/s</small>`],
+    ["ranges fused", `${whole(tally.fused)}${seen}`],
+    ["rejected", whole(tally.rejected)],
+    ["late", whole(tally.late)],
+    ["missing", whole(tally.missing)],
+    ["range to heading: p50 · p90 · p99, all", percentiles(all), "wide"],
+    ["the last 10 s", percentiles(recent), "wide"],
+  ];
+}
+
+// Elements are made once; later only what has changed is written.
+export function showFigures(place, picture, about) {
+  figuresOf(picture, about).forEach(([name, html, kind], index) => {
+    let card = place.children[index];
+    if (!card) {
+      card = document.createElement("div");
+      card.innerHTML = "<dt></dt><dd></dd>";
+      if (kind) card.className = kind;
+      card.firstElementChild.textContent = name;
+      place.append(card);
+    }
+    if (card.lastElementChild.dataset.html !== html) {
+      card.lastElementChild.dataset.html = html;
+      card.lastElementChild.innerHTML = html;
+    }
+  });
+}
