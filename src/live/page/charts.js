@@ -1,7 +1,7 @@
 // Curves over the whole run: thinned by the server, so that there are never more than some hundred points.
 
 import { niceStep } from "./field.js";
-import { metres, micros, number } from "./figures.js";
+import { axisNumber, metres, micros, number } from "./figures.js";
 
 // Places in a point, as the server's history.rs writes it.
 const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX] = [1, 2, 3, 4, 5, 6, 7, 8];
@@ -28,12 +28,12 @@ function allCharts(about) {
       name: "NIS", unit: "", isLog: false,
       band: { low: (p) => p[NIS_LOW], high: (p) => p[NIS_HIGH], colour: "--quiet", name: "95 %" },
       lines: [{ value: () => 1, colour: "--quiet", width: 1 }, { value: (p) => p[NIS], colour: about.robot_colours[0] }],
-      of: (p) => `${number(p[NIS])} per range, 1 is ideal`,
+      of: (p) => `${number(p[NIS])} for each range, 1 is ideal`,
     },
     {
       name: "Range to heading", unit: "µs", isLog: true,
       lines: [{ value: (p) => p[LATENCY_MAX], colour: about.robot_colours[5], width: 1 }, { value: (p) => p[LATENCY], colour: about.robot_colours[0] }],
-      of: (p) => `middle ${micros(p[LATENCY])}, slowest ${micros(p[LATENCY_MAX])}`,
+      of: (p) => `${micros(p[LATENCY])}, slowest ${micros(p[LATENCY_MAX])}`,
     },
   ];
 }
@@ -141,7 +141,7 @@ function drawAxes(context, { left, right, top, bottom, x, y, begin, end, low, hi
     const py = Math.round(y(value)) + 0.5;
     context.moveTo(left, py);
     context.lineTo(right, py);
-    context.fillText(number(value), left - 4, py + 4);
+    context.fillText(axisNumber(value), left - 4, py + 4);
   }
   context.textAlign = "center";
   const step = niceStep(Math.max((end - begin) / 4, 1e-3));
@@ -149,7 +149,7 @@ function drawAxes(context, { left, right, top, bottom, x, y, begin, end, low, hi
     context.moveTo(x(time_s), bottom);
     context.lineTo(x(time_s), bottom + 3);
     // Not where the unit is.
-    if (x(time_s) < right - 22) context.fillText(number(time_s), x(time_s), bottom + 14);
+    if (x(time_s) < right - 22) context.fillText(axisNumber(time_s), x(time_s), bottom + 14);
   }
   context.rect(left + 0.5, top + 0.5, right - left - 1, bottom - top - 1);
   context.stroke();

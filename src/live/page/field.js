@@ -1,6 +1,7 @@
 // The field from above: who is where, what they know of the target and where they are told to go.
 
 import { clear, colour } from "./charts.js";
+import { number } from "./figures.js";
 
 const SIGMAS = 3;
 // Teams up to this size have circles, arrows and names that can be told apart.
@@ -26,7 +27,6 @@ export class Field {
     this.about = about;
     this.trails = [];
     this.view = this.isOwn ? this.view : null;
-    const line = (stroke, more = "") => `<svg viewBox="0 0 26 16" aria-hidden="true"><path fill="none" stroke-width="2.5" stroke="${stroke}" d="M2 8H24" ${more}/></svg>`;
     const shape = (body) => `<svg viewBox="0 0 26 16" aria-hidden="true">${body}</svg>`;
     const first = about.robot_colours[0];
     this.legend.innerHTML = [
@@ -34,7 +34,7 @@ export class Field {
       [shape(`<ellipse cx="13" cy="8" rx="11" ry="6" fill="${about.estimate_colour}33" stroke="${about.estimate_colour}" stroke-width="2"/>`), "estimate, 3 sigma"],
       [shape(`<path d="M6 2L21 8L6 14Z" fill="${first}"/>`), "robot"],
       [shape(`<circle cx="13" cy="22" r="18" fill="none" stroke="${first}" stroke-width="1.5"/>`), "its range"],
-      [line("currentColor", `stroke-dasharray="none"`), "commanded heading"],
+      [shape(`<path fill="none" stroke="currentColor" stroke-width="2" d="M2 8H23M17 3L23 8L17 13"/>`), "commanded heading"],
     ].map(([picture, name]) => `<li>${picture}${name}</li>`).join("");
   }
 
@@ -59,9 +59,48 @@ export class Field {
     const few = this.picture.robots.length <= FEW;
     this.drawTrails(context, at, few);
     this.drawRanges(context, at, few);
-    this.drawEstimate(context, at);
+    this.drawEstimate(context, at, scale);
     this.drawRobots(context, at, few);
+    this.drawLens(context, width, height, at);
     return isMoving;
+  }
+
+  // A closer look at the target, in the corner that is farthest from it, where its ellipse is too small to be seen.
+  drawLens(context, width, height, at) {
+    const { covariance_m2: [xx, , yy], estimate_m } = this.picture;
+    const spread_m = SIGMAS * Math.sqrt(Math.max(xx, yy, 0));
+    const radius = Math.min(width, height) * 0.15;
+    if (!(spread_m > 0) || spread_m / this.view.scale > radius * 0.5) return;
+    const [px, py] = at(estimate_m);
+    const [left, top] = [px > width / 2, py > height / 2];
+    const [x, y] = [left ? radius + 30 : width - radius - 12, top ? radius + 12 : height - radius - 24];
+    // Steps, so that the scale can be read and does not flicker.
+    const step_m = niceStep(spread_m);
+    const scale = (1.6 * step_m) / radius;
+    const lens = ([x_m, y_m]) => [x + (x_m - estimate_m[0]) / scale, y - (y_m - estimate_m[1]) / scale];
+    context.save();
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.fillStyle = colour("--card");
+    context.fill();
+    context.clip();
+    this.drawTrails(context, lens, true);
+    this.drawRanges(context, lens, this.picture.robots.length <= FEW, scale);
+    this.drawEstimate(context, lens, scale);
+    context.restore();
+    context.strokeStyle = colour("--quiet");
+    context.lineWidth = 1;
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    const bar = step_m / scale;
+    context.moveTo(x - bar / 2, y + radius - 12);
+    context.lineTo(x + bar / 2, y + radius - 12);
+    context.stroke();
+    context.fillStyle = colour("--quiet");
+    context.font = "11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.fillText(`${number(step_m)} m`, x, y + radius - 16);
+    context.textAlign = "left";
   }
 
   robotColour(id) {
@@ -151,7 +190,7 @@ export class Field {
     context.globalAlpha = 1;
   }
 
-  drawRanges(context, at, few) {
+  drawRanges(context, at, few, scale = this.view.scale) {
     context.lineWidth = 1;
     context.globalAlpha = few ? 0.4 : Math.max(0.06, 3 / this.picture.robots.length);
     this.picture.robots.forEach(({ range_m, range_from_m }, id) => {
@@ -159,19 +198,19 @@ export class Field {
       if (!range_from_m || !(range_m > 0)) return;
       context.strokeStyle = this.robotColour(id);
       context.beginPath();
-      context.arc(...at(range_from_m), range_m / this.view.scale, 0, 2 * Math.PI);
+      context.arc(...at(range_from_m), range_m / scale, 0, 2 * Math.PI);
       context.stroke();
     });
     context.globalAlpha = 1;
   }
 
-  drawEstimate(context, at) {
+  drawEstimate(context, at, scale) {
     const { estimate_m, target_m, covariance_m2: [xx, xy, yy] } = this.picture;
     const [px, py] = at(estimate_m);
     // Half axes and direction of a 2 x 2 covariance in closed form.
     const mean = (xx + yy) / 2;
     const root = Math.hypot((xx - yy) / 2, xy);
-    const axis = (variance) => Math.min(1e6, (SIGMAS * Math.sqrt(Math.max(variance, 0))) / this.view.scale);
+    const axis = (variance) => Math.min(1e6, (SIGMAS * Math.sqrt(Math.max(variance, 0))) / scale);
     const stroke = this.about.estimate_colour;
     context.strokeStyle = stroke;
     context.lineWidth = 2;

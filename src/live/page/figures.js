@@ -10,6 +10,9 @@ export function number(value) {
   return String(Number(value.toPrecision(3)));
 }
 
+// As number, in as little room as an axis has.
+export const axisNumber = (value) => (Math.abs(value) >= 1e4 && Math.abs(value) < 1e6 ? `${number(value / 1e3)}k` : number(value));
+
 // Digits in threes, with narrow spaces.
 export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
@@ -32,8 +35,8 @@ function figuresOf({ tick, time_s, ticks_per_s, tally, latency }, about) {
     ["rejected", whole(tally.rejected)],
     ["late", whole(tally.late)],
     ["missing", whole(tally.missing)],
-    ["range to heading: p50 · p90 · p99, all", percentiles(all), "wide"],
-    ["the last 10 s", percentiles(recent), "wide"],
+    ["range to heading p50 · p90 · p99", percentiles(all), "wide"],
+    ["the same, last seconds", percentiles(recent), "wide"],
   ];
 }
 
