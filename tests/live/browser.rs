@@ -146,7 +146,9 @@ impl Browser {
     #[track_caller]
     pub(super) fn wait_for(&mut self, expression: &str) {
         let began = Instant::now();
-        while self.evaluate(&format!("Boolean({expression})")) != true {
+        // While a page is being loaded, nothing of it may be there yet.
+        let so = format!("(() => {{ try {{ return Boolean({expression}) }} catch {{ return false }} }})()");
+        while self.evaluate(&so) != true {
             if began.elapsed() >= LIMIT {
                 let body = self.evaluate("document.body.innerText");
                 panic!("waited {LIMIT:?} in vain for {expression} on\n{body}\n{:?}", self.complaints);

@@ -74,12 +74,13 @@ impl Page {
         if let Some(mut stream) = self.try_connect() {
             // The server may have had enough before all is said.
             let _ = stream.write_all(request.as_bytes());
-            // A stream that is let in has no end: its head is enough.
-            if path.starts_with("/stream") {
-                let mut head = [0; 12];
-                let _ = stream.read_exact(&mut head).map(|()| bytes.extend(head));
-            } else {
-                let _ = stream.read_to_end(&mut bytes);
+            // A stream that is let in has no end: that it is, is enough.
+            let mut beginning = [0; "HTTP/1.1 200".len()];
+            if stream.read_exact(&mut beginning).is_ok() {
+                bytes.extend(beginning);
+                if !(path.starts_with("/stream") && beginning.ends_with(b"200")) {
+                    let _ = stream.read_to_end(&mut bytes);
+                }
             }
         }
         let text = String::from_utf8_lossy(&bytes).into_owned();
