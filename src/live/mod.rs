@@ -102,26 +102,36 @@ pub fn serve_frames(
     let scene = Scene::new(name, "recording", scenario);
     let server = Server::start(listener, token, pace(scenario), scene, None)?;
     announce("replay", &server);
+    feed(&server, frames, termination)
+}
+
+/// Waits for a viewer, and shows all frames.
+fn feed(
+    server: &Server,
+    frames: impl IntoIterator<Item = anyhow::Result<Frame>>,
+    termination: &Termination,
+) -> Result<(), Failure> {
     while server.viewers() == 0 && !termination.requested() {
         std::thread::sleep(LOOK);
     }
-    let mut looked = Instant::now();
+    let mut looked = None;
     for frame in frames {
         if termination.requested() {
             break;
         }
         let frame = frame?;
-        let is_look = looked.elapsed() >= LOOK;
+        let is_look = looked.is_none_or(|at: Instant| at.elapsed() >= LOOK);
         if is_look {
-            looked = Instant::now();
+            looked = Some(Instant::now());
         }
         server.update(|scene| {
             scene.add(frame);
             if is_look {
-                scene.looked(looked);
+                scene.looked(Instant::now());
             }
         });
     }
+    server.keep(|scene| scene.looked(Instant::now()));
     server.end(if termination.requested() { "The replay was ended." } else { "The recording has ended." });
     Ok(())
 }
@@ -248,7 +258,14 @@ fn spread(next: u64, newest: u64, most: u64) -> impl Iterator<Item = u64> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Read, Write};
+    use std::net::TcpStream;
+    use std::path::Path;
+
+    use rangehound_shared::scenario::ScenarioFile;
+
     use super::*;
+    use crate::live::scene::frame_for_test;
 
     #[test]
     fn all_ticks_are_looked_at_or_few_evenly_and_the_newest() {
@@ -257,5 +274,35 @@ mod tests {
         assert!(spread(10, 10, 4).eq([10]));
         assert_eq!(spread(11, 10, 4).count(), 0);
         assert_eq!(spread(0, u64::MAX - 1, 3).last(), Some(u64::MAX - 1));
+    }
+
+    #[test]
+    fn frames_from_elsewhere_are_shown_to_their_end_and_have_no_processes() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let (listener, token) = new_address(None).unwrap();
+        let (port, token_text) = (listener.local_addr().unwrap().port(), token.to_string());
+        let scene = Scene::new("tape", "recording", &scenario);
+        let server = Server::start(listener, token, Duration::from_millis(1), scene, None).unwrap();
+        let ask = move |request: &str| {
+            let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+            stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+            write!(stream, "{request} HTTP/1.1\r\nHost: localhost:{port}\r\n").unwrap();
+            write!(stream, "X-Rangehound-Token: {token_text}\r\n\r\n").unwrap();
+            let mut answer = String::new();
+            stream.read_to_string(&mut answer).unwrap();
+            answer
+        };
+        assert!(ask("POST /act/kill/sim").starts_with("HTTP/1.1 409"));
+        let address = server.address();
+        let token = address.rsplit_once('=').unwrap().1.to_owned();
+        let viewer = std::thread::spawn(move || ask(&format!("GET /stream?token={token}")));
+        let frames = (0..=300).map(|tick| Ok(frame_for_test(tick, &scenario)));
+        feed(&server, frames, &Termination::listen().unwrap()).unwrap();
+        let seen = viewer.join().unwrap();
+        assert!(
+            seen.contains("\"what\":\"recording\"") && seen.contains("event: picture\ndata: {\"tick\":300,"),
+            "{seen}"
+        );
+        assert!(seen.contains("event: ended\ndata: \"The recording has ended.\"") && !seen.contains("event: nodes"));
     }
 }

@@ -268,3 +268,76 @@ fn hex(colour: plotters::style::RGBColor) -> String {
     let plotters::style::RGBColor(red, green, blue) = colour;
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
+
+/// A tick in which nothing is known but the team.
+#[cfg(test)]
+pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
+    use rangehound_shared::message::Estimate;
+    use rangehound_shared::record::{EstimateRecord, Exchange, RobotRecord, WorldRecord};
+
+    let estimate = Estimate { state_dim: scenario.motion.state_dim() as u64, ..Estimate::default() };
+    let robots = vec![RobotRecord::default(); scenario.robots.len()];
+    Frame {
+        tick,
+        estimate: EstimateRecord { time_s: tick as f64 * scenario.dt_s, estimate },
+        exchanges: vec![Exchange::default(); scenario.robots.len()],
+        world: WorldRecord { robots, ..WorldRecord::default() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use rangehound_shared::scenario::ScenarioFile;
+
+    use super::*;
+
+    /// Names and data of the events that a viewer is sent.
+    fn events(scene: &Scene, seen: &mut Seen) -> Vec<(String, Value)> {
+        let (text, _) = scene.news(seen);
+        let event = |event: &str| {
+            let (name, data) = event.strip_prefix("event: ").unwrap().split_once("\ndata: ").unwrap();
+            (name.to_owned(), serde_json::from_str(data).unwrap())
+        };
+        text.split_terminator("\n\n").map(event).collect()
+    }
+
+    #[test]
+    fn a_viewer_is_told_at_first_of_all_and_then_of_what_is_new() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let (mut scene, mut seen) = (Scene::new("a", "run", &scenario), Seen::default());
+        let names = |events: &[(String, Value)]| events.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&events(&scene, &mut seen)), ["about", "trails"]);
+        for tick in 0..=9 {
+            scene.add(frame_for_test(tick, &scenario));
+        }
+        scene.set_nodes(json!({"nodes": []}));
+        let told = events(&scene, &mut seen);
+        assert_eq!(names(&told), ["nodes", "picture"]);
+        assert_eq!(told[1].1["history"]["points"].as_array().unwrap().len(), 9);
+        scene.add(frame_for_test(10, &scenario));
+        scene.end("over");
+        let told = events(&scene, &mut seen);
+        assert_eq!(names(&told), ["picture", "ended"]);
+        // The last point may have grown.
+        assert_eq!(told[0].1["history"]["from"], 8);
+        assert_eq!(told[0].1["history"]["points"].as_array().unwrap().len(), 2);
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_told_as_unknown() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let (mut scene, mut seen) = (Scene::new("a\n\"b", "run", &scenario), Seen::default());
+        let mut frame = frame_for_test(u64::MAX - 1, &scenario);
+        frame.estimate.estimate.state = [f64::NAN; 8];
+        frame.estimate.estimate.covariance = [f64::INFINITY; 64];
+        frame.estimate.estimate.fused = u64::MAX;
+        frame.world.robots[0].position_m = [f64::NAN; 2];
+        scene.add(frame.clone());
+        scene.add(frame);
+        scene.looked(Instant::now());
+        let told = events(&scene, &mut seen);
+        assert_eq!(told[2].1["estimate_m"], json!([null, null]));
+    }
+}

@@ -30,10 +30,11 @@ function allCharts(about) {
       lines: [{ value: () => 1, colour: "--quiet", width: 1 }, { value: (p) => p[NIS], colour: about.robot_colours[0] }],
       of: (p) => `${number(p[NIS])} for each range, 1 is ideal`,
     },
+    // Of the team's middle robot and of its slowest.
     {
       name: "Range to heading", unit: "µs", isLog: true,
       lines: [{ value: (p) => p[LATENCY_MAX], colour: about.robot_colours[5], width: 1 }, { value: (p) => p[LATENCY], colour: about.robot_colours[0] }],
-      of: (p) => `${micros(p[LATENCY])}, slowest ${micros(p[LATENCY_MAX])}`,
+      of: (p) => `${micros(p[LATENCY])} to ${micros(p[LATENCY_MAX])}`,
     },
   ];
 }

@@ -114,8 +114,7 @@ export class Field {
     const { covariance_m2: [xx, , yy], estimate_m, target_m, robots } = this.picture;
     const spread = [SIGMAS * Math.sqrt(Math.max(xx, 0)), SIGMAS * Math.sqrt(Math.max(yy, 0))];
     const places = [target_m ?? estimate_m, ...robots.map((robot) => robot.position_m)];
-    const recent = this.trails.at(-Math.min(this.trails.length, 120));
-    if (recent) places.push(recent.estimate_m, ...recent.robots_m);
+    places.push(...this.recent(places));
     const bound = (axis) => {
       const values = places.map((place) => place[axis]).filter(Number.isFinite);
       const low = Math.min(...values, estimate_m[axis] - spread[axis]);
@@ -139,6 +138,15 @@ export class Field {
     const step = goal.scale > now.scale ? 0.25 : 0.06;
     for (const key of ["x", "y", "scale"]) now[key] += step * (goal[key] - now[key]);
     return Math.abs(goal.scale / now.scale - 1) > 0.01 || Math.hypot(goal.x - now.x, goal.y - now.y) > now.scale;
+  }
+
+  // Where they have come from, as far as it does not make them small.
+  recent(places) {
+    const extent = (some) => Math.max(...[0, 1].map((axis) => Math.max(...some.map((p) => p[axis])) - Math.min(...some.map((p) => p[axis]))));
+    const most = 2.5 * Math.max(extent(places), 10 * SMALLEST_M);
+    const far = [0.5, 0.25, 0.12, 0.06, 0.03].map((part) => this.trails.at(-Math.ceil(part * this.trails.length)));
+    const all = far.filter(Boolean).map((trail) => [trail.estimate_m, ...trail.robots_m]);
+    return all.find((trail) => extent([...places, ...trail]) <= most) ?? [];
   }
 
   drawGrid(context, width, height) {

@@ -18,25 +18,27 @@ export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3
 
 export const metres = (value) => (value == null ? "–" : `${value >= 10 ? value.toFixed(1) : value.toFixed(2)} m`);
 
-export function micros(value) {
-  if (value == null) return "–";
-  return value >= 10000 ? `${number(value / 1000)} ms` : `${number(value)} µs`;
+export const micros = (value) => (value == null ? "–" : value >= 1000 ? `${number(value / 1e3)} ms` : `${number(value)} µs`);
+
+// A count in few digits, for where the exact one does not matter.
+export const rough = (value) => (value >= 1e6 ? `${number(value / 1e6)} M` : whole(value));
+
+function percentiles(some) {
+  if (!some) return "–";
+  return [some.p50, some.p90, some.p99].map((value) => micros(value).replace(/ (\S+)$/, "<small> $1</small>")).join(" · ");
 }
 
 function figuresOf({ tick, time_s, ticks_per_s, tally, latency }, about) {
-  const { all, recent } = latency;
-  const percentiles = (some) => (some ? `${number(some.p50)} · ${number(some.p90)} · ${number(some.p99)} <small>µs</small>` : "–");
-  const seen = tally.ticks < tick ? `<small> of ${whole(tally.ticks)} ticks</small>` : "";
   return [
-    ["tick", `${whole(tick)} <small>of ${whole(about.ticks)}</small>`],
-    ["time", `${time_s >= 100 ? whole(time_s) : time_s.toFixed(1)} <small>s</small>`],
+    ["tick", `${whole(tick)} <small>of ${rough(about.ticks)}</small>`],
+    ["time", `${time_s >= 100 ? whole(time_s) : (time_s ?? 0).toFixed(1)} <small>s</small>`],
     ["speed", `${ticks_per_s == null ? "–" : number(ticks_per_s)} <small>ticks/s</small>`],
-    ["ranges fused", `${whole(tally.fused)}${seen}`],
+    ["ranges fused", rough(tally.fused)],
     ["rejected", whole(tally.rejected)],
     ["late", whole(tally.late)],
     ["missing", whole(tally.missing)],
-    ["range to heading p50 · p90 · p99", percentiles(all), "wide"],
-    ["the same, last seconds", percentiles(recent), "wide"],
+    ["range to heading p50 · p90 · p99", percentiles(latency.all), "wide"],
+    ["the same, last seconds", percentiles(latency.recent), "wide"],
   ];
 }
 

@@ -2,7 +2,7 @@
 
 import { Charts } from "./charts.js";
 import { Field } from "./field.js";
-import { showFigures } from "./figures.js";
+import { rough, showFigures } from "./figures.js";
 import { Processes } from "./nodes.js";
 
 const byId = (id) => document.getElementById(id);
@@ -33,7 +33,8 @@ const listeners = {
     document.title = `${data.name}: rangehound live`;
     byId("title").textContent = `${data.what} ${data.name}`;
     const team = data.robots === 1 ? "1 robot" : `${data.robots} robots`;
-    byId("about").textContent = `${data.scenario}: ${team}, ${data.planner} planner, ${data.clock === "lockstep" ? "lock step" : "real time"}`;
+    about.text = `${data.scenario}: ${team}, ${data.planner} planner, ${data.clock === "lockstep" ? "lock step" : "real time"}`;
+    byId("about").textContent = about.text;
     field.begin(data);
     charts.begin(data);
     processes.begin(data);
@@ -70,6 +71,9 @@ function draw() {
     const isMoving = field.draw();
     charts.draw(picture);
     showFigures(byId("figures"), picture, about);
+    // A run that is faster than the eye is looked at in samples.
+    const { ticks } = picture.tally;
+    byId("about").textContent = ticks < picture.tick ? `${about.text}; counts are of ${rough(ticks)} ticks looked at` : about.text;
     byId("progress").firstElementChild.style.width = `${(100 * picture.tick) / Math.max(about.ticks, 1)}%`;
     // For tests and the curious: how many pictures have been drawn, and when the first was.
     const drawn = document.documentElement.dataset;
