@@ -21,6 +21,7 @@ pub(super) fn of(name: &str) -> Option<(&'static str, &'static str)> {
         "field.js" => (include_str!("page/field.js"), SCRIPT),
         "charts.js" => (include_str!("page/charts.js"), SCRIPT),
         "figures.js" => (include_str!("page/figures.js"), SCRIPT),
+        "view.js" => (include_str!("page/view.js"), SCRIPT),
         "nodes.js" => (include_str!("page/nodes.js"), SCRIPT),
         _ => return None,
     })

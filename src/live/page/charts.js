@@ -1,7 +1,7 @@
 // Curves over the whole run: thinned by the server, so that there are never more than some hundred points.
 
-import { niceStep } from "./field.js";
 import { axisNumber, metres, micros, number } from "./figures.js";
+import { niceStep } from "./view.js";
 
 // Places in a point, as the server's history.rs writes it.
 const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX] = [1, 2, 3, 4, 5, 6, 7, 8];

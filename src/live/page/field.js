@@ -2,31 +2,24 @@
 
 import { clear, colour } from "./charts.js";
 import { number } from "./figures.js";
+import { SIGMAS, View, niceStep } from "./view.js";
 
-const SIGMAS = 3;
 // Teams up to this size have circles, arrows and names that can be told apart.
 const FEW = 16;
-// Around all that is shown, as a part of it.
-const MARGIN = 0.12;
-const SMALLEST_M = 1;
 
 export class Field {
   constructor(canvas, fit, legend) {
-    Object.assign(this, { canvas, fit, legend });
+    Object.assign(this, { canvas, legend });
+    this.view = new View(canvas, fit);
     this.trails = [];
     this.down = new Map();
     this.picture = null;
-    // Centre in m, and m per pixel. The user's own view stays until all is asked for again.
-    this.view = null;
-    this.isOwn = false;
-    this.onChange = () => {};
-    this.listen();
   }
 
   begin(about) {
     this.about = about;
     this.trails = [];
-    this.view = this.isOwn ? this.view : null;
+    this.view.begin();
     const shape = (body) => `<svg viewBox="0 0 26 16" aria-hidden="true">${body}</svg>`;
     const first = about.robot_colours[0];
     this.legend.innerHTML = [
@@ -52,10 +45,10 @@ export class Field {
   // Draws, and says whether the view is still on its way.
   draw() {
     const { context, width, height } = clear(this.canvas);
-    const isMoving = this.follow(width, height);
-    const { x, y, scale } = this.view;
-    const at = ([x_m, y_m]) => [width / 2 + (x_m - x) / scale, height / 2 - (y_m - y) / scale];
-    this.drawGrid(context, width, height);
+    const isMoving = this.view.follow(width, height, this.picture, this.trails);
+    const { scale } = this.view.place;
+    const at = this.view.at(width, height);
+    this.view.drawGrid(context, width, height);
     const few = this.picture.robots.length <= FEW;
     this.drawTrails(context, at, few);
     this.drawRanges(context, at, few);
@@ -65,15 +58,30 @@ export class Field {
     return isMoving;
   }
 
-  // A closer look at the target, in the corner that is farthest from it, where its ellipse is too small to be seen.
+  // Of the four, where the fewest robots are hidden and the target is farthest.
+  corner(width, height, radius, at) {
+    const [low, high] = [radius + 30, radius + 12];
+    const corners = [[width - high, high], [width - high, height - low], [low, high], [low, height - low]];
+    const hidden = (corner, place) => Math.hypot(at(place)[0] - corner[0], at(place)[1] - corner[1]) < radius + 15;
+    const worth = (corner) => {
+      const robots = this.picture.robots.filter((robot) => hidden(corner, robot.position_m)).length;
+      const [px, py] = at(this.picture.estimate_m);
+      // Where it is stays as it is if another is hardly better.
+      const bonus = corner.join() === this.lastCorner ? 0.2 : 0;
+      return Math.hypot(px - corner[0], py - corner[1]) / Math.hypot(width, height) - robots + bonus;
+    };
+    const best = corners.reduce((best, corner) => (worth(corner) > worth(best) ? corner : best));
+    this.lastCorner = best.join();
+    return best;
+  }
+
+  // A closer look at the target, where its ellipse is too small to be seen.
   drawLens(context, width, height, at) {
     const { covariance_m2: [xx, , yy], estimate_m } = this.picture;
     const spread_m = SIGMAS * Math.sqrt(Math.max(xx, yy, 0));
     const radius = Math.min(width, height) * 0.15;
-    if (!(spread_m > 0) || spread_m / this.view.scale > radius * 0.5) return;
-    const [px, py] = at(estimate_m);
-    const [left, top] = [px > width / 2, py > height / 2];
-    const [x, y] = [left ? radius + 30 : width - radius - 12, top ? radius + 12 : height - radius - 24];
+    if (!(spread_m > 0) || spread_m / this.view.place.scale > radius * 0.5) return;
+    const [x, y] = this.corner(width, height, radius, at);
     // Steps, so that the scale can be read and does not flicker.
     const step_m = niceStep(spread_m);
     const scale = (1.6 * step_m) / radius;
@@ -108,78 +116,6 @@ export class Field {
     return colours[id % colours.length];
   }
 
-  // Moves the view so that all is in it: out at once, in slowly, as the picture shall not shake.
-  follow(width, height) {
-    if (this.isOwn && this.view) return false;
-    const { covariance_m2: [xx, , yy], estimate_m, target_m, robots } = this.picture;
-    const spread = [SIGMAS * Math.sqrt(Math.max(xx, 0)), SIGMAS * Math.sqrt(Math.max(yy, 0))];
-    const places = [target_m ?? estimate_m, ...robots.map((robot) => robot.position_m)];
-    places.push(...this.recent(places));
-    const bound = (axis) => {
-      const values = places.map((place) => place[axis]).filter(Number.isFinite);
-      const low = Math.min(...values, estimate_m[axis] - spread[axis]);
-      const high = Math.max(...values, estimate_m[axis] + spread[axis]);
-      return [low, high];
-    };
-    const [[left, right], [bottom, top]] = [bound(0), bound(1)];
-    const room = 1 + 2 * MARGIN;
-    const scale = Math.max(((right - left) * room) / width, ((top - bottom) * room) / height, SMALLEST_M / Math.min(width, height));
-    const goal = { x: (left + right) / 2, y: (bottom + top) / 2, scale };
-    if (!Object.values(goal).every(Number.isFinite)) {
-      this.view ??= { x: 0, y: 0, scale: 0.1 };
-      return false;
-    }
-    const now = this.view;
-    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (!now || still) {
-      this.view = goal;
-      return false;
-    }
-    const step = goal.scale > now.scale ? 0.25 : 0.06;
-    for (const key of ["x", "y", "scale"]) now[key] += step * (goal[key] - now[key]);
-    return Math.abs(goal.scale / now.scale - 1) > 0.01 || Math.hypot(goal.x - now.x, goal.y - now.y) > now.scale;
-  }
-
-  // Where they have come from, as far as it does not make them small.
-  recent(places) {
-    const extent = (some) => Math.max(...[0, 1].map((axis) => Math.max(...some.map((p) => p[axis])) - Math.min(...some.map((p) => p[axis]))));
-    const most = 2.5 * Math.max(extent(places), 10 * SMALLEST_M);
-    const far = [0.5, 0.25, 0.12, 0.06, 0.03].map((part) => this.trails.at(-Math.ceil(part * this.trails.length)));
-    const all = far.filter(Boolean).map((trail) => [trail.estimate_m, ...trail.robots_m]);
-    return all.find((trail) => extent([...places, ...trail]) <= most) ?? [];
-  }
-
-  drawGrid(context, width, height) {
-    const { x, y, scale } = this.view;
-    const step = niceStep(scale * 90);
-    context.strokeStyle = colour("--grid");
-    context.fillStyle = colour("--quiet");
-    context.lineWidth = 1;
-    context.font = "11px system-ui, sans-serif";
-    const digits = Math.max(0, -Math.floor(Math.log10(step)));
-    const lines = (middle, pixels) => {
-      const first = Math.ceil((middle - (pixels * scale) / 2) / step);
-      const count = Math.min(60, Math.floor((pixels * scale) / step) + 1);
-      return Array.from({ length: count }, (_, index) => (first + index) * step);
-    };
-    context.beginPath();
-    for (const x_m of lines(x, width)) {
-      const px = Math.round(width / 2 + (x_m - x) / scale) + 0.5;
-      context.moveTo(px, 0);
-      context.lineTo(px, height);
-      context.fillText(x_m.toFixed(digits), px + 3, height - 4);
-    }
-    for (const y_m of lines(y, height)) {
-      const py = Math.round(height / 2 - (y_m - y) / scale) + 0.5;
-      context.moveTo(0, py);
-      context.lineTo(width, py);
-      // Not into the corner, where the unit is.
-      if (py > 24 && py < height - 16) context.fillText(y_m.toFixed(digits), 3, py - 3);
-    }
-    context.stroke();
-    context.fillText("m", 3, 12);
-  }
-
   drawTrails(context, at, few) {
     const path = (place, stroke, width, alpha) => {
       context.globalAlpha = alpha;
@@ -198,7 +134,7 @@ export class Field {
     context.globalAlpha = 1;
   }
 
-  drawRanges(context, at, few, scale = this.view.scale) {
+  drawRanges(context, at, few, scale = this.view.place.scale) {
     context.lineWidth = 1;
     context.globalAlpha = few ? 0.4 : Math.max(0.06, 3 / this.picture.robots.length);
     this.picture.robots.forEach(({ range_m, range_from_m }, id) => {
@@ -278,56 +214,6 @@ export class Field {
       }
     });
   }
-
-  // Wheel, mouse and keys look closer or elsewhere. Fingers move the page, as they do everywhere.
-  listen() {
-    const { canvas } = this;
-    const own = (change) => {
-      if (!this.view) return;
-      this.isOwn = true;
-      this.fit.hidden = false;
-      change(this.view);
-      this.onChange();
-    };
-    const zoom = (factor, px, py) => own((view) => {
-      const [dx, dy] = [px - canvas.clientWidth / 2, canvas.clientHeight / 2 - py];
-      const scale = Math.min(1e4, Math.max(1e-4, view.scale * factor));
-      view.x += dx * (view.scale - scale);
-      view.y += dy * (view.scale - scale);
-      view.scale = scale;
-    });
-    const move = (dx, dy) => own((view) => {
-      view.x -= dx * view.scale;
-      view.y += dy * view.scale;
-    });
-    const fit = () => {
-      this.isOwn = false;
-      this.fit.hidden = true;
-      this.onChange();
-    };
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      zoom(Math.exp(event.deltaY * 0.0015), event.offsetX, event.offsetY);
-    }, { passive: false });
-    canvas.addEventListener("pointerdown", (event) => {
-      if (event.pointerType !== "touch") canvas.setPointerCapture(event.pointerId);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (canvas.hasPointerCapture(event.pointerId)) move(event.movementX, event.movementY);
-    });
-    canvas.addEventListener("dblclick", fit);
-    this.fit.addEventListener("click", fit);
-    const middle = () => [canvas.clientWidth / 2, canvas.clientHeight / 2];
-    const keys = {
-      "+": () => zoom(0.8, ...middle()), "=": () => zoom(0.8, ...middle()), "-": () => zoom(1.25, ...middle()), "0": fit,
-      ArrowLeft: () => move(40, 0), ArrowRight: () => move(-40, 0), ArrowUp: () => move(0, 40), ArrowDown: () => move(0, -40),
-    };
-    canvas.addEventListener("keydown", (event) => {
-      if (!keys[event.key] || event.ctrlKey || event.metaKey) return;
-      event.preventDefault();
-      keys[event.key]();
-    });
-  }
 }
 
 function arrow(context, px, py, heading_rad, length) {
@@ -342,10 +228,4 @@ function arrow(context, px, py, heading_rad, length) {
   context.moveTo(ex, ey);
   context.lineTo(ex - 6 * dx - 3.5 * dy, ey - 6 * dy + 3.5 * dx);
   context.stroke();
-}
-
-// 1, 2 or 5 times a power of ten, from this on.
-export function niceStep(least) {
-  const power = 10 ** Math.floor(Math.log10(least));
-  return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= least);
 }

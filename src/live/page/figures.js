@@ -11,7 +11,11 @@ export function number(value) {
 }
 
 // As number, in as little room as an axis has.
-export const axisNumber = (value) => (Math.abs(value) >= 1e4 && Math.abs(value) < 1e6 ? `${number(value / 1e3)}k` : number(value));
+export function axisNumber(value) {
+  const size = Math.abs(value);
+  if (size >= 1e9 || size < 1e4) return number(value);
+  return size >= 1e6 ? `${number(value / 1e6)}M` : `${number(value / 1e3)}k`;
+}
 
 // Digits in threes, with narrow spaces.
 export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");

@@ -117,5 +117,5 @@ setInterval(() => {
 
 addEventListener("resize", draw);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-field.onChange = draw;
+field.view.onChange = draw;
 open();
