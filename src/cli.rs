@@ -42,6 +42,8 @@ pub enum Command {
     Robot(RobotArgs),
     /// Show the progress of a run started by hand, and report when it ends
     Watch(WatchArgs),
+    /// Show a run on a page in the browser, with buttons to kill its processes and watch it go on
+    Live(LiveArgs),
     /// Plan one step for each JSON line, for programs of any language
     Plan(PlanArgs),
     /// Write a run into one file, run.mcap, while it goes on or after it; `run` and `track` start this by themselves
@@ -90,7 +92,7 @@ pub struct RunArgs {
     #[command(flatten)]
     pub experiment: ExperimentArgs,
     /// Take all steps in this one process, without shared memory: same estimates, same digest
-    #[arg(long)]
+    #[arg(long, conflicts_with = "live")]
     pub in_process: bool,
     /// Who is started, and started again
     #[command(flatten)]
@@ -281,6 +283,25 @@ pub struct NodeArgs {
     pub parent: ParentArgs,
 }
 
+/// `live`.
+#[derive(Debug, Args)]
+pub struct LiveArgs {
+    /// The run
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Port on 127.0.0.1 [default: any that is free]
+    #[arg(long, value_name = "PORT", value_parser = port, allow_negative_numbers = true)]
+    pub port: Option<u16>,
+}
+
+/// Whether a run is shown while it goes on.
+#[derive(Debug, Default, Args)]
+pub struct ShowArgs {
+    /// Show it on a page in the browser, as `rangehound live` does; --live=PORT to choose the port
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, value_parser = port)]
+    pub live: Option<Option<u16>>,
+}
+
 /// What a supervisor starts, and starts again.
 #[derive(Debug, Default, Args)]
 pub struct SupervisionArgs {
@@ -294,6 +315,9 @@ pub struct SupervisionArgs {
     /// Processors for all processes of the run: none (any), one-core, or their numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
+    /// Who looks on
+    #[command(flatten)]
+    pub show: ShowArgs,
 }
 
 /// `resume`.
@@ -459,7 +483,7 @@ pub struct TrackArgs {
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
     /// Take all steps in this one process, without shared memory
-    #[arg(long)]
+    #[arg(long, conflicts_with = "live")]
     pub in_process: bool,
     /// Whether it is recorded
     #[command(flatten)]
@@ -663,6 +687,10 @@ impl std::str::FromStr for PerSensor {
 
 fn whole(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| "expected a whole number from 0".to_owned())
+}
+
+fn port(text: &str) -> Result<u16, String> {
+    text.parse().map_err(|_| "expected a port from 1 to 65535, or 0 for any that is free".to_owned())
 }
 
 fn standbys(text: &str) -> Result<usize, String> {

@@ -19,6 +19,7 @@
 //! | [`mod@status`] | `status`: a run at the moment |
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`watch`] | progress of a run, as an observer sees it |
+//! | [`live`] | a page that shows a run while it goes on |
 //! | [`plan`] | one step per JSON line, for programs of any language |
 //! | [`chaos`] | campaigns of faults on a live run |
 //! | [`latency`] | the time from range to heading, beside the bare transport |
@@ -47,6 +48,7 @@ pub mod frame;
 pub mod hops;
 pub mod in_process;
 pub mod latency;
+pub mod live;
 pub mod node;
 pub mod over_time;
 pub mod page;

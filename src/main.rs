@@ -9,7 +9,7 @@ use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
 use rangehound::{
-    chaos, compare, latency, node, plan, recorder, remote, replay, shell, status, supervisor, terminal, watch,
+    chaos, compare, latency, live, node, plan, recorder, remote, replay, shell, status, supervisor, terminal, watch,
 };
 
 fn main() -> ExitCode {
@@ -45,6 +45,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Watch(args) => watch::watch(&args),
         Command::Record(args) => recorder::record(&args),
         Command::Replay(args) => replay::replay(&args),
+        Command::Live(args) => live::live(&args),
         Command::Resume(args) => supervisor::resume(&args),
         Command::Status(args) => status::status(&args),
         Command::Kill(args) => remote::kill(&args),

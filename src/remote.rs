@@ -183,6 +183,11 @@ fn gone(run: &Rendezvous, role: Role) -> Failure {
 }
 
 impl Status {
+    /// True while there is any process that the run is made of.
+    pub(crate) fn has_processes(&self) -> bool {
+        self.nodes.iter().any(|node| node.pid.is_some())
+    }
+
     pub(crate) fn of(run: &Rendezvous) -> Self {
         let description = run.description();
         let scenario = &description.scenario;

@@ -13,6 +13,7 @@
 //! | `hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `latency` | the system beside its references: who is counted, what is left |
+//! | `live` | the live page: who is let in, what its buttons do, and in a real browser |
 //! | `licences` | every dependency is free to use |
 //! | `page` | `report.html`: whole, small, offline, and the faults are in it |
 //! | `recordings` | recorded ranges, ours and (where present) real ones |
@@ -33,6 +34,7 @@ mod golden;
 mod hostile;
 mod latency;
 mod licences;
+mod live;
 mod page;
 mod paper;
 mod plan;

@@ -112,6 +112,10 @@ fn supervise(
         if !recording.no_record {
             companions.start("record", vec!["--record-limit".to_owned(), recording.limit.limit_mb.to_string()]);
         }
+        if let Some(port) = supervision.show.live {
+            let port = port.map(|port| ["--port".to_owned(), port.to_string()]);
+            companions.start("live", port.into_iter().flatten().collect());
+        }
         let mut losses = Losses::new(description);
         let mut is_blind = false;
         let outcome = nodes.supervise(&hold, &termination, || {

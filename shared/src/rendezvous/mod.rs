@@ -9,6 +9,7 @@
 //! | `run` | the sealed [`RunDescription`] |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
 //! | `<role>.role` | locked by the one process in that role; see [`Roster`] |
+//! | `live` | port and token of the page that shows the run |
 //! | `finished` | there once the simulator has ended the run |
 //!
 //! All locks are the kernel's: a process that dies, however it dies, lets go of them at once. The
@@ -46,6 +47,9 @@ const JOIN_POLL: Duration = Duration::from_millis(20);
 /// How long a name is looked at before it is called taken: a killed process has its locks until the kernel has
 /// taken it down.
 const DYING: Duration = Duration::from_millis(500);
+
+/// Longest note, bytes.
+const NOTE_LEN_MAX: usize = 1 << 10;
 
 /// A role in a run: one living process each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -361,6 +365,20 @@ impl Rendezvous {
     pub fn while_current<T>(&self, hold: &RoleHold, action: impl FnOnce() -> T) -> Option<T> {
         let _door = self.place.enter(false).ok()?;
         hold.is_current().then(action)
+    }
+
+    /// Leaves a note for others of this user in the run's folder, which goes with the run.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn leave_note(&self, name: &str, text: &str) -> Result<(), RendezvousError> {
+        self.place.write(name, text.as_bytes())
+    }
+
+    /// A note that was left, if it was.
+    #[must_use]
+    pub fn note(&self, name: &str) -> Option<String> {
+        String::from_utf8(bounded::read(&self.place.path(name), NOTE_LEN_MAX).ok()?).ok()
     }
 
     /// Marks the run as ended.

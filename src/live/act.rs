@@ -1,0 +1,73 @@
+//! What the page's buttons do to a process.
+
+use rangehound_shared::rendezvous::{Rendezvous, Role};
+use rustix::process::Signal;
+
+use crate::failure::Failure;
+use crate::remote;
+
+/// What may be done to a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Action {
+    /// As a crash would end it.
+    Kill,
+    /// It hangs, as it were, until it is continued.
+    Stop,
+    Continue,
+    /// It is asked to end, and the supervisor starts another.
+    Restart,
+}
+
+/// Why nothing was done.
+#[derive(Debug)]
+pub(super) enum Refused {
+    /// What was asked for makes no sense.
+    Nonsense(String),
+    /// It cannot be done now.
+    NotNow(String),
+}
+
+impl Action {
+    pub(super) fn from_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "kill" => Self::Kill,
+            "stop" => Self::Stop,
+            "continue" => Self::Continue,
+            "restart" => Self::Restart,
+            _ => return None,
+        })
+    }
+
+    /// Does it to the process in a role; says to which.
+    pub(super) fn on(self, run: &Rendezvous, node: &str) -> Result<String, Refused> {
+        let role: Role = node.parse().map_err(Refused::Nonsense)?;
+        if run.is_finished() {
+            return Err(Refused::NotNow(format!("run {} has ended", run.name())));
+        }
+        let signal = match self {
+            Self::Kill => Signal::KILL,
+            Self::Stop => Signal::STOP,
+            Self::Continue => Signal::CONT,
+            Self::Restart if run.roster().holder(Role::Supervisor).is_none() => {
+                return Err(Refused::NotNow(format!("nobody would start {role} again: it was started by hand")));
+            }
+            Self::Restart => Signal::TERM,
+        };
+        let pid = remote::signal(run, role, signal).map_err(|failure| match failure {
+            Failure::Input(problem) => Refused::Nonsense(problem),
+            Failure::Running(error) => Refused::NotNow(error.to_string()),
+            Failure::ToldInput => Refused::NotNow(format!("{role} cannot be reached")),
+        })?;
+        if self == Self::Restart {
+            // One that is stopped hears it only when it runs. One that has ended by now needs nothing.
+            let _ = remote::signal(run, role, Signal::CONT);
+        }
+        let done = match self {
+            Self::Kill => "killed",
+            Self::Stop => "stopped",
+            Self::Continue => "continued",
+            Self::Restart => "asked to end",
+        };
+        Ok(format!("{role}, process {pid}: {done}", pid = pid.as_raw_pid()))
+    }
+}

@@ -1,0 +1,128 @@
+//! The eyes of the page: looks at a run until its end, at files only.
+
+use std::time::{Duration, Instant};
+
+use rangehound_shared::rendezvous::{Rendezvous, Role};
+use rangehound_shared::signal::Termination;
+
+use super::LOOK;
+use super::scene::Scene;
+use super::server::Server;
+use crate::frame::Frames;
+use crate::remote::Status;
+
+/// How often the processes are looked at, and how much rarer for each robot.
+const NODES: Duration = Duration::from_millis(250);
+const NODES_PER_ROBOT: Duration = Duration::from_millis(5);
+
+/// Robots in all ticks of one look: where there are more, some ticks are left out.
+const ROBOTS_PER_LOOK_MAX: u64 = 1_000;
+
+/// Ticks of the first look, at what was before.
+const TICKS_OF_PAST: u64 = 500;
+
+/// Fusion puts its last tick down after it has published it.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// A run without a single process for this long has ended, whatever it says.
+const DESERTED: Duration = Duration::from_secs(3);
+
+/// Shows the run until its end; says how that came.
+pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Termination) -> &'static str {
+    let scenario = &run.description().scenario;
+    let robots = u32::try_from(scenario.robots.len()).unwrap_or(u32::MAX);
+    let nodes_every = NODES + NODES_PER_ROBOT * robots;
+    let mut reader = Reader { frames: None, next: None };
+    let (mut nodes_at, mut inhabited, mut has_been_inhabited) = (None, Instant::now(), false);
+    loop {
+        // Asked before the look: what was there at the end is in it.
+        let is_finished = run.is_finished();
+        if is_finished {
+            wait_for_last_words(run);
+        }
+        if is_finished || nodes_at.is_none_or(|at: Instant| at.elapsed() >= nodes_every) {
+            nodes_at = Some(Instant::now());
+            let status = Status::of(run);
+            if status.has_processes() {
+                (inhabited, has_been_inhabited) = (Instant::now(), true);
+            }
+            if let Ok(status) = serde_json::to_value(&status) {
+                server.update(|scene| scene.set_nodes(status));
+            }
+        }
+        reader.look(run, server);
+        if is_finished {
+            return "The run has ended.";
+        }
+        if termination.requested() {
+            return "The run was ended before its last tick, or the page was.";
+        }
+        if has_been_inhabited && inhabited.elapsed() >= DESERTED {
+            return "All processes of the run are gone.";
+        }
+        std::thread::sleep(LOOK);
+    }
+}
+
+fn wait_for_last_words(run: &Rendezvous) {
+    let began = Instant::now();
+    while run.roster().is_held(Role::Fusion) && began.elapsed() < LAST_WORDS {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Reads the frames that have come since the look before.
+struct Reader {
+    frames: Option<Frames>,
+    /// The first tick that was not looked at; `None` before the first look.
+    next: Option<u64>,
+}
+
+impl Reader {
+    fn look(&mut self, run: &Rendezvous, server: &Server) {
+        // The logs come with the nodes.
+        if self.frames.is_none() {
+            self.frames = Frames::open(run.description()).ok();
+        }
+        let newest = self.frames.as_ref().and_then(|frames| frames.newest_tick().ok()?);
+        let (Some(frames), Some(newest)) = (&mut self.frames, newest) else { return };
+        let robots = run.description().scenario.robots.len() as u64;
+        let most = self.next.map_or(TICKS_OF_PAST, |_| (ROBOTS_PER_LOOK_MAX / robots.max(1)).max(5));
+        let mut new = Vec::new();
+        for tick in spread(self.next.unwrap_or(0), newest, most) {
+            // One that cannot be read now is left out, as others are that nobody has put down.
+            if let Ok(Some(frame)) = frames.at(tick) {
+                new.push(frame);
+            }
+        }
+        self.next = Some(newest + 1);
+        let is_new = !new.is_empty();
+        let look = |scene: &mut Scene| {
+            new.into_iter().for_each(|frame| scene.add(frame));
+            scene.looked(Instant::now());
+        };
+        if is_new { server.update(look) } else { server.keep(look) }
+    }
+}
+
+/// The ticks of a look, at the most so many: evenly spread, and the newest among them.
+fn spread(next: u64, newest: u64, most: u64) -> impl Iterator<Item = u64> {
+    let count = (newest + 1).saturating_sub(next);
+    let taken = count.min(most);
+    // The n-th of all that are taken is the last of its share.
+    (1..=taken).map(move |n| next + (u128::from(count) * u128::from(n) / u128::from(taken)) as u64 - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_ticks_are_looked_at_or_few_evenly_and_the_newest() {
+        assert!(spread(5, 9, 10).eq(5..=9));
+        assert!(spread(0, 99, 4).eq([24, 49, 74, 99]));
+        assert!(spread(10, 10, 4).eq([10]));
+        assert_eq!(spread(11, 10, 4).count(), 0);
+        assert_eq!(spread(0, u64::MAX - 1, 3).last(), Some(u64::MAX - 1));
+    }
+}

@@ -1,0 +1,134 @@
+//! Who may look and act: this user on this machine, from the page itself.
+//!
+//! | against | rule |
+//! |---|---|
+//! | other machines | bound to 127.0.0.1 |
+//! | other users of this machine | a random token, which only the terminal and the run's own folder hold |
+//! | names that are made to lead here (DNS rebinding) | `Host` is 127.0.0.1 or localhost with this port |
+//! | other pages in the same browser | `Origin`, where there is one, is this page's; actions need the token in a header, which no form can set |
+
+use hyper::HeaderMap;
+use hyper::header::{self, HeaderName, HeaderValue};
+
+/// Header of the token of an action.
+pub(super) const TOKEN_HEADER: &str = "x-rangehound-token";
+
+/// With every answer: nothing is kept, nothing is loaded from elsewhere or shown in another page's frame.
+const ANSWER_HEADERS: [(HeaderName, &str); 7] = [
+    (header::CACHE_CONTROL, "no-store"),
+    (header::CONTENT_SECURITY_POLICY, POLICY),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+    (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+];
+
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// 128 random bits, as text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Token(String);
+
+impl Token {
+    /// A new one, from the system.
+    pub(super) fn new() -> std::io::Result<Self> {
+        let mut bytes = [0; 16];
+        // Up to 256 bytes come whole or not at all.
+        let filled = rustix::rand::getrandom(&mut bytes[..], rustix::rand::GetRandomFlags::empty())?;
+        if filled != bytes.len() {
+            return Err(std::io::Error::other("the system has given too few random bytes"));
+        }
+        Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
+    }
+
+    /// The one that another process of this run has made.
+    pub(super) fn from_text(text: &str) -> Option<Self> {
+        (text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| Self(text.to_owned()))
+    }
+
+    /// Compares in a time that does not tell how much of it is right.
+    pub(super) fn is(&self, text: &str) -> bool {
+        let pairs = self.0.bytes().zip(text.bytes());
+        text.len() == self.0.len() && pairs.fold(0, |different, (ours, given)| different | (ours ^ given)) == 0
+    }
+}
+
+impl std::fmt::Display for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// True if the request was made to this server by name, and by its own page if by any.
+pub(super) fn is_from_here(headers: &HeaderMap, port: u16) -> bool {
+    let hosts = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
+    let only = |name: HeaderName| {
+        let mut values = headers.get_all(name).iter();
+        (values.next(), values.next().is_none())
+    };
+    let (host, is_only_host) = only(header::HOST);
+    let (origin, is_only_origin) = only(header::ORIGIN);
+    let is_ours = |value: &HeaderValue, scheme: &str| {
+        value.to_str().is_ok_and(|value| value.strip_prefix(scheme).is_some_and(|host| hosts.iter().any(|h| h == host)))
+    };
+    is_only_host
+        && is_only_origin
+        && host.is_some_and(|host| is_ours(host, ""))
+        && origin.is_none_or(|origin| is_ours(origin, "http://"))
+}
+
+/// Puts the headers of every answer.
+pub(super) fn protect(headers: &mut HeaderMap) {
+    for (name, value) in ANSWER_HEADERS {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(pairs: &[(&'static str, &'static str)]) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        for (name, value) in pairs {
+            headers.append(*name, HeaderValue::from_static(value));
+        }
+        headers
+    }
+
+    #[test]
+    fn only_this_server_by_name_and_its_own_page_are_let_in() {
+        for good in [
+            &[("host", "127.0.0.1:80")][..],
+            &[("host", "localhost:80")],
+            &[("host", "127.0.0.1:80"), ("origin", "http://127.0.0.1:80")],
+        ] {
+            assert!(is_from_here(&headers(good), 80), "{good:?}");
+        }
+        for bad in [
+            &[][..],
+            &[("host", "127.0.0.1")],
+            &[("host", "127.0.0.1:81")],
+            &[("host", "evil.example:80")],
+            &[("host", "127.0.0.1:80"), ("host", "127.0.0.1:80")],
+            &[("host", "127.0.0.1:80"), ("origin", "null")],
+            &[("host", "127.0.0.1:80"), ("origin", "https://127.0.0.1:80")],
+            &[("host", "127.0.0.1:80"), ("origin", "http://127.0.0.1:81")],
+            &[("host", "127.0.0.1:80"), ("origin", "http://127.0.0.1:80"), ("origin", "http://evil.example")],
+        ] {
+            assert!(!is_from_here(&headers(bad), 80), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_token_is_new_each_time_and_only_the_whole_of_it_counts() {
+        let (token, other) = (Token::new().unwrap(), Token::new().unwrap());
+        let text = token.to_string();
+        assert!(text.len() == 32 && token != other && token.is(&text) && !other.is(&text));
+        assert!(!token.is("") && !token.is(&text[1..]) && !token.is(&format!("{text}0")));
+        assert_eq!(Token::from_text(&text), Some(token));
+        assert_eq!((Token::from_text("short"), Token::from_text(&"x".repeat(32))), (None, None));
+    }
+}

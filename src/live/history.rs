@@ -1,0 +1,213 @@
+//! What the page's curves show: the whole run in a bounded number of points.
+
+use serde::Serialize;
+use serde::ser::SerializeTuple;
+
+use crate::compare::statistics::{Interval, chi_square_mean_bounds};
+use crate::frame::Frame;
+use crate::report::position_covariance;
+
+/// Points at which neighbours are put together: more would not be seen.
+const POINTS_MAX: usize = 600;
+
+/// The run so far. When it has as many points as there may be, each two become one, and stand for twice the ticks.
+#[derive(Debug)]
+pub(super) struct History {
+    /// Ticks of one point.
+    stride: u64,
+    points: Vec<Point>,
+}
+
+/// Some ticks in a row, as far as they were looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Point {
+    tick: u64,
+    time_s: f64,
+    /// Of the newest tick; NaN where no truth is known.
+    error_m: f64,
+    trace_m2: f64,
+    /// Normalised innovations squared, added up, and how many there are.
+    nis: f64,
+    fused: u64,
+    /// Range to heading of the newest tick's middle robot, and of the slowest of all ticks, us; NaN if none is known.
+    latency_us: f64,
+    latency_max_us: f64,
+}
+
+/// How far somebody knows the history.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Known {
+    stride: u64,
+    points: usize,
+}
+
+/// What somebody does not know yet: the points from one on, which replace those that they have from there.
+#[derive(Debug, Serialize)]
+pub(super) struct News<'a> {
+    from: usize,
+    stride: u64,
+    points: &'a [Point],
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { stride: 1, points: Vec::new() }
+    }
+}
+
+impl History {
+    pub(super) fn add(&mut self, frame: &Frame) {
+        // Before the first range there is nothing to compare.
+        if frame.tick == 0 {
+            return;
+        }
+        let point = Point::of(frame);
+        match self.points.last_mut() {
+            Some(last) if last.tick / self.stride == point.tick / self.stride => last.add(&point),
+            _ => self.points.push(point),
+        }
+        if self.points.len() >= POINTS_MAX {
+            self.halve();
+        }
+    }
+
+    fn halve(&mut self) {
+        self.stride *= 2;
+        let mut halved: Vec<Point> = Vec::with_capacity(POINTS_MAX);
+        for point in self.points.drain(..) {
+            match halved.last_mut() {
+                Some(last) if last.tick / self.stride == point.tick / self.stride => last.add(&point),
+                _ => halved.push(point),
+            }
+        }
+        self.points = halved;
+        // Ticks far apart, of which few were looked at, may all stand alone still.
+        if self.points.len() >= POINTS_MAX {
+            self.halve();
+        }
+    }
+
+    /// What is new since somebody last knew all.
+    pub(super) fn news(&self, known: &mut Known) -> News<'_> {
+        // The last point may have grown; of another stride all are others.
+        let from = if known.stride == self.stride { known.points.saturating_sub(1) } else { 0 };
+        *known = Known { stride: self.stride, points: self.points.len() };
+        News { from, stride: self.stride, points: self.points.get(from..).unwrap_or_default() }
+    }
+}
+
+impl Point {
+    fn of(frame: &Frame) -> Self {
+        let Frame { tick, estimate: record, world, .. } = frame;
+        let estimate = &record.estimate;
+        let error_m = match *world.truth.as_slice() {
+            [x_m, y_m, ..] => (estimate.state[0] - x_m).hypot(estimate.state[1] - y_m),
+            _ => f64::NAN,
+        };
+        let mut latencies_ns: Vec<u64> = world.robots.iter().filter_map(|robot| robot.latency_ns()).collect();
+        latencies_ns.sort_unstable();
+        let us = |ns: Option<&u64>| ns.map_or(f64::NAN, |ns| *ns as f64 / 1e3);
+        Self {
+            tick: *tick,
+            time_s: record.time_s,
+            error_m,
+            trace_m2: position_covariance(estimate).trace(),
+            nis: estimate.nis,
+            fused: estimate.fused,
+            latency_us: us(latencies_ns.get(latencies_ns.len() / 2)),
+            latency_max_us: us(latencies_ns.last()),
+        }
+    }
+
+    /// Becomes the point of the later one's ticks too.
+    fn add(&mut self, later: &Self) {
+        let (nis, fused) = (self.nis + later.nis, self.fused.saturating_add(later.fused));
+        let latency_max_us = self.latency_max_us.max(later.latency_max_us);
+        let latency_us = if later.latency_us.is_nan() { self.latency_us } else { later.latency_us };
+        *self = Self { nis, fused, latency_us, latency_max_us, ..*later };
+    }
+}
+
+impl Serialize for Point {
+    /// An array, as there are many: tick, s, error m, trace m^2, NIS for each range with its 95 % bounds, latency us of the
+    /// middle robot and of the slowest. `null` is what is not known.
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self { tick, time_s, error_m, trace_m2, nis, fused, latency_us, latency_max_us } = *self;
+        let (nis, Interval { low, high }) = match usize::try_from(fused) {
+            Ok(fused @ 1..) => (nis / fused as f64, chi_square_mean_bounds(1, fused)),
+            _ => (f64::NAN, Interval { low: f64::NAN, high: f64::NAN }),
+        };
+        let mut point = serializer.serialize_tuple(9)?;
+        point.serialize_element(&tick)?;
+        for value in [time_s, error_m, trace_m2, nis, low, high, latency_us, latency_max_us] {
+            point.serialize_element(&short(value))?;
+        }
+        point.end()
+    }
+}
+
+/// A number with as many digits as a picture shows.
+fn short(value: f64) -> f64 {
+    let digits = 6 - value.abs().log10().ceil().clamp(-9.0, 6.0) as i32;
+    let scale = 10f64.powi(digits);
+    (value * scale).round() / scale
+}
+
+#[cfg(test)]
+mod tests {
+    use rangehound_shared::message::Estimate;
+    use rangehound_shared::record::{EstimateRecord, WorldRecord};
+
+    use super::*;
+
+    fn frame(tick: u64) -> Frame {
+        let estimate = Estimate { state_dim: 4, nis: 2.0, fused: 2, ..Estimate::default() };
+        let estimate = EstimateRecord { time_s: tick as f64 * 0.1, estimate };
+        Frame { tick, estimate, exchanges: Vec::new(), world: WorldRecord::default() }
+    }
+
+    #[test]
+    fn a_run_of_any_length_has_few_points_and_loses_no_tick() {
+        let mut history = History::default();
+        for tick in 1..=100_000 {
+            history.add(&frame(tick));
+            assert!(history.points.len() < POINTS_MAX);
+        }
+        assert!(history.points.len() >= POINTS_MAX / 2 - 1 && history.points.is_sorted_by_key(|point| point.tick));
+        assert_eq!(history.points.iter().map(|point| point.fused).sum::<u64>(), 200_000);
+        assert_eq!(history.points.last().map(|point| point.tick), Some(100_000));
+    }
+
+    #[test]
+    fn ticks_that_lie_far_apart_are_few_points_too() {
+        let mut history = History::default();
+        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000)));
+        assert!(history.points.len() < POINTS_MAX);
+    }
+
+    #[test]
+    fn who_follows_has_the_same_points_as_who_comes_late() {
+        let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
+        for tick in 1..=3_000 {
+            history.add(&frame(tick));
+            // Now and then one look is missed.
+            if tick % 7 != 0 {
+                let News { from, points: new, .. } = history.news(&mut known);
+                points.truncate(from);
+                points.extend_from_slice(new);
+                assert!(from == 0 || new.len() <= 3, "{from} {}", new.len());
+            }
+        }
+        history.news(&mut known).points.iter().for_each(|_| {});
+        assert_eq!(points.len(), history.points.len());
+        assert_eq!(points.first().map(|point| point.tick), history.points.first().map(|point| point.tick));
+    }
+
+    #[test]
+    fn numbers_are_as_long_as_they_need_be() {
+        assert_eq!(short(123.456_789_1), 123.457);
+        assert_eq!(short(0.000_123_456_789), 0.000_123_457);
+        assert_eq!((short(0.0), short(-2.0), short(1e12)), (0.0, -2.0, 1e12));
+        assert!(short(f64::NAN).is_nan());
+    }
+}

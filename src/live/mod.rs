@@ -1,0 +1,198 @@
+//! `rangehound live`: a page that shows a run while it goes on, and lets one kill its processes and watch it survive.
+//!
+//! It costs the control loop nothing: the page is a process of its own, of the least priority, that reads the nodes' logs.
+//! Nobody in the loop knows of it, sends to it or wakes it.
+//!
+//! | module | what |
+//! |---|---|
+//! | `follow` | looks at a run until its end |
+//! | `scene`, `history`, `latency` | what is shown, bounded |
+//! | `server`, `routes`, `stream` | how a browser gets it |
+//! | `guard` | who may look and act |
+//! | `act` | what the buttons do |
+//! | `assets`, `page/` | the page itself |
+
+mod act;
+mod assets;
+mod follow;
+mod guard;
+mod history;
+mod latency;
+mod routes;
+mod scene;
+mod server;
+mod stream;
+
+use std::io::IsTerminal;
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_shared::scenario::Scenario;
+use rangehound_shared::signal::Termination;
+
+use crate::cli::LiveArgs;
+use crate::failure::{Failure, tell};
+use crate::frame::Frame;
+use crate::node::{end_with, join};
+use guard::Token;
+use scene::Scene;
+use server::Server;
+
+/// How often the page looks at the run, and how often it is shown anew at the most.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A further robot makes pictures longer, and them rarer by this.
+const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
+
+/// In the run's own folder: so that a page that is started again is found where it was.
+const ADDRESS_FILE: &str = "live";
+
+/// `rangehound live`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn live(args: &LiveArgs) -> Result<(), Failure> {
+    let termination = Termination::listen()?;
+    end_with(&args.node.parent)?;
+    name_and_step_back();
+    let run = Arc::new(join(&args.node.name, &termination)?);
+    let scenario = &run.description().scenario;
+    let (listener, token) = address_of_before(&run, args.port).map_or_else(|| new_address(args.port), Ok)?;
+    let note = format!("{} {token}", listener.local_addr()?.port());
+    let scene = Scene::new(&run.name().to_string(), "run", scenario);
+    let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
+    // Without it the page is found at another address after a kill.
+    let _ = run.leave_note(ADDRESS_FILE, &note);
+    announce("live", &server);
+    let reason = follow::follow(&run, &server, &termination);
+    server.end(reason);
+    Ok(())
+}
+
+/// Shows frames from elsewhere, such as a recording's, on the same page without processes. The first is taken when
+/// somebody looks; the iterator sets the pace.
+///
+/// # Errors
+/// [`Failure`], for a port that is taken and for whatever keeps frames from being read.
+pub fn serve_frames(
+    name: &str,
+    scenario: &Scenario,
+    port: Option<u16>,
+    frames: impl IntoIterator<Item = anyhow::Result<Frame>>,
+    termination: &Termination,
+) -> Result<(), Failure> {
+    let (listener, token) = new_address(port)?;
+    let scene = Scene::new(name, "recording", scenario);
+    let server = Server::start(listener, token, pace(scenario), scene, None)?;
+    announce("replay", &server);
+    feed(&server, frames, termination)
+}
+
+/// Waits for a viewer, and shows all frames.
+fn feed(
+    server: &Server,
+    frames: impl IntoIterator<Item = anyhow::Result<Frame>>,
+    termination: &Termination,
+) -> Result<(), Failure> {
+    while server.viewers() == 0 && !termination.requested() {
+        std::thread::sleep(LOOK);
+    }
+    let mut looked = None;
+    for frame in frames {
+        if termination.requested() {
+            break;
+        }
+        let frame = frame?;
+        let is_look = looked.is_none_or(|at: Instant| at.elapsed() >= LOOK);
+        if is_look {
+            looked = Some(Instant::now());
+        }
+        server.update(|scene| {
+            scene.add(frame);
+            if is_look {
+                scene.looked(Instant::now());
+            }
+        });
+    }
+    server.keep(|scene| scene.looked(Instant::now()));
+    server.end(if termination.requested() { "The replay was ended." } else { "The recording has ended." });
+    Ok(())
+}
+
+/// In the kernel's lists it is told apart from nodes, and whoever else wants the processor has it.
+fn name_and_step_back() {
+    let _ = rustix::thread::set_name(c"rh-live");
+    let _ = rustix::process::setpriority_process(None, 19);
+}
+
+/// A port and a token that nobody has.
+fn new_address(port: Option<u16>) -> Result<(TcpListener, Token), Failure> {
+    let listener = server::listen(port).map_err(|error| match port {
+        Some(port) => Failure::input(format!("port {port}: expected one that is free on 127.0.0.1: {error}")),
+        None => Failure::from(error),
+    })?;
+    Ok((listener, Token::new()?))
+}
+
+/// Where the page of this run was until it was killed, if that is free.
+fn address_of_before(run: &Rendezvous, port: Option<u16>) -> Option<(TcpListener, Token)> {
+    let note = run.note(ADDRESS_FILE)?;
+    let (before, token) = note.split_once(' ')?;
+    let before = before.parse().ok().filter(|before| port.is_none_or(|port| port == *before || port == 0))?;
+    Some((server::listen(Some(before)).ok()?, Token::from_text(token)?))
+}
+
+fn pace(scenario: &Scenario) -> Duration {
+    LOOK + LOOK_PER_ROBOT * scenario.robots.len().try_into().unwrap_or(u32::MAX)
+}
+
+/// One line, which scripts can read too.
+fn announce(what: &str, server: &Server) {
+    // Over the progress bar of the process that started this one, if there is one: it draws itself anew.
+    let over = if std::io::stderr().is_terminal() { "\r\x1b[2K" } else { "" };
+    tell(format_args!("{over}{what}: {}", server.address()));
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net::TcpStream;
+    use std::path::Path;
+
+    use rangehound_shared::scenario::ScenarioFile;
+
+    use super::*;
+    use crate::live::scene::frame_for_test;
+
+    #[test]
+    fn frames_from_elsewhere_are_shown_to_their_end_and_have_no_processes() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let (listener, token) = new_address(None).unwrap();
+        let (port, token_text) = (listener.local_addr().unwrap().port(), token.to_string());
+        let scene = Scene::new("tape", "recording", &scenario);
+        let server = Server::start(listener, token, Duration::from_millis(1), scene, None).unwrap();
+        let ask = move |request: &str| {
+            let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+            stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+            write!(stream, "{request} HTTP/1.1\r\nHost: localhost:{port}\r\n").unwrap();
+            write!(stream, "X-Rangehound-Token: {token_text}\r\n\r\n").unwrap();
+            let mut answer = String::new();
+            stream.read_to_string(&mut answer).unwrap();
+            answer
+        };
+        assert!(ask("POST /act/kill/sim").starts_with("HTTP/1.1 409"));
+        let address = server.address();
+        let token = address.rsplit_once('=').unwrap().1.to_owned();
+        let viewer = std::thread::spawn(move || ask(&format!("GET /stream?token={token}")));
+        let frames = (0..=300).map(|tick| Ok(frame_for_test(tick, &scenario)));
+        feed(&server, frames, &Termination::listen().unwrap()).unwrap();
+        let seen = viewer.join().unwrap();
+        assert!(
+            seen.contains("\"what\":\"recording\"") && seen.contains("event: picture\ndata: {\"tick\":300,"),
+            "{seen}"
+        );
+        assert!(seen.contains("event: ended\ndata: \"The recording has ended.\"") && !seen.contains("event: nodes"));
+    }
+}

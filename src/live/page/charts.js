@@ -1,0 +1,195 @@
+// Curves over the whole run: thinned by the server, so that there are never more than some hundred points.
+
+import { axisNumber, metres, micros, number } from "./figures.js";
+import { niceStep } from "./view.js";
+
+// Places in a point, as the server's history.rs writes it.
+const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX] = [1, 2, 3, 4, 5, 6, 7, 8];
+
+const sigma = (times) => (point) => (point[TRACE] == null ? null : times * Math.sqrt(Math.max(point[TRACE], 0)));
+
+// What is drawn: a band between two curves, and lines, by name and colour. `of` tells the newest value.
+function allCharts(about) {
+  const ink = "--ink";
+  const estimate = about.estimate_colour;
+  return [
+    {
+      name: "Position error", unit: "m", isLog: true,
+      band: { low: () => null, high: sigma(3), colour: estimate, name: "to 3 sigma" },
+      lines: [{ value: sigma(1), colour: estimate, name: "sigma" }, { value: (p) => p[ERROR], colour: ink, name: "error" }],
+      of: (p) => (p[ERROR] == null ? `sigma ${metres(sigma(1)(p))}` : `${metres(p[ERROR])}, sigma ${metres(sigma(1)(p))}`),
+    },
+    {
+      name: "Position trace", unit: "m²", isLog: true,
+      lines: [{ value: (p) => p[TRACE], colour: estimate }],
+      of: (p) => `${number(p[TRACE])} m²`,
+    },
+    {
+      name: "NIS", unit: "", isLog: false,
+      band: { low: (p) => p[NIS_LOW], high: (p) => p[NIS_HIGH], colour: "--quiet", name: "95 %" },
+      lines: [{ value: () => 1, colour: "--quiet", width: 1 }, { value: (p) => p[NIS], colour: about.robot_colours[0] }],
+      of: (p) => `${number(p[NIS])} for each range, 1 is ideal`,
+    },
+    // Of the team's middle robot and of its slowest.
+    {
+      name: "Range to heading", unit: "µs", isLog: true,
+      lines: [{ value: (p) => p[LATENCY_MAX], colour: about.robot_colours[5], width: 1 }, { value: (p) => p[LATENCY], colour: about.robot_colours[0] }],
+      of: (p) => `${micros(p[LATENCY])} to ${micros(p[LATENCY_MAX])}`,
+    },
+  ];
+}
+
+export class Charts {
+  constructor(place) {
+    this.place = place;
+    this.points = [];
+    this.charts = [];
+  }
+
+  begin(about) {
+    this.points = [];
+    this.place.replaceChildren();
+    this.charts = allCharts(about).map((chart) => {
+      const figure = document.createElement("figure");
+      figure.innerHTML = `<figcaption><b></b><span></span></figcaption><canvas role="img"></canvas>`;
+      figure.querySelector("b").textContent = chart.name;
+      this.place.append(figure);
+      return { ...chart, now: figure.querySelector("span"), canvas: figure.querySelector("canvas") };
+    });
+  }
+
+  // The points from one on replace those that are there.
+  add({ from, points }) {
+    this.points.length = Math.min(this.points.length, from);
+    this.points.push(...points);
+  }
+
+  draw() {
+    const newest = this.points.at(-1);
+    if (!newest) return;
+    for (const chart of this.charts) {
+      const text = chart.of(newest);
+      chart.now.textContent = text;
+      chart.canvas.setAttribute("aria-label", `${chart.name} over time: ${text}`);
+      drawChart(chart, this.points);
+    }
+  }
+}
+
+function drawChart({ canvas, band, lines, isLog, unit }, points) {
+  const { context, width, height } = clear(canvas);
+  const [left, right, top, bottom] = [40, width - 6, 6, height - 16];
+  const limits = limitsOf(points, band, lines, isLog);
+  if (!limits) return;
+  const [low, high] = limits;
+  const [begin, end] = [points[0][TIME], points.at(-1)[TIME]];
+  const x = (time_s) => left + ((time_s - begin) / Math.max(end - begin, 1e-9)) * (right - left);
+  const place = (value) => (isLog ? Math.log(Math.max(value, low * 1e-3)) : value);
+  const y = (value) => bottom - ((place(value) - place(low)) / (place(high) - place(low))) * (bottom - top);
+  drawAxes(context, { left, right, top, bottom, x, y, begin, end, low, high, isLog, unit });
+  context.save();
+  context.beginPath();
+  context.rect(left, top, right - left, bottom - top);
+  context.clip();
+  if (band) {
+    const inside = points.filter((point) => band.high(point) != null);
+    context.globalAlpha = 0.18;
+    context.fillStyle = colour(band.colour);
+    context.beginPath();
+    for (const point of inside) context.lineTo(x(point[TIME]), y(band.high(point)));
+    for (const point of inside.toReversed()) context.lineTo(x(point[TIME]), band.low(point) == null ? bottom : y(band.low(point)));
+    context.fill();
+    context.globalAlpha = 1;
+  }
+  for (const line of lines) {
+    context.strokeStyle = colour(line.colour);
+    context.lineWidth = line.width ?? 1.75;
+    context.lineJoin = "round";
+    context.beginPath();
+    let isOn = false;
+    for (const point of points) {
+      const value = line.value(point);
+      // A gap is a gap.
+      if (value == null) { isOn = false; continue; }
+      context[isOn ? "lineTo" : "moveTo"](x(point[TIME]), y(value));
+      isOn = true;
+    }
+    context.stroke();
+  }
+  context.restore();
+}
+
+// Where the axis ends: a poor start or a short loss must not hide the rest.
+function limitsOf(points, band, lines, isLog) {
+  const curves = [...lines.map((line) => line.value), ...(band ? [band.low, band.high] : [])];
+  const values = curves.flatMap((curve) => points.map(curve)).filter((value) => Number.isFinite(value) && (!isLog || value > 0));
+  if (values.length === 0) return null;
+  values.sort((a, b) => a - b);
+  const at = (part) => values[Math.round(part * (values.length - 1))];
+  if (isLog) return [Math.max(at(0.002), at(0.5) * 1e-4) / 1.15, Math.max(at(1), at(0) * 2) * 1.15];
+  const high = Math.min(at(1), 2.5 * at(0.97));
+  return [Math.min(0, at(0)), high > 0 ? 1.08 * high : 1];
+}
+
+function drawAxes(context, { left, right, top, bottom, x, y, begin, end, low, high, isLog, unit }) {
+  context.strokeStyle = colour("--grid");
+  context.fillStyle = colour("--quiet");
+  context.lineWidth = 1;
+  context.font = "11px system-ui, sans-serif";
+  context.textAlign = "right";
+  context.beginPath();
+  for (const value of isLog ? logTicks(low, high) : linearTicks(low, high)) {
+    const py = Math.round(y(value)) + 0.5;
+    context.moveTo(left, py);
+    context.lineTo(right, py);
+    context.fillText(axisNumber(value), left - 4, py + 4);
+  }
+  context.textAlign = "center";
+  const step = niceStep(Math.max((end - begin) / 4, 1e-3));
+  for (let time_s = Math.ceil(begin / step) * step; time_s <= end + 1e-9; time_s += step) {
+    context.moveTo(x(time_s), bottom);
+    context.lineTo(x(time_s), bottom + 3);
+    // Not where the unit is.
+    if (x(time_s) < right - 22) context.fillText(axisNumber(time_s), x(time_s), bottom + 14);
+  }
+  context.rect(left + 0.5, top + 0.5, right - left - 1, bottom - top - 1);
+  context.stroke();
+  context.textAlign = "right";
+  context.fillText("s", right, bottom + 14);
+  context.textAlign = "left";
+  if (unit) context.fillText(unit, left + 4, top + 12);
+}
+
+function linearTicks(low, high) {
+  const step = niceStep((high - low) / 4);
+  const first = Math.ceil(low / step);
+  return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, index) => (first + index) * step);
+}
+
+// Powers of ten, and 2 and 5 times where there is room.
+function logTicks(low, high) {
+  const decades = Math.log10(high / low);
+  const factors = decades > 3 ? [1] : decades > 1.3 ? [1, 3] : [1, 2, 5];
+  const ticks = [];
+  for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += Math.max(1, Math.ceil(decades / 6))) {
+    ticks.push(...factors.map((factor) => factor * 10 ** power).filter((value) => value >= low && value <= high));
+  }
+  return ticks;
+}
+
+// The colour of a name in style.css, which light and dark have their own of, or a colour itself.
+export function colour(name) {
+  return name.startsWith("--") ? getComputedStyle(document.documentElement).getPropertyValue(name).trim() : name;
+}
+
+// An empty canvas with as many pixels as the screen has there.
+export function clear(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const ratio = devicePixelRatio || 1;
+  const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== w || canvas.height !== h) Object.assign(canvas, { width: w, height: h });
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { context, width, height };
+}

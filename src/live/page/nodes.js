@@ -1,0 +1,167 @@
+// The processes of the run, and what one may do to them.
+
+// A table of more processes is folded to those that are worth a look.
+const FEW = 14;
+
+const SUPERVISOR = "run";
+
+export class Processes {
+  constructor(place, token) {
+    this.token = token;
+    this.place = place;
+    this.body = place.querySelector("tbody");
+    this.fold = place.querySelector("#fold");
+    this.said = place.querySelector("#said");
+    this.leads = place.querySelector("#leads");
+    this.rows = new Map();
+    this.nodes = [];
+    this.isOpen = false;
+    this.isEnded = false;
+    this.fold.addEventListener("click", () => {
+      this.isOpen = !this.isOpen;
+      this.order();
+    });
+  }
+
+  begin(about) {
+    this.about = about;
+    this.place.hidden = about.what !== "run";
+  }
+
+  show(status) {
+    this.nodes = status.nodes;
+    this.hasSupervisor = status.nodes.some((node) => node.name === SUPERVISOR && node.pid != null);
+    const standbys = status.standbys ? `, ${status.standbys} standing by` : "";
+    this.leads.textContent = status.leader == null ? "nobody leads" : `fusion leads as ${status.leader}${standbys}`;
+    const names = new Set(this.nodes.map((node) => node.name));
+    for (const [name, row] of this.rows) {
+      if (!names.has(name)) {
+        row.element.remove();
+        this.rows.delete(name);
+      }
+    }
+    this.nodes.forEach((node) => this.showRow(node));
+    this.order();
+  }
+
+  // Robots that are not there as they should be: name and state.
+  down() {
+    return new Map(this.nodes.filter((node) => node.state !== "running").map((node) => [node.name, node.state]));
+  }
+
+  end() {
+    this.isEnded = true;
+    for (const row of this.rows.values()) Object.values(row.buttons).forEach((button) => (button.hidden = true));
+  }
+
+  showRow(node) {
+    if (!this.rows.has(node.name)) this.rows.set(node.name, this.makeRow(node));
+    const row = this.rows.get(node.name);
+    const isNew = node.pid != null && row.pid != null && node.pid !== row.pid;
+    const isWorse = row.state === "running" && node.state !== "running";
+    if (isNew) {
+      row.was = row.pid;
+      this.say(`${node.name} is back: process ${node.pid}, start ${node.starts}`);
+    }
+    if (isNew || isWorse) flash(row.element);
+    row.pid = node.pid ?? row.pid;
+    row.state = node.state;
+    const isSupervisor = node.name === SUPERVISOR;
+    row.cells.state.textContent = isSupervisor && node.pid == null ? "none" : node.state;
+    row.cells.state.dataset.state = isSupervisor && node.pid == null ? "none" : node.state;
+    row.cells.pid.replaceChildren(...(row.was == null ? [] : [was(row.was), " "]), node.pid ?? "–");
+    row.cells.starts.textContent = node.starts;
+    row.cells.silent.textContent = node.silent_s == null ? "–" : `${node.silent_s.toFixed(node.silent_s < 10 ? 2 : 0)} s`;
+    row.cells.memory.textContent = node.resident_kb == null ? "–" : `${(node.resident_kb / 1024).toFixed(1)} MB`;
+    const { kill, stop, restart } = row.buttons;
+    const isThere = node.pid != null && node.state !== "gone" && !isSupervisor && !this.isEnded;
+    kill.hidden = stop.hidden = !isThere;
+    restart.hidden = !isThere || !this.hasSupervisor;
+    const action = node.state === "stopped" ? "continue" : "stop";
+    // One button for both keeps the keyboard's focus where it is.
+    label(stop, action, node.name);
+  }
+
+  makeRow(node) {
+    const element = document.createElement("tr");
+    element.dataset.node = node.name;
+    const cells = {};
+    for (const key of ["name", "state", "pid", "starts", "silent", "memory", "actions"]) {
+      cells[key] = element.insertCell();
+    }
+    const id = Number(node.name.match(/^robot-(\d+)$/)?.[1] ?? NaN);
+    if (!Number.isNaN(id)) {
+      const swatch = document.createElement("span");
+      swatch.className = "swatch";
+      swatch.style.background = this.about.robot_colours[id % this.about.robot_colours.length];
+      cells.name.append(swatch);
+    }
+    cells.name.append(node.name === SUPERVISOR ? "supervisor" : node.name);
+    cells.state.className = "state";
+    cells.memory.className = "memory";
+    const buttons = {};
+    for (const action of node.name === SUPERVISOR ? [] : ["kill", "stop", "restart"]) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.className = action;
+      label(button, action, node.name);
+      button.addEventListener("click", () => this.act(button.dataset.action, node.name));
+      cells.actions.append(button);
+      buttons[action] = button;
+    }
+    // A supervisor has none, and needs no branches elsewhere.
+    for (const action of ["kill", "stop", "restart"]) buttons[action] ??= document.createElement("button");
+    return { element, cells, buttons, pid: null, state: null, was: null };
+  }
+
+  // Not running first, then in the order of the team; a large team is folded.
+  order() {
+    const rank = (node) => (node.state === "running" || (node.name === SUPERVISOR && node.pid == null) ? 1 : 0);
+    const isLarge = this.nodes.length > FEW;
+    const sorted = isLarge ? this.nodes.toSorted((a, b) => rank(a) - rank(b)) : this.nodes;
+    const shown = isLarge && !this.isOpen ? sorted.slice(0, FEW - 2) : sorted;
+    const elements = shown.map((node) => this.rows.get(node.name).element);
+    // Moved only if they must: a row that is taken out and in loses the keyboard's focus.
+    const isSame = this.body.children.length === elements.length && elements.every((element, index) => this.body.children[index] === element);
+    if (!isSame) this.body.replaceChildren(...elements);
+    this.fold.hidden = !isLarge;
+    const down = this.nodes.filter((node) => rank(node) === 0).length;
+    this.fold.textContent = this.isOpen ? "show fewer" : `show all ${this.nodes.length} processes, ${down} not running`;
+  }
+
+  async act(action, node) {
+    this.say(`${action} ${node} …`);
+    try {
+      const answer = await fetch(`/act/${action}/${node}`, { method: "POST", headers: { "x-rangehound-token": this.token } });
+      this.say(await answer.text(), !answer.ok);
+    } catch {
+      this.say(`${action} ${node}: the page's server does not answer`, true);
+    }
+  }
+
+  say(text, isBad = false) {
+    this.said.textContent = text;
+    this.said.classList.toggle("bad", isBad);
+  }
+}
+
+function label(button, action, node) {
+  if (button.dataset.action === action) return;
+  button.dataset.action = action;
+  button.textContent = action;
+  button.setAttribute("aria-label", `${action} ${node}`);
+}
+
+function was(pid) {
+  const old = document.createElement("span");
+  old.className = "was";
+  old.textContent = `${pid} →`;
+  return old;
+}
+
+// Starts again if it goes on already.
+function flash(element) {
+  element.classList.remove("flash");
+  void element.offsetWidth;
+  element.classList.add("flash");
+}

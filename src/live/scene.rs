@@ -1,0 +1,343 @@
+//! What the page shows, built from frames: bounded, however long the run and however many its robots.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use nalgebra::Matrix2;
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::Scenario;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::history::{History, Known, News};
+use super::latency::{Latencies, Latency};
+use crate::chart::{self, COLOURS};
+use crate::frame::Frame;
+use crate::report::position_covariance;
+
+/// Places of all robots' trails together.
+const TRAIL_PLACES_MAX: usize = 8_000;
+
+/// Places of one trail.
+const TRAIL_MAX: usize = 240;
+
+/// The rate of ticks is measured over this time.
+const RATE_SPAN: Duration = Duration::from_secs(2);
+
+/// What the page shows of a run.
+#[derive(Debug)]
+pub(super) struct Scene {
+    about: Value,
+    trail_max: usize,
+    newest: Option<Frame>,
+    trails: VecDeque<Places>,
+    history: History,
+    tally: Tally,
+    latencies: Latencies,
+    rate: VecDeque<(Instant, u64)>,
+    nodes: Option<(u64, Value)>,
+    ended: Option<String>,
+}
+
+/// How far one viewer knows the scene.
+#[derive(Debug, Default)]
+pub(super) struct Seen {
+    is_begun: bool,
+    history: Known,
+    nodes: u64,
+}
+
+/// Where all were in one tick: target, estimate, robots.
+#[derive(Debug, Clone, Serialize)]
+struct Places {
+    tick: u64,
+    target_m: Option<[f64; 2]>,
+    estimate_m: [f64; 2],
+    robots_m: Vec<[f64; 2]>,
+}
+
+/// What became of the ranges of all ticks that were looked at.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+struct Tally {
+    ticks: u64,
+    fused: u64,
+    rejected: u64,
+    late: u64,
+    missing: u64,
+}
+
+/// The newest tick, and what has changed with it.
+#[derive(Debug, Serialize)]
+struct Picture<'a> {
+    tick: u64,
+    time_s: f64,
+    ticks_per_s: Option<f64>,
+    target_m: Option<[f64; 2]>,
+    estimate_m: [f64; 2],
+    covariance_m2: [f64; 3],
+    robots: Vec<Robot>,
+    tally: Tally,
+    latency: Latency,
+    history: News<'a>,
+}
+
+/// One robot in the picture.
+#[derive(Debug, Serialize)]
+struct Robot {
+    position_m: [f64; 2],
+    /// What it drives.
+    heading_rad: f64,
+    speed_mps: f64,
+    /// What fusion told it.
+    command_rad: f64,
+    command_mps: f64,
+    /// The range that fusion heard, and where it was measured.
+    range_m: Option<f64>,
+    range_from_m: Option<[f64; 2]>,
+    is_distrusted: bool,
+}
+
+impl Scene {
+    pub(super) fn new(name: &str, what: &str, scenario: &Scenario) -> Self {
+        let robots = scenario.robots.len();
+        let trail_max = (TRAIL_PLACES_MAX / robots.max(1)).clamp(30, TRAIL_MAX);
+        let about = json!({
+            "name": name,
+            "what": what,
+            "scenario": scenario.name,
+            "clock": scenario.clock.name(),
+            "planner": scenario.planner.name(),
+            "robots": robots,
+            "ticks": scenario.ticks,
+            "trail_max": trail_max,
+            // All but the estimate's, in the order of robots' ids: the report page has the same.
+            "robot_colours": (0..COLOURS.len() - 1).map(|id| hex(chart::robot_colour(id))).collect::<Vec<_>>(),
+            "estimate_colour": hex(chart::ESTIMATE),
+        });
+        Self {
+            about,
+            trail_max,
+            newest: None,
+            trails: VecDeque::new(),
+            history: History::default(),
+            tally: Tally::default(),
+            latencies: Latencies::default(),
+            rate: VecDeque::new(),
+            nodes: None,
+            ended: None,
+        }
+    }
+
+    /// Takes one tick in; the last of them is what is shown.
+    pub(super) fn add(&mut self, frame: Frame) {
+        let estimate = &frame.estimate.estimate;
+        let Tally { ticks, fused, rejected, late, missing } = &mut self.tally;
+        // What a damaged log holds may be any number.
+        for (sum, count) in [
+            (ticks, 1),
+            (fused, estimate.fused.saturating_add(estimate.fused_late)),
+            (rejected, estimate.rejected.saturating_add(estimate.rejected_late)),
+            (late, estimate.late),
+            (missing, estimate.missing),
+        ] {
+            *sum = sum.saturating_add(count);
+        }
+        self.latencies.add(&frame);
+        self.history.add(&frame);
+        self.newest = Some(frame);
+    }
+
+    /// To be called after each look, whether or not there were new ticks: keeps trails and the rate of ticks.
+    pub(super) fn looked(&mut self, now: Instant) {
+        let Some(frame) = &self.newest else { return };
+        if self.trails.back().is_none_or(|last| last.tick != frame.tick) {
+            self.trails.push_back(Places::of(frame));
+        }
+        while self.trails.len() > self.trail_max {
+            self.trails.pop_front();
+        }
+        self.rate.push_back((now, frame.tick));
+        while self.rate.len() > 2 && self.rate.get(1).is_some_and(|(at, _)| now.duration_since(*at) > RATE_SPAN) {
+            self.rate.pop_front();
+        }
+    }
+
+    pub(super) fn set_nodes(&mut self, nodes: Value) {
+        let version = self.nodes.as_ref().map_or(0, |(version, _)| *version);
+        self.nodes = Some((version + 1, nodes));
+    }
+
+    /// Nothing more will come.
+    pub(super) fn end(&mut self, reason: &str) {
+        self.ended = Some(reason.to_owned());
+    }
+
+    /// What a viewer does not know yet, as events of a stream, and whether they are the last.
+    pub(super) fn news(&self, seen: &mut Seen) -> (String, bool) {
+        let mut events = String::new();
+        if !std::mem::replace(&mut seen.is_begun, true) {
+            event(&mut events, "about", &self.about);
+            event(&mut events, "trails", &self.trails);
+        }
+        if let Some((version, nodes)) = &self.nodes
+            && *version != seen.nodes
+        {
+            seen.nodes = *version;
+            event(&mut events, "nodes", nodes);
+        }
+        if let Some(frame) = &self.newest {
+            event(&mut events, "picture", &self.picture(frame, &mut seen.history));
+        }
+        if let Some(reason) = &self.ended {
+            event(&mut events, "ended", reason);
+        }
+        (events, self.ended.is_some())
+    }
+
+    fn picture(&self, frame: &Frame, known: &mut Known) -> Picture<'_> {
+        let Places { tick, target_m, estimate_m, .. } = Places::of(frame);
+        let p: Matrix2<f64> = position_covariance(&frame.estimate.estimate);
+        let distrusted = RobotSet::from_bits(frame.estimate.estimate.distrusted);
+        let robots = frame.world.robots.iter().zip(&frame.exchanges).enumerate();
+        Picture {
+            tick,
+            time_s: frame.estimate.time_s,
+            ticks_per_s: self.ticks_per_s(),
+            target_m,
+            estimate_m,
+            covariance_m2: [p[(0, 0)], p[(0, 1)], p[(1, 1)]],
+            robots: robots
+                .map(|(id, (robot, exchange))| {
+                    let range = exchange.heard.and_then(|heard| Some((heard.range_m?.0, heard.position_m)));
+                    Robot {
+                        position_m: robot.position_m.map(milli),
+                        heading_rad: milli(robot.driven.heading_rad),
+                        speed_mps: milli(robot.driven.speed_mps),
+                        command_rad: milli(exchange.command.heading_rad),
+                        command_mps: milli(exchange.command.speed_mps),
+                        range_m: range.map(|(range_m, _)| milli(range_m)),
+                        range_from_m: range.map(|(_, position_m)| position_m.map(milli)),
+                        is_distrusted: distrusted.contains(id),
+                    }
+                })
+                .collect(),
+            tally: self.tally,
+            latency: self.latencies.summary(),
+            history: self.history.news(known),
+        }
+    }
+
+    fn ticks_per_s(&self) -> Option<f64> {
+        let (first, last) = (self.rate.front()?, self.rate.back()?);
+        let span_s = last.0.duration_since(first.0).as_secs_f64();
+        // Of less the number would jump.
+        (span_s >= 0.5).then(|| last.1.saturating_sub(first.1) as f64 / span_s)
+    }
+}
+
+impl Places {
+    fn of(frame: &Frame) -> Self {
+        let state = &frame.estimate.estimate.state;
+        Self {
+            tick: frame.tick,
+            target_m: match *frame.world.truth.as_slice() {
+                [x_m, y_m, ..] => Some([milli(x_m), milli(y_m)]),
+                _ => None,
+            },
+            estimate_m: [milli(state[0]), milli(state[1])],
+            robots_m: frame.world.robots.iter().map(|robot| robot.position_m.map(milli)).collect(),
+        }
+    }
+}
+
+/// Appends an event of a stream.
+fn event(events: &mut String, name: &str, data: &impl Serialize) {
+    // Plain structs with text for keys always have a JSON form, and it has no line breaks.
+    let data = serde_json::to_string(data).unwrap_or_default();
+    for part in ["event: ", name, "\ndata: ", &data, "\n\n"] {
+        events.push_str(part);
+    }
+}
+
+/// To a thousandth: what a picture shows.
+fn milli(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
+
+fn hex(colour: plotters::style::RGBColor) -> String {
+    let plotters::style::RGBColor(red, green, blue) = colour;
+    format!("#{red:02x}{green:02x}{blue:02x}")
+}
+
+/// A tick in which nothing is known but the team.
+#[cfg(test)]
+pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
+    use rangehound_shared::message::Estimate;
+    use rangehound_shared::record::{EstimateRecord, Exchange, RobotRecord, WorldRecord};
+
+    let estimate = Estimate { state_dim: scenario.motion.state_dim() as u64, ..Estimate::default() };
+    let robots = vec![RobotRecord::default(); scenario.robots.len()];
+    Frame {
+        tick,
+        estimate: EstimateRecord { time_s: tick as f64 * scenario.dt_s, estimate },
+        exchanges: vec![Exchange::default(); scenario.robots.len()],
+        world: WorldRecord { robots, ..WorldRecord::default() },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use rangehound_shared::scenario::ScenarioFile;
+
+    use super::*;
+
+    /// Names and data of the events that a viewer is sent.
+    fn events(scene: &Scene, seen: &mut Seen) -> Vec<(String, Value)> {
+        let (text, _) = scene.news(seen);
+        let event = |event: &str| {
+            let (name, data) = event.strip_prefix("event: ").unwrap().split_once("\ndata: ").unwrap();
+            (name.to_owned(), serde_json::from_str(data).unwrap())
+        };
+        text.split_terminator("\n\n").map(event).collect()
+    }
+
+    #[test]
+    fn a_viewer_is_told_at_first_of_all_and_then_of_what_is_new() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let (mut scene, mut seen) = (Scene::new("a", "run", &scenario), Seen::default());
+        let names = |events: &[(String, Value)]| events.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&events(&scene, &mut seen)), ["about", "trails"]);
+        for tick in 0..=9 {
+            scene.add(frame_for_test(tick, &scenario));
+        }
+        scene.set_nodes(json!({"nodes": []}));
+        let told = events(&scene, &mut seen);
+        assert_eq!(names(&told), ["nodes", "picture"]);
+        assert_eq!(told[1].1["history"]["points"].as_array().unwrap().len(), 9);
+        scene.add(frame_for_test(10, &scenario));
+        scene.end("over");
+        let told = events(&scene, &mut seen);
+        assert_eq!(names(&told), ["picture", "ended"]);
+        // The last point may have grown.
+        assert_eq!(told[0].1["history"]["from"], 8);
+        assert_eq!(told[0].1["history"]["points"].as_array().unwrap().len(), 2);
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_told_as_unknown() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let (mut scene, mut seen) = (Scene::new("a\n\"b", "run", &scenario), Seen::default());
+        let mut frame = frame_for_test(u64::MAX - 1, &scenario);
+        frame.estimate.estimate.state = [f64::NAN; 8];
+        frame.estimate.estimate.covariance = [f64::INFINITY; 64];
+        frame.estimate.estimate.fused = u64::MAX;
+        frame.world.robots[0].position_m = [f64::NAN; 2];
+        scene.add(frame.clone());
+        scene.add(frame);
+        scene.looked(Instant::now());
+        let told = events(&scene, &mut seen);
+        assert_eq!(told[2].1["estimate_m"], json!([null, null]));
+    }
+}
