@@ -128,8 +128,14 @@ pub struct ReplayArgs {
     /// Print one line of JSON
     #[arg(long)]
     pub json: bool,
+    /// Whether it is shown, after it was compared
+    #[command(flatten)]
+    pub show: ShowArgs,
+    /// Seconds of the run in a second on the page
+    #[arg(long, value_name = "X", requires = "live", value_parser = speed, allow_negative_numbers = true, default_value_t = 1.0)]
+    pub speed: f64,
     /// Make a whole file of one that was cut short or damaged, with all ticks up to there
-    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "json"])]
+    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "json", "live"])]
     pub repair: bool,
     /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
     #[arg(long, value_name = "FILE", requires = "repair")]
@@ -294,7 +300,7 @@ pub struct LiveArgs {
     pub port: Option<u16>,
 }
 
-/// Whether a run is shown while it goes on.
+/// Whether a run is shown.
 #[derive(Debug, Default, Args)]
 pub struct ShowArgs {
     /// Show it on a page in the browser, as `rangehound live` does; --live=PORT to choose the port
@@ -700,6 +706,11 @@ fn standbys(text: &str) -> Result<usize, String> {
 
 fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "expected a number".to_owned())
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    let speed = text.parse().ok().filter(|speed| (1e-3..=1e6).contains(speed));
+    speed.ok_or_else(|| "expected a number from 0.001 to 1e6".to_owned())
 }
 
 fn patience(text: &str) -> Result<PatienceKey, String> {

@@ -91,6 +91,7 @@ const REPLAY: &str = "Examples:
   rangehound replay runs/paper/run.mcap          the same estimates, to the bit?
   rangehound replay runs/paper/run.mcap --planner greedy
   rangehound replay runs/paper/run.mcap --gate 3
+  rangehound replay runs/paper/run.mcap --live --speed 5
   rangehound replay run.mcap.partial --repair    what a kill has left
 
 Exit codes: 0 bit-identical, compared or repaired, 1 an estimate differs,

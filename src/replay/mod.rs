@@ -3,6 +3,7 @@
 
 mod differences;
 mod repair;
+mod show;
 pub mod steps;
 
 use std::fs::File;
@@ -59,16 +60,19 @@ struct Outcome {
 pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
     let path = &args.file;
     let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
-    let file = File::open(path).map_err(|error| refuse(&error))?;
-    let mut reader = FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))?;
+    let open = || {
+        let file = File::open(path).map_err(|error| refuse(&error))?;
+        FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))
+    };
+    let mut reader = open()?;
     if args.repair {
         return repair::repair(path, args.out.as_deref(), reader, |error| refuse(error));
     }
     let recorded = reader.description().map_err(|error| refuse(&error))?.scenario.clone();
     let replayed = changed(&recorded, args)?;
-    let steps = Steps::new(&replayed).map_err(|error| Failure::input(format!("--planner: {error}")))?;
+    let begin = || Steps::new(&replayed).map_err(|error| Failure::input(format!("--planner: {error}")));
     let is_changed = recorded != replayed;
-    let fed = feed(&mut reader, steps, &recorded, is_changed).map_err(|error| match error {
+    let fed = feed(&mut reader, begin()?, &recorded, is_changed).map_err(|error| match error {
         Stopped::Reading(error) => refuse(&error),
         // A recording without its beginning, or with a tick lost, is bad input; what diverges with other flags is a result.
         Stopped::Stepping(error @ (StepError::Hole(_) | StepError::Senseless { .. })) => refuse(&error),
@@ -101,6 +105,9 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
         failure::print(format_args!("{}\n", serde_json::to_string(&outcome)?))?;
     } else {
         failure::print(&outcome)?;
+    }
+    if let Some(port) = args.show.live {
+        show::show(open()?, begin()?, &replayed, port, args.speed)?;
     }
     match &outcome.first_difference {
         Some(difference) => {
