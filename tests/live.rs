@@ -214,6 +214,32 @@ fn a_viewer_sees_the_run_to_its_last_tick_and_is_told_of_its_end() {
 }
 
 #[test]
+fn a_recording_is_shown_again_as_it_was_or_would_have_been() {
+    let run = Run::new();
+    run.command("run --in-process --ticks 60 --record").finish().succeeded();
+    for (words, planner) in [("--speed 40", "bit-identical"), ("--speed 1e6 --planner random", "random")] {
+        let args = format!("replay out/run.mcap --live {words}");
+        let replay = run.start(&args.split_whitespace().collect::<Vec<_>>());
+        let page = Page::of(&run, &replay);
+        let (mut last, mut ended) = (Value::Null, None);
+        let mut events = Events::open(&page);
+        while let Some((name, data)) = events.next() {
+            match name.as_str() {
+                "picture" => last = data,
+                "ended" => ended = Some(data),
+                _ => {}
+            }
+        }
+        assert_eq!((&last["tick"], last["robots"].as_array().unwrap().len()), (&Value::from(60), 3));
+        assert_eq!(ended, Some(Value::from("The recording has ended.")));
+        let told = replay.finish().succeeded();
+        assert!(told.stdout.contains(planner), "{told:?}");
+    }
+    crate::support::assert_refused_at_once("replay out/run.mcap --speed 2", "--live");
+    crate::support::assert_refused_at_once("replay out/run.mcap --live --speed 0", "--speed");
+}
+
+#[test]
 fn crowds_garbage_and_viewers_that_do_not_read_do_no_harm() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);

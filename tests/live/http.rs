@@ -32,7 +32,9 @@ impl Page {
         let mut url = None;
         run.wait_until("the page's address is told", || {
             let said = process.stderr();
-            url = said.lines().find_map(|line| line.strip_prefix("live: ").map(str::to_owned));
+            let told =
+                |line: &str| ["live: ", "replay: "].iter().find_map(|what| line.strip_prefix(what)).map(str::to_owned);
+            url = said.lines().find_map(told);
             url.is_some() && said.ends_with('\n')
         });
         let url = url.unwrap();
