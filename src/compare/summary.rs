@@ -286,7 +286,11 @@ impl Display for Comparison {
             f,
             "Diverged: over {DIVERGED_ERROR_M} m off in the mean of the last {DIVERGED_TICKS} ticks. Above optimum: against the certified"
         )?;
-        write!(f, "lower bound of the same step, |S| relative to the sum of all lambda. Time over M: M robots.")
+        writeln!(
+            f,
+            "lower bound of the same step, |S| relative to the sum of all lambda. Time over M robots: the power"
+        )?;
+        write!(f, "law from M = 10 to 1000, or as many as are served in time.")
     }
 }
 
@@ -296,7 +300,7 @@ impl Summary {
         let Interval { low, high } = divergence.interval;
         writeln!(
             f,
-            "{:<10} {:>7} {:>6}  {:>7} {:>6}  {:>6} {:>7} {:>6}  {:>7} {:>6}  {:>5.1} ({:.1}-{:.1})",
+            "{:<10} {:>7} {:>6}  {:>7} {:>6}  {:>6} {:>7} {:>6}  {:>7} {:>6}  {:>5} ({}-{})",
             self.name,
             figure(position_trace_m2.r#final),
             figure(position_trace_m2.mean),
@@ -307,9 +311,9 @@ impl Summary {
             figure(position_rmse_m.p95),
             figure(self.anees),
             figure(self.nis_per_dof),
-            100.0 * divergence.rate,
-            100.0 * low,
-            100.0 * high,
+            percent(divergence.rate),
+            percent(low),
+            percent(high),
         )
     }
 
@@ -330,6 +334,16 @@ impl Summary {
             figure(excess.max),
             law.map_or(String::new(), |law| format!("M^{:.2}", law.exponent)),
         )
+    }
+}
+
+/// A rate in percent; of a small one the first digit.
+fn percent(rate: f64) -> String {
+    match 100.0 * rate {
+        0.0 => "0.0".to_owned(),
+        small if small < 0.0095 => format!("{small:.3}"),
+        small if small < 0.095 => format!("{small:.2}"),
+        percent => format!("{percent:.1}"),
     }
 }
 
@@ -398,6 +412,13 @@ mod tests {
         assert_eq!(distribution.first().map(|(_, part)| *part), Some(0.0));
         assert_eq!(distribution.last(), Some(&(1.0, 1.0)));
         assert!(distribution.is_sorted());
+    }
+
+    #[test]
+    fn small_rates_are_not_rounded_to_none() {
+        for (rate, text) in [(0.0, "0.0"), (3.84e-4, "0.04"), (1.8e-5, "0.002"), (1e-3, "0.1"), (0.95, "95.0")] {
+            assert_eq!(percent(rate), text);
+        }
     }
 
     #[test]

@@ -186,6 +186,7 @@ impl Problem {
 
     /// [`Self::uncertainty`] of directions whose sum is known, as a sum of positive terms: where one direction is known
     /// far better than the other, the difference itself is nothing but rounding.
+    #[inline]
     pub(super) fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
         // 1 - u . s = |u - s|^2 / 2.
@@ -194,21 +195,16 @@ impl Problem {
     }
 
     /// `tr A - V_0 . n` for a unit vector `n`: twice what the prior knows across the axis of which `n` is the double.
+    #[inline]
     pub(super) fn prior_across(&self, n: Vector) -> f64 {
         let p = &self.covariance_m2;
         // Across the axis e, A = adj(P) / |P| has e^T P e / |P|.
         let e = n.halved();
-        let det = determinant(p);
-        let variance_m2 = if is_flat(p, det) {
-            // As a sum of squares: near a singular direction the products cancel.
-            let (x, y) = if p[(0, 0)] >= p[(1, 1)] { (e.x, e.y) } else { (e.y, e.x) };
-            let larger = p[(0, 0)].max(p[(1, 1)]);
-            let along = x + y * (p[(0, 1)] / larger);
-            larger * along * along + y * y * (det / larger)
-        } else {
-            e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)]
-        };
-        2.0 * variance_m2 / det
+        let plain = p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)];
+        if is_flat(p, plain) {
+            return flat_prior_across(p, e);
+        }
+        2.0 * (e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)]) / plain
     }
 
     /// Largest eigenvalue of `P+_11`, `2 / (T - |S|)`, m^2: grows with `|S|` as the trace does, so
@@ -232,6 +228,15 @@ fn determinant(p: &Matrix2<f64>) -> f64 {
         return p[(0, 0)].mul_add(p[(1, 1)], -square) - p[(0, 1)].mul_add(p[(0, 1)], -square);
     }
     plain
+}
+
+/// [`Problem::prior_across`] the axis `e` as a sum of squares: near a singular direction the products cancel.
+#[cold]
+fn flat_prior_across(p: &Matrix2<f64>, e: Vector) -> f64 {
+    let (x, y) = if p[(0, 0)] >= p[(1, 1)] { (e.x, e.y) } else { (e.y, e.x) };
+    let (larger, determinant) = (p[(0, 0)].max(p[(1, 1)]), determinant(p));
+    let along = x + y * (p[(0, 1)] / larger);
+    2.0 * (larger * along * along + y * y * (determinant / larger)) / determinant
 }
 
 /// True if the eigenvalues of a matrix of this determinant are so unequal that products of its entries cancel.

@@ -54,19 +54,37 @@ const TWISTS: [fn(&mut Problem); 6] = [
 fn hard_problems_are_solved_and_proven() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
     let mut planner = certified();
+    let relaxations = [Relaxation::adaptive(20, 0.5), Relaxation::standard(20)];
+    let mut excesses = [const { Vec::new() }; 2];
     for (robots, problems) in (1..=10).map(|robots| (robots, 500)).chain([(25, 100), (60, 60), (150, 30)]) {
         let mut nodes_max = 0;
-        for twist in TWISTS.iter().flat_map(|twist| std::iter::repeat_n(twist, problems)) {
+        for (k, twist) in TWISTS.iter().flat_map(|twist| std::iter::repeat_n(twist, problems)).enumerate() {
             let mut problem = hard_problem(&mut random, robots);
             twist(&mut problem);
             let plan = solve(&mut planner, &problem);
             nodes_max = nodes_max.max(planner.search.looked_into());
             assert!(plan.is_certified(&problem), "{} {} {problem:?}", plan.objective, plan.lower_bound);
+            // What relaxation is worth on the problems that are hard without a twist.
+            let compared = relaxations.clone().into_iter().zip(&mut excesses).filter(|_| k < problems && robots <= 10);
+            for (mut relaxation, excesses) in compared {
+                let relaxed = solve(&mut relaxation, &problem);
+                excesses.push(100.0 * (relaxed.position_trace_m2 / plan.position_trace_m2 - 1.0));
+            }
             for (arm, direction) in problem.arms.iter().zip(&plan.directions) {
                 assert!((arm.nearest(*direction, *direction) - *direction).norm() < 1e-9, "outside its arc");
             }
         }
         println!("{robots} robots: {} problems, at most {nodes_max} nodes", TWISTS.len() * problems);
+    }
+    for (relaxation, mut excesses) in relaxations.iter().zip(excesses) {
+        excesses.sort_unstable_by(f64::total_cmp);
+        let at = |share: usize| excesses[(excesses.len() - 1) * share / 1000];
+        let [p50, p99, most] = [500, 990, 1000].map(at);
+        println!(
+            "{}: trace above the optimum by {p50:.4} % p50, {p99:.2} % p99, {most:.1} % at most",
+            relaxation.name()
+        );
+        assert!(most > 10.0, "the problems are not hard");
     }
 }
 
