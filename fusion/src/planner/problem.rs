@@ -186,7 +186,6 @@ impl Problem {
 
     /// [`Self::uncertainty`] of directions whose sum is known, as a sum of positive terms: where one direction is known
     /// far better than the other, the difference itself is nothing but rounding.
-    #[inline]
     pub(super) fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
         // 1 - u . s = |u - s|^2 / 2.
@@ -195,7 +194,6 @@ impl Problem {
     }
 
     /// `tr A - V_0 . n` for a unit vector `n`: twice what the prior knows across the axis of which `n` is the double.
-    #[inline]
     pub(super) fn prior_across(&self, n: Vector) -> f64 {
         let p = &self.covariance_m2;
         // Across the axis e, A = adj(P) / |P| has e^T P e / |P|.
