@@ -48,7 +48,15 @@ impl OverTime {
     ///
     /// # Errors
     /// The backend's.
-    pub fn draw_log(mut self, area: &Area<'_>, times_s: Range<f64>) -> Drawn {
+    pub fn draw_log(self, area: &Area<'_>, times_s: Range<f64>) -> Drawn {
+        self.draw_log_up_to(f64::INFINITY, area, times_s)
+    }
+
+    /// [`Self::draw_log`] on an axis that ends at `most` at the latest.
+    ///
+    /// # Errors
+    /// The backend's.
+    pub fn draw_log_up_to(mut self, most: f64, area: &Area<'_>, times_s: Range<f64>) -> Drawn {
         let drawable = |value: &f64| value.is_finite() && *value > 0.0;
         for line in &mut self.lines {
             line.points.retain(|(_, value)| drawable(value));
@@ -60,7 +68,8 @@ impl OverTime {
         let of_lines = self.lines.iter().flat_map(|line| &line.points).map(|(_, value)| *value);
         let of_bands = self.bands.iter().flat_map(|band| &band.points).flat_map(|(_, low, high)| [*low, *high]);
         let limits = chart::log_limits(of_lines.chain(of_bands));
-        let limits = limits.start.max(limits.end / SPAN_MAX)..limits.end;
+        let end = limits.end.min(most);
+        let limits = limits.start.max(end / SPAN_MAX)..end;
         self.draw(area, times_s, limits.log_scale(), chart::short_on_log)
     }
 

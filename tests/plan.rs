@@ -279,6 +279,47 @@ fn stand_off_and_separation_hold_at_the_end_of_the_step() {
     }
 }
 
+/// A range known to 0.1 mm beside two known to 20 and 57 km: in `|S|` they differ by less than rounding.
+#[test]
+fn a_certificate_holds_for_the_trace_of_robots_that_have_nothing_in_common() {
+    let team = [robot(6.95, 5.35, 24.3, 1e-4), robot(-21.7, 41.8, 23.6, 20_000.0), robot(50.9, -25.0, 15.3, 57_000.0)];
+    let problem = step([[1.6e7, -7e6], [-7e6, 1.56e7]], [6.24, 4.21], &team);
+    let of = |planner: &str| answers(std::slice::from_ref(&problem), &format!("--planner {planner}"))[0].clone();
+    let certified = of("certified");
+    assert_eq!(certified["certified"], true, "{certified}");
+    for other in ["adaptive", "standard", "grid", "greedy"] {
+        let (ours, theirs) = (number(&certified, "position_trace_m2"), number(&of(other), "position_trace_m2"));
+        assert!(ours <= theirs * (1.0 + 1e-9), "{other}: {ours} {theirs}");
+        assert!(of(other)["certified"] == false || theirs <= ours * (1.0 + 1e-6), "{other}: {ours} {theirs}");
+    }
+}
+
+/// Within a step of the target, where a stand-off below all measure was half believed.
+#[test]
+fn a_tiny_stand_off_claims_what_its_motion_leads_to() {
+    let team = [robot(0.3, 0.2, 10.0, 1.0), robot(-0.4, 0.1, 10.0, 1.0), robot(0.1, -0.5, 10.0, 1.0)];
+    let problem = step([[4.0, 0.5], [0.5, 2.0]], [0.0, 0.0], &team);
+    for stand_off_m in [0.0, 1e-300, 1e-15, 1e-12, 1e-9, 1e-6] {
+        let mut problem = problem.clone();
+        problem["stand_off_m"] = json!(stand_off_m);
+        let answer = &answers(std::slice::from_ref(&problem), "")[0];
+        let trace = worth(&problem, &ends(&problem, answer)).1;
+        assert!((number(answer, "position_trace_m2") / trace - 1.0).abs() < 1e-9, "{stand_off_m}: {trace} {answer}");
+    }
+}
+
+/// A covariance that is all but singular: the products of its entries cancel to five digits.
+#[test]
+fn the_trace_keeps_its_digits_beside_a_flat_covariance() {
+    // By rotation of diag(1, 1e-12), in entries that doubles have exactly: P = [[a, a - d], [a - d, a]], |P| = d (2 a - d).
+    let (a, d) = (0.5, 2.0_f64.powi(-40));
+    let problem = step([[a, a - d], [a - d, a]], [0.0, 0.0], &[robot(20.0, 0.0, 0.0, 1.0)]);
+    let answer = &answers(std::slice::from_ref(&problem), "")[0];
+    // Woodbury: P - P e e^T P / (1 + e^T P e), e = (1, 0).
+    let trace = 2.0 * a - (a * a + (a - d) * (a - d)) / (1.0 + a);
+    assert!((number(answer, "position_trace_m2") / trace - 1.0).abs() < 1e-9, "{trace} {answer}");
+}
+
 #[test]
 fn without_the_key_there_is_no_stand_off() {
     let problem = step([[4.0, 0.5], [0.5, 2.0]], [0.0, 0.0], &[robot(3.0, 0.0, 20.0, 1.0)]);
@@ -389,6 +430,7 @@ fn a_bad_line_is_told_by_number_and_key_and_the_others_are_answered() {
         let error = answer["error"].as_str().unwrap();
         assert!(error.contains(names) && error.contains("expected"), "{bad}: {error}");
         assert_eq!(answer.as_object().unwrap().len(), 2);
+        assert!(!error.starts_with('?') && !error.contains(".?"), "{bad}: {error}");
         assert_eq!(complaints[k], format!("error: steps.jsonl: line {number}: {error}"));
     }
 }

@@ -38,7 +38,16 @@ fn tick(centre: &mut Centre, reports: &mut [Option<Report>]) {
 
 #[test]
 fn a_tick_allocates_nothing() {
-    for (planner, robots) in [("adaptive", 3), ("standard", 100), ("random", 10), ("grid", 3)] {
+    for (planner, robots) in [
+        ("adaptive", 3),
+        ("standard", 100),
+        ("random", 10),
+        ("grid", 3),
+        ("certified", 3),
+        ("certified", 40),
+        ("greedy", 10),
+        ("pursue", 10),
+    ] {
         let mut centre = Centre::new(&scenario(planner, robots)).unwrap().keeping_the_past();
         let mut reports = vec![None; robots as usize];
         for _ in 0..50 {

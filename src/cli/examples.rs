@@ -116,8 +116,8 @@ and planner (a name). Its answer is one line, in the same order:
   {\"planner\":..,\"headings_rad\":[..],\"speeds_mps\":[..],\"objective\":..,
    \"lower_bound\":..,\"certified\":..,\"position_trace_m2\":..,\"plan_us\":..}
 
-objective is |S|, no headings reach less than lower_bound; certified: the two
-are one but for rounding. A line that makes no sense is answered by
+objective is |S|, no headings reach less than lower_bound; certified: none are
+better but for rounding. A line that makes no sense is answered by
 {\"line\":N,\"error\":\"..\"}, told on standard error too, and the next one is read;
 the exit code is then 2. Lines count from 1, blank ones are skipped. Answers
 come at once when no more input is there.

@@ -216,10 +216,9 @@ impl Yardstick {
             self.optimiser.plan(0, problem, &mut self.optimum);
             &self.optimum
         };
-        let least_trace_m2 = problem.position_trace_m2(best.lower_bound);
         Distance {
             gap: ((plan.objective - best.lower_bound) / problem.lambda_sum()).max(0.0),
-            trace_excess: (plan.position_trace_m2 / least_trace_m2 - 1.0).max(0.0),
+            trace_excess: (plan.position_trace_m2 / best.least_trace_m2() - 1.0).max(0.0),
             certified: best.is_certified(problem),
         }
     }

@@ -28,6 +28,9 @@ const PANEL: u32 = 800;
 /// Ticks whose paths are drawn: later the field is so wide that robots and target are one.
 const PATH_TICKS: u64 = 100;
 
+/// Largest ANEES that is drawn: a planner that loses the target would leave the others a hairline.
+const ANEES_MOST: f64 = 10.0;
+
 /// Draws all pictures into a folder.
 ///
 /// # Errors
@@ -149,7 +152,7 @@ fn draw_consistency(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let Interval { low, high } = *anees_bounds;
     let times_s = times_s(comparison);
     let anees = OverTime {
-        label: format!("ANEES; grey: 95 % of consistent filters ({low:.2} to {high:.2})"),
+        label: format!("ANEES to {ANEES_MOST}; grey: 95 % if consistent ({low:.2} to {high:.2})"),
         bands: vec![Band {
             name: None,
             colour: BLACK.mix(0.2),
@@ -157,7 +160,7 @@ fn draw_consistency(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         }],
         lines: lines(comparison, |planner| &planner.series.anees),
     };
-    anees.draw_log(&upper, times_s.clone())?;
+    anees.draw_log_up_to(ANEES_MOST, &upper, times_s.clone())?;
     let error = OverTime {
         label: "RMS position error, m".to_owned(),
         lines: lines(comparison, |planner| &planner.series.rmse_m),

@@ -282,8 +282,8 @@ the runs, at the end and its mean over time. Errors, ANEES and NIS hold all
 runs, diverged ones too; ANEES and NIS are ideally 1, and at one tick 95 % of
 consistent filters have an ANEES from {low:.2} to {high:.2}. Diverged: over {DIVERGED_ERROR_M} m off
 in the mean of the last {DIVERGED_TICKS} ticks. Above optimum: against the certified lower
-bound of the same step, |S| relative to the sum of all lambda. Over M: how the
-time to plan grows with the number of robots."
+bound of the same step, |S| relative to the sum of all lambda. Over M: the power
+law of the time to plan from M = 10 to 1000, or as many as are served in time."
         )
     }
 }
@@ -320,8 +320,8 @@ impl Summary {
             figure(position_rmse_m.p95),
             figure(self.anees),
             figure(self.nis_per_dof),
-            format!("{:.1}", 100.0 * rate),
-            format!("{:>13}", format!("{:.1} to {:.1}", 100.0 * low, 100.0 * high)),
+            percent(*rate),
+            format!("{:>13}", format!("{} to {}", percent(*low), percent(*high))),
         ]
     }
 
@@ -336,6 +336,16 @@ impl Summary {
             figure(gap.p99),
             figure(gap.max),
         ]
+    }
+}
+
+/// A rate in percent; of a small one the first digit.
+fn percent(rate: f64) -> String {
+    match 100.0 * rate {
+        0.0 => "0.0".to_owned(),
+        small if small < 0.0095 => format!("{small:.3}"),
+        small if small < 0.095 => format!("{small:.2}"),
+        percent => format!("{percent:.1}"),
     }
 }
 
@@ -404,6 +414,13 @@ mod tests {
         assert_eq!(distribution.first().map(|(_, part)| *part), Some(0.0));
         assert_eq!(distribution.last(), Some(&(1.0, 1.0)));
         assert!(distribution.is_sorted());
+    }
+
+    #[test]
+    fn small_rates_are_not_rounded_to_none() {
+        for (rate, text) in [(0.0, "0.0"), (3.84e-4, "0.04"), (1.8e-5, "0.002"), (1e-3, "0.1"), (0.95, "95.0")] {
+            assert_eq!(percent(*rate), text);
+        }
     }
 
     #[test]

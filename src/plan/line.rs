@@ -92,7 +92,7 @@ impl Desk {
 
         let (problem, plan) = (&self.problem, &mut self.plan);
         if !matches!(step.spec, PlannerSpec::Certified { .. }) {
-            plan.lower_bound = hull_bound(problem).min(plan.objective);
+            plan.prove(hull_bound(problem));
         }
         let numbers = [plan.objective, plan.lower_bound, plan.position_trace_m2];
         if !numbers.iter().chain(&plan.headings_rad).chain(&plan.speeds_mps).all(|number| number.is_finite()) {

@@ -61,10 +61,10 @@ impl ProblemLine {
 fn complaint(text: &str, error: &serde_json::Error) -> String {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let tracked = serde_path_to_error::deserialize::<_, Object<ProblemLine>>(&mut deserializer);
-    let place = match tracked {
-        Err(tracked) if tracked.path().iter().next().is_some() => format!("{}: ", tracked.path()),
-        _ => String::new(),
-    };
+    // What ends before it has a key has a place without a name: "?".
+    let path = tracked.err().map(|tracked| tracked.path().to_string()).unwrap_or_default();
+    let path = path.trim_end_matches('?').trim_end_matches('.');
+    let place = if path.is_empty() { String::new() } else { format!("{path}: ") };
     let said = error.to_string();
     let said = said.rsplit_once(" at line ").map_or(said.as_str(), |(said, _)| said);
     if said.starts_with("number out of range") {

@@ -30,6 +30,7 @@ mod vector;
 use rangehound_shared::scenario::PlannerSpec;
 
 pub use arm::{Arm, Extent};
+use problem::trace_m2;
 pub use problem::{Problem, TeamMember};
 pub use vector::Vector;
 
@@ -48,6 +49,11 @@ pub struct Plan {
     pub lower_bound: f64,
     /// Trace of the position covariance after the next ranges, m^2.
     pub position_trace_m2: f64,
+    /// `T - |S|`, twice the least eigenvalue of the information, 1/m^2: the trace hangs on it, and the difference of
+    /// the two may be nothing but rounding.
+    pub least_information: f64,
+    /// No directions in the arcs reach more than this; infinite from planners that prove nothing.
+    pub least_information_bound: f64,
 }
 
 /// A way to choose headings.
@@ -113,15 +119,30 @@ impl Plan {
     fn value(&mut self, problem: &Problem) {
         let sum = problem.sum(&self.directions);
         self.objective = sum.norm();
-        self.lower_bound = 0.0;
-        self.position_trace_m2 = problem.position_trace_of_m2(&self.directions, sum);
+        self.least_information = problem.least_information(&self.directions, sum);
+        self.position_trace_m2 = trace_m2(self.least_information, self.objective);
+        (self.lower_bound, self.least_information_bound) = (0.0, f64::INFINITY);
     }
 
-    /// True if the bound proves that no other headings are better by more than a billionth of the sum of
-    /// all lambda.
+    /// Takes note that no directions reach less than `lower_bound`.
+    pub fn prove(&mut self, lower_bound: f64) {
+        self.lower_bound = lower_bound.min(self.objective);
+        self.least_information_bound = self.least_information + (self.objective - self.lower_bound);
+    }
+
+    /// No directions have a lesser position trace than this, m^2; 0 if nothing is proven.
+    #[must_use]
+    pub fn least_trace_m2(&self) -> f64 {
+        let gap = self.least_information_bound - self.least_information;
+        if gap.is_finite() { trace_m2(self.least_information_bound, (self.objective - gap).max(0.0)) } else { 0.0 }
+    }
+
+    /// True if it is proven that no other headings are better by more than a billionth of the sum of all lambda in
+    /// `|S|`, nor by more than a millionth in the trace.
     #[must_use]
     pub fn is_certified(&self, problem: &Problem) -> bool {
         self.objective - self.lower_bound <= certified::GAP_MAX * problem.lambda_sum()
+            && self.least_information_bound <= self.least_information * (1.0 + certified::TRACE_GAP_MAX)
     }
 }
 

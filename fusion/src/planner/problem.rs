@@ -7,6 +7,12 @@ use super::arm::Arm;
 use super::reach::{Limit, Reach, stand_off_m};
 use super::vector::Vector;
 
+/// Part of `T - |S|` that rounding of `|S|` may make up before `T - |S|` itself is what is compared.
+const ROUNDED_MAX: f64 = 1e-8;
+
+/// Determinant of a covariance over the product of its variances below which the products cancel.
+const FLAT: f64 = 1e-4;
+
 /// A robot as the planner sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TeamMember {
@@ -64,7 +70,7 @@ impl Problem {
         team: impl IntoIterator<Item = TeamMember>,
     ) {
         let p = prior_position_covariance_m2;
-        let scale = 1.0 / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)]).max(f64::MIN_POSITIVE);
+        let scale = 1.0 / determinant(p).max(f64::MIN_POSITIVE);
         // A = adj(P) / |P|.
         self.prior = Vector::new((p[(1, 1)] - p[(0, 0)]) * scale, -2.0 * p[(0, 1)] * scale);
         self.information_trace = (p[(0, 0)] + p[(1, 1)]) * scale;
@@ -165,29 +171,38 @@ impl Problem {
         4.0 * t / ((t - objective) * (t + objective))
     }
 
-    /// [`Self::position_trace_m2`] of these directions, whose sum is `S`, with `T - |S|` as a sum of positive terms: where one
-    /// direction is known far better than the other, the difference itself is nothing but rounding.
-    #[must_use]
-    pub(super) fn position_trace_of_m2(&self, directions: &[Vector], sum: Vector) -> f64 {
-        let (least, length) = (self.least_information(directions, sum), sum.norm());
-        4.0 * (least + length) / (least * (least + 2.0 * length))
-    }
-
     /// `T - |S|` of these directions, twice the least eigenvalue of the information.
     pub(super) fn uncertainty(&self, directions: &[Vector]) -> f64 {
         self.least_information(directions, self.sum(directions))
     }
 
-    fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
-        let p = &self.covariance_m2;
+    /// True if of a plan of this trace (m^2) the difference `T - |S|` is so small that rounding of `|S|` would tell in
+    /// the trace.
+    pub(super) fn is_lopsided_at(&self, position_trace_m2: f64) -> bool {
+        // T - |S| is at least twice the inverse of the trace.
+        let rounding = 4.0 * f64::EPSILON * self.len() as f64 * self.information_trace;
+        rounding * position_trace_m2 > ROUNDED_MAX
+    }
+
+    /// [`Self::uncertainty`] of directions whose sum is known, as a sum of positive terms: where one direction is known
+    /// far better than the other, the difference itself is nothing but rounding.
+    pub(super) fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
-        // The axis along which most is known; across it, A = adj(P) / |P| has e^T P e / |P|.
-        let e = along.halved();
-        let variance_m2 = e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)];
-        let prior = 2.0 * variance_m2 / (p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)]);
         // 1 - u . s = |u - s|^2 / 2.
         let arms = self.arms.iter().zip(directions);
-        arms.fold(prior, |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared())
+        arms.fold(self.prior_across(along), |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared())
+    }
+
+    /// `tr A - V_0 . n` for a unit vector `n`: twice what the prior knows across the axis of which `n` is the double.
+    pub(super) fn prior_across(&self, n: Vector) -> f64 {
+        let p = &self.covariance_m2;
+        // Across the axis e, A = adj(P) / |P| has e^T P e / |P|.
+        let e = n.halved();
+        let plain = p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)];
+        if is_flat(p, plain) {
+            return flat_prior_across(p, e);
+        }
+        2.0 * (e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)]) / plain
     }
 
     /// Largest eigenvalue of `P+_11`, `2 / (T - |S|)`, m^2: grows with `|S|` as the trace does, so
@@ -196,6 +211,35 @@ impl Problem {
     pub fn max_eigenvalue_m2(&self, objective: f64) -> f64 {
         2.0 / (self.information_trace - objective)
     }
+}
+
+/// `tr(P+_11) = 4 T / (T^2 - |S|^2)` from `T - |S|` and `|S|`, m^2.
+pub(super) fn trace_m2(least: f64, length: f64) -> f64 {
+    4.0 * (least + length) / (least * (least + 2.0 * length))
+}
+
+/// `|P|` of a symmetric matrix; where the products cancel, what they have rounded away is put back (Kahan).
+fn determinant(p: &Matrix2<f64>) -> f64 {
+    let square = p[(0, 1)] * p[(0, 1)];
+    let plain = p[(0, 0)] * p[(1, 1)] - square;
+    if is_flat(p, plain) {
+        return p[(0, 0)].mul_add(p[(1, 1)], -square) - p[(0, 1)].mul_add(p[(0, 1)], -square);
+    }
+    plain
+}
+
+/// [`Problem::prior_across`] the axis `e` as a sum of squares: near a singular direction the products cancel.
+#[cold]
+fn flat_prior_across(p: &Matrix2<f64>, e: Vector) -> f64 {
+    let (x, y) = if p[(0, 0)] >= p[(1, 1)] { (e.x, e.y) } else { (e.y, e.x) };
+    let (larger, determinant) = (p[(0, 0)].max(p[(1, 1)]), determinant(p));
+    let along = x + y * (p[(0, 1)] / larger);
+    2.0 * (larger * along * along + y * y * (determinant / larger)) / determinant
+}
+
+/// True if the eigenvalues of a matrix of this determinant are so unequal that products of its entries cancel.
+fn is_flat(p: &Matrix2<f64>, determinant: f64) -> bool {
+    determinant < FLAT * (p[(0, 0)] * p[(1, 1)])
 }
 
 #[cfg(test)]
@@ -229,7 +273,7 @@ mod tests {
             let posterior = inverse(information);
             let objective = problem.sum(&directions).norm();
             let trace = problem.position_trace_m2(objective);
-            prop_assert!((problem.position_trace_of_m2(&directions, problem.sum(&directions)) / trace - 1.0).abs() < 1e-9);
+            prop_assert!((trace_m2(problem.uncertainty(&directions), objective) / trace - 1.0).abs() < 1e-9);
             prop_assert!((trace / posterior.trace() - 1.0).abs() < 1e-8, "{trace} {}", posterior.trace());
             let largest = posterior.symmetric_eigenvalues().max();
             prop_assert!((problem.max_eigenvalue_m2(objective) / largest - 1.0).abs() < 1e-8);

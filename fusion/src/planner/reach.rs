@@ -17,6 +17,9 @@ const DISC_CORNERS: usize = 48;
 /// A place nearer to the predicted target than this, in steps, has no bearing worth the name.
 const ON_TARGET: f64 = 1e-6;
 
+/// A stand-off that is kept but for this share of it is kept.
+const ROUNDED: f64 = 1e-12;
+
 /// A target whose distance is one step but for this share of it is exactly one step away.
 const ONE_STEP: f64 = 1e-12;
 
@@ -53,12 +56,14 @@ enum Room {
 impl Reach {
     pub(super) fn new(member: &TeamMember, target_m: Vector, time_step_s: f64, stand_off_m: f64) -> Self {
         let to_target_m = target_m - member.position_m;
+        let step_m = member.max_speed_mps * time_step_s;
         Self {
             to_target_m,
             sight: to_target_m.normalised().unwrap_or(Vector::new(1.0, 0.0)),
-            step_m: member.max_speed_mps * time_step_s,
+            step_m,
             speed_mps: member.max_speed_mps,
-            stand_off_m,
+            // What is less than the room that every bearing needs is kept without being asked for.
+            stand_off_m: if stand_off_m < ON_TARGET * step_m { 0.0 } else { stand_off_m },
             room: Room::Disc,
         }
     }
@@ -220,17 +225,64 @@ impl Reach {
         if !is_limited {
             return;
         }
-        self.room = if corners_m.len() > start {
+        // The stand-off that it has, it keeps; who is inside comes no nearer.
+        let kept_m = self.stand_off_m.min(self.to_target_m.norm());
+        let keeps_off = |place_m: Vector| (self.to_target_m - place_m).norm() >= kept_m;
+        self.room = if corners_m[start..].iter().any(|corner| keeps_off(*corner)) {
             Room::Cell(start..corners_m.len())
         } else {
-            // As far as the worst of them asks for, but not into another.
-            let away = away.normalised().unwrap_or_default();
-            let asked_m = limits.clone().fold(0.0_f64, |asked, limit| asked.max(-limit.offset_m));
-            let free_m = limits
-                .filter(|limit| limit.normal.dot(away) > 0.0)
-                .fold(self.step_m, |free, limit| free.min(limit.offset_m.max(0.0) / limit.normal.dot(away)));
-            Room::Out(away * asked_m.min(free_m))
+            corners_m.truncate(start);
+            Room::Out(self.way_out(limits, away.normalised().unwrap_or_default(), kept_m))
         };
+    }
+
+    /// Where to go if the room that the neighbours leave cannot be reached, or is all too near the target: of the way straight
+    /// out of them, which ends at the stand-off, and both ways along the stand-off, the one that comes nearest to that
+    /// room. None goes into another's.
+    fn way_out(&self, limits: impl Iterator<Item = Limit> + Clone, away: Vector, kept_m: f64) -> Vector {
+        // The limits that a move in this direction meets, and how far it may go.
+        let free_m = |along: Vector, most_m: f64| {
+            let met = limits.clone().filter(|limit| limit.normal.dot(along) > 0.0);
+            met.fold(most_m, |free, limit| free.min(limit.offset_m.max(0.0) / limit.normal.dot(along)))
+        };
+        let worst_m = |place_m: Vector| {
+            let over_m = limits.clone().map(|limit| limit.normal.dot(place_m) - limit.offset_m);
+            over_m.fold(f64::NEG_INFINITY, f64::max)
+        };
+        // As far as the worst of them asks for, but not into another.
+        let straight = away * worst_m(Vector::default()).max(0.0).min(free_m(away, self.step_m));
+        let mut best = Vector::default();
+        let mut consider = |place_m: Vector| {
+            let is_clear = (self.to_target_m - place_m).norm() >= kept_m * (1.0 - ROUNDED);
+            if is_clear && worst_m(place_m) < worst_m(best) {
+                best = place_m;
+            }
+        };
+        consider(self.up_to_the_stand_off(straight, kept_m));
+        // Where the step ends on the stand-off: triangle of sides d, kept, r.
+        let (d, r) = (self.to_target_m.norm(), self.step_m);
+        let cos = (d * d + kept_m * kept_m - r * r) / (2.0 * d * kept_m);
+        if cos.abs() < 1.0 {
+            let sin = ((1.0 - cos) * (1.0 + cos)).sqrt();
+            for turn in [Vector::new(cos, sin), Vector::new(cos, -sin)] {
+                let along = self.to_target_m - self.sight.rotated_by(turn) * kept_m;
+                if free_m(along, 1.0) >= 1.0 {
+                    consider(along);
+                }
+            }
+        }
+        best
+    }
+
+    /// The part of a move before it comes nearer to the target than `kept_m`.
+    fn up_to_the_stand_off(&self, move_m: Vector, kept_m: f64) -> Vector {
+        let (a, b) = (move_m.norm_squared(), move_m.dot(self.to_target_m));
+        let c = (self.to_target_m.norm_squared() - kept_m * kept_m).max(0.0);
+        let discriminant = b * b - a * c;
+        if b <= 0.0 || discriminant <= 0.0 {
+            return move_m;
+        }
+        move_m * (c / (b + discriminant.sqrt())).min(1.0)
     }
 
     /// Least and greatest signed distance to the target on the line of this bearing within the cell, if
@@ -476,15 +528,49 @@ mod tests {
             });
             for i in 0..ends.len() {
                 let (before_m, after_m) = ((target - positions[i]).norm(), (target - ends[i]).norm());
-                prop_assert!(crowded || after_m >= stand_off.min(before_m) - 1e-9, "{i}: {before_m} {after_m}");
+                prop_assert!(after_m >= stand_off.min(before_m) - 1e-9, "{i}: {before_m} {after_m}");
                 for j in 0..i {
                     let (before_m, after_m) = ((positions[i] - positions[j]).norm(), (ends[i] - ends[j]).norm());
-                    if !crowded {
-                        prop_assert!(after_m >= separation - 1e-9, "{i} {j}: {before_m} {after_m}");
-                    } else if ends.len() == 2 {
+                    // Even where they are many, and near the target.
+                    prop_assert!(after_m >= separation.min(before_m) - 1e-9, "{i} {j}: {before_m} {after_m}");
+                    if crowded && ends.len() == 2 && stand_off == 0.0 {
                         prop_assert!(after_m >= separation.min(before_m + 2.0 * speed * DT_S * 0.997) - 1e-9);
                     }
                 }
+            }
+        }
+    }
+
+    /// Two robots that are too close, the one between the other and the target.
+    #[test]
+    fn who_makes_way_keeps_the_stand_off_that_it_had() {
+        let mut positions_m = [Vector::new(5.2, 0.0), Vector::new(6.2, 0.0)];
+        let clearance = Clearance { stand_off_m: 5.0, stand_off_sigma: 0.0, separation_m: 4.0 };
+        let mut problem = super::super::Problem::default();
+        for _ in 0..20 {
+            let team = positions_m.map(|position_m| TeamMember { position_m, max_speed_mps: 10.0, range_std_m: 1.0 });
+            problem.pose(&nalgebra::Matrix2::identity(), Vector::default(), DT_S, &clearance, team);
+            for (i, position_m) in positions_m.iter_mut().enumerate() {
+                let (heading, speed_mps) = problem.motion(i, problem.arms()[i].centre);
+                *position_m += heading * (speed_mps * DT_S);
+                assert!(position_m.norm() >= 5.0 - 1e-9, "{i}: {position_m:?}");
+            }
+        }
+        assert!((positions_m[0] - positions_m[1]).norm() >= 4.0 - 1e-9, "{positions_m:?}");
+    }
+
+    /// A stand-off of next to nothing is none: what the arc says is what the motion leads to.
+    #[test]
+    fn a_stand_off_of_next_to_nothing_changes_nothing() {
+        for stand_off_m in [1e-300, 1e-15, 1e-9, 1e-6, 1e-4] {
+            let reach = reach(0.3, 0.1, 10.0, stand_off_m);
+            let arm = reach.arm(1.0, &[]);
+            for k in 0..=40 {
+                let direction = direction_at(&arm, f64::from(k) / 20.0 - 1.0);
+                let sight_m = sight_after(&reach, reach.motion(direction, &[]));
+                assert!(sight_m.norm() >= stand_off_m - 1e-9);
+                let after = sight_m.normalised().unwrap().doubled();
+                assert!((after - direction).norm() < 1e-8, "{stand_off_m}: {after:?} {direction:?}");
             }
         }
     }

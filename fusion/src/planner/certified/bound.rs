@@ -7,6 +7,9 @@ use super::super::vector::Vector;
 /// Support points of a distance query: more are never needed in the plane, as each halves an angle.
 const QUERIES_MAX: usize = 100;
 
+/// Halvings of a range of directions, after which its ends are the same in floating point.
+const HALVINGS_MAX: usize = 60;
+
 /// Teams up to this size are worth a bound of quadratic cost.
 pub(super) const ARC_BOUND_ROBOTS_MAX: usize = 16;
 
@@ -64,6 +67,67 @@ impl Hull {
             self.nearest = self.reduce();
         }
         self.bound
+    }
+
+    /// An upper bound on `T - |S|` over these arcs, for the same reason: for unit `n` it is at most `T - x . n` of the lowest point
+    /// `x`, which is a sum of positive terms. So no digit is lost where `|S|` is all but `T`. Halves the range of `n` until
+    /// floating point ends it, or until the bound is `enough`. [`Self::direction`] then tells the nearest point.
+    pub(super) fn approach_information(&mut self, problem: &Problem, arms: &[Arm], enough: f64) -> f64 {
+        self.corners = 0;
+        let towards = arms.iter().fold(problem.prior, |sum, arm| sum + arm.centre * arm.lambda);
+        let mut normal = towards.normalised().unwrap_or(Vector::new(1.0, 0.0));
+        let (mut bound, lowest) = self.look_along(problem, arms, normal);
+        let Some(start) = lowest.normalised() else { return bound };
+        // A better `n` has `x . n > 0` for every lowest point `x`, and lies on the side of `normal` to which its own points.
+        let quarter = Vector::new(0.0, 1.0);
+        let mut range = [start.rotated_by(-quarter), start.rotated_by(quarter)];
+        let mut is_known = [false; 2];
+        normal = start;
+        for _ in 0..HALVINGS_MAX {
+            if bound <= enough {
+                break;
+            }
+            let (value, lowest) = self.look_along(problem, arms, normal);
+            bound = bound.min(value);
+            let side = usize::from(normal.cross(lowest) < 0.0);
+            range[side] = normal;
+            is_known[side] = true;
+            self.points[side] = lowest;
+            self.directions.swap(side, 2);
+            let Some(middle) = (range[0] + range[1]).normalised() else { break };
+            if range.contains(&middle) {
+                break;
+            }
+            normal = middle;
+        }
+        // The nearest point is where the line through the two lowest points leaves neither side.
+        let [left, right] = [0, 1].map(|side| normal.cross(self.points[side]).abs());
+        let share = if left + right > 0.0 { (left / (left + right)).clamp(0.05, 0.95) } else { 0.5 };
+        self.shares = [1.0 - share, share, 0.0];
+        self.corners = 2;
+        match is_known {
+            [true, true] => {}
+            [_, false] => (self.shares, self.corners) = ([1.0, 0.0, 0.0], 1),
+            [false, true] => {
+                self.directions.swap(0, 1);
+                (self.shares, self.corners) = ([1.0, 0.0, 0.0], 1);
+            }
+        }
+        bound
+    }
+
+    /// `T - x . n` of the lowest point `x` along the unit vector `n`, and `x`; each arm's direction is left in the last corner.
+    fn look_along(&mut self, problem: &Problem, arms: &[Arm], n: Vector) -> (f64, Vector) {
+        let directions = &mut self.directions[2];
+        directions.clear();
+        let (mut value, mut sum) = (problem.prior_across(n), problem.prior);
+        for arm in arms {
+            let u = arm.farthest_along(-n);
+            value += 0.5 * arm.lambda * (u - n).norm_squared();
+            sum += u * arm.lambda;
+            directions.push(u);
+        }
+        (value, sum)
     }
 
     /// Adds the lowest point in direction `normal` to the simplex.
@@ -142,6 +206,12 @@ impl Hull {
         )
     }
 
+    /// How far inside its arc arm `i`'s vector over lambda is in the nearest point of two corners: `1 - |y|^2`.
+    pub(super) fn depth(&self, i: usize) -> f64 {
+        let [(a, to_a), (b, to_b), _] = self.corners_of(i);
+        to_a * to_b * (a - b).norm_squared()
+    }
+
     /// Arm `i`'s vector over lambda in the nearest point: of length one if it lies on its arc, shorter
     /// if only in its hull.
     pub(super) fn direction(&self, i: usize) -> Vector {
@@ -174,9 +244,63 @@ pub(super) fn arc_bound(hull: &mut Hull, prior: Vector, arms: &mut [Arm], which:
     bound
 }
 
+/// [`arc_bound`] as an upper bound on `T - |S|`: returns it, and leaves in `best` the directions that suggest it.
+pub(super) fn arc_information(problem: &Problem, arms: &[Arm], which: usize, best: &mut Vec<Vector>) -> f64 {
+    let arm = arms[which];
+    let others = || arms.iter().enumerate().filter(|(i, _)| *i != which).map(|(_, other)| other);
+    // What the others can know across the axis on which this one measures.
+    let value = |n: Vector| {
+        let known = |other: &Arm| 0.5 * other.lambda * (other.farthest_along(-n) - n).norm_squared();
+        others().fold(problem.prior_across(n), |sum, other| sum + known(other))
+    };
+    let (mut most, mut along) = (f64::NEG_INFINITY, arm.centre);
+    pieces(problem.prior, others(), &arm, |piece| {
+        let peak = if piece.has_peak { piece.fixed.normalised() } else { None };
+        for opposite in [Some(piece.at(0.0)), peak, Some(piece.at(1.0))].into_iter().flatten() {
+            let value = value(-opposite);
+            if value > most {
+                (most, along) = (value, -opposite);
+            }
+        }
+    });
+    best.clear();
+    best.extend(arms.iter().map(|other| other.farthest_along(-along)));
+    best[which] = arm.nearest(along, arm.centre);
+    most
+}
+
 /// The largest `max R . n` of the sums `R` of these arms over all `n` opposite to the arc of `arm`: no `R`
 /// that points there is longer.
 fn longest<'a>(prior: Vector, arms: impl Iterator<Item = &'a Arm> + Clone, arm: &Arm) -> f64 {
+    let mut longest = f64::NEG_INFINITY;
+    pieces(prior, arms, arm, |piece| {
+        let fixed = piece.fixed;
+        let along = if piece.has_peak { fixed.norm() } else { fixed.dot(piece.at(0.0)).max(fixed.dot(piece.at(1.0))) };
+        longest = longest.max(along + piece.turning);
+    });
+    longest
+}
+
+/// A range of directions `n` in which `max R . n = fixed . n + turning` for the sums `R` of some arms.
+struct Piece {
+    fixed: Vector,
+    turning: f64,
+    /// True if `fixed` itself points there.
+    has_peak: bool,
+    start: Vector,
+    range_rad: (f64, f64),
+}
+
+impl Piece {
+    /// Its first direction at 0, its last at 1.
+    fn at(&self, share: f64) -> Vector {
+        let (from_rad, to_rad) = self.range_rad;
+        self.start.rotated_by(Vector::from_angle(from_rad + share * (to_rad - from_rad)))
+    }
+}
+
+/// Visits the pieces that make up all directions opposite to the arc of `arm`.
+fn pieces<'a>(prior: Vector, arms: impl Iterator<Item = &'a Arm> + Clone, arm: &Arm, mut visit: impl FnMut(&Piece)) {
     use std::f64::consts::TAU;
     let start = if arm.extent == Extent::Circle { Vector::new(1.0, 0.0) } else { -arm.low };
     // Angles from the start of that arc, in [0, 2 pi).
@@ -197,26 +321,20 @@ fn longest<'a>(prior: Vector, arms: impl Iterator<Item = &'a Arm> + Clone, arm: 
     }
     let marks = &mut marks[..=count];
     marks.sort_unstable_by(f64::total_cmp);
-    let mut longest = f64::NEG_INFINITY;
     for pair in marks.windows(2) {
-        let at = |share: f64| start.rotated_by(Vector::from_angle(pair[0] + share * (pair[1] - pair[0])));
-        // There max R . n = fixed . n + turning.
-        let (mut fixed, mut turning) = (prior, 0.0);
-        let middle = at(0.5);
+        let mut piece = Piece { fixed: prior, turning: 0.0, has_peak: false, start, range_rad: (pair[0], pair[1]) };
+        let middle = piece.at(0.5);
         for other in arms.clone() {
             let farthest = other.farthest_along(middle);
             if farthest == middle {
-                turning += other.lambda;
+                piece.turning += other.lambda;
             } else {
-                fixed += farthest * other.lambda;
+                piece.fixed += farthest * other.lambda;
             }
         }
-        let peak = angle(fixed);
-        let along =
-            if (pair[0]..=pair[1]).contains(&peak) { fixed.norm() } else { fixed.dot(at(0.0)).max(fixed.dot(at(1.0))) };
-        longest = longest.max(along + turning);
+        piece.has_peak = (pair[0]..=pair[1]).contains(&angle(piece.fixed));
+        visit(&piece);
     }
-    longest
 }
 
 impl Arm {

@@ -10,7 +10,7 @@ mod search;
 
 use super::pair::best_of_free;
 use super::relaxation::Relaxation;
-use super::{Plan, Planner, Problem};
+use super::{Plan, Planner, Problem, Vector};
 
 pub use bound::hull_bound;
 use search::Search;
@@ -18,15 +18,20 @@ use search::Search;
 /// Proven gap, relative to the sum of all lambda, below which an answer is called optimal.
 pub const GAP_MAX: f64 = 1e-9;
 
+/// Proven gap in the trace, relative to it, below which an answer is called optimal.
+pub const TRACE_GAP_MAX: f64 = 1e-6;
+
 /// Branch and bound over the arcs, started from adaptive relaxation.
 ///
 /// One and two robots have closed forms ([`super::pair`]); more are searched until the proven gap is
-/// at most [`GAP_MAX`] of the sum of all lambda, or until `nodes` nodes have been looked at. Deterministic,
+/// at most [`GAP_MAX`] of the sum of all lambda and [`TRACE_GAP_MAX`] of the trace, or until `nodes` nodes have been looked at. Deterministic,
 /// and without allocation once its buffers have grown.
 #[derive(Debug, Clone)]
 pub struct Certified {
     start: Relaxation,
     search: Search,
+    /// An answer to go back to; memory only.
+    found: Vec<Vector>,
 }
 
 impl Certified {
@@ -35,7 +40,7 @@ impl Certified {
     pub fn new(nodes: u32) -> Self {
         use rangehound_shared::scenario::defaults;
         let start = Relaxation::adaptive(defaults::ITERATIONS as u32, defaults::ALPHA);
-        Self { start, search: Search::new(nodes as usize) }
+        Self { start, search: Search::new(nodes as usize), found: Vec::new() }
     }
 }
 
@@ -52,7 +57,33 @@ impl Planner for Certified {
         }
         let lower_bound = self.search.improve(problem, &mut plan.directions);
         plan.complete(problem);
-        plan.lower_bound = lower_bound.min(plan.objective);
+        plan.prove(lower_bound);
+        if problem.len() > 1 && problem.is_lopsided_at(plan.position_trace_m2) {
+            self.plan_lopsided(problem, plan);
+        }
+    }
+}
+
+impl Certified {
+    /// Plans where next to all is known along one axis: `T - |S|` and with it the trace hang on what rounding leaves of
+    /// `|S|`. So `T - |S|` itself is searched for, from the better of relaxation and what was found by `|S|`.
+    #[cold]
+    fn plan_lopsided(&mut self, problem: &Problem, plan: &mut Plan) {
+        let found = plan.least_information;
+        std::mem::swap(&mut plan.directions, &mut self.found);
+        plan.directions.clear();
+        plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
+        self.start.relax(problem, &mut plan.directions);
+        if problem.uncertainty(&plan.directions) <= found {
+            std::mem::swap(&mut plan.directions, &mut self.found);
+        }
+        let bound = self.search.improve_information(problem, &mut plan.directions);
+        plan.complete(problem);
+        plan.least_information_bound = bound.max(plan.least_information);
+        // As a length the bound has what rounding leaves of it.
+        let sum = plan.least_information + plan.objective;
+        let rounding = 4.0 * f64::EPSILON * (problem.len() as f64 + 1.0) * sum;
+        plan.lower_bound = (sum - plan.least_information_bound - rounding).clamp(0.0, plan.objective);
     }
 }
 

@@ -7,7 +7,7 @@ use super::super::Problem;
 use super::super::arm::{Arm, Extent};
 use super::super::pair::best_pair;
 use super::super::vector::Vector;
-use super::bound::{ARC_BOUND_ROBOTS_MAX, Hull, arc_bound};
+use super::bound::{ARC_BOUND_ROBOTS_MAX, Hull, arc_bound, arc_information};
 
 /// Nodes closer than this to the best answer are not looked into, relative to the sum of all lambda: a
 /// tenth of what a certificate allows.
@@ -15,6 +15,10 @@ const PRUNE: f64 = 1e-10;
 
 /// The same relative to `T - |S|`, which makes it an error of the trace.
 const TRACE: f64 = 1e-8;
+
+/// What sums of positive terms can have rounded away of `T - |S|`, the prior's share among them, where its covariance is as
+/// good as singular.
+const ROUNDED: f64 = 1e-9;
 
 /// A sum that is zero but for rounding, relative to the sum of all lambda.
 const CLOSED: f64 = 1e-15;
@@ -34,10 +38,20 @@ const NEARLY_CLOSED: f64 = 0.05;
 /// Teams up to this size try all pairs of robots, larger ones each robot with the next.
 const ALL_PAIRS_MAX: usize = 8;
 
+/// What is made as small as can be; values and bounds of the search are in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Measure {
+    /// `|S|`.
+    Length,
+    /// `|S| - T`, less the least information: the same, but not as a difference.
+    Information,
+}
+
 /// The search and its memory.
 #[derive(Debug, Clone)]
 pub(super) struct Search {
     nodes_max: usize,
+    measure: Measure,
     nodes: Vec<Node>,
     open: BinaryHeap<Open>,
     hull: Hull,
@@ -108,6 +122,7 @@ impl Search {
         let reserved = nodes_max.min(RESERVED_NODES_MAX);
         Self {
             nodes_max,
+            measure: Measure::Length,
             nodes: Vec::with_capacity(2 * reserved + 1),
             open: BinaryHeap::with_capacity(2 * reserved + 1),
             hull: Hull::default(),
@@ -151,7 +166,22 @@ impl Search {
         (bound - rounding).max(0.0)
     }
 
+    /// [`Self::improve`] where `T - |S|` is so small beside `T` that rounding of `|S|` would tell in it. Returns an upper
+    /// bound on every `T - |S|`.
+    pub(super) fn improve_information(&mut self, problem: &Problem, directions: &mut [Vector]) -> f64 {
+        self.measure = Measure::Information;
+        self.candidate.clear();
+        self.candidate.extend_from_slice(directions);
+        let best = -problem.uncertainty(directions);
+        let mut answer = Answer { best, least: best, tolerance: 0.0, measure: self.measure, directions };
+        self.offer_candidate(problem, &mut answer);
+        answer.tolerance = TRACE * answer.best.abs();
+        let bound = self.branch(problem, f64::NEG_INFINITY, &mut answer);
+        -bound * (1.0 + ROUNDED)
+    }
+
     fn search(&mut self, problem: &Problem, directions: &mut [Vector], total: f64, rounding: f64) -> f64 {
+        self.measure = Measure::Length;
         self.looked_into = 0;
         // One vector that outweighs all others: what they cannot make up for.
         let heaviest = problem.arms.iter().fold(problem.prior.norm(), |heaviest, arm| heaviest.max(arm.lambda));
@@ -166,17 +196,22 @@ impl Search {
         if best - floor <= tolerance {
             return floor;
         }
+        let mut answer = Answer { best, least: best, tolerance, measure: self.measure, directions };
+        self.branch(problem, floor, &mut answer)
+    }
+
+    /// Improves the answer until nothing better can be left, or the budget is spent. Returns the bound.
+    fn branch(&mut self, problem: &Problem, floor: f64, answer: &mut Answer) -> f64 {
         self.nodes.clear();
         self.open.clear();
         self.put_in_order(&problem.arms);
         self.arms.clear();
         self.arms.extend_from_slice(&self.whole);
-        let mut answer = Answer { best, least: best, tolerance, directions };
         let nowhere = Cut { arm: 0, at: Vector::default(), side: Side::Before };
-        self.look_into(problem, 0, nowhere, floor, &mut answer);
+        self.look_into(problem, 0, nowhere, floor, answer);
         self.looked_into = 1;
-        if !self.open.is_empty() && problem.len() <= ALL_PAIRS_MAX {
-            self.try_ends(problem, &mut answer);
+        if !self.open.is_empty() && self.measure == Measure::Length && problem.len() <= ALL_PAIRS_MAX {
+            self.try_ends(problem, answer);
         }
         while let Some(Open { bound, node }) = self.open.pop() {
             if bound >= answer.enough() || self.looked_into >= self.nodes_max {
@@ -187,7 +222,7 @@ impl Search {
             for side in [Side::Before, Side::After] {
                 let cut = Cut { arm, at, side };
                 self.restrict(node, cut);
-                self.look_into(problem, node, cut, bound, &mut answer);
+                self.look_into(problem, node, cut, bound, answer);
                 self.looked_into += 1;
             }
         }
@@ -269,8 +304,11 @@ impl Search {
         let mut bound = parents_bound;
         let (mut largest_loss, mut split);
         loop {
-            let enough = Some(answer.enough());
-            bound = bound.max(self.hull.approach(problem.prior, &self.arms, enough, 0.1 * answer.tolerance));
+            let enough = answer.enough();
+            bound = bound.max(match self.measure {
+                Measure::Length => self.hull.approach(problem.prior, &self.arms, Some(enough), 0.1 * answer.tolerance),
+                Measure::Information => -self.hull.approach_information(problem, &self.arms, -enough),
+            });
             if bound >= answer.enough() {
                 return answer.set_aside(bound);
             }
@@ -278,20 +316,34 @@ impl Search {
             self.candidate.clear();
             (largest_loss, split) = (0.0, 0);
             for (i, (arm, original)) in self.arms.iter().zip(&problem.arms).enumerate() {
-                let loss = arm.lambda * (1.0 - self.in_hull[i].norm());
+                let loss = match self.measure {
+                    Measure::Length => arm.lambda * (1.0 - self.in_hull[i].norm()),
+                    Measure::Information => arm.lambda * self.hull.depth(i),
+                };
                 if loss > largest_loss {
                     (largest_loss, split) = (loss, i);
                 }
                 self.candidate.push(original.nearest(self.in_hull[i], arm.centre));
             }
-            let value = descend(problem, &mut self.candidate, &mut self.trial);
             // A better answer asks for a better bound, and may close the node that led to it.
-            if !answer.offer(value, &self.candidate) {
+            if !self.offer_candidate(problem, answer) {
                 break;
             }
         }
+        if self.measure == Measure::Information && (largest_loss == 0.0 || bound <= -problem.information_trace) {
+            // The hulls hold the origin, and tell nothing of where they do.
+            for (i, arm) in self.arms.iter().enumerate() {
+                let loss = 0.5 * arm.lambda * (arm.centre - arm.low).norm_squared();
+                if loss > largest_loss {
+                    (largest_loss, split) = (loss, i);
+                }
+            }
+        }
         if bound < answer.enough() && largest_loss > 0.0 && problem.len() <= ARC_BOUND_ROBOTS_MAX {
-            bound = bound.max(arc_bound(&mut self.hull, problem.prior, &mut self.arms, split, answer.enough()));
+            bound = bound.max(match self.measure {
+                Measure::Length => arc_bound(&mut self.hull, problem.prior, &mut self.arms, split, answer.enough()),
+                Measure::Information => self.arc_information(problem, split, answer),
+            });
         }
         if bound >= answer.enough() || largest_loss == 0.0 {
             return answer.set_aside(bound);
@@ -300,6 +352,34 @@ impl Search {
         let at = self.arms[split].middle(if is_alone { self.in_hull[split] } else { Vector::default() });
         self.nodes.push(Node { parent, cut, next: (split, at) });
         self.open.push(Open { bound, node: self.nodes.len() - 1 });
+    }
+
+    /// Improves the candidate and offers it.
+    fn offer_candidate(&mut self, problem: &Problem, answer: &mut Answer) -> bool {
+        let value = match self.measure {
+            Measure::Length => descend(problem, &mut self.candidate, &mut self.trial),
+            Measure::Information => settle(problem, &mut self.candidate),
+        };
+        answer.offer(value, &self.candidate)
+    }
+
+    /// [`arc_bound`] of the information, with the answers that it suggests.
+    fn arc_information(&mut self, problem: &Problem, which: usize, answer: &mut Answer) -> f64 {
+        let arm = self.arms[which];
+        let mut most = arc_information(problem, &self.arms, which, &mut self.candidate);
+        self.offer_candidate(problem, answer);
+        let ends = if arm.extent == Extent::Circle { &[][..] } else { &[arm.low, arm.high] };
+        for &end in ends {
+            self.arms[which] = Arm { centre: end, low: end, high: end, extent: Extent::Narrow, ..arm };
+            most = most.max(self.hull.approach_information(problem, &self.arms, -answer.enough()));
+            self.candidate.clear();
+            for (i, arm) in problem.arms.iter().enumerate() {
+                self.candidate.push(arm.nearest(self.hull.direction(i), self.arms[i].centre));
+            }
+            self.offer_candidate(problem, answer);
+        }
+        self.arms[which] = arm;
+        -most
     }
 
     /// The places of the arms round this one that are alike in this node too.
@@ -351,6 +431,7 @@ struct Answer<'a> {
     /// Least bound of the nodes that were set aside.
     least: f64,
     tolerance: f64,
+    measure: Measure,
 }
 
 impl Answer<'_> {
@@ -369,6 +450,9 @@ impl Answer<'_> {
         if is_better {
             self.best = value;
             self.directions.copy_from_slice(directions);
+            if self.measure == Measure::Information {
+                self.tolerance = TRACE * value.abs();
+            }
         }
         is_better
     }
@@ -397,6 +481,25 @@ fn descend(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>
     let total = problem.lambda_sum();
     if value > CLOSED * total && value < NEARLY_CLOSED * total {
         return close(problem, directions, trial, value);
+    }
+    value
+}
+
+/// Turns one robot after the other as [`descend`] does, with each rest added up anew: a difference from the sum would
+/// have lost the robots that know little. Returns `|S| - T`.
+fn settle(problem: &Problem, directions: &mut [Vector]) -> f64 {
+    let mut value = -problem.uncertainty(directions);
+    for _ in 0..CYCLES_MAX {
+        let before = value;
+        for i in 0..directions.len() {
+            let others = problem.arms.iter().zip(&*directions).enumerate().filter(|(other, _)| *other != i);
+            let rest = others.fold(problem.prior, |sum, (_, (arm, u))| sum + *u * arm.lambda);
+            directions[i] = problem.arms[i].nearest(-rest, directions[i]);
+        }
+        value = -problem.uncertainty(directions);
+        if value >= before * (1.0 + 1e-12) {
+            break;
+        }
     }
     value
 }

@@ -1,9 +1,11 @@
+use super::super::greedy::Greedy;
 use super::super::grid::Grid;
-use super::super::{Arm, Vector};
+use super::super::{Arm, TeamMember, Vector};
 use super::*;
+use nalgebra::Matrix2;
 use proptest::prelude::*;
 use rand::SeedableRng as _;
-use rangehound_shared::scenario::defaults;
+use rangehound_shared::scenario::{Clearance, defaults};
 use std::f64::consts::PI;
 
 /// Arcs, lengths and prior at random, as hard as they come.
@@ -52,19 +54,37 @@ const TWISTS: [fn(&mut Problem); 6] = [
 fn hard_problems_are_solved_and_proven() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
     let mut planner = certified();
+    let relaxations = [Relaxation::adaptive(20, 0.5), Relaxation::standard(20)];
+    let mut excesses = [const { Vec::new() }; 2];
     for (robots, problems) in (1..=10).map(|robots| (robots, 500)).chain([(25, 100), (60, 60), (150, 30)]) {
         let mut nodes_max = 0;
-        for twist in TWISTS.iter().flat_map(|twist| std::iter::repeat_n(twist, problems)) {
+        for (k, twist) in TWISTS.iter().flat_map(|twist| std::iter::repeat_n(twist, problems)).enumerate() {
             let mut problem = hard_problem(&mut random, robots);
             twist(&mut problem);
             let plan = solve(&mut planner, &problem);
             nodes_max = nodes_max.max(planner.search.looked_into());
             assert!(plan.is_certified(&problem), "{} {} {problem:?}", plan.objective, plan.lower_bound);
+            // What relaxation is worth on the problems that are hard without a twist.
+            let compared = relaxations.clone().into_iter().zip(&mut excesses).filter(|_| k < problems && robots <= 10);
+            for (mut relaxation, excesses) in compared {
+                let relaxed = solve(&mut relaxation, &problem);
+                excesses.push(100.0 * (relaxed.position_trace_m2 / plan.position_trace_m2 - 1.0));
+            }
             for (arm, direction) in problem.arms.iter().zip(&plan.directions) {
                 assert!((arm.nearest(*direction, *direction) - *direction).norm() < 1e-9, "outside its arc");
             }
         }
         println!("{robots} robots: {} problems, at most {nodes_max} nodes", TWISTS.len() * problems);
+    }
+    for (relaxation, mut excesses) in relaxations.iter().zip(excesses) {
+        excesses.sort_unstable_by(f64::total_cmp);
+        let at = |share: usize| excesses[(excesses.len() - 1) * share / 1000];
+        let [p50, p99, most] = [500, 990, 1000].map(at);
+        println!(
+            "{}: trace above the optimum by {p50:.4} % p50, {p99:.2} % p99, {most:.1} % at most",
+            relaxation.name()
+        );
+        assert!(most > 10.0, "the problems are not hard");
     }
 }
 
@@ -126,6 +146,98 @@ fn groups_of_alike_robots_with_wide_arcs_reach_zero() {
     let problem = Problem::of_arms(Vector::new(-10.551_803_167_099_35, -7.578_521_696_350_839_5), arms.collect());
     let plan = solve(&mut certified(), &problem);
     assert!(plan.objective < 1e-9 && plan.is_certified(&problem), "{} {}", plan.objective, plan.lower_bound);
+}
+
+fn decades(random: &mut impl rand::Rng, low: f64, high: f64) -> f64 {
+    10.0_f64.powf(random.random_range(low..high))
+}
+
+/// Robots of sensors that have nothing in common: standard deviations from 1e-4 to 1e5 m, places near and far, speeds down to
+/// none, priors weak and strong and all but singular.
+fn lopsided_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
+    let larger = decades(random, -6.0, 12.0);
+    let ratio = if random.random_bool(0.5) { decades(random, -12.0, 0.0) } else { random.random_range(0.1..1.0) };
+    let axis = Vector::from_angle(random.random_range(-PI..PI));
+    let across = Vector::new(-axis.y, axis.x);
+    let covariance = |u: Vector, v: Vector| larger * u.x * v.x + larger * ratio * u.y * v.y;
+    let (x, y) = (Vector::new(axis.x, across.x), Vector::new(axis.y, across.y));
+    let prior = Matrix2::new(covariance(x, x), covariance(x, y), covariance(x, y), covariance(y, y));
+    let common = decades(random, -4.0, 5.0);
+    let team: Vec<TeamMember> = (0..robots)
+        .map(|_| TeamMember {
+            position_m: Vector::from_angle(random.random_range(-PI..PI)) * decades(random, -0.5, 4.0),
+            max_speed_mps: if random.random_bool(0.1) { 0.0 } else { decades(random, -2.0, 2.0) },
+            range_std_m: if random.random_bool(0.3) { common } else { decades(random, -4.0, 5.0) },
+        })
+        .collect();
+    let mut problem = Problem::default();
+    problem.pose(&prior, Vector::default(), 0.1, &Clearance::default(), team);
+    problem
+}
+
+/// The trace counts, not `|S|`, of which rounding leaves nothing here.
+#[test]
+fn nothing_is_better_in_trace_however_unequal_the_robots() {
+    let cases = std::env::var("RANGEHOUND_LOPSIDED_CASES").ok().and_then(|text| text.parse().ok()).unwrap_or(400);
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+    let (mut lopsided, mut certified_count, mut nodes_max) = (0, 0, 0);
+    let mut planner = certified();
+    for robots in 1..=5 {
+        for _ in 0..cases {
+            let problem = lopsided_problem(&mut random, robots);
+            let plan = solve(&mut planner, &problem);
+            nodes_max = nodes_max.max(planner.search.looked_into());
+            lopsided += u32::from(problem.is_lopsided_at(plan.position_trace_m2));
+            certified_count += u32::from(plan.is_certified(&problem));
+            assert!(plan.least_information <= plan.least_information_bound && plan.lower_bound <= plan.objective);
+            let mut rivals = vec![
+                solve(&mut Relaxation::adaptive(20, 0.5), &problem),
+                solve(&mut Relaxation::standard(20), &problem),
+                solve(&mut Greedy, &problem),
+            ];
+            if robots <= 3 {
+                rivals.push(solve(&mut Grid::for_team(0.05, robots).unwrap(), &problem));
+            }
+            for _ in 0..20 {
+                // Each robot at an end, in the middle or between.
+                let directions = problem.arms.iter().map(|arm| match random.random_range(0..4) {
+                    0 => arm.low,
+                    1 => arm.high,
+                    2 => arm.centre,
+                    _ => arm.nearest(Vector::from_angle(random.random_range(-PI..PI)), arm.centre),
+                });
+                let mut rival = Plan { directions: directions.collect(), ..Plan::default() };
+                rival.complete(&problem);
+                rivals.push(rival);
+            }
+            for rival in rivals {
+                let (ours, theirs) = (plan.position_trace_m2, rival.position_trace_m2);
+                assert!(ours <= theirs * (1.0 + 1e-8), "{robots}: {ours} {theirs} {problem:?}");
+                let bound = plan.least_trace_m2();
+                assert!(bound <= theirs * (1.0 + 1e-9), "{robots}: {bound} {theirs} {problem:?}");
+            }
+        }
+    }
+    println!("{lopsided} of {} lopsided, {certified_count} certified, at most {nodes_max} nodes", 5 * cases);
+    assert!(lopsided > cases / 2 && certified_count >= 5 * cases * 999 / 1000, "{lopsided} {certified_count}");
+}
+
+/// A range known to 0.1 mm beside two known to 20 and 57 km.
+#[test]
+fn a_precise_robot_does_not_hide_what_the_others_know() {
+    let team = [(6.95, 5.35, 24.3, 1e-4), (-21.7, 41.8, 23.6, 20_000.0), (50.9, -25.0, 15.3, 57_000.0)];
+    let team = team.map(|(x, y, max_speed_mps, range_std_m)| TeamMember {
+        position_m: Vector::new(x, y),
+        max_speed_mps,
+        range_std_m,
+    });
+    let prior = Matrix2::new(1.6e7, -7e6, -7e6, 1.56e7);
+    let mut problem = Problem::default();
+    problem.pose(&prior, Vector::new(6.24, 4.21), 0.1, &Clearance::default(), team);
+    let plan = solve(&mut certified(), &problem);
+    let standard = solve(&mut Relaxation::standard(20), &problem);
+    assert!(plan.position_trace_m2 <= standard.position_trace_m2 * (1.0 + 1e-9), "{plan:?} {standard:?}");
+    assert!(plan.is_certified(&problem) && plan.least_trace_m2() > 0.999_999 * plan.position_trace_m2, "{plan:?}");
 }
 
 proptest! {
