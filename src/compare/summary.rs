@@ -419,7 +419,7 @@ mod tests {
     #[test]
     fn small_rates_are_not_rounded_to_none() {
         for (rate, text) in [(0.0, "0.0"), (3.84e-4, "0.04"), (1.8e-5, "0.002"), (1e-3, "0.1"), (0.95, "95.0")] {
-            assert_eq!(percent(*rate), text);
+            assert_eq!(percent(rate), text);
         }
     }
 
