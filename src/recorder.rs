@@ -27,9 +27,6 @@ const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
 /// Everybody else's turn comes first.
 const NICE: i32 = 19;
 
-/// What it may take of each look of a run in lock step, which takes all that it is given: the rest can wait for its end.
-const SHARE: Duration = Duration::from_millis(1);
-
 /// How long fusion may take to put its last tick down once all are asked to end.
 const FUSION_ENDS: Duration = Duration::from_secs(1);
 
@@ -76,8 +73,12 @@ pub fn record_logs(
 fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<(), Failure> {
     let description = rendezvous.description().clone();
     let mut recorder = Recorder::begin(&description, args.out.as_deref(), args.limit.bytes())?;
+    // In lock step a run takes all that it is given and would feel every look: its recording waits for its end.
+    let goes_along = description.scenario.clock == Clock::Realtime;
     while !rendezvous.is_finished() && !termination.requested() {
-        recorder.advance_to_settled()?;
+        if goes_along {
+            recorder.advance_to_settled()?;
+        }
         if recorder.is_full {
             return recorder.finish();
         }
@@ -88,7 +89,6 @@ fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination)
     let fusion_puts_down = || rendezvous.roster().is_held(Role::Fusion);
     let may_wait = || if termination.requested() { began.elapsed() < FUSION_ENDS } else { rendezvous.is_finished() };
     while fusion_puts_down() && may_wait() {
-        recorder.advance_to_settled()?;
         sleep(LOOK / 10);
     }
     if fusion_puts_down() && !rendezvous.is_finished() {
@@ -153,9 +153,7 @@ impl<'a> Recorder<'a> {
     /// Records the ticks that nobody will change any more.
     fn advance_to_settled(&mut self) -> Result<(), Failure> {
         if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(SETTLED_TICKS)) {
-            let is_pressed = self.description.scenario.clock == Clock::Lockstep;
-            let began = Instant::now();
-            while self.next <= settled && !self.is_full && (!is_pressed || began.elapsed() < SHARE) {
+            while self.next <= settled && !self.is_full {
                 self.advance()?;
             }
         }
