@@ -94,8 +94,7 @@ const REPLAY: &str = "Examples:
   rangehound replay runs/paper/run.mcap --live --speed 5
   rangehound replay run.mcap.partial --repair    what a kill has left
 
-Exit codes: 0 bit-identical, compared or repaired, 1 an estimate differs,
-2 bad usage or a file that cannot be used.";
+It ends with 1 if an estimate differs that should not.";
 
 const LIVE: &str = "Example:
   rangehound live --name demo                    prints the address of its page
