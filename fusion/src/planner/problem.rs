@@ -35,6 +35,9 @@ pub struct Problem {
     pub(super) prior: Vector,
     pub(super) information_trace: f64,
     covariance_m2: Matrix2<f64>,
+    /// `1 / |P|`, and true if products of the covariance's entries cancel.
+    inverse_determinant: f64,
+    is_flat: bool,
     pub(super) arms: Vec<Arm>,
     pub(super) reaches: Vec<Reach>,
     /// Corners of the cells that neighbours leave to robots, m.
@@ -53,7 +56,8 @@ impl Problem {
         let adjugate = Matrix2::new(trace - prior.x, -prior.y, -prior.y, trace + prior.x) * 0.5;
         let covariance_m2 = adjugate / (prior.norm() + 1.0);
         let information_trace = arms.iter().fold(trace, |sum, arm| sum + arm.lambda);
-        Self { prior, information_trace, covariance_m2, arms, ..Self::default() }
+        let (inverse_determinant, is_flat) = (determinant(&covariance_m2).recip(), is_flat(&covariance_m2));
+        Self { prior, information_trace, covariance_m2, inverse_determinant, is_flat, arms, ..Self::default() }
     }
 
     /// Poses the problem for one step, reusing this value's memory.
@@ -75,6 +79,7 @@ impl Problem {
         self.prior = Vector::new((p[(1, 1)] - p[(0, 0)]) * scale, -2.0 * p[(0, 1)] * scale);
         self.information_trace = (p[(0, 0)] + p[(1, 1)]) * scale;
         self.covariance_m2 = *p;
+        (self.inverse_determinant, self.is_flat) = (scale, is_flat(p));
         self.arms.clear();
         self.reaches.clear();
         self.corners_m.clear();
@@ -172,6 +177,7 @@ impl Problem {
     }
 
     /// `T - |S|` of these directions, twice the least eigenvalue of the information.
+    #[inline(never)]
     pub(super) fn uncertainty(&self, directions: &[Vector]) -> f64 {
         self.least_information(directions, self.sum(directions))
     }
@@ -186,6 +192,8 @@ impl Problem {
 
     /// [`Self::uncertainty`] of directions whose sum is known, as a sum of positive terms: where one direction is known
     /// far better than the other, the difference itself is nothing but rounding.
+    // Every plan ends with it: within its caller, the root of the sum's square is taken once.
+    #[inline(always)]
     pub(super) fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
         // 1 - u . s = |u - s|^2 / 2.
@@ -194,15 +202,16 @@ impl Problem {
     }
 
     /// `tr A - V_0 . n` for a unit vector `n`: twice what the prior knows across the axis of which `n` is the double.
+    #[inline]
     pub(super) fn prior_across(&self, n: Vector) -> f64 {
         let p = &self.covariance_m2;
         // Across the axis e, A = adj(P) / |P| has e^T P e / |P|.
         let e = n.halved();
-        let plain = p[(0, 0)] * p[(1, 1)] - p[(0, 1)] * p[(0, 1)];
-        if is_flat(p, plain) {
+        if self.is_flat {
             return flat_prior_across(p, e);
         }
-        2.0 * (e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)]) / plain
+        let variance_m2 = e.x * e.x * p[(0, 0)] + 2.0 * e.x * e.y * p[(0, 1)] + e.y * e.y * p[(1, 1)];
+        2.0 * variance_m2 * self.inverse_determinant
     }
 
     /// Largest eigenvalue of `P+_11`, `2 / (T - |S|)`, m^2: grows with `|S|` as the trace does, so
@@ -214,6 +223,7 @@ impl Problem {
 }
 
 /// `tr(P+_11) = 4 T / (T^2 - |S|^2)` from `T - |S|` and `|S|`, m^2.
+#[inline]
 pub(super) fn trace_m2(least: f64, length: f64) -> f64 {
     4.0 * (least + length) / (least * (least + 2.0 * length))
 }
@@ -221,11 +231,10 @@ pub(super) fn trace_m2(least: f64, length: f64) -> f64 {
 /// `|P|` of a symmetric matrix; where the products cancel, what they have rounded away is put back (Kahan).
 fn determinant(p: &Matrix2<f64>) -> f64 {
     let square = p[(0, 1)] * p[(0, 1)];
-    let plain = p[(0, 0)] * p[(1, 1)] - square;
-    if is_flat(p, plain) {
+    if is_flat(p) {
         return p[(0, 0)].mul_add(p[(1, 1)], -square) - p[(0, 1)].mul_add(p[(0, 1)], -square);
     }
-    plain
+    p[(0, 0)] * p[(1, 1)] - square
 }
 
 /// [`Problem::prior_across`] the axis `e` as a sum of squares: near a singular direction the products cancel.
@@ -237,9 +246,10 @@ fn flat_prior_across(p: &Matrix2<f64>, e: Vector) -> f64 {
     2.0 * (larger * along * along + y * y * (determinant / larger)) / determinant
 }
 
-/// True if the eigenvalues of a matrix of this determinant are so unequal that products of its entries cancel.
-fn is_flat(p: &Matrix2<f64>, determinant: f64) -> bool {
-    determinant < FLAT * (p[(0, 0)] * p[(1, 1)])
+/// True if the eigenvalues of a symmetric matrix are so unequal that products of its entries cancel.
+fn is_flat(p: &Matrix2<f64>) -> bool {
+    let product = p[(0, 0)] * p[(1, 1)];
+    product - p[(0, 1)] * p[(0, 1)] < FLAT * product
 }
 
 #[cfg(test)]
