@@ -94,6 +94,17 @@ pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Fai
     Rendezvous::join(name, termination, waiting).map_err(input_or_running)
 }
 
+/// Joins a run to look on; `None` if asked to end before, as by a supervisor whose run could not start.
+///
+/// # Errors
+/// [`Failure`].
+pub fn join_to_look_on(name: &RunName, termination: &Termination) -> Result<Option<Rendezvous>, Failure> {
+    match join(name, termination) {
+        Err(_) if termination.requested() => Ok(None),
+        joined => joined.map(Some),
+    }
+}
+
 /// Names the process, ties it to its parent, listens for requests to end.
 ///
 /// # Errors

@@ -50,8 +50,10 @@ pub fn record(args: &RecordArgs) -> Result<(), Failure> {
     let _ = rustix::thread::set_name(c"rh-recorder");
     node::end_with(&args.parent)?;
     let _ = rustix::process::nice(NICE);
-    let rendezvous = node::join(&args.name, &termination)?.look_on();
-    follow(&rendezvous, args, &termination)
+    match node::join_to_look_on(&args.name, &termination)? {
+        Some(rendezvous) => follow(&rendezvous.look_on(), args, &termination),
+        None => Ok(()),
+    }
 }
 
 /// Records what the logs of a run hold.

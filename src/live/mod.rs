@@ -35,7 +35,7 @@ use rangehound_shared::signal::Termination;
 use crate::cli::LiveArgs;
 use crate::failure::{Failure, tell};
 use crate::frame::Frame;
-use crate::node::{end_with, join};
+use crate::node::{end_with, join_to_look_on};
 use guard::Token;
 use scene::Scene;
 use server::Server;
@@ -57,7 +57,8 @@ pub fn live(args: &LiveArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     end_with(&args.node.parent)?;
     name_and_step_back();
-    let run = Arc::new(join(&args.node.name, &termination)?);
+    let Some(run) = join_to_look_on(&args.node.name, &termination)? else { return Ok(()) };
+    let run = Arc::new(run);
     let scenario = &run.description().scenario;
     let (listener, token) = address_of_before(&run, args.port).map_or_else(|| new_address(args.port), Ok)?;
     let note = format!("{} {token}", listener.local_addr()?.port());
