@@ -160,7 +160,7 @@ pub struct RecordingArgs {
 #[derive(Debug, Clone, Copy, Args)]
 pub struct RecordLimitArgs {
     /// End the recording, not the run, when it has so many megabytes
-    #[arg(long = "record-limit", value_name = "MB", value_parser = whole, allow_negative_numbers = true, default_value_t = RECORD_LIMIT_MB)]
+    #[arg(long = "record-limit", value_name = "MB", value_parser = megabytes, allow_negative_numbers = true, default_value_t = RECORD_LIMIT_MB)]
     pub limit_mb: u64,
 }
 
@@ -706,6 +706,10 @@ fn standbys(text: &str) -> Result<usize, String> {
 
 fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "expected a number".to_owned())
+}
+
+fn megabytes(text: &str) -> Result<u64, String> {
+    text.parse().ok().filter(|megabytes| *megabytes > 0).ok_or_else(|| "expected a whole number from 1".to_owned())
 }
 
 fn speed(text: &str) -> Result<f64, String> {

@@ -125,6 +125,9 @@ struct Recorder<'a> {
 impl<'a> Recorder<'a> {
     fn begin(description: &'a RunDescription, out: Option<&Path>, bytes_max: u64) -> Result<Self, Failure> {
         let path = out.map_or_else(|| description.out_dir.join(FILE_NAME), Path::to_owned);
+        if path.is_dir() {
+            return Err(Failure::input(format!("--out: expected a file, {} is a folder", path.display())));
+        }
         let unusable = |error: anyhow::Error| Failure::input(format!("expected a file that can be written: {error:#}"));
         let file = RunFile::begin(&path, description, bytes_max).map_err(unusable)?;
         Ok(Self {

@@ -173,7 +173,14 @@ pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
     let bus = Bus::connect(&rendezvous, "observer")?;
     let description = rendezvous.description();
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+    let roster = rendezvous.roster();
+    let has_lost_its_supervisor = || roster.starts(Role::Supervisor) > 0 && !roster.is_held(Role::Supervisor);
     while !rendezvous.is_finished() && !termination.requested() {
+        // Nobody marks a run as finished that is ended before its last tick.
+        if has_lost_its_supervisor() && !rendezvous.is_finished() {
+            watch.finish();
+            return Err(Failure::Running(anyhow::anyhow!("run {} was ended before its last tick", args.node.name)));
+        }
         std::thread::sleep(LOOK);
         watch.look()?;
     }

@@ -128,13 +128,24 @@ fn name_and_step_back() {
     let _ = rustix::process::setpriority_process(None, 19);
 }
 
+/// Looks whether a page could have this port.
+///
+/// # Errors
+/// [`Failure::Input`] if somebody else has it.
+pub fn look_for(port: u16) -> Result<(), Failure> {
+    listen(Some(port)).map(drop)
+}
+
 /// A port and a token that nobody has.
 fn new_address(port: Option<u16>) -> Result<(TcpListener, Token), Failure> {
-    let listener = server::listen(port).map_err(|error| match port {
+    Ok((listen(port)?, Token::new()?))
+}
+
+fn listen(port: Option<u16>) -> Result<TcpListener, Failure> {
+    server::listen(port).map_err(|error| match port {
         Some(port) => Failure::input(format!("port {port}: expected one that is free on 127.0.0.1: {error}")),
         None => Failure::from(error),
-    })?;
-    Ok((listener, Token::new()?))
+    })
 }
 
 /// Where the page of this run was until it was killed, if that is free.

@@ -29,7 +29,7 @@ pub enum ReadError {
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// It is cut in the middle, as by a kill.
-    #[error("it is cut short after {}: `rangehound replay --repair` makes a whole file of it", behind(*.after))]
+    #[error("it is cut short {}", what_is_left(*.after))]
     Cut {
         /// The last tick that is whole.
         after: Option<u64>,
@@ -59,6 +59,14 @@ pub enum ReadError {
         /// The one before it in the file.
         after: u64,
     },
+}
+
+fn what_is_left(after: Option<u64>) -> String {
+    match after {
+        Some(tick) => format!("after tick {tick}: `rangehound replay --repair` makes a whole file of it"),
+        None => "before its first tick: it holds nothing; `rangehound record DIR` makes one of a run folder's logs"
+            .to_owned(),
+    }
 }
 
 fn behind(tick: Option<u64>) -> String {

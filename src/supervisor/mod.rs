@@ -20,7 +20,7 @@ use crate::failure::Failure;
 use crate::node::{end_with, input_or_running};
 use crate::tables::{self, Keep};
 use crate::watch::{Progress, Watch};
-use crate::{in_process, recorder};
+use crate::{in_process, live, recorder};
 use cleaner::Cleaner;
 use companions::Companions;
 use losses::Losses;
@@ -100,6 +100,9 @@ fn supervise(
 ) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     supervision.pin.apply().map_err(Failure::input)?;
+    if let Some(Some(port)) = supervision.show.live {
+        live::look_for(port)?;
+    }
     // Only who has the name may touch the folder.
     let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
     let _folder = prepare_folder()?;

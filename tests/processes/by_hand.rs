@@ -184,3 +184,17 @@ fn a_damaged_checkpoint_is_refused_and_kept() {
     }
     run.assert_nothing_left();
 }
+
+#[test]
+fn who_watches_a_run_hears_that_it_was_stopped() {
+    let run = Run::new();
+    let supervisor = run.command("run --clock realtime --ticks 100000");
+    run.wait_for_ticks(2);
+    let watch = run.node("watch");
+    run.wait_until("it watches", || watch.has_joined());
+    run.node("stop").finish().succeeded();
+    let told = watch.finish();
+    assert!(told.code == Some(1) && told.stderr.contains("before its last tick"), "{told:?}");
+    assert_eq!(supervisor.finish().code, Some(1));
+    run.assert_nothing_left();
+}
