@@ -187,18 +187,15 @@ pub struct RecordArgs {
     /// Folder of a run that is over [default: the run of --name, while it goes on]
     #[arg(value_name = "DIR", conflicts_with = "name")]
     pub folder: Option<PathBuf>,
-    /// Name of the run to join; waits for it to be founded
-    #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
-    pub name: RunName,
+    /// The run, while it goes on
+    #[command(flatten)]
+    pub node: NodeArgs,
     /// The file [default: run.mcap in the run folder]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// How large it may become
     #[command(flatten)]
     pub limit: RecordLimitArgs,
-    /// Who to end with
-    #[command(flatten)]
-    pub parent: ParentArgs,
 }
 
 /// What is run, under which name, and where its folder is.

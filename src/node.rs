@@ -1,5 +1,6 @@
 //! One node: what `sim`, `fusion` and `robot` run, started by hand or by `run`.
 
+use std::ffi::CStr;
 use std::fs::File;
 use std::os::unix::process::CommandExt;
 use std::process;
@@ -15,6 +16,9 @@ use crate::cli::{Command, ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, Robo
 use crate::experiment::{Experiment, Naming};
 use crate::failure::{self, Failure};
 use crate::tables;
+
+/// Of who looks on.
+const LEAST_PRIORITY: i32 = 19;
 
 /// `rangehound sim`.
 ///
@@ -94,12 +98,18 @@ pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Fai
     Rendezvous::join(name, termination, waiting).map_err(input_or_running)
 }
 
-/// Joins a run to look on; `None` if asked to end before, as by a supervisor whose run could not start.
+/// Joins a run to look on, under a name (of at most 15 bytes) that tells it from the nodes in the kernel's lists, and with
+/// the least priority: whoever else wants the processor has it. `None` if asked to end before, as by a supervisor whose run
+/// could not start.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn join_to_look_on(name: &RunName, termination: &Termination) -> Result<Option<Rendezvous>, Failure> {
-    match join(name, termination) {
+pub fn look_on(name: &CStr, node: &NodeArgs, termination: &Termination) -> Result<Option<Rendezvous>, Failure> {
+    // Without name or priority it looks on all the same.
+    let _ = rustix::thread::set_name(name);
+    let _ = rustix::process::setpriority_process(None, LEAST_PRIORITY);
+    end_with(&node.parent)?;
+    match join(&node.name, termination) {
         Err(_) if termination.requested() => Ok(None),
         joined => joined.map(Some),
     }

@@ -16,16 +16,13 @@ use crate::cli::RecordArgs;
 use crate::failure::Failure;
 use crate::frame::Frames;
 use crate::run_mcap::FILE_NAME;
-use crate::run_mcap::file::RunFile;
+use crate::run_mcap::file::{RunFile, unusable};
 use crate::run_mcap::write::Written;
 use crate::watch::{LOOK, Progress};
 use crate::{node, tables};
 
 /// Fusion amends a tick's record for so long, and may be at the one after.
 const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
-
-/// Everybody else's turn comes first.
-const NICE: i32 = 19;
 
 /// How long fusion may take to put its last tick down once all are asked to end.
 const FUSION_ENDS: Duration = Duration::from_secs(1);
@@ -46,11 +43,7 @@ pub fn record(args: &RecordArgs) -> Result<(), Failure> {
         let description = tables::read_description(folder)?;
         return record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination);
     }
-    // The kernel keeps 15 bytes.
-    let _ = rustix::thread::set_name(c"rh-recorder");
-    node::end_with(&args.parent)?;
-    let _ = rustix::process::nice(NICE);
-    match node::join_to_look_on(&args.name, &termination)? {
+    match node::look_on(c"rh-recorder", &args.node, &termination)? {
         Some(rendezvous) => follow(&rendezvous.look_on(), args, &termination),
         None => Ok(()),
     }
@@ -128,7 +121,6 @@ impl<'a> Recorder<'a> {
         if path.is_dir() {
             return Err(Failure::input(format!("--out: expected a file, {} is a folder", path.display())));
         }
-        let unusable = |error: anyhow::Error| Failure::input(format!("expected a file that can be written: {error:#}"));
         let file = RunFile::begin(&path, description, bytes_max).map_err(unusable)?;
         Ok(Self {
             description,

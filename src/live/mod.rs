@@ -35,7 +35,7 @@ use rangehound_shared::signal::Termination;
 use crate::cli::LiveArgs;
 use crate::failure::{Failure, tell};
 use crate::frame::Frame;
-use crate::node::{end_with, join_to_look_on};
+use crate::node::look_on;
 use guard::Token;
 use scene::Scene;
 use server::Server;
@@ -55,9 +55,7 @@ const ADDRESS_FILE: &str = "live";
 /// [`Failure`].
 pub fn live(args: &LiveArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    end_with(&args.node.parent)?;
-    name_and_step_back();
-    let Some(run) = join_to_look_on(&args.node.name, &termination)? else { return Ok(()) };
+    let Some(run) = look_on(c"rh-live", &args.node, &termination)? else { return Ok(()) };
     let run = Arc::new(run);
     let scenario = &run.description().scenario;
     let (listener, token) = address_of_before(&run, args.port).map_or_else(|| new_address(args.port), Ok)?;
@@ -120,12 +118,6 @@ fn feed(
     server.keep(|scene| scene.looked(Instant::now()));
     server.end(if termination.requested() { "The replay was ended." } else { "The recording has ended." });
     Ok(())
-}
-
-/// In the kernel's lists it is told apart from nodes, and whoever else wants the processor has it.
-fn name_and_step_back() {
-    let _ = rustix::thread::set_name(c"rh-live");
-    let _ = rustix::process::setpriority_process(None, 19);
 }
 
 /// Looks whether a page could have this port.

@@ -10,6 +10,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::time::Instant;
 
+use rangehound_shared::digest::Digest;
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, Source, bounds};
 use serde::Serialize;
@@ -24,9 +25,6 @@ use steps::{Difference, Fed, StepError, Steps};
 
 /// How often progress is shown.
 const SHOW_TICKS: u64 = 4_096;
-
-/// What the filter's gate may be.
-const GATE_SIGMA: std::ops::RangeInclusive<f64> = 1.0..=1e6;
 
 /// What a replay came to; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
@@ -98,7 +96,7 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
             (false, Some(_)) => "differs",
         },
         first_difference: first_difference.filter(|_| !is_changed),
-        digest,
+        digest: digest.to_string(),
         comparison: differences.map(|differences| differences.end(&recorded, &replayed)),
     };
     if args.json {
@@ -134,7 +132,7 @@ fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> 
         }
     }
     if let Some(sigma) = args.gate {
-        if !GATE_SIGMA.contains(&sigma) {
+        if !bounds::GATE_SIGMA.contains(&sigma) {
             return Err(Failure::input(format!("--gate: expected a number from 1 to 1e6, got {sigma}")));
         }
         scenario.gate_sigma = Some(sigma);
@@ -165,7 +163,7 @@ struct Replayed {
     wall_s: f64,
     fed: Fed,
     first_difference: Option<Difference>,
-    digest: String,
+    digest: Digest,
     differences: Option<Differences>,
 }
 
@@ -179,7 +177,7 @@ fn feed(
     let began = Instant::now();
     let mut progress = Progress::new("tick", recorded.ticks);
     let mut differences = is_changed.then(Differences::new).transpose().map_err(Stopped::Tally)?;
-    let (mut ticks, mut first_difference, mut digest) = (0, None, String::new());
+    let (mut ticks, mut first_difference, mut digest) = (0, None, Digest::default());
     let mut times_s: Option<(f64, f64)> = None;
     while let Some(frame) = reader.next_frame().map_err(Stopped::Reading)? {
         let estimate = steps.step(&frame).map_err(Stopped::Stepping)?;
@@ -191,7 +189,7 @@ fn feed(
         ticks = frame.tick;
         let time_s = frame.estimate.time_s;
         times_s = Some((times_s.map_or(time_s, |(first_s, _)| first_s), time_s));
-        digest = digest_of(&estimate).to_string();
+        digest = digest_of(&estimate);
         if ticks > 0 && ticks.is_multiple_of(SHOW_TICKS) {
             progress.show(ticks, "");
         }

@@ -5,7 +5,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use crate::failure::{self, Failure};
-use crate::run_mcap::file::RunFile;
+use crate::run_mcap::file::{RunFile, unusable};
 use crate::run_mcap::read::{FrameReader, ReadError};
 use crate::run_mcap::write::Written;
 use crate::watch::Progress;
@@ -25,7 +25,6 @@ pub(super) fn repair(
         return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
     }
     let description = reader.description().map_err(|error| refuse(&error))?.clone();
-    let unusable = |error: anyhow::Error| Failure::input(format!("expected a file that can be written: {error:#}"));
     let mut file = RunFile::begin_with(&out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
     let mut progress = Progress::new("tick", description.scenario.ticks);
     let mut ticks: Option<(u64, u64)> = None;

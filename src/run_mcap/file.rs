@@ -11,6 +11,7 @@ use rangehound_shared::rendezvous::RunDescription;
 
 use super::SCENARIO;
 use super::write::{FrameWriter, Written};
+use crate::failure::Failure;
 use crate::frame::Frame;
 
 /// Longest scenario file that is put in.
@@ -22,6 +23,11 @@ pub struct RunFile {
     partial: PathBuf,
     inode: u64,
     writer: FrameWriter<File>,
+}
+
+/// What the user must mend if a file cannot be made.
+pub fn unusable(error: anyhow::Error) -> Failure {
+    Failure::input(format!("expected a file that can be written: {error:#}"))
 }
 
 /// The name of a file that is not finished.

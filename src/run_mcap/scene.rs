@@ -11,8 +11,10 @@ use foxglove::messages::{
     Quaternion, SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, Vector3,
 };
 use nalgebra::{Matrix2, SymmetricEigen};
+use plotters::style::RGBColor;
 use rangehound_shared::scenario::Scenario;
 
+use crate::chart::{ESTIMATE, TARGET, robot_colour};
 use crate::frame::Frame;
 use crate::report::position_covariance;
 
@@ -39,17 +41,9 @@ const SIZE_SHARE: f64 = 0.03;
 /// As the report's own pictures have it.
 const SIGMAS: f64 = 3.0;
 
-const TARGET: [f64; 4] = [0.1, 0.1, 0.1, 1.0];
-const ESTIMATE: [f64; 4] = [0.84, 0.15, 0.16, 1.0];
-const ELLIPSE: [f64; 4] = [0.84, 0.15, 0.16, 0.25];
-const ROBOTS: [[f64; 4]; 6] = [
-    [0.12, 0.47, 0.71, 1.0],
-    [0.17, 0.63, 0.17, 1.0],
-    [1.0, 0.5, 0.05, 1.0],
-    [0.58, 0.4, 0.74, 1.0],
-    [0.55, 0.34, 0.29, 1.0],
-    [0.89, 0.47, 0.76, 1.0],
-];
+/// As opaque as the ellipse is, and as range circles are: what is behind stays in sight.
+const ELLIPSE_OPACITY: f64 = 0.25;
+const CIRCLE_OPACITY: f64 = 0.4;
 
 /// Draws a run's scenes, tick by tick.
 #[derive(Debug, Default)]
@@ -86,10 +80,13 @@ impl Scene {
         };
         let mut entities = Vec::new();
         if let Some(place) = target_of(frame) {
-            entities.push(SceneEntity { spheres: vec![ball(place, size_m, TARGET)], ..entity("target".to_owned(), 0) });
+            entities.push(SceneEntity {
+                spheres: vec![ball(place, size_m, opaque(TARGET))],
+                ..entity("target".to_owned(), 0)
+            });
         }
         entities.push(SceneEntity {
-            spheres: vec![ball(estimate_of(frame), 0.8 * size_m, ESTIMATE), ellipse(frame)],
+            spheres: vec![ball(estimate_of(frame), 0.8 * size_m, opaque(ESTIMATE)), ellipse(frame)],
             ..entity("estimate".to_owned(), 0)
         });
         let (mut arrows, mut circles) = (Vec::new(), Vec::new());
@@ -100,13 +97,13 @@ impl Scene {
                 exchange.command.heading_rad,
                 exchange.command.speed_mps,
                 size_m,
-                colour(id),
+                opaque(robot_colour(id)),
             ));
             if let Some(heard) = exchange.heard
                 && let Some((range_m, _)) = heard.range_m
                 && points >= CIRCLE_POINTS_MIN
             {
-                circles.push(circle(heard.position_m, range_m, points, colour(id)));
+                circles.push(circle(heard.position_m, range_m, points, robot_colour(id)));
             }
         }
         entities.push(SceneEntity { arrows, ..entity("robots".to_owned(), 0) });
@@ -194,12 +191,14 @@ fn axes(frame: &Frame) -> ([f64; 2], f64) {
     ([half_m(eigenvalues[0]), half_m(eigenvalues[1])], eigenvectors[(1, 0)].atan2(eigenvectors[(0, 0)]))
 }
 
-fn colour(robot: usize) -> [f64; 4] {
-    ROBOTS[robot % ROBOTS.len()]
+fn opaque(colour: RGBColor) -> Color {
+    with_opacity(colour, 1.0)
 }
 
-fn color([r, g, b, a]: [f64; 4]) -> Option<Color> {
-    Some(Color { r, g, b, a })
+/// A colour of the report's pictures.
+fn with_opacity(RGBColor(r, g, b): RGBColor, a: f64) -> Color {
+    let [r, g, b] = [r, g, b].map(|part| f64::from(part) / 255.0);
+    Color { r, g, b, a }
 }
 
 /// Rounded to what a viewer shows: numbers with few bits take little room.
@@ -215,19 +214,23 @@ fn pose([x_m, y_m]: [f64; 2], heading_rad: f64) -> Pose {
     }
 }
 
-fn ball(place_m: [f64; 2], size_m: f64, of: [f64; 4]) -> SpherePrimitive {
+fn ball(place_m: [f64; 2], size_m: f64, of: Color) -> SpherePrimitive {
     let size = Some(Vector3 { x: size_m, y: size_m, z: size_m });
-    SpherePrimitive { pose: Some(pose(place_m, 0.0)), size, color: color(of) }
+    SpherePrimitive { pose: Some(pose(place_m, 0.0)), size, color: Some(of) }
 }
 
 /// The covariance as a flat ellipsoid.
 fn ellipse(frame: &Frame) -> SpherePrimitive {
     let ([a_m, b_m], angle_rad) = axes(frame);
     let size = Some(Vector3 { x: rounded(2.0 * a_m), y: rounded(2.0 * b_m), z: 0.01 });
-    SpherePrimitive { pose: Some(pose(estimate_of(frame), angle_rad)), size, color: color(ELLIPSE) }
+    SpherePrimitive {
+        pose: Some(pose(estimate_of(frame), angle_rad)),
+        size,
+        color: Some(with_opacity(ESTIMATE, ELLIPSE_OPACITY)),
+    }
 }
 
-fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: [f64; 4]) -> ArrowPrimitive {
+fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: Color) -> ArrowPrimitive {
     // Who is told to stand has a head only.
     let shaft_length = if speed_mps > 0.0 { 1.5 * size_m } else { 0.0 };
     ArrowPrimitive {
@@ -236,33 +239,33 @@ fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: [
         shaft_diameter: 0.4 * size_m,
         head_length: size_m,
         head_diameter: 0.8 * size_m,
-        color: color(of),
+        color: Some(of),
     }
 }
 
-fn circle([x_m, y_m]: [f64; 2], radius_m: f64, points: usize, [r, g, b, _]: [f64; 4]) -> LinePrimitive {
+fn circle([x_m, y_m]: [f64; 2], radius_m: f64, points: usize, of: RGBColor) -> LinePrimitive {
     let points = (0..points).map(|point| {
         let (sin, cos) = (TAU * point as f64 / points as f64).sin_cos();
         Point3 { x: rounded(x_m + radius_m * cos), y: rounded(y_m + radius_m * sin), z: 0.0 }
     });
-    line(LineType::LineLoop, points.collect(), [r, g, b, 0.4])
+    line(LineType::LineLoop, points.collect(), with_opacity(of, CIRCLE_OPACITY))
 }
 
 /// From where all were to where they are.
 fn trail(before: &[Option<[f64; 2]>], now: &[Option<[f64; 2]>]) -> LinePrimitive {
     let steps = before.iter().zip(now).filter_map(|(before, now)| Some([(*before)?, (*now)?]));
     let points = steps.flatten().map(|[x_m, y_m]| Point3 { x: rounded(x_m), y: rounded(y_m), z: 0.0 });
-    line(LineType::LineList, points.collect(), [0.4, 0.4, 0.4, 0.8])
+    line(LineType::LineList, points.collect(), Color { r: 0.4, g: 0.4, b: 0.4, a: 0.8 })
 }
 
-fn line(kind: LineType, points: Vec<Point3>, of: [f64; 4]) -> LinePrimitive {
+fn line(kind: LineType, points: Vec<Point3>, of: Color) -> LinePrimitive {
     LinePrimitive {
         r#type: kind as i32,
         pose: Some(pose([0.0; 2], 0.0)),
         thickness: 2.0,
         scale_invariant: true,
         points,
-        color: color(of),
+        color: Some(of),
         ..LinePrimitive::default()
     }
 }

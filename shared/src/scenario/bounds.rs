@@ -14,6 +14,8 @@ pub const SPEED_MPS: RangeInclusive<f64> = 0.0..=1e5;
 pub const STD_M: RangeInclusive<f64> = 1e-4..=1e5;
 /// Spectral density of a target's noise.
 pub const NOISE_PSD: RangeInclusive<f64> = 0.0..=1e9;
+/// What a gate lets through, in standard deviations of an innovation.
+pub const GATE_SIGMA: RangeInclusive<f64> = 1.0..=1e6;
 /// A variance.
 pub const VARIANCE: RangeInclusive<f64> = 1e-9..=1e12;
 /// Any entry of a matrix.

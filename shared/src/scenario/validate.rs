@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::bounds::{
-    BIAS_M, CLEARANCE, COORDINATE, DT_S, MATRIX_ENTRY, NOISE_PSD, PATIENCE_S, RELATIVE_EIGENVALUE_MIN, SCALE,
-    SPEED_MPS, STATE, STD_M, TICKS_MAX, VARIANCE,
+    BIAS_M, CLEARANCE, COORDINATE, DT_S, GATE_SIGMA, MATRIX_ENTRY, NOISE_PSD, PATIENCE_S, RELATIVE_EIGENVALUE_MIN,
+    SCALE, SPEED_MPS, STATE, STD_M, TICKS_MAX, VARIANCE,
 };
 use super::{
     Calibration, Clearance, Clock, CovarianceKey, MeanKey, PLANNERS, Patience, PatienceKey, PlannerSpec, PlannerTable,
@@ -175,7 +175,7 @@ impl Checker<'_> {
         let default = raw.recording.as_ref().map(|_| defaults::RECORDED_GATE_SIGMA);
         match raw.filter.as_ref().and_then(|table| table.gate_sigma).or(default) {
             None => Ok(None),
-            Some(sigma) => self.number("filter.gate_sigma", Some(sigma), sigma, 1.0..=1e6).map(Some),
+            Some(sigma) => self.number("filter.gate_sigma", Some(sigma), sigma, GATE_SIGMA).map(Some),
         }
     }
 
