@@ -1,8 +1,8 @@
 //! Runs with real processes: the same estimates as in one process, whatever happens to them.
 
-mod allocations;
 mod by_hand;
 mod disturbed;
+mod memory;
 mod missing;
 mod rogue;
 mod standby;

@@ -28,6 +28,7 @@
 //! | [`protocol`] | which builds understand each other |
 //! | [`bounded`] | reading no more of a file than it may have |
 //! | [`resources`] | open files and shared memory: is there enough |
+//! | [`footprint`] | what a node that has started keeps resident |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
 pub mod bells;
@@ -38,6 +39,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod digest;
 pub mod draws;
+pub mod footprint;
 pub mod matrix;
 pub mod message;
 pub mod motion;

@@ -15,6 +15,7 @@
 //! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
 //! are never woken: they look when they like.
 
+mod lending;
 mod senders;
 
 use std::cell::{Cell, RefCell};
@@ -36,6 +37,7 @@ use crate::clock::monotonic_ns;
 use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
+use lending::Service;
 use senders::{Senders, Standing};
 
 /// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past
@@ -109,7 +111,7 @@ impl BusError {
 /// One process's place on the bus of its run.
 #[derive(Debug)]
 pub struct Bus {
-    node: Node<ipc::Service>,
+    node: Node<Service>,
     run_id: u64,
     robots: usize,
     incarnation: Rc<Cell<u64>>,
@@ -162,7 +164,7 @@ impl Bus {
         }
         // A node killed as it came to or left a service may have a tag of it that iceoryx2 stumbles over each time.
         let folder = self.node.config().global.node_dir().to_string();
-        let _ = Node::<ipc::Service>::list(self.node.config(), |node| {
+        let _ = Node::<Service>::list(self.node.config(), |node| {
             if let NodeState::Dead(dead) = node {
                 let tags = remove_tags(&std::path::Path::new(&folder).join(dead.id().value().to_string()));
                 log::debug!("node {}: {tags} tags in the way of its cleaning removed", dead.id().value());
@@ -174,8 +176,7 @@ impl Bus {
 
     fn service<T: Topic>(
         &self,
-    ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [T], Header>, BusError>
-    {
+    ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<Service, [T], Header>, BusError> {
         let name = ServiceName::new(T::NAME).map_err(|error| BusError::new(T::NAME, error))?;
         self.node
             .service_builder(&name)
@@ -245,7 +246,7 @@ impl Bus {
 ///
 /// # Errors
 /// [`BusError`] if iceoryx2 refuses.
-pub fn node(run: &Rendezvous, name: &str) -> Result<Node<ipc::Service>, BusError> {
+pub fn node<S: iceoryx2::service::Service>(run: &Rendezvous, name: &str) -> Result<Node<S>, BusError> {
     set_log_level_from_env_or(LogLevel::Fatal);
     let config_path = run.iceoryx2_config_path().display().to_string();
     let config_error = |reason: &dyn std::fmt::Debug| BusError::new(&config_path, format!("{reason:?}"));
@@ -263,7 +264,7 @@ pub fn node(run: &Rendezvous, name: &str) -> Result<Node<ipc::Service>, BusError
         .name(&node_name)
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<ipc::Service>()
+        .create()
         .map_err(|error| node_error(&error))?;
     // iceoryx2 opens its counter of nodes to all users.
     run.close_to_others();
@@ -282,7 +283,7 @@ fn remove_tags(folder: &std::path::Path) -> usize {
 /// Sends messages on one topic.
 #[derive(Debug)]
 pub struct Publisher<T: Topic> {
-    port: iceoryx2::port::publisher::Publisher<ipc::Service, [T], Header>,
+    port: iceoryx2::port::publisher::Publisher<Service, [T], Header>,
     run_id: u64,
     incarnation: Rc<Cell<u64>>,
 }
@@ -309,12 +310,12 @@ impl<T: Topic> Publisher<T> {
 /// Receives messages of one topic.
 #[derive(Debug)]
 pub struct Subscriber<T: Topic> {
-    port: iceoryx2::port::subscriber::Subscriber<ipc::Service, [T], Header>,
+    port: iceoryx2::port::subscriber::Subscriber<Service, [T], Header>,
     run_id: u64,
     senders: Rc<Senders>,
     impostors: Cell<u64>,
     /// Empty between two drains; kept for its memory.
-    held: RefCell<Vec<Sample<ipc::Service, [T], Header>>>,
+    held: RefCell<Vec<Sample<Service, [T], Header>>>,
 }
 
 impl<T: Topic> Subscriber<T> {
@@ -348,9 +349,9 @@ impl<T: Topic> Subscriber<T> {
     }
 
     /// What the sender is to the role that its message speaks for: the worst of all entries.
-    fn standing(&self, sample: &Sample<ipc::Service, [T], Header>) -> Standing {
+    fn standing(&self, sample: &Sample<Service, [T], Header>) -> Standing {
         let node = sample.header().node_id();
-        let pid = || Pid::from_raw(node.pid::<ipc::Service>().ok()?.value());
+        let pid = || Pid::from_raw(node.pid::<Service>().ok()?.value());
         let of_entry = |entry: &T| self.senders.standing(entry.sender(), node.value(), pid);
         // Where one node publishes, all entries speak for it alike.
         let entries = if T::FROM_ROBOTS { usize::MAX } else { 1 };
