@@ -47,6 +47,8 @@ pub fn from_logs(
         let (tick, words) = record?;
         let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
         let world = worlds.at(tick, &mut tally)?;
+        let robots = world.map_or(&[][..], |world| &world.robots);
+        tally.add_untold(EstimateRecord::exchanges(words, state_dim), robots);
         if let Some(world) = world {
             tally.add_hops(&estimate.stages, &world.robots);
         }
