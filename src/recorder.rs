@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_fusion::LATE_TICKS_MAX;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::scenario::Clock;
 use rangehound_shared::signal::Termination;
 use rustix::thread::{Timespec, nanosleep};
@@ -18,14 +18,11 @@ use crate::frame::Frames;
 use crate::run_mcap::FILE_NAME;
 use crate::run_mcap::file::{RunFile, unusable};
 use crate::run_mcap::write::Written;
-use crate::watch::{LOOK, Progress};
+use crate::watch::{self, LOOK, Progress};
 use crate::{node, tables};
 
 /// Fusion amends a tick's record for so long, and may be at the one after.
 const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
-
-/// How long fusion may take to put its last tick down once all are asked to end.
-const FUSION_ENDS: Duration = Duration::from_secs(1);
 
 /// How long what has been put down is still recorded once an end is asked for.
 const CATCH_UP: Duration = Duration::from_secs(5);
@@ -79,14 +76,7 @@ fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination)
         }
         sleep(LOOK);
     }
-    // It puts its last tick down after the simulator has ended the run.
-    let began = Instant::now();
-    let fusion_puts_down = || rendezvous.roster().is_held(Role::Fusion);
-    let may_wait = || if termination.requested() { began.elapsed() < FUSION_ENDS } else { rendezvous.is_finished() };
-    while fusion_puts_down() && may_wait() {
-        sleep(LOOK / 10);
-    }
-    if fusion_puts_down() && !rendezvous.is_finished() {
+    if !watch::wait_for_last_words(rendezvous) && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;
         log::warn!("the recording ends before the run, as asked: tick {} and later are not in it", recorder.next);
     } else {
