@@ -75,6 +75,9 @@ pub enum Command {
     Compare(CompareArgs),
     /// Print the script by which a shell completes commands and flags
     Completions(CompletionsArgs),
+    /// Print the names that a shell completes, one a line
+    #[command(hide = true)]
+    Names(NamesArgs),
     /// Print the manual page, or write one for each command to a folder
     Man(ManArgs),
 }
@@ -117,7 +120,7 @@ pub struct ReplayArgs {
     /// The recording: run.mcap of a run folder
     pub file: PathBuf,
     /// Another planner: what would it have told the robots, where they were?
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
     /// Another gate, in standard deviations of an innovation
     #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
@@ -615,10 +618,26 @@ pub struct CompletionsArgs {
     pub shell: clap_complete::Shell,
 }
 
+/// `names`.
+#[derive(Debug, Args)]
+pub struct NamesArgs {
+    /// Of what
+    pub of: NamesOf,
+}
+
+/// What has names that only the moment knows.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum NamesOf {
+    /// Runs that go on
+    Runs,
+    /// Nodes of any of them
+    Nodes,
+}
+
 /// `man`.
 #[derive(Debug, Args)]
 pub struct ManArgs {
-    /// Folder for the pages of all commands [default: prints that of rangehound]
+    /// Folder for the pages of all commands [default: that of rangehound, to a pipe or file]
     #[arg(value_name = "DIR")]
     pub folder: Option<PathBuf>,
 }
