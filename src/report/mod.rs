@@ -20,6 +20,8 @@ use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::tick_log::TickLogError;
 
+use crate::whole_file;
+
 pub use summary::{
     Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
 };
@@ -91,7 +93,5 @@ impl<'a> Worlds<'a> {
 /// # Errors
 /// If the file cannot be written.
 pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
-    let path = out_dir.join(FILE_NAME);
-    std::fs::write(&path, serde_json::to_string_pretty(report)? + "\n")
-        .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    whole_file::write(&out_dir.join(FILE_NAME), serde_json::to_string_pretty(report)? + "\n")
 }
