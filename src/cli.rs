@@ -138,7 +138,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "X", requires = "live", value_parser = speed, allow_negative_numbers = true, default_value_t = 1.0)]
     pub speed: f64,
     /// Make a whole file of one that was cut short or damaged, with all ticks up to there
-    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "json", "live"])]
+    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "live"])]
     pub repair: bool,
     /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
     #[arg(long, value_name = "FILE", requires = "repair")]
@@ -199,6 +199,9 @@ pub struct RecordArgs {
     /// How large it may become
     #[command(flatten)]
     pub limit: RecordLimitArgs,
+    /// Print what has been recorded as one line of JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// What is run, under which name, and where its folder is.
@@ -298,6 +301,9 @@ pub struct LiveArgs {
     /// Port on 127.0.0.1 [default: any that is free]
     #[arg(long, value_name = "PORT", value_parser = port, allow_negative_numbers = true)]
     pub port: Option<u16>,
+    /// Print the address as one line of JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Whether a run is shown.
