@@ -13,6 +13,8 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use crate::whole_file;
+
 /// Colours told apart by most eyes.
 pub const COLOURS: [RGBColor; 7] = [
     RGBColor(31, 119, 180),
@@ -65,7 +67,8 @@ pub type Drawn = Result<(), Box<dyn std::error::Error>>;
 /// # Errors
 /// If it cannot be drawn or written; the file's name is in it.
 pub fn draw_to_file(path: &Path, size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> anyhow::Result<()> {
-    draw_on(SVGBackend::new(path, size), draw).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    let svg = draw_to_string(size, draw).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
+    whole_file::write(path, svg)
 }
 
 /// Draws a picture as an `<svg>` element for a page.

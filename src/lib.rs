@@ -33,6 +33,7 @@
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`shell`] | completions and manual pages |
+//! | [`whole_file`] | files that are there as a whole or not at all |
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |
 
@@ -67,3 +68,4 @@ pub mod supervisor;
 pub mod tables;
 pub mod terminal;
 pub mod watch;
+pub mod whole_file;

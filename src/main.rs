@@ -57,6 +57,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Latency(args) => latency::latency(&args),
         Command::LatencyNode(args) => latency::reference::latency_node(&args),
         Command::Completions(args) => shell::completions(&args),
+        Command::Names(args) => shell::names(&args),
         Command::Man(args) => shell::man(&args),
         Command::Scenario => failure::print(DEFAULT_SCENARIO),
     }

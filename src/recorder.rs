@@ -7,25 +7,23 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_fusion::LATE_TICKS_MAX;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::scenario::Clock;
 use rangehound_shared::signal::Termination;
 use rustix::thread::{Timespec, nanosleep};
+use serde::Serialize;
 
 use crate::cli::RecordArgs;
-use crate::failure::Failure;
+use crate::failure::{self, Failure};
 use crate::frame::Frames;
 use crate::run_mcap::FILE_NAME;
 use crate::run_mcap::file::{RunFile, unusable};
 use crate::run_mcap::write::Written;
-use crate::watch::{LOOK, Progress};
+use crate::watch::{self, LOOK, Progress};
 use crate::{node, tables};
 
 /// Fusion amends a tick's record for so long, and may be at the one after.
 const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
-
-/// How long fusion may take to put its last tick down once all are asked to end.
-const FUSION_ENDS: Duration = Duration::from_secs(1);
 
 /// How long what has been put down is still recorded once an end is asked for.
 const CATCH_UP: Duration = Duration::from_secs(5);
@@ -41,11 +39,41 @@ pub fn record(args: &RecordArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     if let Some(folder) = &args.folder {
         let description = tables::read_description(folder)?;
-        return record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination);
+        let recorded = record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination)?;
+        return recorded.print(args.json);
     }
     match node::look_on(c"rh-recorder", &args.node, &termination)? {
-        Some(rendezvous) => follow(&rendezvous.look_on(), args, &termination),
+        Some(rendezvous) => follow(&rendezvous.look_on(), args, &termination)?.print(args.json),
         None => Ok(()),
+    }
+}
+
+/// What has been recorded; its fields are the keys of `--json`.
+#[derive(Debug, Serialize)]
+pub struct Recorded {
+    /// The file; none if there was nothing to record.
+    file: Option<String>,
+    scenario: String,
+    /// The last tick that is in it, and that of the whole run.
+    ticks: Option<u64>,
+    ticks_of_run: u64,
+    /// Ticks before that one that nobody put down.
+    ticks_lost: u64,
+    /// True if it ends because it has its size.
+    is_full: bool,
+}
+
+impl Recorded {
+    fn print(&self, json: bool) -> Result<(), Failure> {
+        let Self { file, ticks, ticks_of_run, .. } = self;
+        match (json, file, ticks) {
+            (true, _, _) => failure::print_json(self),
+            (false, Some(file), Some(ticks)) => {
+                failure::print(format_args!("recorded: {ticks} of {ticks_of_run} ticks in {file}\n"))
+            }
+            // That has been warned of.
+            (false, _, _) => Ok(()),
+        }
     }
 }
 
@@ -58,14 +86,14 @@ pub fn record_logs(
     out: Option<&Path>,
     bytes_max: u64,
     termination: &Termination,
-) -> Result<(), Failure> {
+) -> Result<Recorded, Failure> {
     let mut recorder = Recorder::begin(description, out, bytes_max)?;
     recorder.catch_up(termination)?;
     recorder.finish()
 }
 
 /// Records a run until its end, or until asked to end.
-fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<(), Failure> {
+fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<Recorded, Failure> {
     let description = rendezvous.description().clone();
     let mut recorder = Recorder::begin(&description, args.out.as_deref(), args.limit.bytes())?;
     // In lock step a run takes all that it is given and would feel every look: its recording waits for its end.
@@ -79,14 +107,7 @@ fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination)
         }
         sleep(LOOK);
     }
-    // It puts its last tick down after the simulator has ended the run.
-    let began = Instant::now();
-    let fusion_puts_down = || rendezvous.roster().is_held(Role::Fusion);
-    let may_wait = || if termination.requested() { began.elapsed() < FUSION_ENDS } else { rendezvous.is_finished() };
-    while fusion_puts_down() && may_wait() {
-        sleep(LOOK / 10);
-    }
-    if fusion_puts_down() && !rendezvous.is_finished() {
+    if !watch::wait_for_last_words(rendezvous) && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;
         log::warn!("the recording ends before the run, as asked: tick {} and later are not in it", recorder.next);
     } else {
@@ -109,7 +130,8 @@ struct Recorder<'a> {
     bytes_max: u64,
     /// The first tick that is not recorded.
     next: u64,
-    recorded: u64,
+    /// The last one that is.
+    last: Option<u64>,
     /// Ticks that nobody put down, and the first of them.
     holes: (u64, u64),
     is_full: bool,
@@ -129,7 +151,7 @@ impl<'a> Recorder<'a> {
             path,
             bytes_max,
             next: 0,
-            recorded: 0,
+            last: None,
             holes: (0, 0),
             is_full: false,
         })
@@ -185,7 +207,7 @@ impl<'a> Recorder<'a> {
         let Some(frames) = &mut self.frames else { return Ok(()) };
         match frames.at(tick)? {
             Some(frame) => match self.file.write(&frame).map_err(unwritable)? {
-                Written::Taken => self.recorded += 1,
+                Written::Taken => self.last = Some(tick),
                 Written::Full => {
                     let limit_mb = self.bytes_max / 1_000_000;
                     log::warn!(
@@ -205,17 +227,25 @@ impl<'a> Recorder<'a> {
         Ok(())
     }
 
-    fn finish(self) -> Result<(), Failure> {
-        let Self { file, path, recorded, holes: (lost, first), .. } = self;
+    fn finish(self) -> Result<Recorded, Failure> {
+        let Self { description, file, path, last, holes: (lost, first), is_full, .. } = self;
         if lost > 0 {
             log::warn!("{lost} ticks from tick {first} on are not in the logs, so not recorded either");
         }
-        if recorded == 0 {
+        if last.is_none() {
             file.discard();
             log::warn!("{} is not there: the run has left no logs", path.display());
-            return Ok(());
+        } else {
+            file.finish().map_err(unwritable)?;
         }
-        file.finish().map_err(unwritable)
+        Ok(Recorded {
+            file: last.map(|_| tables::from_here(&path).display().to_string()),
+            scenario: description.scenario.name.clone(),
+            ticks: last,
+            ticks_of_run: description.scenario.ticks,
+            ticks_lost: lost,
+            is_full,
+        })
     }
 }
 

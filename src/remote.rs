@@ -24,11 +24,16 @@ const POLL: Duration = Duration::from_millis(10);
 /// Time without a sign of life after which a process that runs is shown as hung.
 const HUNG: Duration = Duration::from_secs(1);
 
+/// Note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
+pub(crate) const ENDING: &str = "ending";
+
 /// A run as it is at the moment.
 #[derive(Debug, Serialize)]
 pub(crate) struct Status {
     pub(crate) name: String,
     pub(crate) scenario: String,
+    /// `running`, or `finishing`: its nodes have ended or are to, and what it leaves is written.
+    pub(crate) phase: &'static str,
     /// Newest tick that is over, and the run's last.
     pub(crate) tick: u64,
     pub(crate) ticks: u64,
@@ -194,12 +199,14 @@ impl Status {
         let log = WorldRecord::reader(&description.out_dir, description.run_id, scenario).ok();
         let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
         let roster = run.roster();
+        let is_ending = run.is_finished() || run.note(ENDING).is_some();
         // One that leads now stood by before: its place then is not worth a line.
         let standbys: Vec<Role> = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| roster.is_held(*role)).collect();
         let roles = watch::roles(scenario.robots.len()).chain(standbys.iter().copied()).chain([Role::Supervisor]);
         Self {
             name: run.name().to_string(),
             scenario: scenario.name.clone(),
+            phase: if is_ending { "finishing" } else { "running" },
             tick,
             ticks: scenario.ticks,
             out_dir: description.out_dir.display().to_string(),

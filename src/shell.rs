@@ -1,12 +1,25 @@
 //! What a shell wants to know of the tool: completions and manual pages, made of what the command line is read with.
 
+use std::collections::BTreeSet;
+use std::io::IsTerminal;
+use std::path::Path;
+
 use clap::Command;
+use clap_complete::Shell;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
+use rangehound_shared::rendezvous::{Rendezvous, living_runs};
 
-use crate::cli::{self, CompletionsArgs, ManArgs};
+use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 use crate::failure::{self, Failure};
-use crate::tables;
+use crate::watch;
+
+/// On a terminal, which shows no page as it is written.
+const HOW_TO_READ: &str = "\
+rangehound man | man -l -                      reads the manual page
+rangehound man ~/.local/share/man/man1         writes those of all commands; then:
+man rangehound-run                             reads one of them
+";
 
 /// `rangehound completions`.
 ///
@@ -15,7 +28,38 @@ use crate::tables;
 pub fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut visible(&cli::command()), "rangehound", &mut script);
-    failure::print(String::from_utf8(script)?)
+    failure::print(with_names(args.shell, String::from_utf8(script)?))
+}
+
+/// A script that also asks for what no command line tells: the names of runs and nodes.
+fn with_names(shell: Shell, script: String) -> String {
+    match shell {
+        Shell::Bash => script + include_str!("shell/names.bash"),
+        Shell::Fish => script + include_str!("shell/names.fish"),
+        Shell::Zsh => script
+            .replace(":NAME:_default", ":NAME:_rangehound_runs")
+            .replace("robot-N:_default", "robot-N:_rangehound_nodes")
+            .replacen("_rangehound() {", concat!(include_str!("shell/names.zsh"), "_rangehound() {"), 1),
+        _ => script,
+    }
+}
+
+/// `rangehound names`: what these scripts ask for, one a line.
+///
+/// # Errors
+/// [`Failure`].
+pub fn names(args: &NamesArgs) -> Result<(), Failure> {
+    let names: BTreeSet<String> = match args.of {
+        NamesOf::Runs => living_runs().iter().map(ToString::to_string).collect(),
+        NamesOf::Nodes => {
+            // A run of another version is no reason to be silent about the others.
+            let runs = living_runs().into_iter().filter_map(|name| Rendezvous::join_if_alive(&name).ok().flatten());
+            runs.flat_map(|run| watch::roles(run.description().scenario.robots.len()))
+                .map(|role| role.to_string())
+                .collect()
+        }
+    };
+    failure::print(names.into_iter().map(|name| name + "\n").collect::<String>())
 }
 
 /// `rangehound man`.
@@ -27,15 +71,22 @@ pub fn man(args: &ManArgs) -> Result<(), Failure> {
     let mut command = cli::command().disable_help_subcommand(true);
     command.build();
     let Some(folder) = &args.folder else {
+        if std::io::stdout().is_terminal() {
+            return failure::print(HOW_TO_READ);
+        }
         return failure::print(String::from_utf8(page(&command)?)?);
     };
-    tables::make_folder(folder)?;
+    std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))?;
     let of_each = command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set());
     for command in of_each.chain([&command]) {
         let file = folder.join(Man::new(command.clone()).get_filename());
-        std::fs::write(&file, page(command)?).map_err(|error| tables::not_writable(&file, &error))?;
+        std::fs::write(&file, page(command)?).map_err(|error| not_writable(&file, &error))?;
     }
     failure::print(format!("manual pages in {}\n", folder.display()))
+}
+
+fn not_writable(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::input(format!("DIR: expected a folder that can be written, {}: {error}", path.display()))
 }
 
 /// The manual page of a command.

@@ -36,7 +36,7 @@ pub fn status(args: &StatusArgs) -> Result<(), Failure> {
     let mut is_first = true;
     // A member only while it looks: a run has not ended before its last member is out.
     while let Some(run) = Rendezvous::join_if_alive(&name).map_err(input_or_running)? {
-        let (status, is_finished) = (Status::of(&run), run.is_finished());
+        let status = Status::of(&run);
         drop(run);
         let text = if args.run.json { serde_json::to_string(&status)? } else { status.text(args.all) };
         if in_place {
@@ -55,9 +55,6 @@ pub fn status(args: &StatusArgs) -> Result<(), Failure> {
         }
         if termination.requested() {
             return Ok(());
-        }
-        if is_finished {
-            break;
         }
     }
     match (is_first, args.run.json) {
@@ -79,12 +76,13 @@ impl Status {
     pub(crate) fn text(&self, all: bool) -> String {
         let Self { name, scenario, tick, ticks, out_dir, leader, leads, standbys, .. } = self;
         let mut out = format!("{TITLE}run {name}{TITLE:#}: {scenario}, tick {tick} of {ticks}\n");
-        let lead = match leader {
-            Some(pid) => format!("process {pid} leads, the lead number {leads}; {standbys} stand by"),
-            None => format!("{BAD}nobody leads{BAD:#}; {standbys} stand by"),
+        let what = match leader {
+            _ if self.is_finishing() => field("finishing", "its nodes end, and its recording and report are written"),
+            Some(pid) => field("fusion", format!("process {pid} leads, the lead number {leads}; {standbys} stand by")),
+            None => field("fusion", format!("{BAD}nobody leads{BAD:#}; {standbys} stand by")),
         };
         let heads = ["node", "state", "pid", "starts", "silent", "memory"].map(str::to_owned);
-        let _ = writeln!(out, "{}\n{}", field("fusion", lead), field("run folder", out_dir));
+        let _ = writeln!(out, "{what}\n{}", field("run folder", out_dir));
         let _ = write!(out, "\n{}", line(TITLE, &heads));
         let rows = self.rows(all);
         for (style, row) in &rows {
@@ -102,10 +100,14 @@ impl Status {
         out
     }
 
-    /// Who is not well comes first.
+    fn is_finishing(&self) -> bool {
+        self.phase == "finishing"
+    }
+
+    /// Who is not well comes first. That nodes of a run that is over are gone is as it should be.
     fn rows(&self, all: bool) -> Vec<(Style, Row<'_>)> {
         let mut rows = Vec::new();
-        for (state, style) in STATES {
+        for (state, style) in STATES.into_iter().filter(|(state, _)| !self.is_finishing() || *state != "gone") {
             let in_state = || self.nodes.iter().filter(move |node| node.state == state);
             let robots: Vec<&NodeStatus> = in_state().filter(|node| node.robot().is_some()).collect();
             let is_folded = !all && robots.len() > ROBOTS_MAX;
@@ -193,6 +195,7 @@ mod tests {
         Status {
             name: "a-name-of-24-letters-xxx".to_owned(),
             scenario: "a-scenario-of-24-letters".to_owned(),
+            phase: "running",
             tick: 1_000_000,
             ticks: 1_000_000,
             out_dir: "runs/x".to_owned(),
@@ -237,6 +240,15 @@ mod tests {
         let text = text(&status(256, |id| if id % 3 == 0 { "running" } else { "gone" }), false);
         assert!(text.contains("171 robots") || text.contains("170 robots"), "{text}");
         assert!(text.contains("robot-1 to 2, 4 to 5,") && text.contains("253 to 254"), "{text}");
+    }
+
+    #[test]
+    fn of_a_run_that_is_over_those_are_shown_that_are_still_there() {
+        let mut over = status(3, |_| "gone");
+        over.phase = "finishing";
+        let text = text(&over, true);
+        assert_eq!(nodes_shown(&text), ["sim", "fusion", "run"]);
+        assert!(text.contains("  finishing ") && !text.contains("leads"), "{text}");
     }
 
     #[test]

@@ -14,9 +14,9 @@
 //! | `logs/NODE.log` | what a node had to say |
 
 use std::fs::{File, TryLockError};
-use std::io::{BufWriter, Read, Write};
+use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
@@ -32,10 +32,17 @@ use crate::curves::Curves;
 use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
+use crate::whole_file::{PARTIAL, WholeFile};
 use crate::{page, picture, run_mcap, terminal};
 
 /// What the run is, for `resume`.
 const DESCRIPTION: &str = "run.sealed";
+
+/// The track.
+const ESTIMATES: &str = "estimate.csv";
+
+/// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
+const LONG: u64 = 1_000_000;
 
 /// Longest row of a true track, bytes.
 const TRUTH_ROW_LEN_MAX: usize = 1 << 16;
@@ -74,13 +81,17 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
         let _ = std::fs::remove_file(log.path());
     }
     let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
-    let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, "estimate.csv", "ranges.csv", "truth.csv"];
-    let recording = out_dir.join(run_mcap::FILE_NAME);
-    for stale in [run_mcap::file::partial(&recording), recording] {
-        let _ = std::fs::remove_file(stale);
-    }
-    for stale in results.into_iter().chain(checkpoints.iter().map(String::as_str)) {
-        let _ = std::fs::remove_file(out_dir.join(stale));
+    let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, run_mcap::FILE_NAME];
+    let tables = [ESTIMATES, "ranges.csv", "truth.csv"];
+    let stale: Vec<&str> = results.into_iter().chain(tables).chain(checkpoints.iter().map(String::as_str)).collect();
+    // With what a kill has left of their making.
+    let is_what_is_left = |rest: &str| rest.is_empty() || rest.ends_with(PARTIAL);
+    for file in std::fs::read_dir(out_dir).into_iter().flatten().flatten() {
+        let name = file.file_name();
+        let name = name.to_string_lossy();
+        if stale.iter().any(|stale| name.strip_prefix(stale).is_some_and(is_what_is_left)) {
+            let _ = std::fs::remove_file(file.path());
+        }
     }
     let text = experiment.scenario_file.to_toml()?;
     let sealed = sealed::seal(&experiment.description)?;
@@ -151,11 +162,15 @@ pub fn report_and_tables(
 ) -> Result<Report, Failure> {
     let &Keep { ranges, ref truth, json } = keep;
     let truth = truth.as_ref();
+    let scenario = &description.scenario;
+    if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
+        failure::tell("the run is over, its report is made");
+    }
     let report = report::from_logs(description, truth, nodes)?;
     let printed = if json {
         failure::print_json(&report)
     } else {
-        let folder = terminal::field("run folder", description.out_dir.display());
+        let folder = terminal::field("run folder", from_here(&description.out_dir).display());
         failure::print(format!("{report}\n{folder}\n"))
     };
     let written = report::write(&report, &description.out_dir);
@@ -169,6 +184,13 @@ pub fn report_and_tables(
     Ok(report)
 }
 
+/// A path as one would type it here.
+pub(crate) fn from_here(path: &Path) -> &Path {
+    let here = std::env::current_dir().ok();
+    let below = here.and_then(|here| path.strip_prefix(here).ok()).filter(|below| !below.as_os_str().is_empty());
+    below.unwrap_or(path)
+}
+
 /// Draws what people look at: the page, and the picture.
 ///
 /// # Errors
@@ -176,7 +198,10 @@ pub fn report_and_tables(
 pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<()> {
     let curves = Curves::read(description, truth)?;
     picture::draw(&curves, &description.out_dir)?;
-    page::write(report, &curves, &description.out_dir)
+    page::write(report, &curves, &description.out_dir).inspect_err(|_| {
+        // Half a page is none.
+        let _ = std::fs::remove_file(description.out_dir.join(page::FILE_NAME));
+    })
 }
 
 /// Makes a folder for results, unless it is there.
@@ -187,7 +212,7 @@ pub fn make_folder(folder: &Path) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))
 }
 
-pub(crate) fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
+fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
     Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", folder.display()))
 }
 
@@ -200,7 +225,7 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let RunDescription { run_id, scenario, out_dir } = description;
     let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
     let mut reader = EstimateRecord::reader(out_dir, *run_id, scenario)?;
-    let mut out = create(&out_dir.join("estimate.csv"))?;
+    let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
     while let Some(record) = reader.next() {
         let (tick, words) = record?;
@@ -213,8 +238,7 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
         let p = position_covariance(&estimate);
         writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])?;
     }
-    out.flush()?;
-    Ok(())
+    out.finish()
 }
 
 /// Writes `ranges.csv` and `truth.csv` of a simulated run: what the robots measured, in the form of
@@ -225,8 +249,8 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let RunDescription { run_id, scenario, out_dir } = description;
     let mut reader = WorldRecord::reader(out_dir, *run_id, scenario)?;
-    let mut ranges = create(&out_dir.join("ranges.csv"))?;
-    let mut truths = create(&out_dir.join("truth.csv"))?;
+    let mut ranges = WholeFile::create(&out_dir.join("ranges.csv"))?;
+    let mut truths = WholeFile::create(&out_dir.join("truth.csv"))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
     let mut sensors: Vec<SimulatedSensor> =
@@ -246,31 +270,8 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
             }
         }
     }
-    ranges.flush()?;
-    truths.flush()?;
-    Ok(())
-}
-
-fn create(path: &Path) -> anyhow::Result<BufWriter<Named>> {
-    let file = File::create(path).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
-    Ok(BufWriter::new(Named { file, path: path.to_owned() }))
-}
-
-/// A file whose name is in the errors of writing to it.
-struct Named {
-    file: File,
-    path: PathBuf,
-}
-
-impl Write for Named {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        let told = |error: std::io::Error| std::io::Error::other(format!("{}: {error}", self.path.display()));
-        self.file.write(bytes).map_err(told)
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        self.file.flush()
-    }
+    ranges.finish()?;
+    truths.finish()
 }
 
 /// Reads a true track, `time_s,x_m,y_m`, in order of time.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use rangehound_shared::bus::{Bus, BusError, Subscriber};
 use rangehound_shared::message::{Estimate, Truth};
-use rangehound_shared::rendezvous::Role;
+use rangehound_shared::rendezvous::{Rendezvous, Role};
 use rangehound_shared::signal::Termination;
 
 use crate::cli::WatchArgs;
@@ -19,6 +19,14 @@ pub const LOOK: Duration = Duration::from_millis(50);
 
 /// How often a line is printed where there is no terminal.
 const LINE: Duration = Duration::from_secs(2);
+
+/// How long fusion may take to put its last tick down once the run has ended. By then a supervisor has killed one that hangs.
+const LAST_WORDS: Duration = Duration::from_secs(10);
+
+/// The same where an end is asked for before the run's: asked may be only who waits here.
+const EARLY_LAST_WORDS: Duration = Duration::from_secs(1);
+
+const LAST_WORDS_POLL: Duration = Duration::from_millis(5);
 
 /// How far the two that keep logs have got, as an observer knows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -150,7 +158,8 @@ impl Progress {
             self.bar.set_position(done);
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
-            failure::tell(format_args!("{} {done}/{}  {message}", self.step, self.steps));
+            let line = format!("{} {done}/{}  {message}", self.step, self.steps);
+            failure::tell(line.trim_end());
             self.last_line = Some(Instant::now());
         }
     }
@@ -185,18 +194,28 @@ pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
         watch.look()?;
     }
     watch.finish();
-    // Fusion puts its last tick down after it has published it.
-    while rendezvous.is_finished() && rendezvous.roster().is_held(Role::Fusion) && !termination.requested() {
-        std::thread::sleep(LOOK);
-    }
     if !rendezvous.is_finished() {
         return Ok(());
     }
+    wait_for_last_words(&rendezvous);
     let nodes = roles(description.scenario.robots.len())
         .map(|role| NodeSummary::new(role.to_string(), rendezvous.roster().starts(role)))
         .collect();
     let keep = Keep { json: args.json, ..Keep::default() };
     tables::report_and_tables(description, &keep, nodes).map(drop)
+}
+
+/// Waits for fusion, which puts its last tick down after it has published it. False if it goes on: the run does, or it hangs.
+pub fn wait_for_last_words(run: &Rendezvous) -> bool {
+    let began = Instant::now();
+    while run.roster().is_held(Role::Fusion) {
+        let at_most = if run.is_finished() { LAST_WORDS } else { EARLY_LAST_WORDS };
+        if began.elapsed() >= at_most {
+            return false;
+        }
+        std::thread::sleep(LAST_WORDS_POLL);
+    }
+    true
 }
 
 /// The nodes of a run.

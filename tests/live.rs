@@ -316,6 +316,13 @@ fn a_run_by_hand_has_a_page_too_but_nobody_who_starts_nodes_again() {
     let taken = run.node(&format!("live --port {}", page.port)).finish();
     let [complaint] = taken.complaints()[..] else { panic!("{taken:#?}") };
     assert!(taken.code == Some(2) && complaint.contains("expected one that is free"), "{taken:#?}");
+    let other = run.node("live --json");
+    run.wait_until("another page is announced", || other.stdout().ends_with('\n'));
+    let told: Value = serde_json::from_str(&other.stdout()).unwrap();
+    assert_eq!(told["name"], run.name.as_str());
+    assert!(told["address"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{told}");
+    other.signal(Signal::TERM);
+    other.finish().succeeded();
     // When the last of them has gone, the page ends too.
     for node in nodes.iter().chain([&sim]) {
         node.signal(Signal::KILL);

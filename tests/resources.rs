@@ -38,6 +38,12 @@ fn mounted(mounts: &str) -> String {
     format!("exec unshare -m sh -c '{mounts} && exec \"$@\"' sh \"$@\"")
 }
 
+/// The same, with the lines that a command says after it on standard error, each behind a word.
+fn mounted_and_listed(mounts: &str, list: &str) -> String {
+    let listed = format!("code=$?; ({list}) 2>&1 | sed \"s/^/listed: /\" >&2; exit $code");
+    format!("exec unshare -m sh -c '{mounts} && \"$@\"; {listed}' sh \"$@\"")
+}
+
 #[test]
 fn too_few_open_files_are_told_before_anything_is_made() {
     for (files, robots) in [(32, 3), (64, 3), (300, 128)] {
@@ -90,10 +96,12 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
     }
     let run = Run::new();
     std::fs::create_dir(run.path("out")).unwrap();
-    let script = mounted("mount -t tmpfs -o size=400k none out");
+    let script = mounted_and_listed("mount -t tmpfs -o size=400k none out", "find out -maxdepth 1 -size 0");
     let words = "run --clock lockstep --ticks 300000 --patience forever";
     let outcome = run.command_by(&script, words).finish();
     assert_refused(&outcome, 1, &["out", "No space left on device"]);
+    // What there was no room for is not there, rather than empty.
+    assert!(!outcome.stderr.contains("listed: "), "{outcome:#?}");
     for file in ["estimate.ticks", "world.ticks"] {
         let told =
             outcome.stderr.lines().any(|line| line.contains(file) && line.contains("the run goes on without it"));
@@ -102,6 +110,29 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
     // It reported what it had, and nobody was started again: the nodes went on to the end.
     assert!(outcome.stdout.contains("digest") && !outcome.stdout.contains("starts,"), "{outcome:#?}");
     run.assert_nothing_left();
+}
+
+#[test]
+fn a_repair_for_which_the_disk_has_no_room_leaves_what_there_was() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    run.lockstep("--record --in-process --ticks 2000").finish().succeeded();
+    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
+    run.write("cut", &whole[..whole.len() * 3 / 4]);
+    std::fs::create_dir(run.path("full")).unwrap();
+    let kb = whole.len() / 1_024;
+    // Room for the file that was cut, and for a bit of what it would become; then for nothing.
+    for (room, code) in [(kb, 1), (kb * 3 / 4 + 8, 2)] {
+        let mount = format!("mount -t tmpfs -o size={room}k none full && cp cut full/run.mcap.partial");
+        let fill = if code == 2 { " && cat /dev/zero > full/filler 2>/dev/null; true" } else { "" };
+        let script = mounted_and_listed(&format!("{mount}{fill}"), "cd full && ls run* && cmp run.mcap.partial ../cut");
+        let outcome = run.start_by(&script, &["replay", "full/run.mcap.partial", "--repair"]).finish();
+        assert_refused(&outcome, code, &["full/run.mcap", "No space left on device"]);
+        let listed: Vec<&str> = outcome.stderr.lines().filter(|line| line.starts_with("listed: ")).collect();
+        assert_eq!(listed, ["listed: run.mcap.partial"], "{outcome:#?}");
+    }
 }
 
 #[test]

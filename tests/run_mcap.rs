@@ -60,7 +60,7 @@ fn replayed(run: &Run, file: &str) -> Value {
 }
 
 /// The recorder of a run that goes on, not the one of this pid.
-fn recorder(run: &Run, before: Option<Pid>) -> Pid {
+pub(crate) fn recorder(run: &Run, before: Option<Pid>) -> Pid {
     let words = format!("record\0--name\0{}\0", run.name);
     let mut found = None;
     run.wait_until("the recorder is there", || {
@@ -184,7 +184,9 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
     assert!(changed.stdout.contains("headings apart") && changed.stdout.lines().all(|line| line.len() <= 80));
     // What is recorded of the logs after the run is the same.
     let first = std::fs::read(run.path("out/run.mcap")).unwrap();
-    run.start(&["record", "out", "--out", "again.mcap"]).finish().succeeded();
+    let told = run.start(&["record", "out", "--out", "again.mcap", "--json"]).finish().succeeded().stdout;
+    let told: Value = serde_json::from_str(&told).unwrap();
+    assert_eq!((&told["file"], &told["ticks"]), (&"again.mcap".into(), &300.into()), "{told}");
     assert!(first == std::fs::read(run.path("again.mcap")).unwrap());
 }
 
@@ -262,10 +264,15 @@ fn what_is_no_recording_is_refused_in_one_line() {
         let refused = replay(&run, file);
         assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{file}: {refused:#?}");
         assert!(refused.stderr.contains(file), "{refused:#?}");
+        let can_be_repaired = ["damaged.mcap", "cut.mcap"].contains(&file);
+        assert_eq!(refused.stderr.contains("--repair"), can_be_repaired, "{refused:#?}");
     }
     for (file, whole) in [("damaged.mcap", "damaged.repaired.mcap"), ("cut.mcap", "cut.repaired.mcap")] {
-        assert_eq!(replay(&run, &format!("{file} --repair")).code, Some(0));
-        replayed(&run, whole);
+        let repaired = replay(&run, &format!("{file} --repair --json"));
+        assert_eq!(repaired.code, Some(0), "{repaired:#?}");
+        let told: Value = serde_json::from_str(&repaired.stdout).unwrap();
+        assert_eq!((&told["whole"], &told["first_tick"]), (&whole.into(), &0.into()), "{told}");
+        assert_eq!(replayed(&run, whole)["ticks"], told["ticks"]);
     }
     let refused = replay(&run, "short.mcap --repair");
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");

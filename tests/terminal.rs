@@ -1,10 +1,14 @@
 //! What is printed: for people in 80 columns and without escapes where nobody sees them, for scripts as JSON; what a shell
 //! is told of the commands.
 
+use std::time::Duration;
+
 use rangehound::cli;
+use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::support::{Outcome, Run};
+use crate::run_mcap::recorder;
+use crate::support::{Outcome, Run, signal};
 
 const WIDTH: usize = 80;
 
@@ -72,14 +76,23 @@ fn a_run_reports_in_lines_that_fit_and_as_json() {
     assert_plain_and_narrow(&run.node("status").finish().succeeded().stdout);
     let status = json(&run.node("status --json").finish().succeeded());
     assert_eq!(status["nodes"].as_array().map(Vec::len), Some(6), "{status}");
+    assert_eq!(status["phase"], "running", "{status}");
     let killed = json(&run.node("kill robot-1 --json").finish().succeeded());
     assert_eq!((&killed["node"], &killed["pid"]), (&status["nodes"][3]["name"], &status["nodes"][3]["pid"]));
     run.pid_of("robot-1", 2);
     let restarted = json(&run.node("restart robot-2 --json").finish().succeeded());
     assert_eq!((restarted["node"].as_str(), restarted["starts"].as_u64()), (Some("robot-2"), Some(2)));
+    let names = |of| run.start(&["names", of]).finish().succeeded().stdout;
+    assert!(names("runs").lines().any(|name| name == run.name), "{}", names("runs"));
+    assert!(["sim", "fusion", "robot-2"].iter().all(|node| names("nodes").lines().any(|name| name == *node)));
     let stopped = json(&run.node("stop --json").finish().succeeded());
     assert_eq!(stopped["name"], run.name.as_str());
     let reported = supervisor.finish().stdout;
+    // As one would type it.
+    assert!(reported.ends_with("  run folder       out\n"), "{reported}");
+    // Of the tick under way the simulator has put nothing down, but what fusion has was published.
+    let ranges = &run.report()["ranges"];
+    assert!(ranges["published"].as_u64() >= Some(ranges["fused"].as_u64().unwrap()), "{ranges}");
     assert!(reported.contains("hops, us p50") && reported.contains("robot-1          2 starts, 1 kills"), "{reported}");
     assert_plain_and_narrow(&reported);
     let watched = watched.finish().succeeded().stdout;
@@ -120,6 +133,26 @@ fn json_is_what_the_file_holds_and_nothing_else() {
     let printed = hurt.command("chaos --faults 1 --kinds kill --ticks 2000 --json").finish().succeeded();
     assert_eq!(json(&printed), file(&hurt, "chaos.json"));
     hurt.assert_nothing_left();
+}
+
+/// A supervisor that waits for its recorder, however long that takes, is well.
+#[test]
+fn a_run_that_is_over_is_finishing_while_it_is_written_up() {
+    let run = Run::new();
+    let supervisor = run.lockstep("--record --ticks 8000");
+    let recorder = recorder(&run, None);
+    signal(recorder, Signal::STOP);
+    run.wait_until("the run is over", || run.shared_folder().join("finished").exists());
+    std::thread::sleep(Duration::from_millis(1_500));
+    let status = json(&run.node("status --json").finish().succeeded());
+    let supervisor_is = status["nodes"].as_array().and_then(|nodes| nodes.last()).unwrap();
+    assert_eq!((&status["phase"], &supervisor_is["state"]), (&"finishing".into(), &"running".into()), "{status}");
+    let shown = run.node("status").finish().succeeded().stdout;
+    assert!(shown.contains("finishing") && !shown.contains("gone") && !shown.contains("nobody leads"), "{shown}");
+    signal(recorder, Signal::CONT);
+    supervisor.finish().succeeded();
+    assert!(run.path("out/run.mcap").exists());
+    run.assert_nothing_left();
 }
 
 #[test]
@@ -180,6 +213,7 @@ fn shells_complete_every_command_and_nothing_hidden() {
         for hidden in ["latency-node", "latency__node", "end-with"] {
             assert!(!script.contains(hidden), "{shell}: {hidden}");
         }
+        assert!(["elvish", "powershell"].contains(&shell) || script.contains("names"), "{shell}");
         assert!(script.contains("--write-recording") || script.contains("write-recording"), "{shell}");
         // PowerShell and elvish are not told values.
         assert!(["elvish", "powershell"].contains(&shell) || script.contains("greedy"), "{shell}");
@@ -206,4 +240,5 @@ fn every_command_has_a_manual_page() {
     run.write("a-file", "");
     let refused = run.start(&["man", "a-file"]).finish();
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
+    assert!(refused.stderr.contains("DIR: expected a folder") && !refused.stderr.contains("--out"), "{refused:#?}");
 }

@@ -10,6 +10,7 @@ use super::faults::Kind;
 use crate::cli::ChaosArgs;
 use crate::report::{HeadingSummary, RangeSummary};
 use crate::terminal::{BAD, GOOD, TITLE, field};
+use crate::whole_file;
 
 /// File name of the outcome in the campaign's folder.
 pub(super) const FILE_NAME: &str = "chaos.json";
@@ -275,9 +276,7 @@ impl Outcome {
     /// # Errors
     /// If the file cannot be written.
     pub(super) fn write(&self, out_dir: &Path) -> anyhow::Result<()> {
-        let path = out_dir.join(FILE_NAME);
-        std::fs::write(&path, serde_json::to_string_pretty(self)? + "\n")
-            .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+        whole_file::write(&out_dir.join(FILE_NAME), serde_json::to_string_pretty(self)? + "\n")
     }
 }
 

@@ -130,7 +130,8 @@ const RESUME: &str = "Example, after a power cut or a kill of everything:
 
 const STATUS: &str = "A node is running, stopped (by a signal), hung (no sign of life for a second)
 or gone. Who is not running comes first; more than 16 robots in one state share
-a line, unless --all. --json always has all.
+a line, unless --all. --json always has all. A run is finishing while it ends
+and its recording is written.
 
 Examples:
   rangehound status

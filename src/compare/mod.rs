@@ -22,8 +22,8 @@ use rangehound_shared::scenario::{PLANNERS, Scenario};
 use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::experiment::Given;
 use crate::failure::{self, Failure};
-use crate::tables;
 use crate::watch::Progress;
+use crate::{tables, whole_file};
 
 use monte_carlo::Trials;
 use summary::{Comparison, Summary};
@@ -66,9 +66,7 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
         planners: summaries.map(|(name, trials)| Summary::new(name, trials, first.ticks)).collect(),
         planning_time: scenarios.iter().map(planning_time::measure).collect(),
     };
-    let path = args.out.join(FILE_NAME);
-    std::fs::write(&path, serde_json::to_string_pretty(&comparison)? + "\n")
-        .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
+    whole_file::write(&args.out.join(FILE_NAME), serde_json::to_string_pretty(&comparison)? + "\n")?;
     pictures::draw(&comparison, &scenarios, &args.out)?;
     if args.json {
         return failure::print_json(&comparison);

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use rangehound_shared::rendezvous::{Rendezvous, Role};
+use rangehound_shared::rendezvous::Rendezvous;
 use rangehound_shared::signal::Termination;
 
 use super::LOOK;
@@ -10,6 +10,7 @@ use super::scene::Scene;
 use super::server::Server;
 use crate::frame::Frames;
 use crate::remote::Status;
+use crate::watch;
 
 /// How often the processes are looked at, and how much rarer for each robot.
 const NODES: Duration = Duration::from_millis(250);
@@ -20,9 +21,6 @@ const ROBOTS_PER_LOOK_MAX: u64 = 1_000;
 
 /// Ticks of the first look, at what was before.
 const TICKS_OF_PAST: u64 = 500;
-
-/// Fusion puts its last tick down after it has published it.
-const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// A run without a single process for this long has ended, whatever it says.
 const DESERTED: Duration = Duration::from_secs(3);
@@ -38,7 +36,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
         // Asked before the look: what was there at the end is in it.
         let is_finished = run.is_finished();
         if is_finished {
-            wait_for_last_words(run);
+            watch::wait_for_last_words(run);
         }
         if is_finished || nodes_at.is_none_or(|at: Instant| at.elapsed() >= nodes_every) {
             nodes_at = Some(Instant::now());
@@ -61,13 +59,6 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
             return "All processes of the run are gone.";
         }
         std::thread::sleep(LOOK);
-    }
-}
-
-fn wait_for_last_words(run: &Rendezvous) {
-    let began = Instant::now();
-    while run.roster().is_held(Role::Fusion) && began.elapsed() < LAST_WORDS {
-        std::thread::sleep(Duration::from_millis(10));
     }
 }
 

@@ -31,9 +31,10 @@ use std::time::{Duration, Instant};
 use rangehound_shared::rendezvous::Rendezvous;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::signal::Termination;
+use serde_json::json;
 
 use crate::cli::LiveArgs;
-use crate::failure::{Failure, tell};
+use crate::failure::{Failure, print_json, tell};
 use crate::frame::Frame;
 use crate::node::look_on;
 use guard::Token;
@@ -64,7 +65,11 @@ pub fn live(args: &LiveArgs) -> Result<(), Failure> {
     let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
     // Without it the page is found at another address after a kill.
     let _ = run.leave_note(ADDRESS_FILE, &note);
-    announce("live", &server);
+    if args.json {
+        print_json(&json!({ "name": run.name().to_string(), "address": server.address() }))?;
+    } else {
+        announce("live", &server);
+    }
     let reason = follow::follow(&run, &server, &termination);
     server.end(reason);
     Ok(())

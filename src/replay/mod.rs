@@ -64,13 +64,16 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
     };
     let mut reader = open()?;
     if args.repair {
-        return repair::repair(path, args.out.as_deref(), reader, |error| refuse(error));
+        return repair::repair(args, reader, |error| refuse(error));
     }
     let recorded = reader.description().map_err(|error| refuse(&error))?.scenario.clone();
     let replayed = changed(&recorded, args)?;
     let begin = || Steps::new(&replayed).map_err(|error| Failure::input(format!("--planner: {error}")));
     let is_changed = recorded != replayed;
     let fed = feed(&mut reader, begin()?, &recorded, is_changed).map_err(|error| match error {
+        Stopped::Reading(error @ (ReadError::Cut { after: Some(_) } | ReadError::Damaged { after: Some(_), .. })) => {
+            refuse(&format!("{error}: `rangehound replay --repair` makes a whole file of what is before"))
+        }
         Stopped::Reading(error) => refuse(&error),
         // A recording without its beginning, or with a tick lost, is bad input; what diverges with other flags is a result.
         Stopped::Stepping(error @ (StepError::Hole(_) | StepError::Senseless { .. })) => refuse(&error),
@@ -100,7 +103,7 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
         comparison: differences.map(|differences| differences.end(&recorded, &replayed)),
     };
     if args.json {
-        failure::print(format_args!("{}\n", serde_json::to_string(&outcome)?))?;
+        failure::print_json(&outcome)?;
     } else {
         failure::print(&outcome)?;
     }

@@ -4,34 +4,83 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+
+use crate::cli::ReplayArgs;
 use crate::failure::{self, Failure};
-use crate::run_mcap::file::{RunFile, unusable};
+use crate::run_mcap::file::{RunFile, partial, unusable};
 use crate::run_mcap::read::{FrameReader, ReadError};
 use crate::run_mcap::write::Written;
 use crate::watch::Progress;
+
+/// What there was to save; its fields are the keys of `--json`.
+#[derive(Debug, Serialize)]
+struct Repaired {
+    file: String,
+    /// The whole file.
+    whole: String,
+    /// The ticks that are in it, and the last one of the run.
+    first_tick: u64,
+    ticks: u64,
+    ticks_of_run: u64,
+    /// What is wrong with the file after these; `None` if nothing is.
+    reason: Option<String>,
+}
 
 /// Reads a file up to where it is cut or damaged, and writes what there is as a whole file.
 ///
 /// # Errors
 /// [`Failure`] if nothing of it can be read, or the new file cannot be written.
 pub(super) fn repair(
-    path: &Path,
-    out: Option<&Path>,
+    args: &ReplayArgs,
     mut reader: FrameReader<BufReader<File>>,
     refuse: impl Fn(&ReadError) -> Failure,
 ) -> Result<(), Failure> {
-    let out = out.map_or_else(|| whole_name(path), Path::to_owned);
+    let path = &args.file;
+    let out = args.out.clone().unwrap_or_else(|| whole_name(path));
     if out.exists() {
         return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
     }
     let description = reader.description().map_err(|error| refuse(&error))?.clone();
-    let mut file = RunFile::begin_with(&out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
-    let mut progress = Progress::new("tick", description.scenario.ticks);
+    // What is repaired may be all that there is of the run: it keeps its name until there is more.
+    let in_making = in_making(&out);
+    let file = RunFile::begin_as(&in_making, &out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
+    let copied = copy(&mut reader, file, description.scenario.ticks);
+    if !matches!(copied, Ok((Some(_), _))) {
+        let _ = std::fs::remove_file(&in_making);
+    }
+    let (ticks, why) = copied.map_err(Failure::Running)?;
+    let Some((first_tick, ticks)) = ticks else {
+        return Err(
+            why.map_or_else(|| Failure::input(format!("{}: holds no tick", path.display())), |why| refuse(&why))
+        );
+    };
+    if *path == partial(&out) {
+        let _ = std::fs::remove_file(path);
+    }
+    let (file, whole) = (path.display().to_string(), out.display().to_string());
+    let ticks_of_run = description.scenario.ticks;
+    if args.json {
+        let reason = why.map(|why| why.to_string());
+        return failure::print_json(&Repaired { file, whole, first_tick, ticks, ticks_of_run, reason });
+    }
+    if let Some(why) = why.filter(|why| !matches!(why, ReadError::Cut { .. })) {
+        failure::tell(format_args!("{file}: {why}"));
+    }
+    failure::print(format_args!("repaired: ticks {first_tick} to {ticks} of {ticks_of_run} in {whole}\n"))
+}
+
+/// The first and the last tick that could be read, and why there are no more.
+type Copied = (Option<(u64, u64)>, Option<ReadError>);
+
+/// Copies what can be read, and finishes the file unless that is nothing.
+fn copy(reader: &mut FrameReader<BufReader<File>>, mut file: RunFile, ticks_of_run: u64) -> anyhow::Result<Copied> {
+    let mut progress = Progress::new("tick", ticks_of_run);
     let mut ticks: Option<(u64, u64)> = None;
     let why = loop {
         match reader.next_frame() {
             Ok(Some(frame)) => {
-                let Written::Taken = file.write(&frame).map_err(unusable)? else { break None };
+                let Written::Taken = file.write(&frame)? else { break None };
                 ticks = Some((ticks.map_or(frame.tick, |(first, _)| first), frame.tick));
                 if frame.tick > 0 && frame.tick.is_multiple_of(super::SHOW_TICKS) {
                     progress.show(frame.tick, "");
@@ -42,21 +91,10 @@ pub(super) fn repair(
         }
     };
     progress.finish();
-    let Some((first, last)) = ticks else {
-        file.discard();
-        return Err(
-            why.map_or_else(|| Failure::input(format!("{}: holds no tick", path.display())), |why| refuse(&why))
-        );
-    };
-    file.finish().map_err(unusable)?;
-    if let Some(why) = why.filter(|why| !matches!(why, ReadError::Cut { .. })) {
-        failure::tell(format_args!("{}: {why}", path.display()));
+    if ticks.is_some() {
+        file.finish()?;
     }
-    failure::print(format_args!(
-        "repaired: ticks {first} to {last} of {} in {}\n",
-        description.scenario.ticks,
-        out.display()
-    ))
+    Ok((ticks, why))
 }
 
 /// The name without `.partial`, or with `.repaired` before its ending.
@@ -65,4 +103,11 @@ fn whole_name(path: &Path) -> PathBuf {
         Some(ending) if ending == "partial" => path.with_extension(""),
         _ => path.with_extension("repaired.mcap"),
     }
+}
+
+/// The name of the whole file until it is whole.
+fn in_making(out: &Path) -> PathBuf {
+    let mut name = out.as_os_str().to_owned();
+    name.push(".repairing");
+    name.into()
 }

@@ -20,6 +20,8 @@ use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::tick_log::TickLogError;
 
+use crate::whole_file;
+
 pub use summary::{
     Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
 };
@@ -47,6 +49,8 @@ pub fn from_logs(
         let (tick, words) = record?;
         let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
         let world = worlds.at(tick, &mut tally)?;
+        let robots = world.map_or(&[][..], |world| &world.robots);
+        tally.add_untold(EstimateRecord::exchanges(words, state_dim), robots);
         if let Some(world) = world {
             tally.add_hops(&estimate.stages, &world.robots);
         }
@@ -89,7 +93,5 @@ impl<'a> Worlds<'a> {
 /// # Errors
 /// If the file cannot be written.
 pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
-    let path = out_dir.join(FILE_NAME);
-    std::fs::write(&path, serde_json::to_string_pretty(report)? + "\n")
-        .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    whole_file::write(&out_dir.join(FILE_NAME), serde_json::to_string_pretty(report)? + "\n")
 }

@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Estimate, Stages};
-use rangehound_shared::record::RobotRecord;
+use rangehound_shared::record::{Exchange, RobotRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
@@ -130,6 +130,16 @@ impl Tally {
         }
     }
 
+    /// Adds a tick's ranges that fusion has, but of which the simulator has not put down that they were published: it was
+    /// told too late, or ended before the tick did.
+    pub fn add_untold(&mut self, exchanges: impl IntoIterator<Item = Exchange>, robots: &[RobotRecord]) {
+        for (robot, exchange) in exchanges.into_iter().enumerate() {
+            let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
+            let is_heard = exchange.heard.is_some_and(|heard| heard.range_m.is_some());
+            self.ranges.published += u64::from(is_heard && !is_told);
+        }
+    }
+
     /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
     pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
         for robot in robots {
@@ -191,6 +201,9 @@ pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Optio
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::message::Command;
+    use rangehound_shared::record::Heard;
+
     use super::*;
 
     #[test]
@@ -203,6 +216,24 @@ mod tests {
         let expected = RangeSummary { published: 0, fused: 6, rejected: 2, late: 3, fused_late: 1, missing: 1 };
         assert_eq!(tally.ranges, expected);
         assert_eq!(tally.ranges.fused + tally.ranges.rejected + tally.ranges.missing, 3 * 3);
+    }
+
+    #[test]
+    fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
+        let exchange = |range_m| Exchange {
+            heard: Some(Heard { position_m: [0.0; 2], range_m, taken_at: 1 }),
+            command: Command::default(),
+        };
+        let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
+        let told = RobotRecord { range_sent_ns: Some(1), ..RobotRecord::default() };
+        let robots = [told, RobotRecord::default(), RobotRecord::default(), told];
+        let mut tally = Tally::new().unwrap();
+        tally.add_world(1, &robots);
+        tally.add_untold(heard, &robots);
+        assert_eq!(tally.ranges.published, 3);
+        // The tick under way when a run is ended: the simulator has not put it down.
+        tally.add_untold(heard, &[]);
+        assert_eq!(tally.ranges.published, 5);
     }
 
     #[test]

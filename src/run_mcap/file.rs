@@ -45,27 +45,29 @@ impl RunFile {
     /// If it cannot be made.
     pub fn begin(path: &Path, description: &RunDescription, bytes_max: u64) -> anyhow::Result<Self> {
         let scenario = bounded::read(&description.out_dir.join(SCENARIO), SCENARIO_LEN_MAX).ok();
-        Self::begin_with(path, description, scenario.as_deref(), bytes_max)
+        Self::begin_as(&partial(path), path, description, scenario.as_deref(), bytes_max)
     }
 
-    /// Begins the file of a run, with this scenario.
+    /// Begins the file of a run under this name until it is finished, with this scenario.
     ///
     /// # Errors
     /// If it cannot be made.
-    pub fn begin_with(
+    pub fn begin_as(
+        partial: &Path,
         path: &Path,
         description: &RunDescription,
         scenario: Option<&[u8]>,
         bytes_max: u64,
     ) -> anyhow::Result<Self> {
-        let partial = partial(path);
         // A forerunner that still writes keeps its file, but not the name: whoever comes last has that.
-        let _ = std::fs::remove_file(&partial);
-        let file = File::create_new(&partial).with_context(|| partial.display().to_string())?;
+        let _ = std::fs::remove_file(partial);
+        let file = File::create_new(partial).with_context(|| partial.display().to_string())?;
         let inode = file.metadata()?.ino();
-        let begun = FrameWriter::begin(file, description, scenario, bytes_max);
-        let writer = begun.map_err(|error| named(&partial, error))?;
-        Ok(Self { path: path.to_owned(), partial, inode, writer })
+        let writer = FrameWriter::begin(file, description, scenario, bytes_max).map_err(|error| {
+            let _ = std::fs::remove_file(partial);
+            named(partial, error.downcast().map_or_else(|error| error, of))
+        })?;
+        Ok(Self { path: path.to_owned(), partial: partial.to_owned(), inode, writer })
     }
 
     /// Writes a frame.

@@ -63,7 +63,7 @@ pub enum ReadError {
 
 fn what_is_left(after: Option<u64>) -> String {
     match after {
-        Some(tick) => format!("after tick {tick}: `rangehound replay --repair` makes a whole file of it"),
+        Some(tick) => format!("after tick {tick}"),
         None => "before its first tick: it holds nothing; `rangehound record DIR` makes one of a run folder's logs"
             .to_owned(),
     }

@@ -4,7 +4,7 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_shared::rendezvous::{Rendezvous, RoleHold};
 use rangehound_shared::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -22,6 +22,8 @@ const POLL: Duration = Duration::from_millis(10);
 /// The processes that look on at a run.
 pub(super) struct Companions<'a> {
     rendezvous: &'a Rendezvous,
+    /// The supervisor's.
+    hold: &'a RoleHold,
     all: Vec<Companion>,
 }
 
@@ -34,8 +36,8 @@ struct Companion {
 }
 
 impl<'a> Companions<'a> {
-    pub(super) fn of(rendezvous: &'a Rendezvous) -> Self {
-        Self { rendezvous, all: Vec::new() }
+    pub(super) fn of(rendezvous: &'a Rendezvous, hold: &'a RoleHold) -> Self {
+        Self { rendezvous, hold, all: Vec::new() }
     }
 
     /// Starts one. What it has to say goes where this process's own words go.
@@ -65,13 +67,19 @@ impl<'a> Companions<'a> {
 
     /// Waits until all have ended: by themselves after a run that came to its end, otherwise asked to.
     pub(super) fn end(&mut self, termination: &Termination) {
-        while self.rendezvous.is_finished() && self.any_is_running() && !termination.requested() {
+        let hold = self.hold;
+        let sleep = || {
+            // A long recording is no hang.
+            hold.sign();
             std::thread::sleep(POLL);
+        };
+        while self.rendezvous.is_finished() && self.any_is_running() && !termination.requested() {
+            sleep();
         }
         self.signal(Signal::TERM);
         let began = Instant::now();
         while self.any_is_running() && began.elapsed() < GRACE {
-            std::thread::sleep(POLL);
+            sleep();
         }
         self.signal(Signal::KILL);
         for companion in &mut self.all {

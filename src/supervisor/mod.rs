@@ -20,7 +20,7 @@ use crate::failure::Failure;
 use crate::node::{end_with, input_or_running};
 use crate::tables::{self, Keep};
 use crate::watch::{Progress, Watch};
-use crate::{in_process, live, recorder};
+use crate::{in_process, live, recorder, remote};
 use cleaner::Cleaner;
 use companions::Companions;
 use losses::Losses;
@@ -110,8 +110,8 @@ fn supervise(
     let (summaries, outcome) = std::thread::scope(|scope| {
         let bus = Bus::connect(&rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
-        let mut nodes = Nodes::start(&rendezvous, supervision, Cleaner::start(&rendezvous, scope))?;
-        let mut companions = Companions::of(&rendezvous);
+        let mut nodes = Nodes::start(&rendezvous, &hold, supervision, Cleaner::start(&rendezvous, scope))?;
+        let mut companions = Companions::of(&rendezvous, &hold);
         if !recording.no_record {
             companions.start("record", vec!["--record-limit".to_owned(), recording.limit.limit_mb.to_string()]);
         }
@@ -121,7 +121,7 @@ fn supervise(
         }
         let mut losses = Losses::new(description);
         let mut is_blind = false;
-        let outcome = nodes.supervise(&hold, &termination, || {
+        let outcome = nodes.supervise(&termination, || {
             // What cannot be shown is no reason to end the run.
             if let Err(error) = watch.look()
                 && !std::mem::replace(&mut is_blind, true)
@@ -131,6 +131,8 @@ fn supervise(
             losses.look(watch.newest_ticks());
             companions.look();
         });
+        // Without the note, whoever looks on takes it for a run whose nodes have died.
+        let _ = rendezvous.leave_note(remote::ENDING, "");
         nodes.end(rendezvous.is_finished());
         watch.finish();
         companions.end(&termination);

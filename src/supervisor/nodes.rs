@@ -45,6 +45,8 @@ const HALF_MADE: Duration = Duration::from_secs(1);
 /// The processes of a run.
 pub(super) struct Nodes<'a> {
     rendezvous: &'a Rendezvous,
+    /// The supervisor's, whose sign of life this gives for it.
+    hold: &'a RoleHold,
     policies: Policies,
     cleaner: Cleaner,
     nodes: Vec<Node>,
@@ -77,6 +79,7 @@ struct Running {
 impl<'a> Nodes<'a> {
     pub(super) fn start(
         rendezvous: &'a Rendezvous,
+        hold: &'a RoleHold,
         supervision: &SupervisionArgs,
         cleaner: Cleaner,
     ) -> Result<Self, Failure> {
@@ -84,7 +87,7 @@ impl<'a> Nodes<'a> {
         let roles = watch::roles(rendezvous.description().scenario.robots.len());
         let roles = roles.chain((1..=supervision.standby).map(Role::Standby));
         let nodes = roles.map(|role| Node::new(role, supervision.standby > 0)).collect();
-        let mut all = Self { rendezvous, policies, cleaner, nodes, last_death: None };
+        let mut all = Self { rendezvous, hold, policies, cleaner, nodes, last_death: None };
         for node in &mut all.nodes {
             if let Err(error) = node.start(rendezvous) {
                 all.end(false);
@@ -95,19 +98,14 @@ impl<'a> Nodes<'a> {
     }
 
     /// Watches until the run is finished, a node that is not replaced dies, or an end is asked for.
-    pub(super) fn supervise(
-        &mut self,
-        hold: &RoleHold,
-        termination: &Termination,
-        mut look: impl FnMut(),
-    ) -> anyhow::Result<()> {
+    pub(super) fn supervise(&mut self, termination: &Termination, mut look: impl FnMut()) -> anyhow::Result<()> {
         let mut looked = Instant::now();
         let mut listened = Instant::now();
         while !self.rendezvous.is_finished() {
             if termination.requested() {
                 return Err(anyhow!("ended before its last tick, as asked"));
             }
-            hold.sign();
+            self.hold.sign();
             self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
             if looked.elapsed() >= watch::LOOK {
                 look();
@@ -229,6 +227,7 @@ impl<'a> Nodes<'a> {
     fn wait_for_all(&mut self) {
         let began = Instant::now();
         while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
+            self.hold.sign();
             std::thread::sleep(Duration::from_millis(5));
         }
     }

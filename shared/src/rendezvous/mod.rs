@@ -9,6 +9,7 @@
 //! | `run` | the sealed [`RunDescription`] |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
 //! | `<role>.role` | locked by the one process in that role; see [`Roster`] |
+//! | `ending` | there once the supervisor ends the run |
 //! | `live` | port and token of the page that shows the run |
 //! | `finished` | there once the simulator has ended the run |
 //!

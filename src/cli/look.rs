@@ -1,0 +1,120 @@
+//! What looks at runs, or acts on them: `watch`, `live`, `record`, `replay`, `status`, `kill`, `restart`, `stop`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use rangehound_shared::rendezvous::{Role, RunName};
+
+use super::values::{PlannerName, number, port, speed};
+use super::{NodeArgs, RecordLimitArgs, ShowArgs};
+
+/// `watch`.
+#[derive(Debug, Args)]
+pub struct WatchArgs {
+    /// Which run
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `live`.
+#[derive(Debug, Args)]
+pub struct LiveArgs {
+    /// The run
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// Port on 127.0.0.1 [default: any that is free]
+    #[arg(long, value_name = "PORT", value_parser = port, allow_negative_numbers = true)]
+    pub port: Option<u16>,
+    /// Print the address as one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Folder of a run that is over [default: the run of --name, while it goes on]
+    #[arg(value_name = "DIR", conflicts_with = "name")]
+    pub folder: Option<PathBuf>,
+    /// The run, while it goes on
+    #[command(flatten)]
+    pub node: NodeArgs,
+    /// The file [default: run.mcap in the run folder]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// How large it may become
+    #[command(flatten)]
+    pub limit: RecordLimitArgs,
+    /// Print what has been recorded as one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// The recording: run.mcap of a run folder
+    pub file: PathBuf,
+    /// Another planner: what would it have told the robots, where they were?
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
+    pub planner: Option<String>,
+    /// Another gate, in standard deviations of an innovation
+    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
+    pub gate: Option<f64>,
+    /// Another spectral density of the target's noise, such as of its acceleration, m^2/s^3
+    #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
+    pub accel_psd: Option<f64>,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Whether it is shown, after it was compared
+    #[command(flatten)]
+    pub show: ShowArgs,
+    /// Seconds of the run in a second on the page
+    #[arg(long, value_name = "X", requires = "live", value_parser = speed, allow_negative_numbers = true, default_value_t = 1.0)]
+    pub speed: f64,
+    /// Make a whole file of one that was cut short or damaged, with all ticks up to there
+    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "live"])]
+    pub repair: bool,
+    /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
+    #[arg(long, value_name = "FILE", requires = "repair")]
+    pub out: Option<PathBuf>,
+}
+
+/// `status`.
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    /// The run
+    #[command(flatten)]
+    pub run: RemoteArgs,
+    /// Show robots one by one, however many are well
+    #[arg(long)]
+    pub all: bool,
+    /// Show it again every second, until the run ends or Ctrl-C
+    #[arg(long)]
+    pub watch: bool,
+}
+
+/// A run to act on from another terminal.
+#[derive(Debug, Args)]
+pub struct RemoteArgs {
+    /// Name of the run [default: the only one that goes on]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `kill` and `restart`.
+#[derive(Debug, Args)]
+pub struct RemoteNodeArgs {
+    /// sim, fusion or robot-N
+    pub node: Role,
+    /// The run
+    #[command(flatten)]
+    pub run: RemoteArgs,
+}

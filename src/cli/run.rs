@@ -1,0 +1,210 @@
+//! What starts runs: `run`, `track`, `resume`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use rangehound_shared::rendezvous::RunName;
+use rangehound_shared::scenario::PatienceKey;
+
+use super::ParentArgs;
+use super::values::{PerSensor, PlannerName, megabytes, number, patience, port, standbys, whole};
+use crate::pin::Pin;
+use crate::supervisor::restart::Rule;
+
+/// What is run, under which name, and where its folder is.
+#[derive(Debug, Default, Args)]
+pub struct ExperimentArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// Number of robots, all alike
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub robots: Option<u64>,
+    /// Number of time steps
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub ticks: Option<u64>,
+    /// Seed of all random numbers
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+    /// What starts the next tick: wall time, or all answers
+    #[arg(long)]
+    pub clock: Option<ClockArg>,
+    /// How headings are chosen
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
+    pub planner: Option<String>,
+    /// Least distance of the robots to the predicted target, m
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub stand_off: Option<f64>,
+    /// Silence after which lock step goes on without a robot, and a silent process is killed and started again: seconds or
+    /// "forever"
+    #[arg(long, value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
+    pub patience: Option<PatienceKey>,
+    /// Name of the run: nodes find each other by it [default: the scenario's name, numbered if taken]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Run folder: report, tables, logs [default: runs/NAME]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// What starts the next tick.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum ClockArg {
+    /// Every dt of wall time, whatever is missing
+    Realtime,
+    /// As soon as all have answered
+    Lockstep,
+}
+
+/// `run`.
+#[derive(Debug, Default, Args)]
+pub struct RunArgs {
+    /// The experiment, as a whole
+    #[command(flatten)]
+    pub experiment: ExperimentArgs,
+    /// Take all steps in this one process, without shared memory: same estimates, same digest
+    #[arg(long, conflicts_with = "live")]
+    pub in_process: bool,
+    /// Who is started, and started again
+    #[command(flatten)]
+    pub supervision: SupervisionArgs,
+    /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
+    #[arg(long)]
+    pub write_recording: bool,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
+    /// Who to end with
+    #[command(flatten)]
+    pub parent: ParentArgs,
+}
+
+/// `track`.
+#[derive(Debug, Args)]
+pub struct TrackArgs {
+    /// Recorded ranges: CSV with time_s,sensor_id,sensor_x_m,sensor_y_m,range_m
+    pub ranges: PathBuf,
+    /// Standard deviation of a range, m
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub range_std: Option<f64>,
+    /// Spectral density of the target's acceleration, m^2/s^3
+    #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
+    pub accel_psd: Option<f64>,
+    /// Bias B in `measured = (1+S) true + B`, m; SENSOR=B for one sensor, repeatable
+    #[arg(long, value_name = "[SENSOR=]B", allow_hyphen_values = true)]
+    pub range_bias: Vec<PerSensor>,
+    /// Scale error S in `measured = (1+S) true + B`; SENSOR=S for one sensor, repeatable
+    #[arg(long, value_name = "[SENSOR=]S", allow_hyphen_values = true)]
+    pub range_scale: Vec<PerSensor>,
+    /// Reject a range whose innovation is more than this many standard deviations
+    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
+    pub gate: Option<f64>,
+    /// Who is started, and started again
+    #[command(flatten)]
+    pub supervision: SupervisionArgs,
+    /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Take all steps in this one process, without shared memory
+    #[arg(long, conflicts_with = "live")]
+    pub in_process: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
+    /// Name of the run [default: after the file, numbered if taken]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Run folder: estimate.csv, report, logs [default: runs/NAME]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `resume`.
+#[derive(Debug, Args)]
+pub struct ResumeArgs {
+    /// Folder of the run
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// Name of the run [default: the scenario's]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Who is started, and started again
+    #[command(flatten)]
+    pub supervision: SupervisionArgs,
+    /// Print the report as one line of JSON, with the keys of report.json
+    #[arg(long)]
+    pub json: bool,
+    /// Whether it is recorded
+    #[command(flatten)]
+    pub recording: RecordingArgs,
+}
+
+/// What a supervisor starts, and starts again.
+#[derive(Debug, Default, Args)]
+pub struct SupervisionArgs {
+    /// Fusion processes that stand by to take over from the one that leads
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
+    pub standby: usize,
+    /// Start nodes again that have ended: always, on-failure or never; sim=POLICY, fusion=POLICY or robot=POLICY for one
+    /// kind, repeatable [default: always]
+    #[arg(long = "restart", value_name = "[KIND=]POLICY")]
+    pub rules: Vec<Rule>,
+    /// Processors for all processes of the run: none (any), one-core, or their numbers as in 0,1
+    #[arg(long, value_name = "CPUS", default_value_t)]
+    pub pin: Pin,
+    /// Who looks on
+    #[command(flatten)]
+    pub show: ShowArgs,
+}
+
+/// Whether a run is shown.
+#[derive(Debug, Default, Args)]
+pub struct ShowArgs {
+    /// Show it on a page in the browser, as `rangehound live` does; --live=PORT to choose the port
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, value_parser = port)]
+    pub live: Option<Option<u16>>,
+}
+
+/// Whether a run is recorded.
+#[derive(Debug, Default, Args)]
+pub struct RecordingArgs {
+    /// Write run.mcap to the run folder, which viewers and `rangehound replay` open: on unless --no-record is given
+    #[arg(long, overrides_with = "no_record")]
+    pub record: bool,
+    /// Do not write run.mcap
+    #[arg(long, overrides_with = "record")]
+    pub no_record: bool,
+    /// How large it may become
+    #[command(flatten)]
+    pub limit: RecordLimitArgs,
+}
+
+/// How large a recording may become.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct RecordLimitArgs {
+    /// End the recording, not the run, when it has so many megabytes
+    #[arg(long = "record-limit", value_name = "MB", value_parser = megabytes, allow_negative_numbers = true, default_value_t = RECORD_LIMIT_MB)]
+    pub limit_mb: u64,
+}
+
+impl Default for RecordLimitArgs {
+    fn default() -> Self {
+        Self { limit_mb: RECORD_LIMIT_MB }
+    }
+}
+
+impl RecordLimitArgs {
+    /// The same in bytes.
+    #[must_use]
+    pub fn bytes(self) -> u64 {
+        self.limit_mb.saturating_mul(1_000_000)
+    }
+}
+
+/// Enough for hours of the paper's experiment.
+const RECORD_LIMIT_MB: u64 = 1_000;

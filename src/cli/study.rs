@@ -1,0 +1,178 @@
+//! What measures and compares: `plan`, `compare`, `chaos`, `latency`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use rangehound_shared::rendezvous::RunName;
+
+use super::values::{PlannerName, number, standbys, whole};
+use super::{ClockArg, ExperimentArgs};
+use crate::pin::Pin;
+
+/// `plan`.
+#[derive(Debug, Default, Args)]
+pub struct PlanArgs {
+    /// Problems, one JSON object a line; - or nothing for standard input
+    pub file: Option<PathBuf>,
+    /// Planner of the lines that name none [default: certified]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
+    pub planner: Option<String>,
+    /// Node budget of the certified planner
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub nodes: Option<u64>,
+    /// Iterations of the relaxations
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub iterations: Option<u64>,
+    /// Relaxation factor of the adaptive relaxation, 0 to 1
+    #[arg(long, value_name = "A", value_parser = number, allow_negative_numbers = true)]
+    pub alpha: Option<f64>,
+    /// Step of the grid search on the bearing, rad
+    #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
+    pub step_rad: Option<f64>,
+    /// Seed of the random planner, whose headings depend on it and on the line's number
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+}
+
+/// `compare`.
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// The same scenario file, as a flag
+    #[arg(long = "scenario", value_name = "FILE", conflicts_with = "scenario")]
+    pub scenario_flag: Option<PathBuf>,
+    /// Planners to compare, separated by commas
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        value_parser = PlannerName,
+        default_value = "certified,adaptive,standard,greedy,pursue,random"
+    )]
+    pub planners: Vec<String>,
+    /// Runs of each planner; run i has the same target, noise and prior for all planners
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1_000)]
+    pub runs: u64,
+    /// Time steps of a run
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 300)]
+    pub ticks: u64,
+    /// Seed of the first run; each next run has the next seed [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+    /// Number of robots, all alike [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub robots: Option<u64>,
+    /// Least distance that robots keep to where the target is predicted, m; 0 as in the paper
+    /// [default: the scenario's]
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub stand_off: Option<f64>,
+    /// Threads to run on; no figure but the timings depends on it [default: one for each core]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub threads: Option<u64>,
+    /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
+    #[arg(long, value_name = "DIR", default_value = "runs/compare")]
+    pub out: PathBuf,
+    /// Print the figures as one line of JSON, with the keys of compare.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `latency`.
+#[derive(Debug, Args)]
+pub struct LatencyArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// Number of robots, all alike [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub robots: Option<u64>,
+    /// Time steps of each round [default: 5000 in lock step, 10 s in real time]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub ticks: Option<u64>,
+    /// What starts the next tick: wall time, or all answers [default: lockstep, realtime if a rate is given]
+    #[arg(long)]
+    pub clock: Option<ClockArg>,
+    /// Ticks a second in real time [default: the scenario's]
+    #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// How headings are chosen [default: the scenario's]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
+    pub planner: Option<String>,
+    /// Processors for all processes: none (any), one-core, or their numbers as in 0,1
+    #[arg(long, value_name = "CPUS", default_value_t)]
+    pub pin: Pin,
+    /// How often each is measured, in turns
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 5)]
+    pub rounds: u64,
+    /// Name of the runs [default: latency, numbered if taken]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
+    #[arg(long, value_name = "DIR", default_value = "runs/latency")]
+    pub out: PathBuf,
+    /// Print the figures as one line of JSON, with the keys of latency.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `chaos`.
+#[derive(Debug, Args)]
+pub struct ChaosArgs {
+    /// The experiment; in lock step, the default here, with endless patience
+    #[command(flatten)]
+    pub experiment: ExperimentArgs,
+    /// Number of faults; a run that ends before them is followed by one of the next seed
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 50)]
+    pub faults: u64,
+    /// Kinds of faults, separated by commas
+    #[arg(long, value_name = "KINDS", value_delimiter = ',', default_value = "all")]
+    pub kinds: Vec<KindArg>,
+    /// Who is hurt: sim, fusion (whoever leads), robot, standby, separated by commas
+    #[arg(long, value_name = "ROLES", value_delimiter = ',', default_value = "sim,fusion,robot")]
+    pub roles: Vec<RoleArg>,
+    /// Fusion processes that stand by in the runs
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
+    pub standby: usize,
+    /// Longest stop, s
+    #[arg(long, value_name = "SECONDS", value_parser = number, allow_negative_numbers = true, default_value_t = 0.5)]
+    pub longest_stop: f64,
+    /// Faults a second in the mean; the gaps are exponential
+    #[arg(long, value_name = "PER_S", value_parser = number, allow_negative_numbers = true, default_value_t = 10.0)]
+    pub rate: f64,
+    /// Seed of the faults
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
+    pub chaos_seed: u64,
+    /// Print the outcome as one line of JSON, with the keys of chaos.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A kind of fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum KindArg {
+    /// One node is killed
+    Kill,
+    /// One node is stopped for 10 ms up to the longest stop
+    Stop,
+    /// One node is killed, and its successors as soon as they have its role, 3 to 5 times
+    Storm,
+    /// Two or more nodes are killed at once
+    Several,
+    /// Everything is killed at once, whatever the roles, and the supervisor too; then the run is resumed
+    Blackout,
+    /// All of these; without blackout if not sim, fusion and robot are to be hurt
+    All,
+}
+
+/// A kind of node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RoleArg {
+    /// The simulator
+    Sim,
+    /// The fusion centre
+    Fusion,
+    /// Any robot
+    Robot,
+    /// Any fusion that stands by
+    Standby,
+}

@@ -1,0 +1,93 @@
+//! Values as they are written behind flags.
+
+use std::ffi::OsStr;
+
+use clap::Arg;
+use clap::builder::{PossibleValue, TypedValueParser};
+use clap::error::ErrorKind;
+use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_shared::scenario::{PLANNERS, PatienceKey};
+
+/// What each planner does, in the order of [`PLANNERS`].
+const PLANNERS_DO: [&str; PLANNERS.len()] = [
+    "The global optimum of each step, with a proof",
+    "The paper's adaptive relaxation",
+    "Standard relaxation",
+    "Exhaustive search, for up to 4 robots",
+    "Each robot by itself",
+    "Straight to the predicted target",
+    "Random headings",
+];
+
+/// Completes the names of planners, but takes any: who plans says what is wrong with it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PlannerName;
+
+impl TypedValueParser for PlannerName {
+    type Value = String;
+
+    fn parse_ref(&self, command: &clap::Command, _: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        let refused = || clap::Error::new(ErrorKind::InvalidUtf8).with_cmd(command);
+        value.to_str().map(|name| name.trim().to_owned()).ok_or_else(refused)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        let planners = PLANNERS.into_iter().zip(PLANNERS_DO);
+        Some(Box::new(planners.map(|(name, does)| PossibleValue::new(name).help(does))))
+    }
+}
+
+/// A value for all sensors, or for one: `0.1` or `105=0.1`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PerSensor {
+    /// The sensor, if not all.
+    pub sensor: Option<u64>,
+    /// The value.
+    pub value: f64,
+}
+
+impl std::str::FromStr for PerSensor {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || "expected a number or SENSOR=NUMBER".to_owned();
+        let (sensor, value) = match text.split_once('=') {
+            Some((sensor, value)) => (Some(sensor.parse().map_err(|_| expected())?), value),
+            None => (None, text),
+        };
+        Ok(Self { sensor, value: value.parse().map_err(|_| expected())? })
+    }
+}
+
+pub(super) fn whole(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| "expected a whole number from 0".to_owned())
+}
+
+pub(super) fn port(text: &str) -> Result<u16, String> {
+    text.parse().map_err(|_| "expected a port from 1 to 65535, or 0 for any that is free".to_owned())
+}
+
+pub(super) fn standbys(text: &str) -> Result<usize, String> {
+    let expected = || format!("expected a whole number from 0 to {STANDBYS_MAX}");
+    text.parse().ok().filter(|count| *count <= STANDBYS_MAX).ok_or_else(expected)
+}
+
+pub(super) fn number(text: &str) -> Result<f64, String> {
+    text.parse().map_err(|_| "expected a number".to_owned())
+}
+
+pub(super) fn megabytes(text: &str) -> Result<u64, String> {
+    text.parse().ok().filter(|megabytes| *megabytes > 0).ok_or_else(|| "expected a whole number from 1".to_owned())
+}
+
+pub(super) fn speed(text: &str) -> Result<f64, String> {
+    let speed = text.parse().ok().filter(|speed| (1e-3..=1e6).contains(speed));
+    speed.ok_or_else(|| "expected a number from 0.001 to 1e6".to_owned())
+}
+
+pub(super) fn patience(text: &str) -> Result<PatienceKey, String> {
+    Ok(match text.parse() {
+        Ok(seconds) => PatienceKey::Seconds(seconds),
+        Err(_) => PatienceKey::Word(text.to_owned()),
+    })
+}
