@@ -198,10 +198,7 @@ pub(crate) fn from_here(path: &Path) -> &Path {
 pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<()> {
     let curves = Curves::read(description, truth)?;
     picture::draw(&curves, &description.out_dir)?;
-    page::write(report, &curves, &description.out_dir).inspect_err(|_| {
-        // Half a page is none.
-        let _ = std::fs::remove_file(description.out_dir.join(page::FILE_NAME));
-    })
+    page::write(report, &curves, &description.out_dir)
 }
 
 /// Makes a folder for results, unless it is there.

@@ -13,6 +13,7 @@ use crate::percentiles::{self, Point};
 use crate::pin::Pin;
 use crate::report::LatencySummary;
 use crate::terminal::{TITLE, wrapped};
+use crate::whole_file;
 
 /// File name of the figures in the output folder.
 pub(super) const FILE_NAME: &str = "latency.json";
@@ -222,9 +223,7 @@ impl Outcome {
     /// # Errors
     /// If the file cannot be written.
     pub(super) fn write(&self, folder: &Path) -> anyhow::Result<()> {
-        let path = folder.join(FILE_NAME);
-        std::fs::write(&path, serde_json::to_string_pretty(self)? + "\n")
-            .map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+        whole_file::write(&folder.join(FILE_NAME), serde_json::to_string_pretty(self)? + "\n")
     }
 }
 

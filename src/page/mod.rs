@@ -13,6 +13,7 @@ use std::path::Path;
 
 use crate::curves::Curves;
 use crate::report::Report;
+use crate::whole_file;
 
 /// Width of all pictures, px: labels can be read on a phone.
 const WIDTH: u32 = 1_000;
@@ -38,8 +39,7 @@ struct Section {
 /// # Errors
 /// If a picture cannot be drawn, or the file not be written.
 pub fn write(report: &Report, curves: &Curves, out_dir: &Path) -> anyhow::Result<()> {
-    let path = out_dir.join(FILE_NAME);
-    std::fs::write(&path, page(report, curves)?).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    whole_file::write(&out_dir.join(FILE_NAME), page(report, curves)?)
 }
 
 fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
