@@ -31,7 +31,7 @@
 //! | [`run_mcap`], [`recorder`] | a run in one file that viewers open, and who writes it while the run goes on |
 //! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
-//! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`chart`], [`field`], [`ellipse`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`shell`] | completions and manual pages |
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |
@@ -41,6 +41,7 @@ pub mod chart;
 pub mod cli;
 pub mod compare;
 pub mod curves;
+pub mod ellipse;
 pub mod experiment;
 pub mod failure;
 pub mod field;
