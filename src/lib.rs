@@ -32,6 +32,7 @@
 //! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`ellipse`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`least_trace`] | how well the target can be known at the next tick, whatever the headings |
 //! | [`shell`] | completions and manual pages |
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |
@@ -49,6 +50,7 @@ pub mod frame;
 pub mod hops;
 pub mod in_process;
 pub mod latency;
+pub mod least_trace;
 pub mod live;
 pub mod node;
 pub mod over_time;
