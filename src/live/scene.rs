@@ -133,6 +133,18 @@ impl Scene {
 
     /// Takes one tick in; the last of them is what is shown.
     pub(super) fn add(&mut self, frame: Frame) {
+        self.latencies.add(&frame);
+        self.count(frame);
+    }
+
+    /// Takes in one of the ticks that were before anybody looked.
+    pub(super) fn recall(&mut self, frame: Frame) {
+        self.latencies.recall(&frame);
+        self.leave_trail(Places::of(&frame));
+        self.count(frame);
+    }
+
+    fn count(&mut self, frame: Frame) {
         let estimate = &frame.estimate.estimate;
         let Tally { ticks, fused, rejected, late, missing } = &mut self.tally;
         // What a damaged log holds may be any number.
@@ -145,7 +157,6 @@ impl Scene {
         ] {
             *sum = sum.saturating_add(count);
         }
-        self.latencies.add(&frame);
         self.history.add(&frame, &self.scenario);
         self.newest = Some(frame);
     }
