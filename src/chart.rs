@@ -1,11 +1,10 @@
-//! What all pictures are drawn with: colours, labels, legends, lines and ellipses.
+//! What all pictures are drawn with: colours, labels, legends and lines.
 //!
 //! The SVG backend rounds to whole pixels, so pictures are large and their labels with them.
 
 use std::ops::Range;
 use std::path::Path;
 
-use nalgebra::{Matrix2, Vector2};
 use plotters::coord::Shift;
 use plotters::coord::cartesian::Cartesian2d;
 use plotters::coord::ranged1d::ValueFormatter;
@@ -175,19 +174,6 @@ pub fn log_limits(values: impl IntoIterator<Item = f64>) -> Range<f64> {
 pub fn robot_colour(id: usize) -> RGBColor {
     // All but the last, which is the estimate's.
     COLOURS[id % (COLOURS.len() - 1)]
-}
-
-/// The outline of an ellipse of so many standard deviations.
-#[must_use]
-pub fn ellipse(centre: &Vector2<f64>, covariance: &Matrix2<f64>, sigmas: f64) -> Vec<(f64, f64)> {
-    let eigen = covariance.symmetric_eigen();
-    let axes = eigen.eigenvalues.map(|variance| sigmas * variance.max(0.0).sqrt());
-    let point = |k: i32| {
-        let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 48.0).sin_cos();
-        let point = centre + eigen.eigenvectors * Vector2::new(axes.x * cos, axes.y * sin);
-        (point.x, point.y)
-    };
-    (0..=48).map(point).collect()
 }
 
 /// A number without the noise of its last digits; powers of ten where it is small or large.

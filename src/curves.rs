@@ -10,6 +10,7 @@ use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 use crate::field::Paths;
+use crate::least_trace::least_next_trace_m2;
 use crate::report::{Truth, position_covariance};
 
 /// Points of a curve: more would not be seen.
@@ -32,6 +33,8 @@ pub struct Curves {
     pub times_s: Vec<f64>,
     /// Who was where.
     pub paths: Paths,
+    /// The least that the trace could have been, where that is proven: time and trace, s and m^2.
+    pub least_traces_m2: Vec<(f64, f64)>,
     /// All ticks, added up.
     pub stretches: Vec<Stretch>,
     /// When ticks were over, monotonic ns, and their times, s.
@@ -97,14 +100,15 @@ impl Curves {
         truth: Option<&Truth>,
     ) -> anyhow::Result<()> {
         let RunDescription { run_id, scenario, out_dir } = description;
-        let Self { ticks, times_s, paths, stretches, .. } = self;
+        let Self { ticks, times_s, paths, least_traces_m2, stretches, .. } = self;
+        let state_dim = scenario.motion.state_dim();
         let mut estimates = EstimateRecord::reader(out_dir, *run_id, scenario)?;
         while let Some(record) = estimates.next() {
             let (tick, words) = record?;
             if tick == 0 {
                 continue;
             }
-            let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, scenario.motion.state_dim());
+            let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
             if stretches.last().is_none_or(|last| tick - last.first_tick >= thinning.stretch) {
                 stretches.push(Stretch { first_tick: tick, time_s, ..Stretch::default() });
             }
@@ -117,6 +121,10 @@ impl Curves {
                 paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
                 paths.covariances_m2.push(position_covariance(&estimate));
                 paths.truths_m.push(truth.and_then(|truth| truth.at(time_s)));
+                let exchanges = EstimateRecord::exchanges(words, state_dim);
+                let least_m2 = least_next_trace_m2(scenario, tick, &estimate, exchanges);
+                let least_m2 = least_m2.filter(|least_m2| *least_m2 <= DRAWABLE_MAX);
+                least_traces_m2.extend(least_m2.map(|least_m2| (time_s + scenario.dt_s, least_m2)));
             }
         }
         Ok(())

@@ -6,9 +6,13 @@ use nalgebra::{Matrix2, Vector2};
 use plotters::prelude::*;
 
 use crate::chart::{self, Area, Drawn, ESTIMATE, KeyEntry, Plane, TARGET};
+use crate::ellipse::Ellipse;
 
 /// Covariance ellipses along the track.
 const ELLIPSES: usize = 16;
+
+/// Corners of one.
+const ELLIPSE_STEPS: u32 = 48;
 
 /// Teams up to this size have each robot in the legend.
 const FEW_ROBOTS: usize = 10;
@@ -149,7 +153,8 @@ impl Paths {
     fn draw_ellipses(&self, chart: &mut Plane<'_, '_>, square: Square) -> Drawn {
         let every = self.estimates_m.len().div_ceil(ELLIPSES).max(1);
         for (centre, covariance) in self.estimates_m.iter().zip(&self.covariances_m2).step_by(every) {
-            for piece in square.pieces(chart::ellipse(centre, covariance, 3.0)) {
+            let outline_m = Ellipse::new(*centre, covariance, 3.0).outline_m(ELLIPSE_STEPS);
+            for piece in square.pieces(outline_m.map(|p| (p.x, p.y))) {
                 chart.draw_series(std::iter::once(PathElement::new(piece, ESTIMATE.mix(0.5).stroke_width(2))))?;
             }
         }

@@ -31,7 +31,8 @@
 //! | [`run_mcap`], [`recorder`] | a run in one file that viewers open, and who writes it while the run goes on |
 //! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
-//! | [`chart`], [`field`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`chart`], [`field`], [`ellipse`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`least_trace`] | how well the target can be known at the next tick, whatever the headings |
 //! | [`shell`] | completions and manual pages |
 //! | [`whole_file`] | files that are there as a whole or not at all |
 //! | [`failure`] | exit codes |
@@ -42,6 +43,7 @@ pub mod chart;
 pub mod cli;
 pub mod compare;
 pub mod curves;
+pub mod ellipse;
 pub mod experiment;
 pub mod failure;
 pub mod field;
@@ -49,6 +51,7 @@ pub mod frame;
 pub mod hops;
 pub mod in_process;
 pub mod latency;
+pub mod least_trace;
 pub mod live;
 pub mod node;
 pub mod over_time;

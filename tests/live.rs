@@ -289,9 +289,10 @@ fn crowds_garbage_and_viewers_that_do_not_read_do_no_harm() {
 }
 
 #[test]
-fn a_page_that_is_killed_comes_back_where_it_was() {
+fn a_page_that_is_killed_comes_back_where_it_was_with_all_that_was_before() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);
+    run.wait_for_ticks(25);
     let first = server_of(&supervisor).unwrap();
     signal(first, Signal::KILL);
     run.wait_until("the page is there again", || {
@@ -299,6 +300,13 @@ fn a_page_that_is_killed_comes_back_where_it_was() {
             && server_of(&supervisor).is_some_and(|server| server != first)
             && page.get("/?token=").status == 200
     });
+    // All that was before is in counts, curves and trails.
+    Events::open(&page).until("picture", |picture| {
+        let ticks = picture["tally"]["ticks"].as_u64().unwrap();
+        let points = picture["history"]["points"].as_array().unwrap();
+        ticks >= 20 && points.len() >= 20 && points[0][0] == 1
+    });
+    Events::open(&page).until("trails", |trails| trails.as_array().unwrap().len() >= 20);
     end(&run, supervisor);
 }
 

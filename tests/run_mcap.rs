@@ -173,15 +173,31 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
     assert_eq!((changed.code, told["verdict"].as_str()), (Some(0), Some("changed")));
     let rejected = |side: &str| told["comparison"][side]["rejected"].as_u64().unwrap();
     assert!(rejected("replayed") > rejected("recorded"), "{told}");
+    let psds = ["recorded", "replayed"].map(|side| told["comparison"][side]["noise_psd"].as_f64());
+    assert_eq!(psds, [Some(0.05), Some(0.5)]);
+    // Nobody plans for sensors of a recording.
+    assert_eq!(told["comparison"]["replayed"]["lower_bound_mean"], Value::Null);
     let refused = replay(&run, "out/run.mcap --planner greedy");
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
 
     let run = Run::new();
     run.lockstep("--record --in-process --ticks 300").finish().succeeded();
     replayed(&run, "out/run.mcap");
-    let changed = replay(&run, "out/run.mcap --planner greedy");
-    assert_eq!(changed.code, Some(0), "{changed:#?}");
-    assert!(changed.stdout.contains("headings apart") && changed.stdout.lines().all(|line| line.len() <= 80));
+    // Of these planners only the certified one proves a bound.
+    for (words, bound_is_told, psd) in
+        [("--planner greedy", false, "10"), ("--planner certified --accel-psd 0.125", true, "0.125")]
+    {
+        let changed = replay(&run, &format!("out/run.mcap {words}"));
+        assert_eq!(changed.code, Some(0), "{changed:#?}");
+        assert!(changed.stdout.contains("headings apart") && changed.stdout.lines().all(|line| line.len() <= 80));
+        let row = |name: &str| -> Vec<&str> {
+            let row = changed.stdout.lines().find(|line| line.contains(name)).unwrap();
+            row.split_whitespace().rev().take(2).collect()
+        };
+        let [replayed, recorded] = row("its bound")[..] else { panic!("{changed:#?}") };
+        assert_eq!((recorded, replayed != "-"), ("-", bound_is_told), "{changed:#?}");
+        assert_eq!(row("noise psd, m^2/s^3"), [psd, "10"], "{changed:#?}");
+    }
     // What is recorded of the logs after the run is the same.
     let first = std::fs::read(run.path("out/run.mcap")).unwrap();
     let told = run.start(&["record", "out", "--out", "again.mcap", "--json"]).finish().succeeded().stdout;

@@ -8,7 +8,7 @@ use rangehound_shared::signal::Termination;
 use super::LOOK;
 use super::scene::Scene;
 use super::server::Server;
-use crate::frame::Frames;
+use crate::frame::{Frame, Frames};
 use crate::remote::Status;
 use crate::watch;
 
@@ -19,8 +19,11 @@ const NODES_PER_ROBOT: Duration = Duration::from_millis(5);
 /// Robots in all ticks of one look: where there are more, some ticks are left out.
 const ROBOTS_PER_LOOK_MAX: u64 = 1_000;
 
-/// Ticks of the first look, at what was before.
-const TICKS_OF_PAST: u64 = 500;
+/// The same for the first look, at what was before: some tenths of a second.
+const ROBOTS_OF_PAST_MAX: u64 = 200_000;
+
+/// Ticks that are taken in at once; between them viewers are answered.
+const TICKS_AT_ONCE: usize = 256;
 
 /// A run without a single process for this long has ended, whatever it says.
 const DESERTED: Duration = Duration::from_secs(3);
@@ -77,19 +80,26 @@ impl Reader {
         }
         let newest = self.frames.as_ref().and_then(|frames| frames.newest_tick().ok()?);
         let (Some(frames), Some(newest)) = (&mut self.frames, newest) else { return };
-        let robots = run.description().scenario.robots.len() as u64;
-        let most = self.next.map_or(TICKS_OF_PAST, |_| (ROBOTS_PER_LOOK_MAX / robots.max(1)).max(5));
-        let mut new = Vec::new();
+        let robots = (run.description().scenario.robots.len() as u64).max(1);
+        let is_first = self.next.is_none();
+        let most = if is_first { ROBOTS_OF_PAST_MAX / robots } else { (ROBOTS_PER_LOOK_MAX / robots).max(5) };
+        let take = |scene: &mut Scene, new: &mut Vec<Frame>| {
+            new.drain(..).for_each(|frame| if is_first { scene.recall(frame) } else { scene.add(frame) });
+        };
+        let (mut new, mut is_new) = (Vec::new(), false);
         for tick in spread(self.next.unwrap_or(0), newest, most) {
             // One that cannot be read now is left out, as others are that nobody has put down.
             if let Ok(Some(frame)) = frames.at(tick) {
                 new.push(frame);
+                is_new = true;
+            }
+            if new.len() >= TICKS_AT_ONCE {
+                server.keep(|scene| take(scene, &mut new));
             }
         }
         self.next = Some(newest + 1);
-        let is_new = !new.is_empty();
         let look = |scene: &mut Scene| {
-            new.into_iter().for_each(|frame| scene.add(frame));
+            take(scene, &mut new);
             scene.looked(Instant::now());
         };
         if is_new { server.update(look) } else { server.keep(look) }

@@ -1,10 +1,12 @@
 //! What the page's curves show: the whole run in a bounded number of points.
 
+use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 use serde::ser::SerializeTuple;
 
 use crate::compare::statistics::{Interval, chi_square_mean_bounds};
 use crate::frame::Frame;
+use crate::least_trace::least_next_trace_m2;
 use crate::report::position_covariance;
 
 /// Points at which neighbours are put together: more would not be seen.
@@ -26,6 +28,8 @@ struct Point {
     /// Of the newest tick; NaN where no truth is known.
     error_m: f64,
     trace_m2: f64,
+    /// The least trace that headings could lead to at the tick after this one; NaN where none is proven.
+    least_next_m2: f64,
     /// Normalised innovations squared, added up, and how many there are.
     nis: f64,
     fused: u64,
@@ -56,12 +60,12 @@ impl Default for History {
 }
 
 impl History {
-    pub(super) fn add(&mut self, frame: &Frame) {
+    pub(super) fn add(&mut self, frame: &Frame, scenario: &Scenario) {
         // Before the first range there is nothing to compare.
         if frame.tick == 0 {
             return;
         }
-        let point = Point::of(frame);
+        let point = Point::of(frame, scenario);
         match self.points.last_mut() {
             Some(last) if last.tick / self.stride == point.tick / self.stride => last.add(&point),
             _ => self.points.push(point),
@@ -97,8 +101,8 @@ impl History {
 }
 
 impl Point {
-    fn of(frame: &Frame) -> Self {
-        let Frame { tick, estimate: record, world, .. } = frame;
+    fn of(frame: &Frame, scenario: &Scenario) -> Self {
+        let Frame { tick, estimate: record, world, exchanges } = frame;
         let estimate = &record.estimate;
         let error_m = match *world.truth.as_slice() {
             [x_m, y_m, ..] => (estimate.state[0] - x_m).hypot(estimate.state[1] - y_m),
@@ -112,6 +116,8 @@ impl Point {
             time_s: record.time_s,
             error_m,
             trace_m2: position_covariance(estimate).trace(),
+            least_next_m2: least_next_trace_m2(scenario, *tick, estimate, exchanges.iter().copied())
+                .unwrap_or(f64::NAN),
             nis: estimate.nis,
             fused: estimate.fused,
             latency_us: us(latencies_ns.get(latencies_ns.len() / 2)),
@@ -130,16 +136,16 @@ impl Point {
 
 impl Serialize for Point {
     /// An array, as there are many: tick, s, error m, trace m^2, NIS for each range with its 95 % bounds, latency us of the
-    /// middle robot and of the slowest. `null` is what is not known.
+    /// middle robot and of the slowest, least trace of the next tick m^2. `null` is what is not known.
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Self { tick, time_s, error_m, trace_m2, nis, fused, latency_us, latency_max_us } = *self;
+        let Self { tick, time_s, error_m, trace_m2, least_next_m2, nis, fused, latency_us, latency_max_us } = *self;
         let (nis, Interval { low, high }) = match usize::try_from(fused) {
             Ok(fused @ 1..) => (nis / fused as f64, chi_square_mean_bounds(1, fused)),
             _ => (f64::NAN, Interval { low: f64::NAN, high: f64::NAN }),
         };
-        let mut point = serializer.serialize_tuple(9)?;
+        let mut point = serializer.serialize_tuple(10)?;
         point.serialize_element(&tick)?;
-        for value in [time_s, error_m, trace_m2, nis, low, high, latency_us, latency_max_us] {
+        for value in [time_s, error_m, trace_m2, nis, low, high, latency_us, latency_max_us, least_next_m2] {
             point.serialize_element(&short(value))?;
         }
         point.end()
@@ -155,10 +161,17 @@ fn short(value: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use rangehound_shared::message::Estimate;
     use rangehound_shared::record::{EstimateRecord, WorldRecord};
+    use rangehound_shared::scenario::ScenarioFile;
 
     use super::*;
+
+    fn scenario() -> Scenario {
+        Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap()
+    }
 
     fn frame(tick: u64) -> Frame {
         let estimate = Estimate { state_dim: 4, nis: 2.0, fused: 2, ..Estimate::default() };
@@ -168,9 +181,9 @@ mod tests {
 
     #[test]
     fn a_run_of_any_length_has_few_points_and_loses_no_tick() {
-        let mut history = History::default();
+        let (mut history, scenario) = (History::default(), scenario());
         for tick in 1..=100_000 {
-            history.add(&frame(tick));
+            history.add(&frame(tick), &scenario);
             assert!(history.points.len() < POINTS_MAX);
         }
         assert!(history.points.len() >= POINTS_MAX / 2 - 1 && history.points.is_sorted_by_key(|point| point.tick));
@@ -180,16 +193,17 @@ mod tests {
 
     #[test]
     fn ticks_that_lie_far_apart_are_few_points_too() {
-        let mut history = History::default();
-        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000)));
+        let (mut history, scenario) = (History::default(), scenario());
+        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000), &scenario));
         assert!(history.points.len() < POINTS_MAX);
     }
 
     #[test]
     fn who_follows_has_the_same_points_as_who_comes_late() {
         let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
+        let scenario = scenario();
         for tick in 1..=3_000 {
-            history.add(&frame(tick));
+            history.add(&frame(tick), &scenario);
             // Now and then one look is missed.
             if tick % 7 != 0 {
                 let News { from, points: new, .. } = history.news(&mut known);

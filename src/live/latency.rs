@@ -64,6 +64,14 @@ impl Latencies {
         }
     }
 
+    /// Adds a tick of before anybody looked, which is not of the last seconds.
+    pub(super) fn recall(&mut self, frame: &Frame) {
+        let Some(Histograms { all, .. }) = &mut self.histograms else { return };
+        for latency_ns in frame.world.robots.iter().filter_map(|robot| robot.latency_ns()) {
+            let _ = all.record(latency_ns);
+        }
+    }
+
     pub(super) fn summary(&self) -> Latency {
         let Some(Histograms { all, before, now, .. }) = &self.histograms else { return Latency::default() };
         let mut recent = before.clone();

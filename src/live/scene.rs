@@ -28,6 +28,7 @@ const RATE_SPAN: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(super) struct Scene {
     about: Value,
+    scenario: Scenario,
     trail_max: usize,
     newest: Option<Frame>,
     trails: VecDeque<Places>,
@@ -109,6 +110,7 @@ impl Scene {
             "planner": scenario.planner.name(),
             "robots": robots,
             "ticks": scenario.ticks,
+            "dt_s": scenario.dt_s,
             "trail_max": trail_max,
             // All but the estimate's, in the order of robots' ids: the report page has the same.
             "robot_colours": (0..COLOURS.len() - 1).map(|id| hex(chart::robot_colour(id))).collect::<Vec<_>>(),
@@ -116,6 +118,7 @@ impl Scene {
         });
         Self {
             about,
+            scenario: scenario.clone(),
             trail_max,
             newest: None,
             trails: VecDeque::new(),
@@ -130,6 +133,18 @@ impl Scene {
 
     /// Takes one tick in; the last of them is what is shown.
     pub(super) fn add(&mut self, frame: Frame) {
+        self.latencies.add(&frame);
+        self.count(frame);
+    }
+
+    /// Takes in one of the ticks that were before anybody looked.
+    pub(super) fn recall(&mut self, frame: Frame) {
+        self.latencies.recall(&frame);
+        self.leave_trail(Places::of(&frame));
+        self.count(frame);
+    }
+
+    fn count(&mut self, frame: Frame) {
         let estimate = &frame.estimate.estimate;
         let Tally { ticks, fused, rejected, late, missing } = &mut self.tally;
         // What a damaged log holds may be any number.
@@ -142,23 +157,26 @@ impl Scene {
         ] {
             *sum = sum.saturating_add(count);
         }
-        self.latencies.add(&frame);
-        self.history.add(&frame);
+        self.history.add(&frame, &self.scenario);
         self.newest = Some(frame);
     }
 
     /// To be called after each look, whether or not there were new ticks: keeps trails and the rate of ticks.
     pub(super) fn looked(&mut self, now: Instant) {
-        let Some(frame) = &self.newest else { return };
-        if self.trails.back().is_none_or(|last| last.tick != frame.tick) {
-            self.trails.push_back(Places::of(frame));
+        let Some(places) = self.newest.as_ref().map(Places::of) else { return };
+        self.rate.push_back((now, places.tick));
+        self.leave_trail(places);
+        while self.rate.len() > 2 && self.rate.get(1).is_some_and(|(at, _)| now.duration_since(*at) > RATE_SPAN) {
+            self.rate.pop_front();
+        }
+    }
+
+    fn leave_trail(&mut self, places: Places) {
+        if self.trails.back().is_none_or(|last| last.tick != places.tick) {
+            self.trails.push_back(places);
         }
         while self.trails.len() > self.trail_max {
             self.trails.pop_front();
-        }
-        self.rate.push_back((now, frame.tick));
-        while self.rate.len() > 2 && self.rate.get(1).is_some_and(|(at, _)| now.duration_since(*at) > RATE_SPAN) {
-            self.rate.pop_front();
         }
     }
 

@@ -65,7 +65,7 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
     let mut text = "Nodes that ended before the run did, at the time of the tick that went on.".to_owned();
     if !troubles.is_empty() {
         let totals: Vec<String> = totals.collect();
-        write!(text, " Summed over the ticks: {}; the darker, the more of the team.", totals.join(", "))?;
+        write!(text, " Summed over the ticks: {}; the stronger the grey, the more of the team.", totals.join(", "))?;
     }
     if let Some(more) = nodes.len().checked_sub(NODES_MAX).filter(|more| *more > 0) {
         write!(text, " {more} nodes more failed too.")?;

@@ -102,10 +102,27 @@ fn limit(mut extents: Vec<f64>) -> f64 {
 }
 
 fn trace(curves: &Curves) -> anyhow::Result<Section> {
-    let line = Line { name: None, style: ESTIMATE.stroke_width(3), points: curves.traces_m2().collect() };
-    let chart = OverTime { label: "trace, m²".to_owned(), lines: vec![line], ..OverTime::default() };
+    // The bound on the tick after the last is of nothing.
+    let end_s = curves.span_s().end;
+    let least_m2: Vec<(f64, f64)> =
+        curves.least_traces_m2.iter().copied().filter(|(time_s, _)| *time_s <= end_s).collect();
+    let is_proven = !least_m2.is_empty();
+    let name = |name: &str| is_proven.then(|| name.to_owned());
+    let trace = Line { name: name("trace"), style: ESTIMATE.stroke_width(3), points: curves.traces_m2().collect() };
+    // Thin and on top: mostly the trace lies on it.
+    let least =
+        is_proven.then(|| Line { name: name("least by any headings"), style: BLACK.stroke_width(1), points: least_m2 });
+    let lines = [trace].into_iter().chain(least).collect();
+    let chart = OverTime { label: "trace, m²".to_owned(), lines, ..OverTime::default() };
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw_log(area, curves.span_s()))?;
-    Ok(section("Trace", "Trace of the position covariance: what the planner minimises.", picture))
+    let mut text = "Trace of the position covariance: what the planner minimises.".to_owned();
+    if is_proven {
+        text.push_str(
+            " The thin line is the planner's proven bound: the least that any headings at the tick before could have led to, \
+             with all ranges fused.",
+        );
+    }
+    Ok(section("Trace", text, picture))
 }
 
 /// Innovations against what the filter believes of them; `None` if no range was fused.

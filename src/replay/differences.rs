@@ -4,11 +4,15 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector2;
 use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
 use crate::frame::Frame;
 use crate::report::{Report, Tally};
+
+/// Characters of a setting: a space is left between the columns.
+const SETTING_LEN_MAX: usize = 11;
 
 /// Adds up both sides tick by tick.
 pub(super) struct Differences {
@@ -72,6 +76,9 @@ pub(super) struct Comparison {
     pub(super) position_apart_mean_m: Option<f64>,
     /// At the most.
     pub(super) position_apart_max_m: f64,
+    /// Of the spectral densities.
+    #[serde(skip)]
+    psd_unit: &'static str,
 }
 
 /// One side's figures, as the report has them.
@@ -79,6 +86,8 @@ pub(super) struct Comparison {
 pub(super) struct Figures {
     pub(super) planner: String,
     pub(super) gate_sigma: Option<f64>,
+    /// As in the scenario; none of a model that is matrices.
+    pub(super) noise_psd: Option<f64>,
     pub(super) position_rmse_m: Option<f64>,
     pub(super) anees: Option<f64>,
     pub(super) nis_mean: Option<f64>,
@@ -87,6 +96,7 @@ pub(super) struct Figures {
     pub(super) fused: u64,
     pub(super) rejected: u64,
     pub(super) objective_mean: Option<f64>,
+    /// None of a planner that proves nothing.
     pub(super) lower_bound_mean: Option<f64>,
 }
 
@@ -128,6 +138,11 @@ impl Differences {
             heading_apart_max_rad: self.headings_apart.max,
             position_apart_mean_m: self.positions_apart.mean.value(),
             position_apart_max_m: self.positions_apart.max,
+            psd_unit: match recorded.motion {
+                MotionModel::IntegratorChain { order: 1, .. } => "m^2/s",
+                MotionModel::IntegratorChain { order: 3, .. } => "m^2/s^5",
+                MotionModel::IntegratorChain { .. } | MotionModel::Custom { .. } => "m^2/s^3",
+            },
         }
     }
 }
@@ -140,6 +155,10 @@ impl Side {
         Figures {
             planner,
             gate_sigma: scenario.gate_sigma,
+            noise_psd: match scenario.motion {
+                MotionModel::IntegratorChain { noise_psd, .. } => Some(noise_psd),
+                MotionModel::Custom { .. } => None,
+            },
             position_rmse_m,
             anees,
             nis_mean,
@@ -157,9 +176,12 @@ impl std::fmt::Display for Comparison {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (was, would_be) = (&self.recorded, &self.replayed);
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.4}"));
+        let noise = format!("noise psd, {}", self.psd_unit);
         let rows = [
+            // What may have been changed comes first.
             ("planner", was.planner.clone(), would_be.planner.clone()),
-            ("gate, sigma", number(was.gate_sigma), number(would_be.gate_sigma)),
+            ("gate, sigma", setting(was.gate_sigma), setting(would_be.gate_sigma)),
+            (&noise, setting(was.noise_psd), setting(would_be.noise_psd)),
             ("position error, m RMS", number(was.position_rmse_m), number(would_be.position_rmse_m)),
             ("ANEES", number(was.anees), number(would_be.anees)),
             ("NIS", number(was.nis_mean), number(would_be.nis_mean)),
@@ -194,4 +216,11 @@ impl std::fmt::Display for Comparison {
         }
         Ok(())
     }
+}
+
+/// A number as somebody has written it, as far as there is room.
+fn setting(value: Option<f64>) -> String {
+    let Some(value) = value else { return "-".to_owned() };
+    let text = value.to_string();
+    if text.len() <= SETTING_LEN_MAX { text } else { format!("{value:.3e}") }
 }

@@ -2,12 +2,14 @@
 //!
 //! | module | what |
 //! |---|---|
+//! | [`messages`] | the typed messages of the six topics |
 //! | [`topics`] | what travelled, message by message, from and to a [`Frame`](crate::frame::Frame) |
 //! | [`scene`] | the same as people see it, in the well-known messages of Foxglove |
 //! | [`write`](mod@write), [`file`](mod@file) | frames into a file |
 //! | [`read`] | frames out of a file, which may be damaged or somebody else's |
 
 pub mod file;
+pub mod messages;
 pub mod read;
 pub mod scene;
 pub mod topics;

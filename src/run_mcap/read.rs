@@ -9,7 +9,8 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::sealed::SealError;
 
-use super::topics::{Gathering, OnTopic, Senseless, TOPICS};
+use super::messages::{OnTopic, TOPICS};
+use super::topics::{Gathering, Senseless};
 use super::{DESCRIPTION, PROFILE, SCENARIO};
 use crate::frame::Frame;
 

@@ -10,11 +10,12 @@ use foxglove::messages::{
     ArrowPrimitive, Color, Duration, LinePrimitive, PackedElementField, Point3, PointCloud, Pose, PosesInFrame,
     Quaternion, SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, Vector3,
 };
-use nalgebra::{Matrix2, SymmetricEigen};
+use nalgebra::Vector2;
 use plotters::style::RGBColor;
 use rangehound_shared::scenario::Scenario;
 
 use crate::chart::{ESTIMATE, TARGET, robot_colour};
+use crate::ellipse::Ellipse;
 use crate::frame::Frame;
 use crate::report::position_covariance;
 
@@ -33,7 +34,7 @@ const CIRCLE_POINTS_MAX: usize = 36;
 const CIRCLE_POINTS_MIN: usize = 12;
 
 /// Points of the ellipse in the point cloud.
-const ELLIPSE_POINTS: usize = 32;
+const ELLIPSE_POINTS: u32 = 32;
 
 /// Size of a thing, as a share of the longest range at the beginning.
 const SIZE_SHARE: f64 = 0.03;
@@ -86,7 +87,7 @@ impl Scene {
             });
         }
         entities.push(SceneEntity {
-            spheres: vec![ball(estimate_of(frame), 0.8 * size_m, opaque(ESTIMATE)), ellipse(frame)],
+            spheres: vec![ball(estimate_of(frame), 0.8 * size_m, opaque(ESTIMATE)), ellipsoid(frame)],
             ..entity("estimate".to_owned(), 0)
         });
         let (mut arrows, mut circles) = (Vec::new(), Vec::new());
@@ -138,15 +139,8 @@ pub fn target_cloud(frame: &Frame, time_ns: u64) -> Option<PointCloud> {
 /// The estimate, and round it where its ellipse runs.
 #[must_use]
 pub fn estimate_cloud(frame: &Frame, time_ns: u64) -> PointCloud {
-    let [x_m, y_m] = estimate_of(frame);
-    let ([a_m, b_m], angle_rad) = axes(frame);
-    let (sin, cos) = angle_rad.sin_cos();
-    let round = (0..ELLIPSE_POINTS).map(|point| {
-        let (up, along) = (TAU * point as f64 / ELLIPSE_POINTS as f64).sin_cos();
-        let (along_m, up_m) = (a_m * along, b_m * up);
-        [x_m + along_m * cos - up_m * sin, y_m + along_m * sin + up_m * cos]
-    });
-    cloud(std::iter::once([x_m, y_m]).chain(round), time_ns)
+    let round = ellipse_of(frame).outline_m(ELLIPSE_POINTS).skip(1);
+    cloud(std::iter::once(estimate_of(frame)).chain(round.map(Into::into)), time_ns)
 }
 
 fn cloud(places: impl IntoIterator<Item = [f64; 2]>, time_ns: u64) -> PointCloud {
@@ -180,15 +174,8 @@ fn estimate_of(frame: &Frame) -> [f64; 2] {
     [x_m, y_m]
 }
 
-/// Half the lengths of the ellipse's axes, m, and how the first is turned.
-fn axes(frame: &Frame) -> ([f64; 2], f64) {
-    let covariance: Matrix2<f64> = position_covariance(&frame.estimate.estimate);
-    if !covariance.iter().all(|value| value.is_finite()) {
-        return ([0.0; 2], 0.0);
-    }
-    let SymmetricEigen { eigenvalues, eigenvectors } = covariance.symmetric_eigen();
-    let half_m = |value: f64| SIGMAS * value.max(0.0).sqrt();
-    ([half_m(eigenvalues[0]), half_m(eigenvalues[1])], eigenvectors[(1, 0)].atan2(eigenvectors[(0, 0)]))
+fn ellipse_of(frame: &Frame) -> Ellipse {
+    Ellipse::new(Vector2::from(estimate_of(frame)), &position_covariance(&frame.estimate.estimate), SIGMAS)
 }
 
 fn opaque(colour: RGBColor) -> Color {
@@ -220,11 +207,12 @@ fn ball(place_m: [f64; 2], size_m: f64, of: Color) -> SpherePrimitive {
 }
 
 /// The covariance as a flat ellipsoid.
-fn ellipse(frame: &Frame) -> SpherePrimitive {
-    let ([a_m, b_m], angle_rad) = axes(frame);
+fn ellipsoid(frame: &Frame) -> SpherePrimitive {
+    let ellipse = ellipse_of(frame);
+    let [a_m, b_m] = ellipse.half_m();
     let size = Some(Vector3 { x: rounded(2.0 * a_m), y: rounded(2.0 * b_m), z: 0.01 });
     SpherePrimitive {
-        pose: Some(pose(estimate_of(frame), angle_rad)),
+        pose: Some(pose(estimate_of(frame), ellipse.angle_rad())),
         size,
         color: Some(with_opacity(ESTIMATE, ELLIPSE_OPACITY)),
     }

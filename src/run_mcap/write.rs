@@ -14,8 +14,9 @@ use mcap::{Attachment, Compression, McapError, WriteOptions};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::{protocol, sealed};
 
+use super::messages::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode};
 use super::scene::{self, Scene};
-use super::topics::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode, messages_of};
+use super::topics::messages_of;
 use super::{DESCRIPTION, PROFILE, SCENARIO};
 use crate::frame::Frame;
 

@@ -35,7 +35,7 @@ pub use problem::{Problem, TeamMember};
 pub use vector::Vector;
 
 /// The headings of one step and what they are worth.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// Doubled bearing of each robot to the predicted target after the step, `exp(2j theta_i)`.
     pub directions: Vec<Vector>,
@@ -45,7 +45,7 @@ pub struct Plan {
     pub speeds_mps: Vec<f64>,
     /// `|S|` that these directions reach, 1/m^2.
     pub objective: f64,
-    /// No directions in the arcs reach less than this; 0 from planners that prove nothing.
+    /// No directions in the arcs reach less than this; minus infinity from planners that prove nothing.
     pub lower_bound: f64,
     /// Trace of the position covariance after the next ranges, m^2.
     pub position_trace_m2: f64,
@@ -102,6 +102,22 @@ pub fn for_team(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn P
     })
 }
 
+impl Default for Plan {
+    /// Nothing chosen, nothing proven.
+    fn default() -> Self {
+        Self {
+            directions: Vec::new(),
+            headings_rad: Vec::new(),
+            speeds_mps: Vec::new(),
+            objective: 0.0,
+            lower_bound: f64::NEG_INFINITY,
+            position_trace_m2: 0.0,
+            least_information: 0.0,
+            least_information_bound: f64::INFINITY,
+        }
+    }
+}
+
 impl Plan {
     /// Derives headings, speeds and worth from [`Self::directions`] (Eq. 16).
     pub fn complete(&mut self, problem: &Problem) {
@@ -121,7 +137,7 @@ impl Plan {
         self.objective = sum.norm();
         self.least_information = problem.least_information(&self.directions, sum);
         self.position_trace_m2 = trace_m2(self.least_information, self.objective);
-        (self.lower_bound, self.least_information_bound) = (0.0, f64::INFINITY);
+        (self.lower_bound, self.least_information_bound) = (f64::NEG_INFINITY, f64::INFINITY);
     }
 
     /// Takes note that no directions reach less than `lower_bound`.
@@ -204,6 +220,7 @@ mod tests {
                 let plan = solve(spec, &problem);
                 prop_assert_eq!(plan.headings_rad.len(), robots.len());
                 prop_assert!(plan.objective.is_finite() && plan.position_trace_m2 > 0.0);
+                prop_assert_eq!(plan.lower_bound.is_finite(), spec.name() == "certified");
                 for (i, heading) in plan.headings_rad.iter().enumerate() {
                     prop_assert!(heading.is_finite());
                     let sight_m = problem.reaches[i].to_target_m

@@ -4,11 +4,14 @@ import { axisNumber, metres, micros, number } from "./figures.js";
 import { niceStep } from "./view.js";
 
 // Places in a point, as the server's history.rs writes it.
-const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX] = [1, 2, 3, 4, 5, 6, 7, 8];
+const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX, LEAST_NEXT] = [1, 2, 3, 4, 5, 6, 7, 8, 9];
+
+const BAND_OPACITY = 0.18;
 
 const sigma = (times) => (point) => (point[TRACE] == null ? null : times * Math.sqrt(Math.max(point[TRACE], 0)));
 
-// What is drawn: a band between two curves, and lines, by name and colour. `of` tells the newest value.
+// What is drawn: a band between two curves, and lines, by name and colour, some of them of a later time than their point.
+// `of` tells the newest value.
 function allCharts(about) {
   const ink = "--ink";
   const estimate = about.estimate_colour;
@@ -21,19 +24,25 @@ function allCharts(about) {
     },
     {
       name: "Position trace", unit: "m²", isLog: true,
-      lines: [{ value: (p) => p[TRACE], colour: estimate }],
+      // The planner's bound is on the tick after; mostly the trace lies on it.
+      lines: [
+        { value: (p) => p[TRACE], colour: estimate, name: "trace", width: 2.5 },
+        { value: (p) => p[LEAST_NEXT], after_s: about.dt_s, colour: ink, name: "least that headings can reach", width: 1 },
+      ],
       of: (p) => `${number(p[TRACE])} m²`,
     },
     {
       name: "NIS", unit: "", isLog: false,
       band: { low: (p) => p[NIS_LOW], high: (p) => p[NIS_HIGH], colour: "--quiet", name: "95 %" },
-      lines: [{ value: () => 1, colour: "--quiet", width: 1 }, { value: (p) => p[NIS], colour: about.robot_colours[0] }],
+      lines: [{ value: () => 1, colour: "--quiet", width: 1 }, { value: (p) => p[NIS], colour: about.robot_colours[0], name: "NIS" }],
       of: (p) => `${number(p[NIS])} for each range, 1 is ideal`,
     },
-    // Of the team's middle robot and of its slowest.
     {
       name: "Range to heading", unit: "µs", isLog: true,
-      lines: [{ value: (p) => p[LATENCY_MAX], colour: about.robot_colours[5], width: 1 }, { value: (p) => p[LATENCY], colour: about.robot_colours[0] }],
+      lines: [
+        { value: (p) => p[LATENCY_MAX], colour: about.robot_colours[5], name: "slowest robot", width: 1 },
+        { value: (p) => p[LATENCY], colour: about.robot_colours[0], name: "middle robot" },
+      ],
       of: (p) => `${micros(p[LATENCY])} to ${micros(p[LATENCY_MAX])}`,
     },
   ];
@@ -51,10 +60,13 @@ export class Charts {
     this.place.replaceChildren();
     this.charts = allCharts(about).map((chart) => {
       const figure = document.createElement("figure");
-      figure.innerHTML = `<figcaption><b></b><span></span></figcaption><canvas role="img"></canvas>`;
+      figure.innerHTML = `<figcaption><b></b><ul></ul><span></span></figcaption><canvas role="img"></canvas>`;
       figure.querySelector("b").textContent = chart.name;
+      const key = [...chart.lines, ...(chart.band ? [{ ...chart.band, value: chart.band.high, width: 8 }] : [])].filter((entry) => entry.name);
+      for (const entry of key) entry.item = keyItem(entry);
+      figure.querySelector("ul").append(...key.map((entry) => entry.item));
       this.place.append(figure);
-      return { ...chart, now: figure.querySelector("span"), canvas: figure.querySelector("canvas") };
+      return { ...chart, key, now: figure.querySelector("span"), canvas: figure.querySelector("canvas") };
     });
   }
 
@@ -70,10 +82,22 @@ export class Charts {
     for (const chart of this.charts) {
       const text = chart.of(newest);
       chart.now.textContent = text;
+      // What nobody knows has no entry.
+      for (const { item, value } of chart.key) item.hidden = !this.points.some((point) => value(point) != null);
       chart.canvas.setAttribute("aria-label", `${chart.name} over time: ${text}`);
       drawChart(chart, this.points);
     }
   }
+}
+
+// A name beside its line, or beside a piece of its band.
+function keyItem({ name, colour, width = 1.75, high }) {
+  const item = document.createElement("li");
+  const line = document.createElement("i");
+  const known = colour.startsWith("--") ? `var(${colour})` : colour;
+  Object.assign(line.style, { borderTopWidth: `${width}px`, borderTopColor: known, opacity: high ? BAND_OPACITY : 1 });
+  item.append(line, name);
+  return item;
 }
 
 function drawChart({ canvas, band, lines, isLog, unit }, points) {
@@ -93,7 +117,7 @@ function drawChart({ canvas, band, lines, isLog, unit }, points) {
   context.clip();
   if (band) {
     const inside = points.filter((point) => band.high(point) != null);
-    context.globalAlpha = 0.18;
+    context.globalAlpha = BAND_OPACITY;
     context.fillStyle = colour(band.colour);
     context.beginPath();
     for (const point of inside) context.lineTo(x(point[TIME]), y(band.high(point)));
@@ -111,7 +135,7 @@ function drawChart({ canvas, band, lines, isLog, unit }, points) {
       const value = line.value(point);
       // A gap is a gap.
       if (value == null) { isOn = false; continue; }
-      context[isOn ? "lineTo" : "moveTo"](x(point[TIME]), y(value));
+      context[isOn ? "lineTo" : "moveTo"](x(point[TIME] + (line.after_s ?? 0)), y(value));
       isOn = true;
     }
     context.stroke();
