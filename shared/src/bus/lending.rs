@@ -1,6 +1,6 @@
 //! The iceoryx2 service of all topics: `ipc`, but that a message lent to be filled in takes nothing from the heap.
 //!
-//! iceoryx2 0.10 keeps a state of 40 bytes for each message that a publisher lends, from the loan until it is sent, and puts it on
+//! iceoryx2 0.10 keeps a state of 32 bytes for each message that a publisher lends, from the loan until it is sent, and puts it on
 //! the heap as it does the port's own (`ArcThreadSafetyPolicy`). [`Pooled`] is that policy for one thread, with blocks that are used again. What
 //! lies in shared memory is the same as with `ipc`, so processes of either kind are on one bus.
 //!
@@ -133,7 +133,7 @@ impl<T: Debug> Debug for Pooled<T> {
 
 impl<T: Abandonable> Abandonable for Pooled<T> {
     unsafe fn abandon_in_place(mut this: NonNull<Self>) {
-        // SAFETY: the caller has it alone, and does not use it again.
+        // SAFETY: by the trait it is whole and not used again; that nobody has it at the same time is what every policy counts on.
         unsafe {
             let this = this.as_mut();
             if this.owned().owners.get() == 1 {
