@@ -192,7 +192,11 @@ impl<'a> Recorder<'a> {
                     progress.show(self.next, "");
                 }
                 if termination.requested() && asked.get_or_insert_with(Instant::now).elapsed() > CATCH_UP {
-                    log::warn!("the recording ends as asked: tick {} and later are not in it", self.next);
+                    log::warn!(
+                        "asked to end before all of the run is recorded: tick {} and later are not in the file; `rangehound record {}` makes a whole one",
+                        self.next,
+                        tables::from_here(&self.description.out_dir).display()
+                    );
                     break;
                 }
             }

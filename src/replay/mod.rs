@@ -218,11 +218,12 @@ impl std::fmt::Display for Outcome {
         match (&self.comparison, &self.first_difference) {
             (Some(comparison), _) => write!(f, "{comparison}"),
             (None, None) => {
-                writeln!(
-                    f,
-                    "  estimates        bit-identical: state, covariance, digest, and what the robots were told"
-                )?;
-                writeln!(f, "  digest           {digest}")
+                writeln!(f, "  estimates        bit-identical: state, covariance, digest and headings")?;
+                writeln!(f, "  digest           {digest}")?;
+                if ticks < ticks_of_run {
+                    writeln!(f, "                   (a run that was ended early may report that of a tick more)")?;
+                }
+                Ok(())
             }
             (None, Some(Difference { tick, what, recorded, replayed })) => {
                 let apart = replayed - recorded;
