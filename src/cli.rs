@@ -117,7 +117,10 @@ pub fn one_line(error: &clap::Error) -> String {
         }
         ErrorKind::InvalidValue => "one",
         ErrorKind::InvalidSubcommand => "a command",
-        ErrorKind::MissingRequiredArgument => "all of them",
+        ErrorKind::MissingRequiredArgument => {
+            let missing = said.rsplit_once("provided: ").map_or(said, |(_, missing)| missing);
+            return format!("expected {missing} too, as in --help");
+        }
         _ => "arguments",
     };
     format!("{said}: expected {expected} as in --help")
