@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::Vector2;
+use rangehound_fusion::LATE_TICKS_MAX;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{EstimateRecord, Heading, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
@@ -53,7 +54,7 @@ pub struct Stretch {
     pub nis: f64,
     /// Ranges fused in time: degrees of freedom of the NIS.
     pub fused: u64,
-    /// Robots not heard, or too late.
+    /// Robots not heard, or too late to be used.
     pub missing: u64,
     /// Ranges that came after their tick.
     pub late: u64,
@@ -114,6 +115,13 @@ impl Curves {
             }
             if let Some(stretch) = stretches.last_mut() {
                 stretch.add(&estimate);
+            }
+            // What came late was not missing after all, though it was when its own tick was told of: here or just before.
+            let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
+            for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
+                let found = came.min(stretch.missing);
+                stretch.missing -= found;
+                came -= found;
             }
             if thinning.keeps(tick) {
                 ticks.push(tick);

@@ -205,7 +205,7 @@ fn a_viewer_sees_the_run_to_its_last_tick_and_is_told_of_its_end() {
         }
     }
     assert!(abouts == 1 && ticks.is_sorted() && ticks.last() == Some(&20_000), "{ticks:?}");
-    assert_eq!(ended, Some(Value::from("The run has ended.")));
+    assert_eq!(ended, Some(Value::from("finished")));
     assert_eq!(points.last().unwrap()[0], 20_000);
     supervisor.finish().succeeded();
     // Whoever looks on, not a bit of any estimate changes.
@@ -394,11 +394,20 @@ fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     browser.press_enter();
     run.wait_until("robot-2 goes on", || state(stopped) != 'T');
 
-    for (width_px, height_px) in [(375, 800), (1280, 800)] {
+    for (width_px, height_px) in [(375, 800), (800, 800), (1024, 800), (1150, 800), (1200, 800), (1280, 800)] {
         browser.resize(width_px, height_px);
         browser.wait_for(&format!("innerWidth == {width_px}"));
         let width = browser.evaluate("document.documentElement.scrollWidth");
         assert!(width.as_u64() <= Some(width_px), "{width} px wide at {width_px}");
+        // After a kill there are two pids in a row; a longer button is as if it said `continue`.
+        let overflow = "(() => {
+            document.querySelector('tr[data-node=robot-1] button.stop').textContent = 'continue';
+            const panel = document.getElementById('processes').getBoundingClientRect().right;
+            const ends = [...document.querySelectorAll('td button')].map((button) => button.getBoundingClientRect().right);
+            return Math.max(...ends) - panel;
+        })()";
+        let over_px = browser.evaluate(overflow);
+        assert!(over_px.as_f64() < Some(0.0), "buttons end {over_px} px beyond their panel at {width_px}");
         let unnamed = "[...document.querySelectorAll('button:not([hidden]), canvas')]\
                        .filter((element) => !element.ariaLabel && !element.textContent.trim()).length";
         assert_eq!(browser.evaluate(unnamed), 0);
@@ -410,6 +419,11 @@ fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     browser.wait_for("Number(document.documentElement.dataset.pictures) >= 2");
     end(&run, supervisor);
     browser.wait_for("document.getElementById('connection').dataset.state == 'ended'");
+    assert_eq!(browser.evaluate("document.getElementById('connection').textContent"), "ended early");
+    let states =
+        "[...new Set([...document.querySelectorAll('tbody .state')].map((state) => state.textContent))].join()";
+    assert_eq!(browser.evaluate(states), "ended");
+    assert_eq!(browser.evaluate("document.querySelectorAll('td button:not([hidden])').length"), 0);
     assert_ne!(browser.evaluate("document.querySelector('#figures dd').textContent"), "");
     browser.close();
 }

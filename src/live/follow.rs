@@ -2,14 +2,18 @@
 
 use std::time::{Duration, Instant};
 
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_shared::message::Estimate;
+use rangehound_shared::record::EstimateRecord;
+use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
 use rangehound_shared::signal::Termination;
+use rangehound_shared::tick_log::{TickLogError, TickLogReader};
+use serde_json::Value;
 
 use super::LOOK;
 use super::scene::Scene;
 use super::server::Server;
 use crate::frame::{Frame, Frames};
-use crate::remote::Status;
+use crate::remote::{ENDING, Status};
 use crate::watch;
 
 /// How often the processes are looked at, and how much rarer for each robot.
@@ -28,46 +32,115 @@ const TICKS_AT_ONCE: usize = 256;
 /// A run without a single process for this long has ended, whatever it says.
 const DESERTED: Duration = Duration::from_secs(3);
 
+/// Whom a terminal interrupts together with the page says within this time that the run ends.
+const INTERRUPTED: Duration = Duration::from_millis(500);
+const INTERRUPTED_POLL: Duration = Duration::from_millis(10);
+
 /// Shows the run until its end; says how that came.
 pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Termination) -> &'static str {
     let scenario = &run.description().scenario;
     let robots = u32::try_from(scenario.robots.len()).unwrap_or(u32::MAX);
     let nodes_every = NODES + NODES_PER_ROBOT * robots;
-    let mut reader = Reader { frames: None, next: None };
+    let mut reader = Reader { logs: None, next: None };
     let (mut nodes_at, mut inhabited, mut has_been_inhabited) = (None, Instant::now(), false);
     loop {
         // Asked before the look: what was there at the end is in it.
         let is_finished = run.is_finished();
-        if is_finished {
+        let is_asked = !is_finished && termination.requested();
+        let is_over = is_finished || is_asked && is_ending(run);
+        if is_over {
             watch::wait_for_last_words(run);
         }
-        if is_finished || nodes_at.is_none_or(|at: Instant| at.elapsed() >= nodes_every) {
+        if is_over || nodes_at.is_none_or(|at: Instant| at.elapsed() >= nodes_every) {
             nodes_at = Some(Instant::now());
             let status = Status::of(run);
             if status.has_processes() {
                 (inhabited, has_been_inhabited) = (Instant::now(), true);
             }
-            if let Ok(status) = serde_json::to_value(&status) {
+            if let Ok(mut status) = serde_json::to_value(&status) {
+                if is_over {
+                    mark_as_ended(&mut status);
+                }
                 server.update(|scene| scene.set_nodes(status));
             }
         }
         reader.look(run, server);
+        let is_deserted = has_been_inhabited && inhabited.elapsed() >= DESERTED;
+        if is_over || is_deserted {
+            reader.finish(server);
+        }
         if is_finished {
-            return "The run has ended.";
+            return "finished";
         }
-        if termination.requested() {
-            return "The run was ended before its last tick, or the page was.";
+        if is_over {
+            return "ended early";
         }
-        if has_been_inhabited && inhabited.elapsed() >= DESERTED {
-            return "All processes of the run are gone.";
+        if is_asked {
+            return "the page was ended, the run may go on";
+        }
+        if is_deserted {
+            if let Ok(mut status) = serde_json::to_value(Status::of(run)) {
+                mark_as_ended(&mut status);
+                server.update(|scene| scene.set_nodes(status));
+            }
+            return "ended early: all processes are gone";
         }
         std::thread::sleep(LOOK);
     }
 }
 
+/// True if the run ends before its last tick; false if only the page is asked to end.
+fn is_ending(run: &Rendezvous) -> bool {
+    let asked = Instant::now();
+    loop {
+        if run.note(ENDING).is_some() {
+            return true;
+        }
+        // Of a run by hand nobody says it.
+        if !run.roster().is_held(Role::Supervisor) || asked.elapsed() >= INTERRUPTED {
+            return false;
+        }
+        std::thread::sleep(INTERRUPTED_POLL);
+    }
+}
+
+/// What was running a moment ago has nothing to do any more, and is not looked at again.
+fn mark_as_ended(status: &mut Value) {
+    for node in status.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
+        let Some(node) = node.as_object_mut() else { continue };
+        node.insert("state".to_owned(), "ended".into());
+        for of_process in ["pid", "silent_s", "resident_kb"] {
+            node.insert(of_process.to_owned(), Value::Null);
+        }
+    }
+}
+
+/// The logs of a run; fusion's a second time, as its ranges count where the simulator has put nothing down too.
+struct Logs {
+    frames: Frames,
+    estimates: TickLogReader,
+    state_dim: usize,
+}
+
+impl Logs {
+    fn open(description: &RunDescription) -> Result<Self, TickLogError> {
+        let RunDescription { run_id, scenario, out_dir } = description;
+        Ok(Self {
+            frames: Frames::open(description)?,
+            estimates: EstimateRecord::reader(out_dir, *run_id, scenario)?,
+            state_dim: scenario.motion.state_dim(),
+        })
+    }
+
+    fn estimate(&mut self, tick: u64) -> Option<Estimate> {
+        let words = self.estimates.at(tick).ok()??;
+        Some(EstimateRecord::from_words(words, self.state_dim).estimate)
+    }
+}
+
 /// Reads the frames that have come since the look before.
 struct Reader {
-    frames: Option<Frames>,
+    logs: Option<Logs>,
     /// The first tick that was not looked at; `None` before the first look.
     next: Option<u64>,
 }
@@ -75,11 +148,12 @@ struct Reader {
 impl Reader {
     fn look(&mut self, run: &Rendezvous, server: &Server) {
         // The logs come with the nodes.
-        if self.frames.is_none() {
-            self.frames = Frames::open(run.description()).ok();
+        if self.logs.is_none() {
+            self.logs = Logs::open(run.description()).ok();
         }
-        let newest = self.frames.as_ref().and_then(|frames| frames.newest_tick().ok()?);
-        let (Some(frames), Some(newest)) = (&mut self.frames, newest) else { return };
+        let newest = self.logs.as_ref().and_then(|logs| logs.frames.newest_tick().ok()?);
+        let (Some(logs), Some(newest)) = (&mut self.logs, newest) else { return };
+        count_anew(logs, server);
         let robots = (run.description().scenario.robots.len() as u64).max(1);
         let is_first = self.next.is_none();
         let most = if is_first { ROBOTS_OF_PAST_MAX / robots } else { (ROBOTS_PER_LOOK_MAX / robots).max(5) };
@@ -89,9 +163,14 @@ impl Reader {
         let (mut new, mut is_new) = (Vec::new(), false);
         for tick in spread(self.next.unwrap_or(0), newest, most) {
             // One that cannot be read now is left out, as others are that nobody has put down.
-            if let Ok(Some(frame)) = frames.at(tick) {
+            if let Ok(Some(frame)) = logs.frames.at(tick) {
                 new.push(frame);
                 is_new = true;
+            } else if let Some(estimate) = logs.estimate(tick) {
+                server.keep(|scene| {
+                    take(scene, &mut new);
+                    scene.count_ranges(tick, &estimate);
+                });
             }
             if new.len() >= TICKS_AT_ONCE {
                 server.keep(|scene| take(scene, &mut new));
@@ -104,6 +183,27 @@ impl Reader {
         };
         if is_new { server.update(look) } else { server.keep(look) }
     }
+
+    /// Counts what fusion has put down last, of which the simulator has nothing.
+    fn finish(&mut self, server: &Server) {
+        let (Some(logs), Some(next)) = (&mut self.logs, self.next) else { return };
+        count_anew(logs, server);
+        let newest = logs.estimates.newest_tick().ok().flatten();
+        for tick in newest.into_iter().flat_map(|newest| spread(next, newest, ROBOTS_PER_LOOK_MAX)) {
+            if let Some(estimate) = logs.estimate(tick) {
+                server.keep(|scene| scene.count_ranges(tick, &estimate));
+            }
+        }
+    }
+}
+
+/// Reads again what may have been put down anew since.
+fn count_anew(logs: &mut Logs, server: &Server) {
+    let mut unsettled = Vec::new();
+    server.keep(|scene| unsettled = scene.unsettled());
+    let again: Vec<(u64, Estimate)> =
+        unsettled.into_iter().filter_map(|tick| Some((tick, logs.estimate(tick)?))).collect();
+    server.keep(|scene| again.iter().for_each(|(tick, estimate)| scene.count_ranges(*tick, estimate)));
 }
 
 /// The ticks of a look, at the most so many: evenly spread, and the newest among them.

@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
+use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_shared::message::Estimate;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
@@ -20,6 +22,9 @@ const TRAIL_PLACES_MAX: usize = 8_000;
 
 /// Places of one trail.
 const TRAIL_MAX: usize = 240;
+
+/// Ticks that fusion may still put down anew: it comes back from a kill at the tick that it had saved.
+const UNSETTLED_TICKS: usize = LATE_TICKS_MAX + 1;
 
 /// The rate of ticks is measured over this time.
 const RATE_SPAN: Duration = Duration::from_secs(2);
@@ -57,14 +62,26 @@ struct Places {
     robots_m: Vec<[f64; 2]>,
 }
 
-/// What became of the ranges of all ticks that were looked at.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
-struct Tally {
+/// What became of the ranges of all ticks that were looked at, as the report counts them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+struct Counts {
     ticks: u64,
+    /// In time or late.
     fused: u64,
     rejected: u64,
     late: u64,
+    /// What nobody heard at its tick.
     missing: u64,
+    /// Of those, what came late and was used all the same.
+    #[serde(skip)]
+    came: u64,
+}
+
+/// Counts of which the newest can be taken back: of a tick that is read again, what was read last counts.
+#[derive(Debug, Default)]
+struct Tally {
+    settled: Counts,
+    recent: VecDeque<(u64, Counts)>,
 }
 
 /// The newest tick, and what has changed with it.
@@ -77,7 +94,7 @@ struct Picture<'a> {
     estimate_m: [f64; 2],
     covariance_m2: [f64; 3],
     robots: Vec<Robot>,
-    tally: Tally,
+    tally: Counts,
     latency: Latency,
     history: News<'a>,
 }
@@ -145,20 +162,19 @@ impl Scene {
     }
 
     fn count(&mut self, frame: Frame) {
-        let estimate = &frame.estimate.estimate;
-        let Tally { ticks, fused, rejected, late, missing } = &mut self.tally;
-        // What a damaged log holds may be any number.
-        for (sum, count) in [
-            (ticks, 1),
-            (fused, estimate.fused.saturating_add(estimate.fused_late)),
-            (rejected, estimate.rejected.saturating_add(estimate.rejected_late)),
-            (late, estimate.late),
-            (missing, estimate.missing),
-        ] {
-            *sum = sum.saturating_add(count);
-        }
+        self.count_ranges(frame.tick, &frame.estimate.estimate);
         self.history.add(&frame, &self.scenario);
         self.newest = Some(frame);
+    }
+
+    /// Counts a tick's ranges, or counts them anew.
+    pub(super) fn count_ranges(&mut self, tick: u64, estimate: &Estimate) {
+        self.tally.count(tick, Counts::of(estimate));
+    }
+
+    /// The ticks that are worth another look.
+    pub(super) fn unsettled(&self) -> Vec<u64> {
+        self.tally.recent.iter().map(|(tick, _)| *tick).collect()
     }
 
     /// To be called after each look, whether or not there were new ticks: keeps trails and the rate of ticks.
@@ -239,7 +255,7 @@ impl Scene {
                     }
                 })
                 .collect(),
-            tally: self.tally,
+            tally: self.tally.counts(),
             latency: self.latencies.summary(),
             history: self.history.news(known),
         }
@@ -250,6 +266,57 @@ impl Scene {
         let span_s = last.0.duration_since(first.0).as_secs_f64();
         // Of less the number would jump.
         (span_s >= 0.5).then(|| last.1.saturating_sub(first.1) as f64 / span_s)
+    }
+}
+
+impl Counts {
+    fn of(estimate: &Estimate) -> Self {
+        let Estimate { fused, fused_late, rejected, rejected_late, late, missing, .. } = *estimate;
+        // What a damaged log holds may be any number.
+        Self {
+            ticks: 1,
+            fused: fused.saturating_add(fused_late),
+            rejected: rejected.saturating_add(rejected_late),
+            late,
+            missing,
+            came: fused_late.saturating_add(rejected_late),
+        }
+    }
+
+    fn add(&mut self, more: &Self) {
+        let Self { ticks, fused, rejected, late, missing, came } = self;
+        for (sum, count) in [
+            (ticks, more.ticks),
+            (fused, more.fused),
+            (rejected, more.rejected),
+            (late, more.late),
+            (missing, more.missing),
+            (came, more.came),
+        ] {
+            *sum = sum.saturating_add(count);
+        }
+    }
+}
+
+impl Tally {
+    fn count(&mut self, tick: u64, counts: Counts) {
+        if let Some((_, before)) = self.recent.iter_mut().find(|(at, _)| *at == tick) {
+            *before = counts;
+            return;
+        }
+        self.recent.push_back((tick, counts));
+        if self.recent.len() > UNSETTLED_TICKS
+            && let Some((_, oldest)) = self.recent.pop_front()
+        {
+            self.settled.add(&oldest);
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        let mut counts = self.settled;
+        self.recent.iter().for_each(|(_, recent)| counts.add(recent));
+        // What came late was not missing after all.
+        Counts { missing: counts.missing.saturating_sub(counts.came), came: 0, ..counts }
     }
 }
 
@@ -290,7 +357,6 @@ fn hex(colour: plotters::style::RGBColor) -> String {
 /// A tick in which nothing is known but the team.
 #[cfg(test)]
 pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
-    use rangehound_shared::message::Estimate;
     use rangehound_shared::record::{EstimateRecord, Exchange, RobotRecord, WorldRecord};
 
     let estimate = Estimate { state_dim: scenario.motion.state_dim() as u64, ..Estimate::default() };
@@ -341,6 +407,21 @@ mod tests {
         // The last point may have grown.
         assert_eq!(told[0].1["history"]["from"], 8);
         assert_eq!(told[0].1["history"]["points"].as_array().unwrap().len(), 2);
+    }
+
+    #[test]
+    fn what_came_late_was_not_missing_and_a_tick_read_again_counts_once() {
+        let mut tally = Tally::default();
+        let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
+        tally.count(1, Counts::of(&tick(3, 0)));
+        // Put down anew after a kill.
+        tally.count(1, Counts::of(&tick(1, 2)));
+        tally.count(2, Counts::of(&Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }));
+        let expected = Counts { ticks: 2, fused: 5, rejected: 1, late: 3, missing: 0, came: 0 };
+        assert_eq!(tally.counts(), expected);
+        (3..=100).for_each(|at| tally.count(at, Counts::of(&tick(3, 0))));
+        assert_eq!(tally.counts(), Counts { ticks: 100, fused: 5 + 98 * 3, ..expected });
+        assert_eq!(tally.recent.len(), UNSETTLED_TICKS);
     }
 
     #[test]

@@ -32,7 +32,7 @@ export class Processes {
     this.nodes = status.nodes;
     this.hasSupervisor = status.nodes.some((node) => node.name === SUPERVISOR && node.pid != null);
     const standbys = status.standbys ? `, ${status.standbys} standing by` : "";
-    this.leads.textContent = status.leader == null ? "nobody leads" : `fusion leads as ${status.leader}${standbys}`;
+    this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? "nobody leads" : `fusion leads as ${status.leader}${standbys}`;
     const names = new Set(this.nodes.map((node) => node.name));
     for (const [name, row] of this.rows) {
       if (!names.has(name)) {
@@ -46,7 +46,7 @@ export class Processes {
 
   // Robots that are not there as they should be: name and state.
   down() {
-    return new Map(this.nodes.filter((node) => node.state !== "running").map((node) => [node.name, node.state]));
+    return new Map(this.nodes.filter((node) => !isWell(node.state)).map((node) => [node.name, node.state]));
   }
 
   end() {
@@ -58,7 +58,7 @@ export class Processes {
     if (!this.rows.has(node.name)) this.rows.set(node.name, this.makeRow(node));
     const row = this.rows.get(node.name);
     const isNew = node.pid != null && row.pid != null && node.pid !== row.pid;
-    const isWorse = row.state === "running" && node.state !== "running";
+    const isWorse = row.state === "running" && !isWell(node.state);
     if (isNew) {
       row.was = row.pid;
       this.say(`${node.name} is back: process ${node.pid}, start ${node.starts}`);
@@ -67,14 +67,17 @@ export class Processes {
     row.pid = node.pid ?? row.pid;
     row.state = node.state;
     const isSupervisor = node.name === SUPERVISOR;
-    row.cells.state.textContent = isSupervisor && node.pid == null ? "none" : node.state;
-    row.cells.state.dataset.state = isSupervisor && node.pid == null ? "none" : node.state;
-    row.cells.pid.replaceChildren(...(row.was == null ? [] : [was(row.was), " "]), node.pid ?? "–");
+    const hasEnded = node.state === "ended";
+    const isNone = isSupervisor && node.pid == null && !(hasEnded && row.pid != null);
+    row.cells.state.textContent = row.cells.state.dataset.state = isNone ? "none" : node.state;
+    row.element.classList.toggle("over", hasEnded);
+    const before = row.was == null || hasEnded ? [] : [was(row.was), " "];
+    row.cells.pid.replaceChildren(...before, node.pid ?? "–");
     row.cells.starts.textContent = node.starts;
     row.cells.silent.textContent = node.silent_s == null ? "–" : `${node.silent_s.toFixed(node.silent_s < 10 ? 2 : 0)} s`;
     row.cells.memory.textContent = node.resident_kb == null ? "–" : `${(node.resident_kb / 1024).toFixed(1)} MB`;
     const { kill, stop, restart } = row.buttons;
-    const isThere = node.pid != null && node.state !== "gone" && !isSupervisor && !this.isEnded;
+    const isThere = node.pid != null && node.state !== "gone" && !hasEnded && !isSupervisor && !this.isEnded;
     kill.hidden = stop.hidden = !isThere;
     restart.hidden = !isThere || !this.hasSupervisor;
     const action = node.state === "stopped" ? "continue" : "stop";
@@ -116,7 +119,7 @@ export class Processes {
 
   // Not running first, then in the order of the team; a large team is folded.
   order() {
-    const rank = (node) => (node.state === "running" || (node.name === SUPERVISOR && node.pid == null) ? 1 : 0);
+    const rank = (node) => (isWell(node.state) || (node.name === SUPERVISOR && node.pid == null) ? 1 : 0);
     const isLarge = this.nodes.length > FEW;
     const sorted = isLarge ? this.nodes.toSorted((a, b) => rank(a) - rank(b)) : this.nodes;
     const shown = isLarge && !this.isOpen ? sorted.slice(0, FEW - 2) : sorted;
@@ -144,6 +147,9 @@ export class Processes {
     this.said.classList.toggle("bad", isBad);
   }
 }
+
+// As it should be: at work, or done.
+const isWell = (state) => state === "running" || state === "ended";
 
 function label(button, action, node) {
   if (button.dataset.action === action) return;

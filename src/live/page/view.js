@@ -73,22 +73,31 @@ export class View {
       const count = Math.min(60, Math.floor((pixels * scale) / step) + 1);
       return Array.from({ length: count }, (_, index) => (first + index) * step);
     };
+    const labels = [];
     context.beginPath();
     for (const x_m of lines(x, width)) {
       const px = Math.round(width / 2 + (x_m - x) / scale) + 0.5;
       context.moveTo(px, 0);
       context.lineTo(px, height);
-      context.fillText(x_m.toFixed(digits), px + 3, height - 4);
+      labels.push([x_m.toFixed(digits), px + 3, height - 4]);
     }
     for (const y_m of lines(y, height)) {
       const py = Math.round(height / 2 - (y_m - y) / scale) + 0.5;
       context.moveTo(0, py);
       context.lineTo(width, py);
       // Not into the corner, where the unit is.
-      if (py > 24 && py < height - 16) context.fillText(y_m.toFixed(digits), 3, py - 3);
+      if (py > 24 && py < height - 16) labels.push([y_m.toFixed(digits), 3, py - 3]);
     }
     context.stroke();
-    context.fillText("m", 3, 12);
+    labels.push(["m", 3, 12]);
+    // On a rim of the ground's colour: no line strikes through them.
+    context.strokeStyle = colour("--card");
+    context.lineWidth = 4;
+    context.lineJoin = "round";
+    for (const label of labels) {
+      context.strokeText(...label);
+      context.fillText(...label);
+    }
   }
 
   // Wheel, mouse and keys look closer or elsewhere. Fingers move the page, as they do everywhere.
