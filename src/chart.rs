@@ -7,7 +7,7 @@ use std::path::Path;
 
 use plotters::coord::Shift;
 use plotters::coord::cartesian::Cartesian2d;
-use plotters::coord::ranged1d::ValueFormatter;
+use plotters::coord::ranged1d::{AsRangedCoord, BoldPoints, DefaultFormatting, KeyPointHint, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -46,11 +46,68 @@ const KEY_LINE: u32 = 110;
 /// Width of a key's character, px: not less than those of most fonts.
 const KEY_CHARACTER: u32 = 16;
 
+/// What is less has no digits to show without powers of ten.
+const SMALL: f64 = 1e-3 * (1.0 - 1e-9);
+
+/// Labels of an axis, at most.
+const LABELS_MAX: usize = 11;
+
+/// Labels of the axis beneath rows, at most: their names take of its room.
+const LABELS_BENEATH_ROWS: usize = 8;
+
+/// From here on numbers are wide: labels along a horizontal axis would meet.
+const WIDE: f64 = 1e5;
+
 /// A part of a picture.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// A chart with two linear axes.
 pub type Plane<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// A chart of rows.
+pub type Rows<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
+
+/// An axis with a logarithm, on which each mark stands once: plotters' own has the ends of decades twice.
+#[derive(Debug, Clone)]
+pub struct LogAxis(pub Range<f64>);
+
+impl LogAxis {
+    /// What begins with these digits and lies on it.
+    fn marks(&self, leading: &[f64]) -> Vec<f64> {
+        let Self(Range { start, end }) = self;
+        let decades = start.log10().floor() as i32..=end.log10().ceil() as i32;
+        let marks = decades.flat_map(|decade| leading.iter().map(move |leading| leading * 10_f64.powi(decade)));
+        marks.filter(|mark| (start..=end).contains(&mark)).collect()
+    }
+}
+
+impl Ranged for LogAxis {
+    type FormatOption = DefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
+        RangedCoordf64::from(self.0.start.ln()..self.0.end.ln()).map(&value.ln(), limit)
+    }
+
+    /// 1, 2 and 5 of each decade where there is room, else decades, or some of them.
+    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
+        let most = hint.max_num_points().max(1);
+        let fine = self.marks(&[1.0, 2.0, 5.0]);
+        if fine.len() < 2 {
+            return RangedCoordf64::from(self.0.clone()).key_points(hint);
+        }
+        if fine.len() <= most {
+            return fine;
+        }
+        let decades = self.marks(&[1.0]);
+        let every = decades.len().div_ceil(most).max(1);
+        decades.into_iter().step_by(every).collect()
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.0.clone()
+    }
+}
 
 /// The font of a chart's caption.
 #[must_use]
@@ -88,7 +145,7 @@ fn draw_on(backend: SVGBackend<'_>, draw: impl FnOnce(&Area<'_>) -> Drawn) -> Dr
     Ok(())
 }
 
-/// The labelled axes of a chart; `y_number` is [`short`], or [`short_on_log`] where the vertical one has a logarithm.
+/// The labelled axes of a chart.
 ///
 /// # Errors
 /// The backend's.
@@ -96,23 +153,37 @@ pub fn draw_axes<X, Y>(
     chart: &mut ChartContext<'_, SVGBackend<'_>, Cartesian2d<X, Y>>,
     x_label: &str,
     y_label: &str,
-    y_number: fn(&f64) -> String,
 ) -> Drawn
 where
     X: Ranged<ValueType = f64> + ValueFormatter<f64>,
     Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
 {
-    let (x_unit, y_unit) = (rounding(&chart.x_range()), rounding(&chart.y_range()));
+    let axes = chart.as_coord_spec();
+    let (x_number, y_number) = (numbers(axes.x_spec(), WIDE), numbers(axes.y_spec(), WIDE));
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
         .label_style(LABELS)
-        .x_label_formatter(&|x| short(&if x.abs() < x_unit { 0.0 } else { *x }))
-        .y_label_formatter(&|y| y_number(&if y.abs() < y_unit { 0.0 } else { *y }))
+        .x_labels(LABELS_MAX)
+        .y_labels(LABELS_MAX)
+        .x_label_formatter(&x_number)
+        .y_label_formatter(&y_number)
         .x_desc(x_label)
         .y_desc(y_label)
         .draw()?;
     Ok(())
+}
+
+/// How numbers are written on an axis: all with powers of ten if one of them needs it, as those from `wide` on do.
+pub fn numbers<A: Ranged<ValueType = f64>>(axis: &A, wide: f64) -> impl Fn(&f64) -> String + use<A> {
+    let unit = rounding(&axis.range());
+    let is_plain = |mark: &f64| mark.abs() < unit || *mark == 0.0 || (SMALL..wide * (1.0 - 1e-9)).contains(&mark.abs());
+    let all_plain = axis.key_points(BoldPoints(LABELS_MAX)).iter().all(is_plain);
+    move |value| match value {
+        value if value.abs() < unit => "0".to_owned(),
+        value if all_plain => plain(*value),
+        value => powers(*value),
+    }
 }
 
 /// What is less on an axis is zero: the steps from label to label are not exact.
@@ -124,12 +195,16 @@ fn rounding(axis: &Range<f64>) -> f64 {
 ///
 /// # Errors
 /// The backend's.
-pub fn draw_rows<'a, 'b>(
+pub fn draw_rows<'a, 'b, X>(
     area: &'a Area<'b>,
     names: &[impl AsRef<str>],
-    xs: Range<f64>,
+    xs: X,
     x_label: &str,
-) -> Result<Plane<'a, 'b>, Box<dyn std::error::Error>> {
+) -> Result<Rows<'a, 'b, X::CoordDescType>, Box<dyn std::error::Error>>
+where
+    X: AsRangedCoord<Value = f64>,
+    X::CoordDescType: ValueFormatter<f64>,
+{
     let count = names.len() as f64;
     let mut chart = ChartBuilder::on(area)
         .margin(20)
@@ -143,13 +218,15 @@ pub fn draw_rows<'a, 'b>(
         let named = ((index - index.round()).abs() < 1e-6).then(|| names.get(index.round() as usize)).flatten();
         named.map_or("", AsRef::as_ref).to_owned()
     };
+    let x_number = numbers(chart.as_coord_spec().x_spec(), WIDE);
     chart
         .configure_mesh()
         .disable_mesh()
         .label_style(LABELS)
         .y_labels(2 * names.len() + 1)
         .y_label_formatter(&name)
-        .x_label_formatter(&short)
+        .x_labels(LABELS_BENEATH_ROWS)
+        .x_label_formatter(&x_number)
         .x_desc(x_label)
         .draw()?;
     Ok(chart)
@@ -178,20 +255,22 @@ pub fn robot_colour(id: usize) -> RGBColor {
 
 /// A number without the noise of its last digits; powers of ten where it is small or large.
 #[must_use]
-pub fn short(value: &f64) -> String {
-    if *value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
-        return format!("{value:.1e}").replace(".0e", "e");
-    }
-    let text = format!("{value:.3}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+pub fn short(value: f64) -> String {
+    if value == 0.0 || (SMALL..WIDE).contains(&value.abs()) { plain(value) } else { powers(value) }
 }
 
-/// The same, for 1, 2 and 5 in each decade only: what is between them has no room.
-#[must_use]
-pub fn short_on_log(value: &f64) -> String {
-    let leading = value / 10_f64.powf(value.log10().floor());
-    let is_round = [1.0, 2.0, 5.0, 10.0].iter().any(|round| (leading - round).abs() < 1e-6);
-    if is_round { short(value) } else { String::new() }
+fn plain(value: f64) -> String {
+    trimmed(&format!("{value:.3}")).to_owned()
+}
+
+fn powers(value: f64) -> String {
+    let text = format!("{value:.3e}");
+    text.split_once('e').map_or(text.clone(), |(digits, power)| format!("{}e{power}", trimmed(digits)))
+}
+
+/// Without the zeros after its point.
+fn trimmed(digits: &str) -> &str {
+    digits.trim_end_matches('0').trim_end_matches('.')
 }
 
 /// A name in a key, and the line that is drawn beside it.
@@ -252,8 +331,30 @@ mod tests {
 
     #[test]
     fn numbers_on_axes_are_short_and_not_too_many() {
-        assert_eq!([0.0, 0.5, 250.0, 450_000.0, 2e-4].map(|value| short(&value)), ["0", "0.5", "250", "4.5e5", "2e-4"]);
-        assert_eq!([0.1, 0.3, 5.0, 9.0, 1e3].map(|value| short_on_log(&value)), ["0.1", "", "5", "", "1000"]);
+        assert_eq!([0.0, 0.5, 250.0, 450_000.0, 2e-4].map(short), ["0", "0.5", "250", "4.5e5", "2e-4"]);
+    }
+
+    /// What stands on an axis.
+    fn labels<A: Ranged<ValueType = f64>>(axis: &A) -> Vec<String> {
+        axis.key_points(BoldPoints(LABELS_MAX)).iter().map(numbers(axis, WIDE)).collect()
+    }
+
+    #[test]
+    fn a_log_axis_has_each_mark_once_and_as_many_as_have_room() {
+        assert_eq!(labels(&LogAxis(0.01..1.2)), ["0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1"]);
+        assert_eq!(labels(&LogAxis(8.0..120.0)), ["10", "20", "50", "100"]);
+        assert_eq!(labels(&LogAxis(log_limits([1.0, 5e4]))), ["1", "10", "100", "1000", "10000"]);
+        assert_eq!(labels(&LogAxis(1e-12..1e9)).len(), 11);
+        assert!(labels(&LogAxis(3.2..4.5)).len() > 2);
+    }
+
+    #[test]
+    fn all_numbers_of_an_axis_are_written_alike() {
+        assert_eq!(labels(&LogAxis(500.0..2e5)), ["5e2", "1e3", "2e3", "5e3", "1e4", "2e4", "5e4", "1e5", "2e5"]);
+        assert_eq!(labels(&RangedCoordf64::from(0.0..1e5)).last().unwrap(), "1e5");
+        assert_eq!(labels(&RangedCoordf64::from(98e3..1e5))[1], "9.82e4");
+        let around_zero = labels(&RangedCoordf64::from(-2e-3..2e-3));
+        assert!(around_zero.contains(&"0".to_owned()) && around_zero.contains(&"1e-3".to_owned()), "{around_zero:?}");
     }
 
     #[test]

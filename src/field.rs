@@ -119,7 +119,7 @@ impl Paths {
             builder.caption(caption, chart::caption_font(&colour));
         }
         let mut chart = builder.build_cartesian_2d(x, y)?;
-        chart::draw_axes(&mut chart, "x, m", "y, m", chart::short)?;
+        chart::draw_axes(&mut chart, "x, m", "y, m")?;
         self.draw_robots(&mut chart, square)?;
         self.draw_ellipses(&mut chart, square)?;
         let estimates = square.pieces(self.estimates_m.iter().map(|p| (p.x, p.y)));

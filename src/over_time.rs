@@ -5,7 +5,7 @@ use std::ops::Range;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 
-use crate::chart::{self, Area, Drawn, KeyEntry};
+use crate::chart::{self, Area, Drawn, KeyEntry, LogAxis};
 
 /// Most that an axis with a logarithm spans: what is lower lies on its edge.
 const SPAN_MAX: f64 = 1e9;
@@ -70,14 +70,14 @@ impl OverTime {
         let limits = chart::log_limits(of_lines.chain(of_bands));
         let end = limits.end.min(most);
         let limits = limits.start.max(end / SPAN_MAX)..end;
-        self.draw(area, times_s, limits.log_scale(), chart::short_on_log)
+        self.draw(area, times_s, LogAxis(limits))
     }
 
-    /// Draws on these axes, `number` being how values are written; what is beyond an edge lies on it.
+    /// Draws on these axes; what is beyond an edge lies on it.
     ///
     /// # Errors
     /// The backend's.
-    pub fn draw<Y>(&self, area: &Area<'_>, times_s: Range<f64>, values: Y, number: fn(&f64) -> String) -> Drawn
+    pub fn draw<Y>(&self, area: &Area<'_>, times_s: Range<f64>, values: Y) -> Drawn
     where
         Y: AsRangedCoord<Value = f64>,
         Y::CoordDescType: ValueFormatter<f64>,
@@ -91,7 +91,7 @@ impl OverTime {
             .build_cartesian_2d(times_s, values)?;
         let edges = chart.y_range();
         let inside = |value: f64| value.clamp(edges.start, edges.end);
-        chart::draw_axes(&mut chart, "time, s", &self.label, number)?;
+        chart::draw_axes(&mut chart, "time, s", &self.label)?;
         for Band { colour, points, .. } in &self.bands {
             let upper = points.iter().map(|(time_s, _, high)| (*time_s, inside(*high)));
             let lower = points.iter().rev().map(|(time_s, low, _)| (*time_s, inside(*low)));

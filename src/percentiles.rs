@@ -4,11 +4,14 @@ use hdrhistogram::Histogram;
 use plotters::prelude::*;
 use serde::Serialize;
 
-use crate::chart::{self, Area, Drawn};
+use crate::chart::{self, Area, Drawn, LogAxis};
 use crate::hops::{self, HopSummary};
 
 /// Points of a curve from one halving of what is left to the next.
 const POINTS_PER_HALVING: u32 = 5;
+
+/// From here on latencies have powers of ten: less has room beside the axis.
+const WIDE_US: f64 = 1e6;
 
 /// A point of a percentile curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -59,16 +62,17 @@ pub fn draw_curves(area: &Area<'_>, curves: &[(&[Point], RGBColor)], samples: u6
         .margin_right(60)
         .x_label_area_size(60)
         .y_label_area_size(110)
-        .build_cartesian_2d(0.0..last, chart::log_limits(values).log_scale())?;
+        .build_cartesian_2d(0.0..last, LogAxis(chart::log_limits(values)))?;
+    let number = chart::numbers(chart.as_coord_spec().y_spec(), WIDE_US);
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
         .label_style(chart::LABELS)
         .x_labels(last as usize + 1)
         .x_label_formatter(&percentile)
-        .y_label_formatter(&chart::short_on_log)
+        .y_label_formatter(&number)
         .x_desc("part of the samples that take no longer")
-        .y_desc("from range to heading, us")
+        .y_desc("from range to heading, µs")
         .draw()?;
     for (points, colour) in curves {
         let line = points.iter().filter(|point| point.latency_us > 0.0);
@@ -78,17 +82,20 @@ pub fn draw_curves(area: &Area<'_>, curves: &[(&[Point], RGBColor)], samples: u6
     Ok(())
 }
 
-/// Draws where the time goes, hop by hop.
+/// Draws where the time goes, hop by hop, on a log axis: what is rare may take a thousand times as long as what is not.
 ///
 /// # Errors
 /// The backend's.
 pub fn draw_hops(area: &Area<'_>, hops_us: &HopSummary, colour: RGBColor, label: &str) -> Drawn {
     let hops_us = hops_us.in_order();
-    let widest = hops_us.iter().map(|hop| hop.p99).fold(1e-3, f64::max);
-    let mut chart = chart::draw_rows(area, &hops::NAMES, 0.0..widest * 1.02, label)?;
+    // Room for the shortest: its bar starts at less than its median.
+    let limits = chart::log_limits(hops_us.iter().flat_map(|hop| [hop.p50 / 2.0, hop.p99]));
+    let start_us = limits.start;
+    let mut chart = chart::draw_rows(area, &hops::NAMES, LogAxis(limits), label)?;
     for (hop, top) in hops_us.iter().zip((1..=hops_us.len()).rev()) {
         let bar = |to_us: f64, strength: f64| {
-            Rectangle::new([(0.0, top as f64 - 0.85), (to_us, top as f64 - 0.15)], colour.mix(strength).filled())
+            let corners = [(start_us, top as f64 - 0.85), (to_us.max(start_us), top as f64 - 0.15)];
+            Rectangle::new(corners, colour.mix(strength).filled())
         };
         chart.draw_series([bar(hop.p99, 0.25), bar(hop.p50, 1.0)])?;
     }

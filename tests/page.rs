@@ -34,11 +34,21 @@ fn a_run_with_a_killed_node_has_all_pictures_and_tells_of_the_fault() {
     let expected = ["Paths", "Position error", "Trace", "NIS", "Latency", "Hops", "Faults"];
     assert_eq!(headings(&page), expected);
     assert_eq!(page.matches("<svg").count(), expected.len());
-    for told in ["<td>robot-1 killed</td>", "<td>robot-1 started</td>", "range to heading, p99", &run.digest()] {
+    for told in [
+        "<td>robot-1 killed</td>",
+        "<td>robot-1 started</td>",
+        "range to heading, p99",
+        "<dt>ranges</dt>",
+        &run.digest(),
+    ] {
         assert!(page.contains(told), "{told}\n{page}");
     }
     assert!(page.find("robot-1 killed") < page.find("robot-1 started"));
     assert!(!page.contains("<td>robot-0"), "{page}");
+    let headings =
+        page.split_once("<dt>headings</dt><dd>").and_then(|(_, rest)| rest.split_once(" refused")).unwrap().0;
+    assert!(["fresh, ", "late, ", "none, "].iter().all(|what| headings.contains(what)), "{headings}");
+    assert!(page.contains("The half axes of the last ellipse are ") && page.contains("from range to heading, µs"));
     run.assert_nothing_left();
 }
 

@@ -1,4 +1,13 @@
 //! Problems that the benchmarks measure on; the benchmarks are in `benches/`.
+//!
+//! Its place is outside the loop, of which it takes the two steps that fusion computes:
+//!
+//! ```text
+//! robot 0..M-1 --range--> fusion: FILTER, PLANNER --heading--> robot 0..M-1
+//! ```
+//!
+//! It depends on the other members and none on it. It calls those steps directly, on teams made here or on what the
+//! planner is asked in the paper's runs, with no process or topic between: what those cost, `rangehound latency` tells.
 
 use std::path::Path;
 

@@ -10,7 +10,7 @@ use rangehound_shared::scenario::{PLANNERS, Scenario};
 use super::planning_time::Scaling;
 use super::statistics::Interval;
 use super::summary::{Comparison, Summary};
-use crate::chart::{self, Area, COLOURS, Drawn, KeyEntry};
+use crate::chart::{self, Area, COLOURS, Drawn, KeyEntry, LogAxis};
 use crate::field::{self, Paths, Square};
 use crate::in_process::Team;
 use crate::over_time::{Band, Line, OverTime};
@@ -178,9 +178,9 @@ fn draw_gap(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         .margin(20)
         .x_label_area_size(60)
         .y_label_area_size(110)
-        .build_cartesian_2d(chart::log_limits(gaps).log_scale(), 0.0..1.02)?;
+        .build_cartesian_2d(LogAxis(chart::log_limits(gaps)), 0.0..1.02)?;
     let label = "|S| above the certified lower bound, relative to the sum of all lambda";
-    chart::draw_axes(&mut chart, label, "part of the steps with at most this gap", chart::short)?;
+    chart::draw_axes(&mut chart, label, "part of the steps with at most this gap")?;
     for (planner, width) in planners.iter().zip(widths()) {
         let line = planner.gap_distribution.iter().copied();
         chart.draw_series(LineSeries::new(line, colour_of(&planner.name).stroke_width(width)))?;
@@ -204,13 +204,8 @@ fn draw_planning_time(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         .margin(20)
         .x_label_area_size(60)
         .y_label_area_size(110)
-        .build_cartesian_2d(robots.log_scale(), times_us.log_scale())?;
-    chart::draw_axes(
-        &mut chart,
-        "M, robots",
-        "time to plan a step, us: median, and the power law through it",
-        chart::short_on_log,
-    )?;
+        .build_cartesian_2d(LogAxis(robots), LogAxis(times_us))?;
+    chart::draw_axes(&mut chart, "M, robots", "time to plan a step, µs: median, and the power law through it")?;
     for scaling in scalings {
         let colour = colour_of(&scaling.name);
         let points = || scaling.points.iter().map(|point| (point.robots as f64, point.planning_us));

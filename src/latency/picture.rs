@@ -30,7 +30,7 @@ fn colours() -> Each<RGBColor> {
 
 fn draw_on(outcome: &Outcome, area: &Area<'_>) -> Drawn {
     let colours = colours();
-    let name = |contender| format!("{contender}: median {:.1} us", outcome.latency_us.get(contender).p50);
+    let name = |contender| format!("{contender}: median {:.1} µs", outcome.latency_us.get(contender).p50);
     let entry = |contender| (name(contender), colours.get(contender).stroke_width(6));
     let key: [KeyEntry; 3] = Contender::ALL.map(entry);
     let below = chart::draw_key(area, &key)?;
@@ -40,6 +40,6 @@ fn draw_on(outcome: &Outcome, area: &Area<'_>) -> Drawn {
         Contender::ALL.map(|contender| (outcome.percentiles.get(contender).as_slice(), *colours.get(contender)));
     let samples = Contender::ALL.map(|contender| outcome.latency_us.get(contender).count).into_iter().max();
     percentiles::draw_curves(&upper, &curves, samples.unwrap_or(0))?;
-    let label = "hops of the system, us: median, and pale up to 99 %";
+    let label = "hops of the system, µs: median, and pale up to 99 %";
     percentiles::draw_hops(&lower, &outcome.hops_us, colours.system, label)
 }

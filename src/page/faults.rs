@@ -62,10 +62,18 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
         Ok(())
     })?;
     let totals = troubles.iter().map(|(name, of)| format!("{name} {}", count(*of)));
-    let mut text = "Nodes that ended before the run did, at the time of the tick that went on.".to_owned();
+    let mut text = if nodes.is_empty() {
+        "No node ended before the run did.".to_owned()
+    } else {
+        "Nodes that ended before the run did. Each mark is at the run's time when it happened.".to_owned()
+    };
     if !troubles.is_empty() {
         let totals: Vec<String> = totals.collect();
-        write!(text, " Summed over the ticks: {}; the stronger the grey, the more of the team.", totals.join(", "))?;
+        write!(
+            text,
+            " Summed over the ticks: {}; the stronger the grey, the larger the part of the team.",
+            totals.join(", ")
+        )?;
     }
     if let Some(more) = nodes.len().checked_sub(NODES_MAX).filter(|more| *more > 0) {
         write!(text, " {more} nodes more failed too.")?;
@@ -88,7 +96,7 @@ fn colour_of(incident: Incident) -> RGBColor {
 }
 
 fn key(has_troubles: bool, nodes: &[&NodeSummary]) -> Vec<KeyEntry> {
-    let troubles = has_troubles.then(|| ("robots".to_owned(), grey(0.5).stroke_width(24)));
+    let troubles = has_troubles.then(|| ("part of the team concerned".to_owned(), grey(0.5).stroke_width(24)));
     let happened = |incident| nodes.iter().any(|node| incidents(node).any(|(_, what)| what == incident));
     let incidents = Incident::ALL.into_iter().filter(|incident| happened(*incident));
     let incidents = incidents.map(|incident| (incident.to_string(), colour_of(incident).stroke_width(16)));

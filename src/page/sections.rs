@@ -1,11 +1,14 @@
 //! The pictures of the page, each under its heading: drawn by what draws all others.
 
+use std::fmt::Write;
+
 use plotters::prelude::*;
 
 use super::{Section, WIDTH, faults};
 use crate::chart::{self, COLOURS, ESTIMATE, TARGET};
 use crate::compare::statistics::{Interval, chi_square_mean_bounds, percentile};
 use crate::curves::{Curves, DRAWABLE_MAX, Stretch};
+use crate::ellipse::Ellipse;
 use crate::over_time::{Band, Line, OverTime};
 use crate::percentiles;
 use crate::report::Report;
@@ -38,7 +41,14 @@ fn section(heading: &'static str, text: impl Into<String>, picture: String) -> S
 fn paths(curves: &Curves) -> anyhow::Result<Section> {
     let size = curves.paths.whole_size(WIDTH);
     let picture = chart::draw_to_string(size, |area| curves.paths.draw_whole(area))?;
-    let text = "The field from above, with 3 sigma ellipses of the estimate. Marks are where all ended.";
+    let mut text = "The field from above, with 3 sigma ellipses of the estimate. Marks are where all ended.".to_owned();
+    // On a large field no ellipse is large enough to be seen.
+    let last = curves.paths.estimates_m.last().zip(curves.paths.covariances_m2.last());
+    if let Some((centre_m, covariance_m2)) = last {
+        let [one_m, other_m] = Ellipse::new(*centre_m, covariance_m2, 3.0).half_m();
+        let (long, short) = (chart::short(one_m.max(other_m)), chart::short(one_m.min(other_m)));
+        write!(text, " The half axes of the last ellipse are {long} m and {short} m.")?;
+    }
     Ok(section("Paths", text, picture))
 }
 
@@ -51,13 +61,8 @@ fn errors(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let picture = chart::draw_to_string((WIDTH, 2 * HEIGHT), |area| {
         let (upper, lower) = area.split_vertically(HEIGHT + 30);
         let limits = || -limit_m..limit_m;
-        error_of_axis(curves, 0, "x: estimate − truth, m", true).draw(
-            &upper,
-            curves.span_s(),
-            limits(),
-            chart::short,
-        )?;
-        error_of_axis(curves, 1, "y: estimate − truth, m", false).draw(&lower, curves.span_s(), limits(), chart::short)
+        error_of_axis(curves, 0, "x: estimate − truth, m", true).draw(&upper, curves.span_s(), limits())?;
+        error_of_axis(curves, 1, "y: estimate − truth, m", false).draw(&lower, curves.span_s(), limits())
     })?;
     let text = "On the filter's own standard deviations: if it is right about itself, the error is within 1 sigma \
                 two thirds of the time, and hardly ever beyond 3. What is beyond an edge lies on it.";
@@ -158,7 +163,7 @@ fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
             Line { name: Some("NIS".to_owned()), style: COLOURS[0].stroke_width(2), points },
         ],
     };
-    let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw(area, span_s, limits, chart::short))?;
+    let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw(area, span_s, limits))?;
     let ticks = first.ticks;
     let each = if ticks > 1 { format!(" Each point is the mean of {ticks} ticks.") } else { String::new() };
     let text =
@@ -176,7 +181,7 @@ fn latency(report: &Report) -> anyhow::Result<Section> {
 
 fn hops(report: &Report) -> anyhow::Result<Section> {
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| {
-        percentiles::draw_hops(area, &report.hops_us, COLOURS[6], "us: median, and pale up to 99 %")
+        percentiles::draw_hops(area, &report.hops_us, COLOURS[6], "µs: median, and pale up to 99 %")
     })?;
-    Ok(section("Hops", "Where that time goes.", picture))
+    Ok(section("Hops", "Where that time goes, on a logarithmic axis.", picture))
 }
