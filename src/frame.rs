@@ -1,9 +1,14 @@
 //! A run tick by tick: all that travelled on its topics, from what the nodes put down.
 
+use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{EstimateRecord, Exchange, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::tick_log::{TickLogError, TickLogReader};
+
+/// The newest ticks, whose records fusion may still amend, or put down anew when it comes back from a kill.
+pub const UNSETTLED_TICKS: usize = LATE_TICKS_MAX + 1;
 
 /// One tick of a run.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,6 +52,23 @@ impl Frames {
     /// If the system does not tell.
     pub fn newest_tick(&self) -> Result<Option<u64>, TickLogError> {
         Ok(self.estimates.newest_tick()?.min(self.worlds.newest_tick()?))
+    }
+
+    /// The newest tick that fusion's log has room for, whether or not the simulator's has.
+    ///
+    /// # Errors
+    /// If the system does not tell.
+    pub fn newest_estimate(&self) -> Result<Option<u64>, TickLogError> {
+        self.estimates.newest_tick()
+    }
+
+    /// What fusion has put down of a tick, whether or not the simulator has.
+    ///
+    /// # Errors
+    /// If its log cannot be read.
+    pub fn estimate(&mut self, tick: u64) -> Result<Option<Estimate>, TickLogError> {
+        let state_dim = self.scenario.motion.state_dim();
+        Ok(self.estimates.at(tick)?.map(|words| EstimateRecord::from_words(words, state_dim).estimate))
     }
 
     /// The frame of a tick; `None` if one of the nodes has not put it down.

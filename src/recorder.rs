@@ -6,7 +6,6 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use rangehound_fusion::LATE_TICKS_MAX;
 use rangehound_shared::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::scenario::Clock;
 use rangehound_shared::signal::Termination;
@@ -15,15 +14,12 @@ use serde::Serialize;
 
 use crate::cli::RecordArgs;
 use crate::failure::{self, Failure};
-use crate::frame::Frames;
+use crate::frame::{Frames, UNSETTLED_TICKS};
 use crate::run_mcap::FILE_NAME;
 use crate::run_mcap::file::{RunFile, unusable};
 use crate::run_mcap::write::Written;
 use crate::watch::{self, LOOK, Progress};
 use crate::{node, tables};
-
-/// Fusion amends a tick's record for so long, and may be at the one after.
-const SETTLED_TICKS: u64 = LATE_TICKS_MAX as u64 + 1;
 
 /// How long what has been put down is still recorded once an end is asked for.
 const CATCH_UP: Duration = Duration::from_secs(5);
@@ -171,7 +167,7 @@ impl<'a> Recorder<'a> {
 
     /// Records the ticks that nobody will change any more.
     fn advance_to_settled(&mut self) -> Result<(), Failure> {
-        if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(SETTLED_TICKS)) {
+        if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(UNSETTLED_TICKS as u64)) {
             while self.next <= settled && !self.is_full {
                 self.advance()?;
             }

@@ -7,6 +7,14 @@ use std::path::{Path, PathBuf};
 /// How the names of files end that are not finished.
 pub const PARTIAL: &str = ".partial";
 
+/// The path of a file beside this one, whose name has more at its end.
+#[must_use]
+pub fn with_ending(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
+
 /// A file in the making, beside its place. It gets its name when it is finished; otherwise it is taken away.
 #[derive(Debug)]
 pub struct WholeFile {
@@ -32,9 +40,7 @@ impl WholeFile {
     /// With its name, if the system refuses.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         // Another process may be writing the same, as `watch` does beside a run's supervisor: whoever is last has the name.
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(format!(".{}{PARTIAL}", std::process::id()));
-        let partial = PathBuf::from(partial);
+        let partial = with_ending(path, &format!(".{}{PARTIAL}", std::process::id()));
         let file = File::create(&partial).map_err(|error| named(path, &error))?;
         Ok(Self { out: BufWriter::new(file), path: path.to_owned(), partial })
     }

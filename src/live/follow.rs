@@ -3,10 +3,8 @@
 use std::time::{Duration, Instant};
 
 use rangehound_shared::message::Estimate;
-use rangehound_shared::record::EstimateRecord;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_shared::rendezvous::{Rendezvous, Role};
 use rangehound_shared::signal::Termination;
-use rangehound_shared::tick_log::{TickLogError, TickLogReader};
 use serde_json::Value;
 
 use super::LOOK;
@@ -41,7 +39,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
     let scenario = &run.description().scenario;
     let robots = u32::try_from(scenario.robots.len()).unwrap_or(u32::MAX);
     let nodes_every = NODES + NODES_PER_ROBOT * robots;
-    let mut reader = Reader { logs: None, next: None };
+    let mut reader = Reader { frames: None, next: None };
     let (mut nodes_at, mut inhabited, mut has_been_inhabited) = (None, Instant::now(), false);
     loop {
         // Asked before the look: what was there at the end is in it.
@@ -57,12 +55,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
             if status.has_processes() {
                 (inhabited, has_been_inhabited) = (Instant::now(), true);
             }
-            if let Ok(mut status) = serde_json::to_value(&status) {
-                if is_over {
-                    mark_as_ended(&mut status);
-                }
-                server.update(|scene| scene.set_nodes(status));
-            }
+            show_nodes(server, &status, is_over);
         }
         reader.look(run, server);
         let is_deserted = has_been_inhabited && inhabited.elapsed() >= DESERTED;
@@ -79,10 +72,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
             return "the page was ended, the run may go on";
         }
         if is_deserted {
-            if let Ok(mut status) = serde_json::to_value(Status::of(run)) {
-                mark_as_ended(&mut status);
-                server.update(|scene| scene.set_nodes(status));
-            }
+            show_nodes(server, &Status::of(run), true);
             return "ended early: all processes are gone";
         }
         std::thread::sleep(LOOK);
@@ -104,6 +94,14 @@ fn is_ending(run: &Rendezvous) -> bool {
     }
 }
 
+fn show_nodes(server: &Server, status: &Status, is_over: bool) {
+    let Ok(mut status) = serde_json::to_value(status) else { return };
+    if is_over {
+        mark_as_ended(&mut status);
+    }
+    server.update(|scene| scene.set_nodes(status));
+}
+
 /// What was running a moment ago has nothing to do any more, and is not looked at again.
 fn mark_as_ended(status: &mut Value) {
     for node in status.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
@@ -115,32 +113,9 @@ fn mark_as_ended(status: &mut Value) {
     }
 }
 
-/// The logs of a run; fusion's a second time, as its ranges count where the simulator has put nothing down too.
-struct Logs {
-    frames: Frames,
-    estimates: TickLogReader,
-    state_dim: usize,
-}
-
-impl Logs {
-    fn open(description: &RunDescription) -> Result<Self, TickLogError> {
-        let RunDescription { run_id, scenario, out_dir } = description;
-        Ok(Self {
-            frames: Frames::open(description)?,
-            estimates: EstimateRecord::reader(out_dir, *run_id, scenario)?,
-            state_dim: scenario.motion.state_dim(),
-        })
-    }
-
-    fn estimate(&mut self, tick: u64) -> Option<Estimate> {
-        let words = self.estimates.at(tick).ok()??;
-        Some(EstimateRecord::from_words(words, self.state_dim).estimate)
-    }
-}
-
 /// Reads the frames that have come since the look before.
 struct Reader {
-    logs: Option<Logs>,
+    frames: Option<Frames>,
     /// The first tick that was not looked at; `None` before the first look.
     next: Option<u64>,
 }
@@ -148,12 +123,12 @@ struct Reader {
 impl Reader {
     fn look(&mut self, run: &Rendezvous, server: &Server) {
         // The logs come with the nodes.
-        if self.logs.is_none() {
-            self.logs = Logs::open(run.description()).ok();
+        if self.frames.is_none() {
+            self.frames = Frames::open(run.description()).ok();
         }
-        let newest = self.logs.as_ref().and_then(|logs| logs.frames.newest_tick().ok()?);
-        let (Some(logs), Some(newest)) = (&mut self.logs, newest) else { return };
-        count_anew(logs, server);
+        let newest = self.frames.as_ref().and_then(|frames| frames.newest_tick().ok()?);
+        let (Some(frames), Some(newest)) = (&mut self.frames, newest) else { return };
+        count_anew(frames, server);
         let robots = (run.description().scenario.robots.len() as u64).max(1);
         let is_first = self.next.is_none();
         let most = if is_first { ROBOTS_OF_PAST_MAX / robots } else { (ROBOTS_PER_LOOK_MAX / robots).max(5) };
@@ -163,10 +138,10 @@ impl Reader {
         let (mut new, mut is_new) = (Vec::new(), false);
         for tick in spread(self.next.unwrap_or(0), newest, most) {
             // One that cannot be read now is left out, as others are that nobody has put down.
-            if let Ok(Some(frame)) = logs.frames.at(tick) {
+            if let Ok(Some(frame)) = frames.at(tick) {
                 new.push(frame);
                 is_new = true;
-            } else if let Some(estimate) = logs.estimate(tick) {
+            } else if let Ok(Some(estimate)) = frames.estimate(tick) {
                 server.keep(|scene| {
                     take(scene, &mut new);
                     scene.count_ranges(tick, &estimate);
@@ -186,11 +161,11 @@ impl Reader {
 
     /// Counts what fusion has put down last, of which the simulator has nothing.
     fn finish(&mut self, server: &Server) {
-        let (Some(logs), Some(next)) = (&mut self.logs, self.next) else { return };
-        count_anew(logs, server);
-        let newest = logs.estimates.newest_tick().ok().flatten();
+        let (Some(frames), Some(next)) = (&mut self.frames, self.next) else { return };
+        count_anew(frames, server);
+        let newest = frames.newest_estimate().ok().flatten();
         for tick in newest.into_iter().flat_map(|newest| spread(next, newest, ROBOTS_PER_LOOK_MAX)) {
-            if let Some(estimate) = logs.estimate(tick) {
+            if let Ok(Some(estimate)) = frames.estimate(tick) {
                 server.keep(|scene| scene.count_ranges(tick, &estimate));
             }
         }
@@ -198,11 +173,11 @@ impl Reader {
 }
 
 /// Reads again what may have been put down anew since.
-fn count_anew(logs: &mut Logs, server: &Server) {
+fn count_anew(frames: &mut Frames, server: &Server) {
     let mut unsettled = Vec::new();
     server.keep(|scene| unsettled = scene.unsettled());
     let again: Vec<(u64, Estimate)> =
-        unsettled.into_iter().filter_map(|tick| Some((tick, logs.estimate(tick)?))).collect();
+        unsettled.into_iter().filter_map(|tick| Some((tick, frames.estimate(tick).ok()??))).collect();
     server.keep(|scene| again.iter().for_each(|(tick, estimate)| scene.count_ranges(*tick, estimate)));
 }
 

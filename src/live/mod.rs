@@ -7,7 +7,7 @@
 //! |---|---|
 //! | `follow` | looks at a run until its end |
 //! | `scene`, `history`, `latency` | what is shown, bounded |
-//! | `server`, `routes`, `stream` | how a browser gets it |
+//! | `server`, `routes`, `stream`, `shared` | how a browser gets it |
 //! | `guard` | who may look and act |
 //! | `act` | what the buttons do |
 //! | `assets`, `page/` | the page itself |
@@ -21,6 +21,7 @@ mod latency;
 mod routes;
 mod scene;
 mod server;
+mod shared;
 mod stream;
 
 use std::io::IsTerminal;

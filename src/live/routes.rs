@@ -7,54 +7,19 @@
 //! | `GET /stream?token=T` | what the page shows, as server-sent events | in the address |
 //! | `POST /act/ACTION/NODE` | does it | in a header |
 
-use std::sync::{Arc, OnceLock};
-use std::time::Duration;
+use std::sync::Arc;
 
 use hyper::body::{Bytes, Incoming};
 use hyper::header::{self, HeaderValue};
 use hyper::{Method, Request, Response, StatusCode};
-use tokio::sync::watch;
-use tokio::time::Instant;
 
 use super::act::{Action, Refused};
 use super::assets;
 use super::guard::{TOKEN_HEADER, is_from_here, protect};
-use super::server::Shared;
-use super::stream::{self, Body, Place};
+use super::shared::Shared;
+use super::stream::{self, Body, Life};
 
 const TEXT: &str = "text/plain; charset=utf-8";
-
-/// Until when a connection may last; streams put it off.
-pub(super) struct Life {
-    end: watch::Sender<Instant>,
-    /// Given back when the connection has ended, with all that was to be sent.
-    place: OnceLock<Place>,
-}
-
-impl Life {
-    pub(super) fn new(time: Duration) -> Self {
-        Self { end: watch::Sender::new(Instant::now() + time), place: OnceLock::new() }
-    }
-
-    pub(super) fn lasts(&self, time: Duration) {
-        self.end.send_replace(Instant::now() + time);
-    }
-
-    pub(super) fn keep(&self, place: Place) {
-        // There is one request, so there is one place.
-        let _ = self.place.set(place);
-    }
-
-    pub(super) async fn is_over(&self) {
-        loop {
-            let end = *self.end.borrow();
-            if end <= Instant::now() {
-                return;
-            }
-            tokio::time::sleep_until(end).await;
-        }
-    }
-}
 
 /// The answer to a request.
 pub(super) fn answer(request: &Request<Incoming>, shared: &Arc<Shared>, life: &Arc<Life>) -> Response<Body> {

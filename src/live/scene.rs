@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
-use rangehound_fusion::LATE_TICKS_MAX;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
@@ -14,17 +13,14 @@ use serde_json::{Value, json};
 use super::history::{History, Known, News};
 use super::latency::{Latencies, Latency};
 use crate::chart::{self, COLOURS};
-use crate::frame::Frame;
-use crate::report::position_covariance;
+use crate::frame::{Frame, UNSETTLED_TICKS};
+use crate::report::{RangeSummary, position_covariance};
 
 /// Places of all robots' trails together.
 const TRAIL_PLACES_MAX: usize = 8_000;
 
 /// Places of one trail.
 const TRAIL_MAX: usize = 240;
-
-/// Ticks that fusion may still put down anew: it comes back from a kill at the tick that it had saved.
-const UNSETTLED_TICKS: usize = LATE_TICKS_MAX + 1;
 
 /// The rate of ticks is measured over this time.
 const RATE_SPAN: Duration = Duration::from_secs(2);
@@ -62,26 +58,22 @@ struct Places {
     robots_m: Vec<[f64; 2]>,
 }
 
-/// What became of the ranges of all ticks that were looked at, as the report counts them.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+/// What became of the ranges of all ticks that were looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 struct Counts {
     ticks: u64,
-    /// In time or late.
     fused: u64,
     rejected: u64,
     late: u64,
-    /// What nobody heard at its tick.
     missing: u64,
-    /// Of those, what came late and was used all the same.
-    #[serde(skip)]
-    came: u64,
 }
 
-/// Counts of which the newest can be taken back: of a tick that is read again, what was read last counts.
+/// Adds ranges up as the report does. The newest ticks can be taken back: of one that is read again, what was read last counts.
 #[derive(Debug, Default)]
 struct Tally {
-    settled: Counts,
-    recent: VecDeque<(u64, Counts)>,
+    settled_ticks: u64,
+    settled: RangeSummary,
+    recent: VecDeque<(u64, Estimate)>,
 }
 
 /// The newest tick, and what has changed with it.
@@ -169,7 +161,7 @@ impl Scene {
 
     /// Counts a tick's ranges, or counts them anew.
     pub(super) fn count_ranges(&mut self, tick: u64, estimate: &Estimate) {
-        self.tally.count(tick, Counts::of(estimate));
+        self.tally.count(tick, estimate);
     }
 
     /// The ticks that are worth another look.
@@ -269,54 +261,26 @@ impl Scene {
     }
 }
 
-impl Counts {
-    fn of(estimate: &Estimate) -> Self {
-        let Estimate { fused, fused_late, rejected, rejected_late, late, missing, .. } = *estimate;
-        // What a damaged log holds may be any number.
-        Self {
-            ticks: 1,
-            fused: fused.saturating_add(fused_late),
-            rejected: rejected.saturating_add(rejected_late),
-            late,
-            missing,
-            came: fused_late.saturating_add(rejected_late),
-        }
-    }
-
-    fn add(&mut self, more: &Self) {
-        let Self { ticks, fused, rejected, late, missing, came } = self;
-        for (sum, count) in [
-            (ticks, more.ticks),
-            (fused, more.fused),
-            (rejected, more.rejected),
-            (late, more.late),
-            (missing, more.missing),
-            (came, more.came),
-        ] {
-            *sum = sum.saturating_add(count);
-        }
-    }
-}
-
 impl Tally {
-    fn count(&mut self, tick: u64, counts: Counts) {
+    fn count(&mut self, tick: u64, estimate: &Estimate) {
         if let Some((_, before)) = self.recent.iter_mut().find(|(at, _)| *at == tick) {
-            *before = counts;
+            *before = *estimate;
             return;
         }
-        self.recent.push_back((tick, counts));
+        self.recent.push_back((tick, *estimate));
         if self.recent.len() > UNSETTLED_TICKS
             && let Some((_, oldest)) = self.recent.pop_front()
         {
+            self.settled_ticks += 1;
             self.settled.add(&oldest);
         }
     }
 
     fn counts(&self) -> Counts {
-        let mut counts = self.settled;
-        self.recent.iter().for_each(|(_, recent)| counts.add(recent));
-        // What came late was not missing after all.
-        Counts { missing: counts.missing.saturating_sub(counts.came), came: 0, ..counts }
+        let mut ranges = self.settled;
+        self.recent.iter().for_each(|(_, recent)| ranges.add(recent));
+        let RangeSummary { fused, rejected, late, missing, .. } = ranges;
+        Counts { ticks: self.settled_ticks + self.recent.len() as u64, fused, rejected, late, missing }
     }
 }
 
@@ -413,13 +377,13 @@ mod tests {
     fn what_came_late_was_not_missing_and_a_tick_read_again_counts_once() {
         let mut tally = Tally::default();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
-        tally.count(1, Counts::of(&tick(3, 0)));
+        tally.count(1, &tick(3, 0));
         // Put down anew after a kill.
-        tally.count(1, Counts::of(&tick(1, 2)));
-        tally.count(2, Counts::of(&Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }));
-        let expected = Counts { ticks: 2, fused: 5, rejected: 1, late: 3, missing: 0, came: 0 };
+        tally.count(1, &tick(1, 2));
+        tally.count(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) });
+        let expected = Counts { ticks: 2, fused: 5, rejected: 1, late: 3, missing: 0 };
         assert_eq!(tally.counts(), expected);
-        (3..=100).for_each(|at| tally.count(at, Counts::of(&tick(3, 0))));
+        (3..=100).for_each(|at| tally.count(at, &tick(3, 0)));
         assert_eq!(tally.counts(), Counts { ticks: 100, fused: 5 + 98 * 3, ..expected });
         assert_eq!(tally.recent.len(), UNSETTLED_TICKS);
     }

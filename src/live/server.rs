@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,8 @@ use tokio::sync::{Semaphore, oneshot, watch};
 use super::guard::Token;
 use super::routes;
 use super::scene::Scene;
+use super::shared::Shared;
+use super::stream::Life;
 
 /// Connections at once: a browser opens six, and one for each page's stream.
 const CONNECTIONS_MAX: usize = 64;
@@ -28,28 +30,6 @@ const HEAD_MAX: usize = 16 << 10;
 
 /// How long viewers have to take the end of a run.
 const FAREWELL: Duration = Duration::from_secs(2);
-
-/// What requests are answered from.
-pub(super) struct Shared {
-    scene: Mutex<Scene>,
-    /// Counts the scene's changes.
-    pub(super) changes: watch::Receiver<u64>,
-    pub(super) token: Token,
-    pub(super) port: u16,
-    /// Time between two pictures at the least.
-    pub(super) pace: Duration,
-    /// The run to act on, if it is one.
-    pub(super) run: Option<Arc<Rendezvous>>,
-    /// Viewers that have a stream.
-    pub(super) streams: AtomicUsize,
-}
-
-impl Shared {
-    pub(super) fn scene(&self) -> MutexGuard<'_, Scene> {
-        // A scene has no state in between that a panic could leave behind.
-        self.scene.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
 
 /// The page of one run while it is served.
 pub(super) struct Server {
@@ -160,7 +140,7 @@ async fn accept(listener: TcpListener, shared: Arc<Shared>) {
 async fn serve(stream: tokio::net::TcpStream, shared: Arc<Shared>) {
     // A picture at once, not when the one before has been acknowledged.
     let _ = stream.set_nodelay(true);
-    let life = Arc::new(routes::Life::new(REQUEST));
+    let life = Arc::new(Life::new(REQUEST));
     let answered = Arc::clone(&life);
     let service = service_fn(move |request| {
         let answer = routes::answer(&request, &shared, &answered);

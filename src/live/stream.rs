@@ -4,19 +4,19 @@
 //! one that does not read at all costs two of them in memory until its time is up.
 
 use std::pin::Pin;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, OnceLock};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use hyper::Response;
 use hyper::body::{Body as HttpBody, Bytes, Frame, SizeHint};
 use hyper::header::{self, HeaderValue};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
+use tokio::time::Instant;
 
-use super::routes::Life;
 use super::scene::Seen;
-use super::server::Shared;
+use super::shared::Shared;
 
 /// Viewers at once.
 const STREAMS_MAX: usize = 16;
@@ -77,6 +77,38 @@ impl Place {
 impl Drop for Place {
     fn drop(&mut self) {
         self.0.streams.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Until when a connection may last; streams put it off.
+pub(super) struct Life {
+    end: watch::Sender<Instant>,
+    /// Given back when the connection has ended, with all that was to be sent.
+    place: OnceLock<Place>,
+}
+
+impl Life {
+    pub(super) fn new(time: Duration) -> Self {
+        Self { end: watch::Sender::new(Instant::now() + time), place: OnceLock::new() }
+    }
+
+    pub(super) fn lasts(&self, time: Duration) {
+        self.end.send_replace(Instant::now() + time);
+    }
+
+    pub(super) fn keep(&self, place: Place) {
+        // There is one request, so there is one place.
+        let _ = self.place.set(place);
+    }
+
+    pub(super) async fn is_over(&self) {
+        loop {
+            let end = *self.end.borrow();
+            if end <= Instant::now() {
+                return;
+            }
+            tokio::time::sleep_until(end).await;
+        }
     }
 }
 

@@ -12,7 +12,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::curves::Curves;
-use crate::report::{HeadingSummary, RangeSummary, Report};
+use crate::report::Report;
 use crate::whole_file;
 
 /// Width of all pictures, px: labels can be read on a phone.
@@ -52,7 +52,7 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
     for (name, value) in key_figures(report) {
         writeln!(html, "<div><dt>{name}</dt><dd>{}</dd></div>", escaped(&value))?;
     }
-    for (name, value) in counts(report) {
+    for (name, value) in [("ranges", report.ranges.to_string()), ("headings", report.headings.to_string())] {
         writeln!(html, "<div class=\"broad\"><dt>{name}</dt><dd>{value}</dd></div>")?;
     }
     writeln!(html, "<div class=\"wide\"><dt>digest</dt><dd>{}</dd></div>\n</dl>\n<main>", escaped(&report.digest))?;
@@ -88,14 +88,6 @@ fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
         figures.push(("range to heading, p99", format!("{:.0} µs", latency.p99)));
     }
     figures
-}
-
-/// What became of ranges and headings, in the words that are printed.
-fn counts(report: &Report) -> [(&'static str, String); 2] {
-    let RangeSummary { published, fused, rejected, missing, late, .. } = report.ranges;
-    let ranges = format!("{published} published: {fused} fused, {rejected} rejected, {late} late, {missing} missing");
-    let HeadingSummary { fresh, late, none, refused } = report.headings;
-    [("ranges", ranges), ("headings", format!("{fresh} fresh, {late} late, {none} none, {refused} refused"))]
 }
 
 /// Text as it stands in HTML.

@@ -12,6 +12,7 @@ use crate::run_mcap::file::{RunFile, partial, unusable};
 use crate::run_mcap::read::{FrameReader, ReadError};
 use crate::run_mcap::write::Written;
 use crate::watch::Progress;
+use crate::whole_file::with_ending;
 
 /// What there was to save; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
@@ -43,7 +44,7 @@ pub(super) fn repair(
     }
     let description = reader.description().map_err(|error| refuse(&error))?.clone();
     // What is repaired may be all that there is of the run: it keeps its name until there is more.
-    let in_making = in_making(&out);
+    let in_making = with_ending(&out, ".repairing");
     let file = RunFile::begin_as(&in_making, &out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
     let copied = copy(&mut reader, file, description.scenario.ticks);
     if !matches!(copied, Ok((Some(_), _))) {
@@ -103,11 +104,4 @@ fn whole_name(path: &Path) -> PathBuf {
         Some(ending) if ending == "partial" => path.with_extension(""),
         _ => path.with_extension("repaired.mcap"),
     }
-}
-
-/// The name of the whole file until it is whole.
-fn in_making(out: &Path) -> PathBuf {
-    let mut name = out.as_os_str().to_owned();
-    name.push(".repairing");
-    name.into()
 }

@@ -24,13 +24,7 @@ impl std::fmt::Display for Report {
         writeln!(f, "{}", field("consistency", consistency))?;
         let TraceSummary { r#final: end, median } = self.position_trace_m2;
         writeln!(f, "{}", field("position trace", format_args!("{end:.3} m^2 at the end, {median:.3} median")))?;
-        let RangeSummary { published, fused, rejected, late, missing, .. } = ranges;
-        let became =
-            format!("{published} published: {fused} fused, {rejected} rejected, {late} late, {missing} missing");
-        writeln!(f, "{}", field("ranges", became))?;
-        let HeadingSummary { fresh, late, none, refused } = headings;
-        let driven = format!("{fresh} fresh, {late} late, {none} none, {refused} refused");
-        writeln!(f, "{}", field("headings", driven))?;
+        writeln!(f, "{}\n{}", field("ranges", ranges), field("headings", headings))?;
         self.fmt_doubtful_messages(f)?;
         if latency_us.count > 0 {
             let LatencySummary { p50, p90, p99, p99_9, max, .. } = latency_us;
@@ -47,6 +41,20 @@ impl std::fmt::Display for Report {
             writeln!(f, "{}", field_in(DOUBTFUL, name, fate))?;
         }
         write!(f, "{}", field("digest", &self.digest))
+    }
+}
+
+impl std::fmt::Display for RangeSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { published, fused, rejected, late, missing, .. } = self;
+        write!(f, "{published} published: {fused} fused, {rejected} rejected, {late} late, {missing} missing")
+    }
+}
+
+impl std::fmt::Display for HeadingSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { fresh, late, none, refused } = self;
+        write!(f, "{fresh} fresh, {late} late, {none} none, {refused} refused")
     }
 }
 

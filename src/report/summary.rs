@@ -71,7 +71,7 @@ pub struct TraceSummary {
 /// times ticks where every robot has a range at every tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
-    /// Published by robots, as they told the simulator by the end of the tick: in real time, slow ones did not.
+    /// Published by robots, as fusion has it or as they told the simulator by the end of the tick.
     pub published: u64,
     /// Fused, in time or late.
     pub fused: u64,
@@ -232,7 +232,8 @@ impl std::fmt::Display for Incident {
 }
 
 impl RangeSummary {
-    pub(super) fn add(&mut self, estimate: &Estimate) {
+    /// Adds a tick's, as fusion has put it down.
+    pub fn add(&mut self, estimate: &Estimate) {
         let in_time_and_late = [
             (&mut self.fused, estimate.fused, estimate.fused_late),
             (&mut self.rejected, estimate.rejected, estimate.rejected_late),

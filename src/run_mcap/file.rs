@@ -13,6 +13,7 @@ use super::SCENARIO;
 use super::write::{FrameWriter, Written};
 use crate::failure::Failure;
 use crate::frame::Frame;
+use crate::whole_file::{PARTIAL, with_ending};
 
 /// Longest scenario file that is put in.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
@@ -33,9 +34,7 @@ pub fn unusable(error: anyhow::Error) -> Failure {
 /// The name of a file that is not finished.
 #[must_use]
 pub fn partial(path: &Path) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(".partial");
-    name.into()
+    with_ending(path, PARTIAL)
 }
 
 impl RunFile {

@@ -1,7 +1,6 @@
 // Curves over the whole run: thinned by the server, so that there are never more than some hundred points.
 
-import { axisNumber, metres, micros, number } from "./figures.js";
-import { niceStep } from "./view.js";
+import { axisNumber, metres, micros, niceStep, number } from "./figures.js";
 
 // Places in a point, as the server's history.rs writes it.
 const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX, LEAST_NEXT] = [1, 2, 3, 4, 5, 6, 7, 8, 9];

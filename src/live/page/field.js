@@ -1,8 +1,8 @@
 // The field from above: who is where, what they know of the target and where they are told to go.
 
 import { clear, colour } from "./charts.js";
-import { number } from "./figures.js";
-import { SIGMAS, View, niceStep } from "./view.js";
+import { niceStep, number } from "./figures.js";
+import { SIGMAS, View } from "./view.js";
 
 // Teams up to this size have circles, arrows and names that can be told apart.
 const FEW = 16;

@@ -17,6 +17,12 @@ export function axisNumber(value) {
   return size >= 1e6 ? `${number(value / 1e6)}M` : `${number(value / 1e3)}k`;
 }
 
+// 1, 2 or 5 times a power of ten, from this on.
+export function niceStep(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= least);
+}
+
 // Digits in threes, with narrow spaces.
 export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
 

@@ -1,6 +1,7 @@
 // Which part of the field is seen: all that matters, or what the user looks at.
 
 import { colour } from "./charts.js";
+import { niceStep } from "./figures.js";
 
 // Of the estimate's ellipse.
 export const SIGMAS = 3;
@@ -158,10 +159,4 @@ function recent(places, trails) {
   const far = [0.5, 0.25, 0.12, 0.06, 0.03].map((part) => trails.at(-Math.ceil(part * trails.length)));
   const all = far.filter(Boolean).map((trail) => [trail.estimate_m, ...trail.robots_m]);
   return all.find((trail) => extent([...places, ...trail]) <= most) ?? [];
-}
-
-// 1, 2 or 5 times a power of ten, from this on.
-export function niceStep(least) {
-  const power = 10 ** Math.floor(Math.log10(least));
-  return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= least);
 }
