@@ -37,7 +37,7 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
 /// Stopped at any moment, it is deposed; continued, it commands nobody and stands by.
 #[test]
 fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
-    let words = "--ticks 300000 --patience forever";
+    let words = "--ticks 600000 --patience forever";
     let run = Run::new();
     let supervisor = run.lockstep(&format!("{words} --standby 1"));
     run.wait_for_ticks(50);
@@ -52,7 +52,7 @@ fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
     }
     supervisor.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
-    assert_eq!(run.report()["ranges"]["fused"], 900_000);
+    assert_eq!(run.report()["ranges"]["fused"], 1_800_000);
     run.assert_nothing_left();
 }
 
