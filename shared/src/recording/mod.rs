@@ -1,15 +1,19 @@
 //! Recorded ranges: CSV with a row for each range, checked while it is read.
 
+mod anchors;
+mod columns;
 mod name;
 mod options;
 mod summary;
 
+pub use anchors::{Anchor, Anchors};
+pub use columns::{ColumnMap, ColumnMapError};
 pub use name::SensorName;
 pub use options::ReadOptions;
-pub use summary::ReadSummary;
+pub use summary::{Doubt, DoubtKind, ReadSummary};
 
 use std::collections::BTreeMap;
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use crate::ROBOTS_MAX;
@@ -185,7 +189,7 @@ impl Recording {
         }
         let sensors: Vec<Sensor> =
             first_positions.into_iter().map(|(name, first_position_m)| Sensor { name, first_position_m }).collect();
-        let summary = ReadSummary { rows: rows.len() as u64 };
+        let summary = ReadSummary { rows: rows.len() as u64, ..ReadSummary::default() };
         Ok((Self::group(sensors, &rows), summary))
     }
 
@@ -209,6 +213,38 @@ impl Recording {
             }
         }
         Self { sensors, instants, readings }
+    }
+
+    /// Writes the recording as CSV that [`Self::read`] reads back, the same to the last bit.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write_csv(&self, mut out: impl Write) -> std::io::Result<()> {
+        writeln!(out, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
+        for index in 0..self.len() {
+            let Some((time_s, readings)) = self.instant(index) else { break };
+            for reading in readings {
+                let name = &self.sensors[reading.sensor].name;
+                let [x_m, y_m] = reading.position_m;
+                writeln!(out, "{time_s},{name},{x_m},{y_m},{}", reading.range_m)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether any range has its sensor's height.
+    #[must_use]
+    pub fn has_heights(&self) -> bool {
+        self.readings.iter().any(|reading| reading.height_m.is_some())
+    }
+
+    /// Whether an instant is the last of its stamp: a sensor that repeats within a stamp makes several of it.
+    #[must_use]
+    pub fn is_last_of_stamp(&self, index: usize) -> bool {
+        match (self.instants.get(index), self.instants.get(index + 1)) {
+            (Some(this), Some(next)) => this.time_s < next.time_s,
+            (this, _) => this.is_some(),
+        }
     }
 
     /// The sensors by ascending name.
