@@ -15,10 +15,10 @@ pub struct ReadSummary {
     pub first_bad_row: Option<String>,
     /// Rows equal to an earlier one in stamp, sensor, position and range. They say nothing new and are left out.
     pub repeats: u64,
-    /// Ranges of exactly 0, which loggers write where nothing was heard. They are left out.
+    /// Ranges of exactly 0 (in a wide log also -1), which loggers write where nothing was heard. They are left out.
     pub not_heard: u64,
-    /// Rows that came shortly after rows with later stamps, and were put in order.
-    pub reordered: u64,
+    /// Rows of other targets than the one that was asked for.
+    pub other_targets: u64,
     /// Columns that were not read.
     pub ignored_columns: Vec<String>,
     /// Anchors of the anchors file of which the log has no range.
@@ -63,10 +63,10 @@ impl ReadSummary {
             lines.push(format!("{} dropped: equal to an earlier row", count(self.repeats, "repeated row")));
         }
         if self.not_heard > 0 {
-            lines.push(format!("{} of exactly 0 left out: nothing was heard", count(self.not_heard, "range")));
+            lines.push(format!("{} of 0 left out: nothing was heard", count(self.not_heard, "range")));
         }
-        if self.reordered > 0 {
-            lines.push(format!("{} put in order of time", count(self.reordered, "row")));
+        if self.other_targets > 0 {
+            lines.push(format!("{} of other targets left out", count(self.other_targets, "row")));
         }
         if !self.ignored_columns.is_empty() {
             lines.push(format!("columns not read: {}", self.ignored_columns.join(", ")));
