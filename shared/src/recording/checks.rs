@@ -8,7 +8,7 @@ use crate::ROBOTS_MAX;
 /// Fewest instants, or pairs of ranges, to judge by.
 const FEWEST: usize = 8;
 
-/// Most instants to judge by, spread over the recording.
+/// About as many instants and ranges are judged by at most.
 const SAMPLES: usize = 20_000;
 
 /// Ranges so many times the sensors' distances from each other are in another unit, or of no use.
@@ -21,6 +21,7 @@ pub(super) struct Columns<'a> {
     pub(super) time_unit: Unit,
     /// `None` in a wide log.
     pub(super) range: Option<(usize, Option<&'a String>)>,
+    pub(super) are_ranges_in_m: bool,
     pub(super) are_placed_by_rows: bool,
 }
 
@@ -42,22 +43,25 @@ fn of_ranges(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     let share = |is_wrong: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| is_wrong(pair)).count() * 2 > pairs.len();
     let is_judged = pairs.len() >= FEWEST;
     let spread_m = spread_m(recording);
-    let are_far = spread_m > 0.0
-        && recording.readings.iter().filter(|reading| reading.range_m >= FAR * spread_m).count() * 2
-            > recording.readings.len();
+    let far = readings(recording).filter(|reading| reading.range_m >= FAR * spread_m).count();
+    let are_far = spread_m > 0.0 && far * 2 > readings(recording).count();
+    let median_m = median(readings(recording).map(|reading| reading.range_m));
     let text = |what: &str, hint: String| {
-        let median_m = median(recording.readings.iter().map(|reading| reading.range_m));
         format!(
             "most ranges are far {what} than the sensors' distances from each other allow (median range {median_m:.4} \
              m, sensors within {spread_m:.4} m): {hint}"
         )
     };
-    if are_far || is_judged && share(&|pair| pair.is_too_long(1.0)) {
-        let fits = |unit: Unit| {
-            let scale = 10_f64.powi(unit.power_of_ten());
-            is_judged && !share(&|pair| pair.is_too_long(scale))
+    if are_far || is_judged && share(&Pair::is_too_long) {
+        let ratio = |unit: Unit| median_m * 10_f64.powi(unit.power_of_ten()) / spread_m;
+        // In its right unit a range is about as long as the sensors' field is wide.
+        let surprise = |unit: &Unit| ratio(*unit).ln().abs();
+        let units = [Unit::Centimetre, Unit::Millimetre];
+        let unit = units.into_iter().min_by(|one, other| surprise(one).total_cmp(&surprise(other)));
+        let Some(unit) = unit.filter(|unit| columns.are_ranges_in_m && (0.02..20.0).contains(&ratio(*unit))) else {
+            let hint = "look at the units of ranges and positions, and at what the column of ranges has".to_owned();
+            return Some(Doubt { kind: DoubtKind::RangesFarBeyondSensors, text: text("longer", hint) });
         };
-        let unit = if fits(Unit::Centimetre) { Unit::Centimetre } else { Unit::Millimetre };
         let (column, index, name) = match columns.range {
             Some((index, name)) => (None, index, name),
             None => (Some("*".to_owned()), 0, None),
@@ -82,8 +86,8 @@ struct Pair {
 
 impl Pair {
     /// With room for bias, noise, and the target's way between both.
-    fn is_too_long(&self, scale: f64) -> bool {
-        let [one_m, other_m] = self.ranges_m.map(|range_m| range_m * scale);
+    fn is_too_long(&self) -> bool {
+        let [one_m, other_m] = self.ranges_m;
         (one_m - other_m).abs() > 3.0 * self.distance_m + 0.05 * one_m.max(other_m) + 1.0
     }
 
@@ -113,6 +117,11 @@ fn pairs(recording: &Recording) -> Vec<Pair> {
     pairs
 }
 
+/// Ranges spread over the recording.
+fn readings(recording: &Recording) -> impl Iterator<Item = &RecordedRange> {
+    recording.readings.iter().step_by(recording.readings.len() / SAMPLES + 1)
+}
+
 /// The first instants: neighbours matter.
 fn sample(len: usize) -> std::ops::Range<usize> {
     0..len.min(SAMPLES)
@@ -121,7 +130,7 @@ fn sample(len: usize) -> std::ops::Range<usize> {
 /// Diagonal of the sensors' field, m.
 fn spread_m(recording: &Recording) -> f64 {
     let axis = |axis: usize| {
-        let values = recording.readings.iter().map(|reading| reading.position_m[axis]);
+        let values = readings(recording).map(|reading| reading.position_m[axis]);
         let (least, most) =
             values.fold((f64::MAX, f64::MIN), |(least, most), value| (least.min(value), most.max(value)));
         most - least

@@ -177,9 +177,9 @@ impl<'a> Finder<'a> {
         } else {
             format!("; if another is meant, type --columns {}{hint}", told.join(","))
         };
-        let s = if own.len() > 1 { "s" } else { "" };
+        let columns = if own.len() > 1 { "columns" } else { "a column" };
         table.header_error(&format!(
-            "expected a column{s} {}, the columns are {}{other}",
+            "expected {columns} {}, the columns are {}{other}",
             own.join(" and "),
             table.listed_columns()
         ))

@@ -82,7 +82,16 @@ pub(super) fn read<R: Read>(
     let mut gathering = Gathering::new(anchors);
     let mut summary = ReadSummary::default();
     let layout = layout(&table, options, &mut gathering, &mut summary)?;
-    let mut log = Log { table, layout, options, gathering, summary, targets: Vec::new(), is_target_found: false };
+    let mut log = Log {
+        table,
+        layout,
+        options,
+        gathering,
+        summary,
+        targets: Vec::new(),
+        is_target_found: false,
+        last_time: (Vec::new(), 0.0),
+    };
     log.read_rows()?;
     log.finish()
 }
@@ -185,6 +194,8 @@ struct Log<'a, R> {
     /// Names of the targets that there are.
     targets: Vec<String>,
     is_target_found: bool,
+    /// The stamp that was read last, as text and as a number: many rows have the same.
+    last_time: (Vec<u8>, f64),
 }
 
 impl<R: Read> Log<'_, R> {
@@ -249,8 +260,14 @@ impl<R: Read> Log<'_, R> {
                 Fault::Bad(self.table.complaint(index, "a stamp by ISO 8601 as in 2024-05-01T12:00:00.5Z"))
             });
         }
+        if !self.last_time.0.is_empty() && self.last_time.0 == self.table.field(index) {
+            return Ok(self.last_time.1);
+        }
         let time_s = self.table.number(index, unit);
         if let Some(time_s) = time_s.filter(|time_s| time_s.abs() <= TIME_MAX_S) {
+            self.last_time.0.clear();
+            self.last_time.0.extend_from_slice(self.table.field(index));
+            self.last_time.1 = time_s;
             return Ok(time_s);
         }
         let likely = time_s.and_then(unit_of_epoch).filter(|_| unit == Unit::Second && !is_told);
@@ -375,15 +392,16 @@ impl<R: Read> Log<'_, R> {
         let (recording, repeats) = gathering.finish();
         summary.repeats = repeats;
         summary.rows = recording.readings.len() as u64;
-        let range = match &layout.ranges {
-            Ranges::Long { range, .. } => Some(range.index),
-            Ranges::Wide(_) => None,
+        let (range, are_ranges_in_m) = match &layout.ranges {
+            Ranges::Long { range, .. } => (Some(range.index), range.unit == Unit::Metre),
+            Ranges::Wide(columns) => (None, columns.iter().all(|(column, _)| column.unit == Unit::Metre)),
         };
         let names = table.header();
         let columns = checks::Columns {
             map: &options.columns,
             time: (layout.time.index, names.get(layout.time.index)),
             range: range.map(|index| (index, names.get(index))),
+            are_ranges_in_m,
             are_placed_by_rows: options.anchors.is_none(),
             time_unit: layout.time.unit,
         };

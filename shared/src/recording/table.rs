@@ -102,7 +102,7 @@ impl<R: Read> Table<R> {
         let Some((number, line)) = self.pending.pop_front() else {
             return Err(self.header_error("expected a header that names the columns, the file is empty"));
         };
-        self.header_line = number;
+        (self.header_line, self.line) = (number, number);
         let fields = Fields::of(&line, self.separator);
         let is_data =
             known == 0 && (0..fields.len()).any(|index| self.numbers.read(fields.get(index), Unit::Metre).is_some());
@@ -196,13 +196,13 @@ impl<R: Read> Table<R> {
 
     fn surplus(&self) -> RecordingError {
         let (count, width) = (self.fields.len(), self.header.len());
-        let is_figures = |field: &[u8]| field.iter().all(u8::is_ascii_digit);
-        let figures = self.fields.iter().filter(|field| is_figures(field)).count();
-        let cause = if self.separator == Separator::Comma && figures > count - width {
+        let is_number = |field: &&[u8]| Numbers::default().read(field, Unit::Metre).is_some();
+        let texts = count - self.fields.iter().filter(is_number).count();
+        let cause = if self.separator == Separator::Comma && texts <= 1 {
             "probably decimal commas in a file whose columns are separated by commas: write decimal points, or separate \
              the columns by semicolons"
         } else {
-            "the columns have shifted: put fields that contain a separator in quotes, or name every column in the header"
+            "the columns have shifted: put fields that contain a separator in quotes, and name every column in the header"
         };
         let complaint = Complaint {
             column: "row".to_owned(),
