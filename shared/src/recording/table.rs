@@ -250,7 +250,11 @@ impl<R: Read> Table<R> {
 
     /// A complaint about a field of the row that was read last.
     pub(super) fn complaint(&self, index: usize, expected: impl Into<String>) -> Complaint {
-        Complaint::new(self.header.get(index).map_or("", String::as_str), expected, self.field(index))
+        let (field, mut expected) = (self.field(index), expected.into());
+        if self.numbers.is_other_mark(field) {
+            expected.push_str(" with the decimal mark of the rows above");
+        }
+        Complaint::new(self.header.get(index).map_or("", String::as_str), expected, field)
     }
 
     /// Refuses the file for the row that was read last.
