@@ -7,19 +7,25 @@
 //! | [`Format::Linktrack`] | Nooploop LinkTrack, `NodeFrame3` | a binary frame with several nodes, mm |
 //! | [`Format::Mauwb`] | Makerfabs MaUWB, `AT+RANGE=` | a line with up to 16 anchors, cm |
 //!
-//! [`Parser`] takes bytes as they come from a port. A range of 0 is how these radios
+//! [`Parser`] takes bytes as they come from a port, [`log`] a whole log of a port. A range of 0 is how these radios
 //! report an anchor that was not heard; it is left out.
 
 mod decimal;
 mod dwm1001;
 mod lines;
+mod linktrack;
+pub mod log;
+mod mauwb;
 mod parser;
+mod plain;
+mod stamp;
 
 use std::fmt;
 use std::str::FromStr;
 
 pub use lines::LINE_LEN_MAX;
 pub use parser::{Counts, Parser, Report};
+pub use stamp::{StampUnit, UnknownUnit};
 
 /// Largest range that one of these radios can report, m; an `int24` of mm ends at 8388 m.
 const RANGE_MAX_M: f64 = 10_000.0;
