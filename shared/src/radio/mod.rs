@@ -10,6 +10,8 @@
 //! [`Parser`] takes bytes as they come from a port, [`log`] a whole log of a port. A range of 0 is how these radios
 //! report an anchor that was not heard; it is left out.
 
+#[cfg(test)]
+mod damage;
 mod decimal;
 mod dwm1001;
 mod lines;
