@@ -29,7 +29,7 @@ use rangehound_robot::sensor::{RangeSensor, Sensor};
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::radio::log::{LogOptions, read_log};
-use rangehound_shared::radio::{Format, Parser, RadioRange, StampUnit};
+use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
 use rangehound_shared::recording::Recording;
 use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
@@ -554,7 +554,7 @@ fn hostile_radios() {
 
 /// All ranges of a stream that comes in these pieces, by report; none for what is refused.
 fn reports(format: Format, pieces: &[&[u8]]) -> Vec<Vec<RadioRange>> {
-    let (mut parser, mut all) = (Parser::new(format), Vec::new());
+    let (mut parser, mut all) = (radio::Parser::new(format), Vec::new());
     for piece in pieces {
         parser.push(piece, |report| all.push(report.map_or(Vec::new(), |report| report.ranges.to_vec())));
     }
