@@ -104,6 +104,13 @@ impl<R: Read> Table<R> {
         };
         (self.header_line, self.line) = (number, number);
         let fields = Fields::of(&line, self.separator);
+        if known == 0
+            && let Some(format) = radio_of(&line)
+        {
+            return Err(self.header_error(&format!(
+                "expected a header that names the columns; if this is a log of a radio's port, type --format {format}"
+            )));
+        }
         let is_data =
             known == 0 && (0..fields.len()).any(|index| self.numbers.read(fields.get(index), Unit::Metre).is_some());
         self.numbers = Numbers::default();
@@ -279,6 +286,18 @@ impl<R: Read> Table<R> {
     /// The columns that there are, for people.
     pub(super) fn listed_columns(&self) -> String {
         listed(self.header.iter().map(String::as_str))
+    }
+}
+
+/// The radio whose report a line looks like.
+fn radio_of(line: &[u8]) -> Option<&'static str> {
+    let has = |word: &[u8]| line.windows(word.len()).any(|window| window == word);
+    if has(b"DIST,") || has(b"]=") {
+        Some("dwm1001")
+    } else if has(b"AT+RANGE") {
+        Some("mauwb")
+    } else {
+        has(b"\x55\x05").then_some("linktrack")
     }
 }
 
