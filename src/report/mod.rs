@@ -7,10 +7,12 @@
 //! | `truth` | a true track to compare with |
 //! | `print` | the report on the terminal |
 
+pub mod consistency;
 mod print;
 mod summary;
 mod tally;
 mod truth;
+pub mod verdict;
 
 use std::path::Path;
 
