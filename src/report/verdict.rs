@@ -17,15 +17,6 @@ const REJECTED_SHARE_MAX: f64 = 0.25;
 /// Standard deviation of the position over a typical range, above which the target has not been found.
 const VAGUE_SHARE: f64 = 0.3;
 
-/// Typical range over the extent of the sensors' positions, above which no such network is built.
-const FAR_RATIO: f64 = 100.0;
-
-/// The same where the ranges do not fit either: far enough to ask for their unit.
-const FAR_RATIO_OF_MISFIT: f64 = 5.0;
-
-/// Median time from tick to tick, s, from which on whole numbers look like milliseconds.
-const LONG_STEP_S: f64 = 10.0;
-
 /// Share of the ticks with a widened gate, above which the model is wrong.
 const WIDENED_SHARE_MAX: f64 = 0.05;
 
@@ -52,8 +43,6 @@ pub struct Evidence {
     pub position_std_m: f64,
     /// Median of all ranges, m.
     pub median_range_m: f64,
-    /// Largest extent of the sensors' positions in x or y, m.
-    pub sensor_extent_m: f64,
     /// Share of the ticks at which the gate was widened, as most ranges failed it together.
     pub widened_share: f64,
     /// Standard deviation that is assumed of a range, m: the median of the sensors'.
@@ -85,12 +74,10 @@ pub struct TruthEvidence {
 }
 
 /// What is known of a recording.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct RecordingEvidence {
-    /// Median time from stamp to stamp, s.
-    pub step_s: f64,
-    /// True if all stamps are whole numbers.
-    pub has_whole_stamps: bool,
+    /// Why the file may say something else than it seems to, as its reader tells.
+    pub doubts: Vec<String>,
     /// True if the sensors have heights, and the target has none: ranges are taken as level.
     pub has_unused_heights: bool,
 }
@@ -141,7 +128,7 @@ struct Symptoms {
     misfits: bool,
     errs: bool,
     is_vague: bool,
-    is_far: bool,
+    is_doubtful: bool,
     misses_truth: bool,
 }
 
@@ -168,7 +155,7 @@ impl Symptoms {
             misfits: is_overconfident(&evidence.nis_all) || is_overconfident(&evidence.nis),
             errs: is_overconfident(&evidence.anees),
             is_vague: fused > 0 && evidence.position_std_m > VAGUE_SHARE * evidence.median_range_m,
-            is_far: evidence.far_ratio() > FAR_RATIO,
+            is_doubtful: evidence.recording.as_ref().is_some_and(|recording| !recording.doubts.is_empty()),
             misses_truth: evidence.truth.is_some_and(|truth| truth.covered_share == 0.0),
         }
     }
@@ -184,22 +171,9 @@ impl Symptoms {
 
     /// The likely reasons, the likeliest first.
     fn reasons(self, evidence: &Evidence) -> Vec<String> {
-        let mut reasons = Vec::new();
-        let Evidence { median_range_m, sensor_extent_m, .. } = *evidence;
-        let recording = evidence.recording.unwrap_or_default();
-        if self.is_far || self.contradicts() && evidence.far_ratio() > FAR_RATIO_OF_MISFIT {
-            reasons.push(format!(
-                "the ranges are {median_range_m:.0} m in the median, the sensors lie within {sensor_extent_m:.1} m: a wrong \
-                 unit? For millimetres: --columns range=range_m:mm"
-            ));
-        }
-        if (self.is_vague || self.contradicts()) && recording.has_whole_stamps && recording.step_s >= LONG_STEP_S {
-            reasons.push(format!(
-                "the stamps are whole numbers, {:.0} s apart in the median: milliseconds? Then: --columns time=time_s:ms",
-                recording.step_s
-            ));
-        }
-        if self.contradicts() && recording.has_unused_heights {
+        let recording = evidence.recording.iter();
+        let mut reasons: Vec<String> = recording.clone().flat_map(|recording| recording.doubts.clone()).collect();
+        if self.contradicts() && recording.clone().any(|recording| recording.has_unused_heights) {
             reasons.push(
                 "the sensors are at heights that the target's may differ from: the ranges are slant, and too long on \
                  the plane; give --target-height M"
@@ -264,16 +238,6 @@ impl Symptoms {
                 "the position is known to {std_m:.1} m only: the sensors lie on a line, too few ranges came in, or the \
                  target's noise (--accel-psd) is set far too high"
             ),
-        }
-    }
-}
-
-impl Evidence {
-    fn far_ratio(&self) -> f64 {
-        if self.recording.is_some() && self.sensor_extent_m > 0.0 {
-            self.median_range_m / self.sensor_extent_m
-        } else {
-            0.0
         }
     }
 }
@@ -365,10 +329,9 @@ mod tests {
             truth: Some(TruthEvidence { covered_share: 1.0, span_s: [0.0, 10.0], run_span_s: [0.0, 10.0] }),
             position_std_m: 0.1,
             median_range_m: 5.0,
-            sensor_extent_m: 10.0,
             widened_share: 0.0,
             range_std_m: 0.1,
-            recording: Some(RecordingEvidence { step_s: 0.1, ..RecordingEvidence::default() }),
+            recording: Some(RecordingEvidence::default()),
         }
     }
 
@@ -398,15 +361,11 @@ mod tests {
     }
 
     #[test]
-    fn wrong_units_are_asked_for() {
-        let sensors = ["A", "B", "C"].map(|name| sensor(name, 100, 0));
-        let evidence = Evidence { sensors: sensors.into(), median_range_m: 6_000.0, nis: None, ..good() };
-        assert!(reasons(&evidence).contains("--columns range=range_m:mm"));
-        let steps = RecordingEvidence { step_s: 100.0, has_whole_stamps: true, has_unused_heights: false };
-        let evidence = Evidence { recording: Some(steps), position_std_m: 4.0, ..good() };
-        assert!(reasons(&evidence).contains("--columns time=time_s:ms"));
-        // A slow logger alone is no fault.
-        assert!(Verdict::of(&Evidence { recording: Some(steps), ..good() }).sound);
+    fn what_the_reader_doubts_comes_first() {
+        let doubts =
+            vec!["the ranges are in millimetres".to_owned(), "the stamps too".to_owned(), "and more".to_owned()];
+        let recording = Some(RecordingEvidence { doubts, ..RecordingEvidence::default() });
+        assert_eq!(reasons(&Evidence { recording, ..good() }), "the ranges are in millimetres; the stamps too");
     }
 
     #[test]
@@ -422,9 +381,9 @@ mod tests {
     fn misfits_are_told_by_what_they_look_like() {
         let misfit = Evidence { nis_all: figure(9.0), ..good() };
         assert!(reasons(&misfit).contains("--range-std 0.30"));
-        let heights = RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
-        assert!(reasons(&Evidence { recording: Some(heights), ..misfit.clone() }).contains("--target-height"));
-        assert!(Verdict::of(&Evidence { recording: Some(heights), ..good() }).sound);
+        let heights = || RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
+        assert!(reasons(&Evidence { recording: Some(heights()), ..misfit.clone() }).contains("--target-height"));
+        assert!(Verdict::of(&Evidence { recording: Some(heights()), ..good() }).sound);
         assert!(reasons(&Evidence { anees: figure(30.0), ..good() }).contains("common to the sensors"));
         assert!(reasons(&Evidence { anees: figure(30.0), recording: None, ..good() }).contains("--stand-off"));
         let rejected = ["A", "B", "C"].map(|name| sensor(name, 100, 60));
