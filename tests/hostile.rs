@@ -547,6 +547,7 @@ fn hostile_messages() {
                 y_m: dice.number(),
                 range_m: dice.number(),
                 range_kind: if dice.chance(0.7) { dice.below(4) as u64 } else { dice.word() },
+                height_m: dice.number(),
             };
             let range_m = sensor.borrow_mut().measure(dice.word(), &entry);
             assert!(range_m.is_none_or(f64::is_finite), "{entry:?} {range_m:?}");

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
-use rangehound_shared::record::Exchange;
+use rangehound_shared::record::{Exchange, Judged};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clearance, Scenario, Source};
 use rangehound_shared::sealed::SealError;
@@ -56,6 +56,8 @@ pub struct Centre {
     time_s: f64,
     digest: Digest,
     fit: Fit,
+    /// What became of each robot's range at the last tick.
+    judged: Vec<Option<Judged>>,
     missing: u64,
     bodies: Vec<Option<Body>>,
     problem: Problem,
@@ -72,6 +74,7 @@ pub struct Saved<'a> {
     time_s: f64,
     digest: Digest,
     fit: Fit,
+    judged: Cow<'a, [Option<Judged>]>,
     missing: u64,
     objective: f64,
     lower_bound: f64,
@@ -116,6 +119,7 @@ impl Centre {
             time_s: 0.0,
             digest: Digest::default(),
             fit: Fit::default(),
+            judged: vec![None; robots],
             missing: 0,
             bodies: vec![None; robots],
             problem: Problem::default(),
@@ -150,6 +154,7 @@ impl Centre {
             time_s: self.time_s,
             digest: self.digest,
             fit: self.fit,
+            judged: Cow::Borrowed(&self.judged),
             missing: self.missing,
             objective: self.plan.objective,
             lower_bound: self.plan.lower_bound,
@@ -166,8 +171,8 @@ impl Centre {
     /// If it is not such.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
-        let lens = [restored.bodies.len(), restored.commands.len(), restored.trust.robots()];
-        if lens != [robots; 3] {
+        let Saved { bodies, commands, judged, trust, .. } = &restored;
+        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
@@ -177,6 +182,7 @@ impl Centre {
         self.time_s = restored.time_s;
         self.digest = restored.digest;
         self.fit = restored.fit;
+        self.judged = restored.judged.into_owned();
         self.missing = restored.missing;
         self.plan.objective = restored.objective;
         self.plan.lower_bound = restored.lower_bound;
@@ -208,6 +214,7 @@ impl Centre {
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
+        self.judged.fill(None);
         if tick == 0 {
             self.missing = 0;
         } else {
@@ -218,6 +225,10 @@ impl Centre {
             };
             self.keep(tick, dt_s, reports);
             self.fit = self.tracking.step(dt_s, reports);
+            self.judged.copy_from_slice(self.tracking.judged());
+            if let Some(past) = self.past.as_mut().and_then(Past::newest) {
+                past.judged.copy_from_slice(&self.judged);
+            }
         }
         self.time_s = time_s;
         let (state, covariance) = (self.tracking.tracker.state(), self.tracking.tracker.covariance());
@@ -245,6 +256,12 @@ impl Centre {
     #[must_use]
     pub fn report_at(&self, tick: u64, id: usize) -> Option<Report> {
         self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
+    }
+
+    /// What became of a robot's range of one of the last ticks, if that is kept.
+    #[must_use]
+    pub fn judged_at(&self, tick: u64, id: usize) -> Option<Judged> {
+        self.past.as_ref()?.at(tick)?.judged.get(id).copied()?
     }
 
     /// Takes a report of an earlier tick: goes back to before it and processes it and all ticks since again, so that
@@ -329,9 +346,10 @@ impl Centre {
 
     /// The last tick's exchange with each robot, as it is put down, given what each said at it.
     pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Report>]) -> impl Iterator<Item = Exchange> + 'a {
-        said.iter()
-            .zip(&self.commands)
-            .map(move |(said, command)| Exchange { heard: said.map(|report| report.heard(tick)), command: *command })
+        said.iter().zip(&self.judged).zip(&self.commands).map(move |((said, judged), command)| Exchange {
+            heard: said.map(|report| report.heard(tick, *judged)),
+            command: *command,
+        })
     }
 
     /// What the last [`Self::plan`] chose, and what it is worth.
@@ -372,6 +390,8 @@ impl Centre {
             state_dim: self.state().len() as u64,
             nis: self.fit.nis,
             fused: u64::from(self.fit.fused),
+            nis_all: self.fit.nis_all,
+            tested: u64::from(self.fit.tested),
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             distrusted: self.distrusted().to_bits(),
@@ -414,7 +434,7 @@ mod tests {
     fn a_silent_robot_is_told_to_stand_after_some_ticks() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
-        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), range_m: None });
+        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
         centre.update(0.0, &[heard; 3]).unwrap();
         assert!(centre.plan().iter().all(|command| command.speed_mps == 10.0));
         for tick in 1..=SILENCE_TICKS_MAX + 1 {
@@ -448,7 +468,11 @@ mod tests {
         let (time_s, noise_m) = (0.1 * tick as f64, 0.8 * (7.3 * tick as f64 + 2.1 * id as f64).sin());
         let position_m = Vector::from_angle(2.1 * id as f64 + 0.02 * tick as f64) * 20.0;
         let to_target = Vector::new(-8.0 * time_s, 4.0 * time_s) - position_m;
-        Some(Report { position_m, range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)) })
+        Some(Report {
+            position_m,
+            height_m: 0.0,
+            range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)),
+        })
     }
 
     fn tick(centre: &mut Centre, reports: &[Option<Report>]) {
@@ -537,7 +561,7 @@ mod tests {
     #[test]
     fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
         let mut centre = of("");
-        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), range_m: None });
+        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), height_m: 0.0, range_m: None });
         tick(&mut centre, &[stands(15.0); 3]);
         for _ in 1..=3 {
             tick(&mut centre, &[stands(15.0), None, stands(15.0)]);

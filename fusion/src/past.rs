@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use rangehound_shared::message::Command;
+use rangehound_shared::record::Judged;
 
 use crate::report::Report;
 use crate::trust::Trust;
@@ -21,6 +22,8 @@ pub(crate) struct PastTick {
     /// The trust in the robots before the tick.
     pub(crate) trust: Trust,
     pub(crate) reports: Vec<Option<Report>>,
+    /// What became of the reports' ranges.
+    pub(crate) judged: Vec<Option<Judged>>,
     /// What robots were told after it.
     pub(crate) commands: Vec<Command>,
 }
@@ -39,6 +42,7 @@ impl Past {
             tracker: Vec::new(),
             trust: Trust::new(robots),
             reports: vec![None; robots],
+            judged: vec![None; robots],
             commands: vec![Command::default(); robots],
         })
     }

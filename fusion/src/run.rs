@@ -414,7 +414,7 @@ fn write(
     let record = EstimateRecord { time_s: centre.time_s(), estimate };
     log.write(tick, record.to_words(centre.exchanges(tick, heard.said())))?;
     for late in heard.said_late() {
-        EstimateRecord::amend(log, scenario, late.tick, late.robot, late.report.heard(tick))?;
+        EstimateRecord::amend(log, scenario, late.tick, late.robot, late.report.heard(tick, late.judged))?;
     }
     Ok(())
 }

@@ -80,7 +80,9 @@ fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     let position_error = report.position_rmse_m.map(|rmse_m| ("position error, RMS", format!("{rmse_m:.3} m")));
     let anees = report.anees.map(|anees| ("ANEES, 1 is ideal", format!("{anees:.2}")));
     let nis = report.nis_mean.map(|nis| ("NIS, 1 is ideal", format!("{nis:.2}")));
-    figures.extend([position_error, anees, nis].into_iter().flatten());
+    let nis_all = report.nis_all_mean.filter(|_| report.ranges.rejected > 0);
+    let nis_all = nis_all.map(|nis| ("NIS with the rejected ranges", format!("{nis:.2}")));
+    figures.extend([position_error, anees, nis, nis_all].into_iter().flatten());
     figures.push(("position trace, end", format!("{:.3} m²", trace.r#final)));
     figures.push(("position trace, median", format!("{:.3} m²", trace.median)));
     if latency.count > 0 {

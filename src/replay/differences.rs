@@ -91,6 +91,8 @@ pub(super) struct Figures {
     pub(super) position_rmse_m: Option<f64>,
     pub(super) anees: Option<f64>,
     pub(super) nis_mean: Option<f64>,
+    pub(super) nis_all_mean: Option<f64>,
+    pub(super) gate_widened: u64,
     pub(super) position_trace_final_m2: f64,
     pub(super) position_trace_median_m2: f64,
     pub(super) fused: u64,
@@ -150,8 +152,17 @@ impl Differences {
 impl Side {
     fn figures(self, scenario: &Scenario) -> Figures {
         let (objective_mean, lower_bound_mean) = (self.objective.value(), self.bound.value());
-        let Report { planner, position_rmse_m, anees, nis_mean, position_trace_m2, ranges, .. } =
-            self.tally.report(scenario, Vec::new());
+        let Report {
+            planner,
+            position_rmse_m,
+            anees,
+            nis_mean,
+            nis_all_mean,
+            gate_widened,
+            position_trace_m2,
+            ranges,
+            ..
+        } = self.tally.report(scenario, Vec::new());
         Figures {
             planner,
             gate_sigma: scenario.gate_sigma,
@@ -162,6 +173,8 @@ impl Side {
             position_rmse_m,
             anees,
             nis_mean,
+            nis_all_mean,
+            gate_widened,
             position_trace_final_m2: position_trace_m2.r#final,
             position_trace_median_m2: position_trace_m2.median,
             fused: ranges.fused,
@@ -185,6 +198,7 @@ impl std::fmt::Display for Comparison {
             ("position error, m RMS", number(was.position_rmse_m), number(would_be.position_rmse_m)),
             ("ANEES", number(was.anees), number(would_be.anees)),
             ("NIS", number(was.nis_mean), number(would_be.nis_mean)),
+            ("NIS, all ranges", number(was.nis_all_mean), number(would_be.nis_all_mean)),
             (
                 "trace at the end, m^2",
                 number(Some(was.position_trace_final_m2)),

@@ -25,7 +25,8 @@ use rangehound_shared::tick_log::TickLogError;
 use crate::whole_file;
 
 pub use summary::{
-    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
+    SensorSummary, TraceSummary,
 };
 pub use tally::{Tally, position_covariance, position_error};
 pub use truth::Truth;
@@ -53,6 +54,7 @@ pub fn from_logs(
         let world = worlds.at(tick, &mut tally)?;
         let robots = world.map_or(&[][..], |world| &world.robots);
         tally.add_untold(EstimateRecord::exchanges(words, state_dim), robots);
+        tally.add_sensors(EstimateRecord::exchanges(words, state_dim));
         if let Some(world) = world {
             tally.add_hops(&estimate.stages, &world.robots);
         }

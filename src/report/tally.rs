@@ -5,12 +5,13 @@ use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Estimate, Stages};
-use rangehound_shared::record::{Exchange, RobotRecord};
+use rangehound_shared::record::{Exchange, RangeUse, RobotRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 use super::{
-    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
+    TraceSummary,
 };
 use crate::hops::Hops;
 use crate::percentiles;
@@ -23,6 +24,9 @@ pub struct Tally {
     squared_error_m2: Mean,
     nees: Mean,
     nis: Mean,
+    nis_all: Mean,
+    gate_widened: u64,
+    sensors: Vec<Sensor>,
     traces_m2: Vec<f64>,
     ranges: RangeSummary,
     refused: RefusalSummary,
@@ -32,6 +36,13 @@ pub struct Tally {
     hops: Hops,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
+}
+
+/// One sensor's ranges.
+#[derive(Debug, Default)]
+struct Sensor {
+    counts: [u64; RangeUse::ALL.len()],
+    nis: Mean,
 }
 
 #[derive(Debug, Default)]
@@ -51,6 +62,14 @@ impl Mean {
     }
 }
 
+impl Sensor {
+    fn summary(&self, name: &str) -> SensorSummary {
+        let [fused, rejected, distrusted] = self.counts;
+        let ranges = fused + rejected + distrusted;
+        SensorSummary { name: name.to_owned(), ranges, fused, rejected, distrusted, nis_mean: self.nis.value() }
+    }
+}
+
 impl Tally {
     /// Nothing yet.
     ///
@@ -63,6 +82,9 @@ impl Tally {
             squared_error_m2: Mean::default(),
             nees: Mean::default(),
             nis: Mean::default(),
+            nis_all: Mean::default(),
+            gate_widened: 0,
+            sensors: Vec::new(),
             traces_m2: Vec::new(),
             ranges: RangeSummary::default(),
             refused: RefusalSummary::default(),
@@ -86,6 +108,11 @@ impl Tally {
             self.nis.sum += estimate.nis;
             self.nis.count += estimate.fused as f64;
         }
+        if estimate.tested > 0 {
+            self.nis_all.sum += estimate.nis_all;
+            self.nis_all.count += estimate.tested as f64;
+        }
+        self.gate_widened += u64::from(estimate.widened != 0);
         if tick == 0 {
             return;
         }
@@ -140,6 +167,21 @@ impl Tally {
         }
     }
 
+    /// Adds what became of a tick's ranges, sensor by sensor.
+    pub fn add_sensors(&mut self, exchanges: impl IntoIterator<Item = Exchange>) {
+        for (robot, exchange) in exchanges.into_iter().enumerate() {
+            if self.sensors.len() <= robot {
+                self.sensors.push(Sensor::default());
+            }
+            let Some(judged) = exchange.heard.and_then(|heard| heard.judged) else { continue };
+            let sensor = &mut self.sensors[robot];
+            sensor.counts[judged.used as usize] += 1;
+            if let Some(square) = judged.normalised_square {
+                sensor.nis.add(square);
+            }
+        }
+    }
+
     /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
     pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
         for robot in robots {
@@ -166,11 +208,19 @@ impl Tally {
             position_rmse_m: self.squared_error_m2.value().map(f64::sqrt),
             anees: self.nees.value(),
             nis_mean: self.nis.value(),
+            nis_all_mean: self.nis_all.value(),
+            gate_widened: self.gate_widened,
             position_trace_m2: TraceSummary {
                 r#final: last_trace_m2,
                 median: self.traces_m2.get(self.traces_m2.len() / 2).copied().unwrap_or(0.0),
             },
             ranges: self.ranges,
+            sensors: scenario
+                .robots
+                .iter()
+                .zip(self.sensors)
+                .map(|(robot, sensor)| sensor.summary(&robot.label))
+                .collect(),
             refused: self.refused,
             distrusted: self.distrusted,
             headings: self.headings,
@@ -202,7 +252,7 @@ pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Optio
 #[cfg(test)]
 mod tests {
     use rangehound_shared::message::Command;
-    use rangehound_shared::record::Heard;
+    use rangehound_shared::record::{Heard, Judged};
 
     use super::*;
 
@@ -221,7 +271,7 @@ mod tests {
     #[test]
     fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
         let exchange = |range_m| Exchange {
-            heard: Some(Heard { position_m: [0.0; 2], range_m, taken_at: 1 }),
+            heard: Some(Heard { position_m: [0.0; 2], height_m: 0.0, range_m, taken_at: 1, judged: None }),
             command: Command::default(),
         };
         let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
@@ -234,6 +284,49 @@ mod tests {
         // The tick under way when a run is ended: the simulator has not put it down.
         tally.add_untold(heard, &[]);
         assert_eq!(tally.ranges.published, 5);
+    }
+
+    #[test]
+    fn each_sensor_is_told_what_became_of_its_ranges() {
+        let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
+            heard: Some(Heard {
+                position_m: [0.0; 2],
+                height_m: 0.0,
+                range_m: judged.map(|_| (1.0, 1.0)),
+                taken_at: 1,
+                judged: judged.map(|(used, normalised_square)| Judged { used, normalised_square }),
+            }),
+            command: Command::default(),
+        };
+        let mut tally = Tally::new().unwrap();
+        let (fused, rejected, distrusted) = (RangeUse::Fused, RangeUse::Rejected, RangeUse::Distrusted);
+        tally.add_sensors([exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
+        tally.add_sensors([
+            exchange(Some((fused, Some(0.5)))),
+            Exchange::default(),
+            exchange(Some((rejected, Some(20.0)))),
+        ]);
+        let told: Vec<SensorSummary> = tally.sensors.iter().map(|sensor| sensor.summary("a")).collect();
+        let expected = [(2, 2, 0, 0, Some(0.5)), (0, 0, 0, 0, None), (2, 0, 1, 1, Some(12.5))];
+        for (told, (ranges, fused, rejected, distrusted, nis_mean)) in told.into_iter().zip(expected) {
+            assert_eq!(told, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
+        }
+    }
+
+    #[test]
+    fn the_nis_of_all_ranges_is_beside_that_of_the_fused_ones() {
+        let mut tally = Tally::new().unwrap();
+        tally.add_estimate(
+            1,
+            &Estimate { nis: 1.5, fused: 2, nis_all: 30.0, tested: 4, rejected: 2, ..Estimate::default() },
+            None,
+        );
+        tally.add_estimate(
+            2,
+            &Estimate { nis_all: 20.0, tested: 1, widened: 1, rejected: 1, ..Estimate::default() },
+            None,
+        );
+        assert_eq!((tally.nis.value(), tally.nis_all.value(), tally.gate_widened), (Some(0.75), Some(10.0), 1));
     }
 
     #[test]

@@ -10,6 +10,8 @@ pub mod imm;
 pub mod kalman;
 
 use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::ROBOTS_MAX;
+use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Prior, Scenario};
 use rangehound_shared::sealed::SealError;
@@ -23,6 +25,8 @@ pub struct Reading {
     pub robot: usize,
     /// Where the robot was, m.
     pub position_m: Vector2<f64>,
+    /// Height of its sensor above the plane in which the target moves, m.
+    pub height_m: f64,
     /// What it measured, m.
     pub range_m: f64,
     /// Standard deviation of the measurement, m.
@@ -38,6 +42,10 @@ pub struct Fit {
     pub nis: f64,
     /// Ranges fused: the NIS's degrees of freedom.
     pub fused: u32,
+    /// Normalised innovation squared of all ranges, fused or not: of the tick's ranges jointly.
+    pub nis_all: f64,
+    /// Ranges in it, its degrees of freedom: all that anything predicted.
+    pub tested: u32,
     /// Ranges not fused: they failed the gate, or were only to be tested.
     pub rejected: u32,
     /// Robots whose range failed the gate.
@@ -49,6 +57,9 @@ pub struct Fit {
 pub trait Tracker: std::fmt::Debug + Send {
     /// Predicts over `dt_s` seconds, then updates with the readings, taken in order.
     fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit;
+
+    /// What the last step did with each of its readings, in their order.
+    fn judged(&self) -> &[Judged];
 
     /// The state, position first.
     fn state(&self) -> &[f64];
@@ -70,6 +81,20 @@ pub trait Tracker: std::fmt::Debug + Send {
 
     /// Position and its covariance predicted over `dt_s` seconds (k+1|k), for the planner.
     fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>);
+}
+
+/// Room for what a tracker says of a tick's readings: no step allocates.
+fn judged_room() -> Vec<Judged> {
+    Vec::with_capacity(ROBOTS_MAX)
+}
+
+/// What becomes of a reading that passed the gate or failed it.
+fn use_of(reading: &Reading, passed: bool) -> RangeUse {
+    match (reading.distrusted, passed) {
+        (true, _) => RangeUse::Distrusted,
+        (false, true) => RangeUse::Fused,
+        (false, false) => RangeUse::Rejected,
+    }
 }
 
 /// The tracker that a scenario asks for.
