@@ -7,8 +7,8 @@ use crate::compare::statistics::{Interval, chi_square_mean_bounds};
 /// Most batches; when there are more, two neighbours become one.
 const BATCHES_MAX: usize = 64;
 
-/// Fewest batches that tell how strongly samples are correlated.
-const BATCHES_MIN: usize = 8;
+/// Batches whose means are compared: few, so that each is longer than a filter's memory.
+const COMPARED: usize = 16;
 
 /// The mean of normalised squares in order of time (NIS or NEES, each per degree of freedom), and the number of
 /// independent samples that it is worth.
@@ -46,6 +46,13 @@ pub struct ConsistencySummary {
 }
 
 impl ConsistencySummary {
+    /// A mean over independent samples of so many degrees of freedom each.
+    #[must_use]
+    pub fn new(mean: f64, independent_samples: f64, dof_each: f64) -> Self {
+        let dof = (independent_samples * dof_each).round().max(1.0);
+        Self { mean, band_95: chi_square_mean_bounds(1, dof as usize), independent_samples }
+    }
+
     /// True if the filter is too sure of itself by more than chance explains and by more than rounding of its noise:
     /// the errors are at least 1.4 times as large as it believes.
     #[must_use]
@@ -56,8 +63,8 @@ impl ConsistencySummary {
 
 impl Consistency {
     /// Adds a tick's normalised square, which has so many degrees of freedom.
-    pub fn add(&mut self, square: f64, dof: u32) {
-        let dof = f64::from(dof);
+    pub fn add(&mut self, square: f64, dof: u64) {
+        let dof = dof as f64;
         if dof == 0.0 || !square.is_finite() {
             return;
         }
@@ -92,29 +99,37 @@ impl Consistency {
         self.batches = pairs.collect();
     }
 
+    /// The mean; `None` of nothing.
+    #[must_use]
+    pub fn mean(&self) -> Option<f64> {
+        (self.dof > 0.0).then(|| self.sum / self.dof)
+    }
+
     /// The mean and its band; `None` of nothing.
     #[must_use]
     pub fn summary(&self) -> Option<ConsistencySummary> {
-        (self.dof > 0.0).then(|| {
-            let mean = self.sum / self.dof;
+        self.mean().map(|mean| {
             let independent_samples = self.independent_samples();
             let dof_each = self.dof / self.ticks as f64;
-            let dof = (independent_samples * dof_each).round().max(1.0);
-            ConsistencySummary { mean, band_95: chi_square_mean_bounds(1, dof as usize), independent_samples }
+            ConsistencySummary::new(mean, independent_samples, dof_each)
         })
     }
 
     /// Variance of one tick over the variance of the mean.
     fn independent_samples(&self) -> f64 {
         let ticks = self.ticks as f64;
-        // The last batch is not full.
-        let full = &self.batches[..self.batches.len().saturating_sub(1)];
-        if full.len() < BATCHES_MIN {
-            // Too short to tell: of a filter's memory of some ticks, a cautious guess.
+        let together = self.batches.len() / COMPARED;
+        if together < 2 {
+            // Too short to tell: a cautious guess for a filter with a memory of some ticks.
             return (ticks / 8.0).max(1.0);
         }
-        let means = || full.iter().map(|batch| batch.sum / batch.dof);
-        let count = full.len() as f64;
+        let means = || {
+            let long = self.batches.chunks_exact(together);
+            long.map(|long| {
+                long.iter().map(|batch| batch.sum).sum::<f64>() / long.iter().map(|batch| batch.dof).sum::<f64>()
+            })
+        };
+        let count = means().count() as f64;
         let mean = means().sum::<f64>() / count;
         let variance_of_batches = means().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
         let mean_of_ticks = self.sum / self.dof;

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::consistency::ConsistencySummary;
-use crate::terminal::{BAD, GOOD, field, field_in};
+use crate::terminal::{BAD, DOUBTFUL, GOOD, prose_in};
 
 /// Share of a sensor's ranges that are not fused, from which on the sensor is taken for faulty.
 const FAULTY_SHARE: f64 = 0.5;
@@ -12,7 +12,7 @@ const FAULTY_SHARE: f64 = 0.5;
 const JUDGED_RANGES_MIN: u64 = 8;
 
 /// Share of the ranges of sensors that are not faulty which a sound filter may reject.
-const REJECTED_SHARE_MAX: f64 = 0.25;
+const REJECTED_SHARE_MAX: f64 = 0.2;
 
 /// Standard deviation of the position over a typical range, above which the target has not been found.
 const VAGUE_SHARE: f64 = 0.3;
@@ -35,6 +35,8 @@ pub struct Evidence {
     pub nis: Option<ConsistencySummary>,
     /// NIS of all ranges of sensors that are not faulty.
     pub nis_all: Option<ConsistencySummary>,
+    /// The same with each range's part capped, so that a few outliers, which the gate keeps out, do not rule it.
+    pub nis_capped: Option<ConsistencySummary>,
     /// Normalised position error squared; `None` without truth.
     pub anees: Option<ConsistencySummary>,
     /// The true track that the user gave; `None` without one.
@@ -152,7 +154,7 @@ impl Symptoms {
             rejects_most,
             rejects_many: !rejects_most && others_share > REJECTED_SHARE_MAX
                 || evidence.widened_share > WIDENED_SHARE_MAX,
-            misfits: is_overconfident(&evidence.nis_all) || is_overconfident(&evidence.nis),
+            misfits: is_overconfident(&evidence.nis_capped) || is_overconfident(&evidence.nis),
             errs: is_overconfident(&evidence.anees),
             is_vague: fused > 0 && evidence.position_std_m > VAGUE_SHARE * evidence.median_range_m,
             is_doubtful: evidence.recording.as_ref().is_some_and(|recording| !recording.doubts.is_empty()),
@@ -197,8 +199,8 @@ impl Symptoms {
     }
 
     fn reason_of_misfit(self, evidence: &Evidence) -> String {
-        let nis_all = evidence.nis_all.or(evidence.nis).map_or(1.0, |nis| nis.mean);
         let std_m = evidence.range_std_m;
+        let heard = evidence.sensors.iter().filter(|sensor| sensor.ranges > 0).count();
         if self.nothing_fused && evidence.sensors.iter().all(|sensor| sensor.ranges == 0) {
             return "no range came in: see logs/ in the run folder".to_owned();
         }
@@ -212,17 +214,28 @@ impl Symptoms {
             return "the ranges do not fit the scenario's model: noise, prior or target model differ from the truth"
                 .to_owned();
         }
-        if self.errs && !self.misfits && !self.rejects_most && !self.rejects_many {
-            return "the error is larger than the filter believes although the ranges fit: a bias that is common to the \
-                    sensors, or wrong sensor positions; `rangehound calibrate` looks for a bias"
-                .to_owned();
+        let faulty = evidence.sensors.iter().find(|sensor| sensor.is_faulty());
+        if let Some(SensorEvidence { name, ranges, fused }) = faulty.filter(|_| !self.rejects_most) {
+            return format!(
+                "sensor {name} contradicts the others: {fused} of its {ranges} ranges were fused; correct its place or \
+                 bias, or leave it out"
+            );
         }
-        let likely_m = std_m * nis_all.sqrt();
-        format!(
-            "the ranges differ from what is expected by {:.1} times the assumed {std_m} m: a bias, sensors in the wrong \
-             place, or more noise (--range-std {likely_m:.2}); `rangehound calibrate` tells",
-            nis_all.sqrt()
-        )
+        let misfit = evidence.nis_capped.or(evidence.nis).filter(|_| self.misfits).map(|nis| nis.mean.sqrt());
+        match misfit {
+            _ if self.errs && heard <= 2 => self.reason_of_vagueness(evidence),
+            Some(misfit) => format!(
+                "the ranges differ from what is expected by {misfit:.1} times the assumed {std_m} m: a bias, sensors in \
+                 the wrong place, or more noise (--range-std {:.2}); `rangehound calibrate` tells",
+                std_m * misfit
+            ),
+            None if self.errs => "the error is larger than the filter believes although the ranges fit: a bias that is \
+                                  common to the sensors, or wrong sensor positions; `rangehound calibrate` looks for a bias"
+                .to_owned(),
+            None => "the ranges contradict each other: a bias, a wrong unit, sensors in the wrong place, or two targets; \
+                     `rangehound calibrate` looks for a bias"
+                .to_owned(),
+        }
     }
 
     fn reason_of_vagueness(self, evidence: &Evidence) -> String {
@@ -294,12 +307,12 @@ impl std::fmt::Display for Verdict {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { sound, summary, reasons, notes } = self;
         let (style, word) = if *sound { (GOOD, "sound") } else { (BAD, "not sound") };
-        write!(f, "{}", field_in(style, "verdict", format_args!("{word}: {summary}")))?;
+        write!(f, "{}", prose_in(style, "verdict", format_args!("{word}: {summary}")))?;
         for reason in reasons {
-            write!(f, "\n{}", field_in(BAD, "likely reason", reason))?;
+            write!(f, "\n{}", prose_in(BAD, "likely reason", reason))?;
         }
         for note in notes {
-            write!(f, "\n{}", field("note", note))?;
+            write!(f, "\n{}", prose_in(DOUBTFUL, "note", note))?;
         }
         Ok(())
     }
@@ -325,6 +338,7 @@ mod tests {
             sensors: ["A", "B", "C"].map(|name| sensor(name, 100, 99)).into(),
             nis: figure(1.0),
             nis_all: figure(1.1),
+            nis_capped: figure(1.1),
             anees: figure(0.9),
             truth: Some(TruthEvidence { covered_share: 1.0, span_s: [0.0, 10.0], run_span_s: [0.0, 10.0] }),
             position_std_m: 0.1,
@@ -355,6 +369,8 @@ mod tests {
         evidence.sensors[1] = sensor("2938", 100, 20);
         let verdict = Verdict::of(&evidence);
         assert!(verdict.sound && verdict.notes[0].contains("sensor 2938 was left out: 80 %"), "{verdict:?}");
+        let dragged = Evidence { nis_capped: figure(4.0), ..evidence.clone() };
+        assert!(reasons(&dragged).contains("sensor 2938 contradicts the others: 20 of its 100"));
         // Two of three: then nobody can tell which.
         evidence.sensors[0] = sensor("A", 100, 30);
         assert!(reasons(&evidence).contains("rangehound calibrate"));
@@ -379,7 +395,7 @@ mod tests {
 
     #[test]
     fn misfits_are_told_by_what_they_look_like() {
-        let misfit = Evidence { nis_all: figure(9.0), ..good() };
+        let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..good() };
         assert!(reasons(&misfit).contains("--range-std 0.30"));
         let heights = || RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
         assert!(reasons(&Evidence { recording: Some(heights()), ..misfit.clone() }).contains("--target-height"));
@@ -392,13 +408,19 @@ mod tests {
     }
 
     #[test]
+    fn a_few_outliers_do_not_rule_the_verdict() {
+        assert!(Verdict::of(&Evidence { nis_all: figure(20.0), nis_capped: figure(1.5), ..good() }).sound);
+    }
+
+    #[test]
     fn who_cannot_tell_says_so() {
         let two = vec![sensor("A", 100, 100), sensor("B", 100, 100)];
         assert!(reasons(&Evidence { sensors: two, position_std_m: 6.0, ..good() }).contains("mirror image"));
         assert!(reasons(&Evidence { position_std_m: 6.0, ..good() }).contains("on a line"));
         let silent = vec![sensor("A", 0, 0)];
         assert!(
-            reasons(&Evidence { sensors: silent, nis: None, nis_all: None, anees: None, ..good() }).contains("logs/")
+            reasons(&Evidence { sensors: silent, nis: None, nis_capped: None, anees: None, ..good() })
+                .contains("logs/")
         );
     }
 
