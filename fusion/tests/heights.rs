@@ -74,7 +74,14 @@ fn walk(
             .map(|(robot, anchor_m)| {
                 let position_m = Vector2::from(*anchor_m);
                 let range_m = (target_m - position_m).norm().hypot(HEIGHT_M) + STD_M * noise[robot];
-                Reading { robot, position_m, height_m: told_height_m, range_m, range_std_m: STD_M, ..Reading::default() }
+                Reading {
+                    robot,
+                    position_m,
+                    height_m: told_height_m,
+                    range_m,
+                    range_std_m: STD_M,
+                    ..Reading::default()
+                }
             })
             .collect();
         let fit = tracker.step(if tick == 1 { 0.0 } else { DT_S }, &readings);
@@ -162,7 +169,8 @@ fn a_target_straight_beneath_an_anchor_is_not_known_better_than_that() {
 #[test]
 fn a_target_that_starts_beneath_an_anchor_is_followed_consistently() {
     let start = [0.0, 0.0, 0.3, 0.2];
-    let sum = over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, HEIGHT_M, 1, sum));
+    let sum =
+        over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, HEIGHT_M, 1, sum));
     assert!((0.85..1.2).contains(&sum.anees()) && (0.9..1.1).contains(&sum.nis_mean()), "{sum:?}");
     let from_ranges = over_seeds(20, |seed, sum| {
         let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));

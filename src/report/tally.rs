@@ -112,7 +112,7 @@ impl Tally {
             self.nis_all.sum += estimate.nis_all;
             self.nis_all.count += estimate.tested as f64;
         }
-        self.gate_widened += u64::from(estimate.widened != 0);
+        self.gate_widened += u64::from(estimate.noise_scale > 1.0);
         if tick == 0 {
             return;
         }
@@ -323,7 +323,7 @@ mod tests {
         );
         tally.add_estimate(
             2,
-            &Estimate { nis_all: 20.0, tested: 1, widened: 1, rejected: 1, ..Estimate::default() },
+            &Estimate { nis_all: 20.0, tested: 1, noise_scale: 2.0, rejected: 1, ..Estimate::default() },
             None,
         );
         assert_eq!((tally.nis.value(), tally.nis_all.value(), tally.gate_widened), (Some(0.75), Some(10.0), 1));
