@@ -343,7 +343,7 @@ fn every_frame_comes_back_to_the_bit() {
         strange.world.robots[2].range_m = None;
         let estimate = &mut strange.estimate.estimate;
         (estimate.late, estimate.fused_late, estimate.rejected_late, estimate.missing) = (4, 2, 1, 1);
-        (estimate.nis_all, estimate.tested, estimate.widened) = (12.5, 4, 1);
+        (estimate.nis_all, estimate.tested, estimate.noise_scale) = (12.5, 4, 1.75);
         (estimate.refused, estimate.distrusted[0]) = ([1, 2, 3, 4, 5, 6], 5);
         (estimate.lower_bound, estimate.objective) = (f64::NEG_INFINITY, -0.0);
         let bytes = recorded(&description, &all);

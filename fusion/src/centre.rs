@@ -47,7 +47,8 @@ pub struct Centre {
     dt_s: f64,
     clearance: Clearance,
     speed_limits_mps: Vec<f64>,
-    range_stds_m: Vec<f64>,
+    /// Standard deviations of the robots' ranges before they have said any, m.
+    told_stds_m: Vec<f64>,
     tracking: Tracking,
     /// `None`: late reports are missed.
     past: Option<Past>,
@@ -89,6 +90,8 @@ pub struct Saved<'a> {
 struct Body {
     position_m: Vector,
     heard_at: u64,
+    /// Standard deviation of its last range, m, if it has had one.
+    range_std_m: Option<f64>,
 }
 
 /// The estimate is no longer one.
@@ -111,7 +114,7 @@ impl Centre {
             dt_s: scenario.dt_s,
             clearance: scenario.clearance,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
-            range_stds_m: scenario.robots.iter().map(|robot| robot.range_std_m).collect(),
+            told_stds_m: scenario.robots.iter().map(|robot| robot.told_std_m).collect(),
             tracking: Tracking::new(scenario),
             past: None,
             planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
@@ -209,8 +212,8 @@ impl Centre {
         let tick = self.next_tick;
         self.next_tick += 1;
         for (body, report) in self.bodies.iter_mut().zip(reports) {
-            let Some(Report { position_m, .. }) = *report else { continue };
-            *body = Some(Body { position_m, heard_at: tick });
+            let Some(Report { position_m, range_m, .. }) = *report else { continue };
+            *body = Some(Body { position_m, heard_at: tick, range_std_m: last_std_m(range_m, *body) });
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
@@ -242,7 +245,7 @@ impl Centre {
     /// Writes down what a tick starts from, if the past is kept.
     fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Report>]) {
         let Some(past) = &mut self.past else { return };
-        let mut place = past.place(reports.len());
+        let mut place = past.place(reports.len(), &self.tracking.trust);
         (place.tick, place.dt_s) = (tick, dt_s);
         place.reports.copy_from_slice(reports);
         match self.tracking.save_before(&mut place) {
@@ -277,7 +280,8 @@ impl Centre {
         if self.bodies[id].is_none_or(|body| body.heard_at < tick) {
             let steps = past.since(tick).map(|past| past.commands[id]);
             let position_m = steps.fold(report.position_m, |position_m, command| moved(position_m, command, self.dt_s));
-            self.bodies[id] = Some(Body { position_m, heard_at: tick });
+            let range_std_m = last_std_m(report.range_m, self.bodies[id]);
+            self.bodies[id] = Some(Body { position_m, heard_at: tick, range_std_m });
         }
         if report.range_m.is_none() {
             return Late::NoRange;
@@ -294,6 +298,11 @@ impl Centre {
 
     /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
     /// were heard lately; the others are told to stand. Sensors of a recording go their own way.
+    ///
+    /// It plans with what will be fused: with the standard deviations that the robots' last messages report, and with
+    /// nothing of robots that are distrusted. Those are members whose range tells nothing, `lambda = 0`: they change
+    /// neither the objective nor its bound, and are turned to where their range would tell most beside the others', were
+    /// it fused, so that they are of use as soon as they are trusted again.
     pub fn plan(&mut self) -> &[Command] {
         if self.recorded {
             return &self.commands;
@@ -306,12 +315,12 @@ impl Centre {
                 self.planned.push(id);
             }
         }
+        let (distrusted, noise_scale) = (self.tracking.trust.distrusted(), self.tracking.trust.noise_scale());
         let team = self.planned.iter().filter_map(|&id| {
-            Some(TeamMember {
-                position_m: self.bodies[id]?.position_m,
-                max_speed_mps: self.speed_limits_mps[id],
-                range_std_m: self.range_stds_m[id],
-            })
+            let Body { position_m, range_std_m, .. } = self.bodies[id]?;
+            let told_m = range_std_m.unwrap_or(self.told_stds_m[id]) * noise_scale;
+            let range_std_m = if distrusted.contains(id) { f64::INFINITY } else { told_m };
+            Some(TeamMember { position_m, max_speed_mps: self.speed_limits_mps[id], range_std_m })
         });
         self.problem.pose(&covariance, Vector::new(target[0], target[1]), self.dt_s, &self.clearance, team);
         self.planner.plan(tick, &self.problem, &mut self.plan);
@@ -382,6 +391,12 @@ impl Centre {
         self.tracking.trust.distrusted()
     }
 
+    /// How many times larger than told the standard deviations of ranges are taken: 1 unless most sensors fail together.
+    #[must_use]
+    pub fn noise_scale(&self) -> f64 {
+        self.tracking.trust.noise_scale()
+    }
+
     /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
@@ -392,6 +407,7 @@ impl Centre {
             fused: u64::from(self.fit.fused),
             nis_all: self.fit.nis_all,
             tested: u64::from(self.fit.tested),
+            noise_scale: self.noise_scale(),
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             distrusted: self.distrusted().to_bits(),
@@ -404,6 +420,11 @@ impl Centre {
         estimate.covariance[..self.covariance().len()].copy_from_slice(self.covariance());
         estimate
     }
+}
+
+/// The standard deviation of a robot's last range, given the newest message and what was known before it.
+fn last_std_m(range_m: Option<(f64, f64)>, before: Option<Body>) -> Option<f64> {
+    range_m.map(|(_, std_m)| std_m).or(before.and_then(|body| body.range_std_m))
 }
 
 /// Where a command takes a robot in a time step.
@@ -569,7 +590,7 @@ mod tests {
         let commands: Vec<Command> = [2, 3].map(|k| centre.past.as_ref().unwrap().at(k).unwrap().commands[1]).into();
         centre.take_late(2, 1, stands(40.0).unwrap());
         let expected = commands.iter().fold(Vector::new(40.0, 0.0), |at, command| moved(at, *command, 0.1));
-        assert_eq!(centre.bodies[1], Some(Body { position_m: expected, heard_at: 2 }));
+        assert_eq!(centre.bodies[1], Some(Body { position_m: expected, heard_at: 2, range_std_m: None }));
         centre.take_late(1, 1, stands(70.0).unwrap());
         assert_eq!(centre.bodies[1].map(|body| body.heard_at), Some(2), "older than what is known");
     }

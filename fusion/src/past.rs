@@ -34,13 +34,13 @@ pub(crate) struct Past(VecDeque<PastTick>);
 
 impl Past {
     /// A place for a tick after all others: the oldest one's, once there are enough.
-    pub(crate) fn place(&mut self, robots: usize) -> PastTick {
+    pub(crate) fn place(&mut self, robots: usize, trust: &Trust) -> PastTick {
         let full = self.0.len() == LATE_TICKS_MAX;
         full.then(|| self.0.pop_front()).flatten().unwrap_or_else(|| PastTick {
             tick: 0,
             dt_s: 0.0,
             tracker: Vec::new(),
-            trust: Trust::new(robots),
+            trust: trust.clone(),
             reports: vec![None; robots],
             judged: vec![None; robots],
             commands: vec![Command::default(); robots],

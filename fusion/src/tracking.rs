@@ -8,7 +8,7 @@ use rangehound_shared::sealed::SealError;
 use crate::past::PastTick;
 use crate::report::Report;
 use crate::tracker::{self, Fit, Reading, Tracker};
-use crate::trust::Trust;
+use crate::trust::{Policy, Trust};
 
 /// The estimate, and whose ranges go into it.
 #[derive(Debug)]
@@ -24,7 +24,14 @@ impl Tracking {
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
         let tracker = tracker::for_scenario(scenario);
-        Self { tracker, trust: Trust::new(robots), readings: Vec::with_capacity(robots), judged: vec![None; robots] }
+        let policy =
+            Policy { distrusts: scenario.distrust, widens: scenario.distrust || scenario.gate_sigma.is_some() };
+        Self {
+            tracker,
+            trust: Trust::new(robots, policy),
+            readings: Vec::with_capacity(robots),
+            judged: vec![None; robots],
+        }
     }
 
     /// What the last step did with each robot's range.
@@ -34,12 +41,13 @@ impl Tracking {
 
     /// Predicts over `dt_s` seconds, then updates with the reports' ranges in order of the robots' ids.
     pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Report>]) -> Fit {
-        let distrusted = self.trust.distrusted();
+        let (distrusted, noise_scale) = (self.trust.distrusted(), self.trust.noise_scale());
         self.readings.clear();
         for (robot, report) in reports.iter().enumerate() {
             if let Some(Report { position_m, height_m, range_m: Some((range_m, range_std_m)) }) = *report {
                 let position_m = Vector2::new(position_m.x, position_m.y);
                 let distrusted = distrusted.contains(robot);
+                let range_std_m = range_std_m * noise_scale;
                 self.readings.push(Reading { robot, position_m, height_m, range_m, range_std_m, distrusted });
             }
         }
@@ -48,7 +56,12 @@ impl Tracking {
         for (reading, judged) in self.readings.iter().zip(self.tracker.judged()) {
             self.judged[reading.robot] = Some(*judged);
         }
-        self.trust.judge(self.readings.iter().map(|reading| reading.robot), &fit.failed);
+        let squares = self.readings.iter().zip(self.tracker.judged());
+        let squares = squares.map(|(reading, judged)| (reading.robot, judged.normalised_square));
+        let factor = self.trust.judge(squares, &fit.failed);
+        if factor > 1.0 {
+            self.tracker.widen(factor);
+        }
         fit
     }
 

@@ -58,7 +58,7 @@ fn main() -> Result<()> {
     let port = || format!("--port {}", args.port.display());
     let calibration = Calibration { bias_m: args.range_bias, scale: args.range_scale };
     let max_age = args.max_age.unwrap_or(Duration::from_secs_f64(scenario.dt_s));
-    let mut sensor = SerialSensor::open(&args.port, calibration, robot.range_std_m, max_age).with_context(port)?;
+    let mut sensor = SerialSensor::open(&args.port, calibration, robot.told_std_m, max_age).with_context(port)?;
     let mut actuator = SerialActuator::open(&args.port).with_context(port)?;
     Ok(run_with(&run, args.id, &mut sensor, &mut actuator, &termination)?)
 }

@@ -191,8 +191,9 @@ pub struct Estimate {
     pub nis_all: f64,
     /// Ranges in it: its degrees of freedom.
     pub tested: u64,
-    /// 1 if most of the team's ranges failed together, so that the filter was widened and all were fused.
-    pub widened: u64,
+    /// How many times larger than told the filter takes the standard deviations of ranges from the next on: more than 1
+    /// while most sensors fail together.
+    pub noise_scale: f64,
     /// Ranges that failed the gate, or whose robot is distrusted.
     pub rejected: u64,
     /// Robots not heard.
@@ -261,7 +262,7 @@ impl Default for Estimate {
             fused: 0,
             nis_all: 0.0,
             tested: 0,
-            widened: 0,
+            noise_scale: 1.0,
             rejected: 0,
             missing: 0,
             late: 0,

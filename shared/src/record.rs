@@ -219,7 +219,7 @@ impl EstimateRecord {
             e.stages.sent_ns,
             e.nis_all.to_bits(),
             e.tested,
-            e.widened,
+            e.noise_scale.to_bits(),
         ];
         let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
         let robots = exchanges.into_iter().flat_map(|Exchange { heard, command }| {
@@ -279,7 +279,7 @@ impl EstimateRecord {
             },
             nis_all: f64::from_bits(word(18)),
             tested: word(19),
-            widened: word(20),
+            noise_scale: f64::from_bits(word(20)),
             refused: std::array::from_fn(|i| word(Self::SINGLE_WORDS + i)),
             distrusted: std::array::from_fn(|i| word(Self::SINGLE_WORDS + Refusal::ALL.len() + i)),
             ..Estimate::default()
@@ -415,7 +415,7 @@ mod tests {
             fused: 3,
             nis_all: 2.5,
             tested: 27,
-            widened: 1,
+            noise_scale: 1.75,
             rejected: 4,
             missing: 5,
             late: 6,

@@ -86,6 +86,7 @@ pub(super) struct Comparison {
 pub(super) struct Figures {
     pub(super) planner: String,
     pub(super) gate_sigma: Option<f64>,
+    pub(super) distrust: bool,
     /// As in the scenario; none of a model that is matrices.
     pub(super) noise_psd: Option<f64>,
     pub(super) position_rmse_m: Option<f64>,
@@ -140,7 +141,7 @@ impl Differences {
             heading_apart_max_rad: self.headings_apart.max,
             position_apart_mean_m: self.positions_apart.mean.value(),
             position_apart_max_m: self.positions_apart.max,
-            psd_unit: match recorded.motion {
+            psd_unit: match recorded.filter_motion {
                 MotionModel::IntegratorChain { order: 1, .. } => "m^2/s",
                 MotionModel::IntegratorChain { order: 3, .. } => "m^2/s^5",
                 MotionModel::IntegratorChain { .. } | MotionModel::Custom { .. } => "m^2/s^3",
@@ -166,7 +167,8 @@ impl Side {
         Figures {
             planner,
             gate_sigma: scenario.gate_sigma,
-            noise_psd: match scenario.motion {
+            distrust: scenario.distrust,
+            noise_psd: match scenario.filter_motion {
                 MotionModel::IntegratorChain { noise_psd, .. } => Some(noise_psd),
                 MotionModel::Custom { .. } => None,
             },
@@ -194,6 +196,7 @@ impl std::fmt::Display for Comparison {
             // What may have been changed comes first.
             ("planner", was.planner.clone(), would_be.planner.clone()),
             ("gate, sigma", setting(was.gate_sigma), setting(would_be.gate_sigma)),
+            ("distrust", on_or_off(was.distrust), on_or_off(would_be.distrust)),
             (&noise, setting(was.noise_psd), setting(would_be.noise_psd)),
             ("position error, m RMS", number(was.position_rmse_m), number(would_be.position_rmse_m)),
             ("ANEES", number(was.anees), number(would_be.anees)),
@@ -230,6 +233,10 @@ impl std::fmt::Display for Comparison {
         }
         Ok(())
     }
+}
+
+fn on_or_off(switch: bool) -> String {
+    if switch { "on" } else { "off" }.to_owned()
 }
 
 /// A number as somebody has written it, as far as there is room.

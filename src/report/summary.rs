@@ -40,7 +40,7 @@ pub struct Report {
     pub nis_mean: Option<f64>,
     /// The same over all ranges, whether they were fused or not: far above 1 where good ranges are thrown away.
     pub nis_all_mean: Option<f64>,
-    /// Ticks at which most of the team's ranges failed together, so that the filter was widened and all were fused.
+    /// Ticks after which ranges were taken to be noisier than told, because most sensors failed together.
     pub gate_widened: u64,
     /// Trace of the position covariance.
     pub position_trace_m2: TraceSummary,

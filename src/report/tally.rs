@@ -115,7 +115,7 @@ impl Tally {
         self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));
         self.nis.add(estimate.nis, estimate.fused);
         self.nis_all.add(estimate.nis_all, estimate.tested);
-        self.gate_widened += u64::from(estimate.widened != 0);
+        self.gate_widened += u64::from(estimate.noise_scale > 1.0);
         if tick == 0 {
             return;
         }
@@ -389,7 +389,7 @@ mod tests {
         );
         tally.add_estimate(
             2,
-            &Estimate { nis_all: 20.0, tested: 1, widened: 1, rejected: 1, ..Estimate::default() },
+            &Estimate { nis_all: 20.0, tested: 1, noise_scale: 2.0, rejected: 1, ..Estimate::default() },
             None,
         );
         assert_eq!((tally.nis.mean(), tally.nis_all.mean(), tally.gate_widened), (Some(0.75), Some(10.0), 1));

@@ -17,8 +17,8 @@ const REJECTED_SHARE_MAX: f64 = 0.2;
 /// Standard deviation of the position over a typical range, above which the target has not been found.
 const VAGUE_SHARE: f64 = 0.3;
 
-/// Share of the ticks with a widened gate, above which the model is wrong.
-const WIDENED_SHARE_MAX: f64 = 0.05;
+/// Share of the ticks with widened noise, above which the model is wrong.
+const WIDENED_SHARE_MAX: f64 = 0.2;
 
 /// Share of the run that a true track must cover: less is told.
 const TRUTH_SHARE_MIN: f64 = 0.5;
@@ -45,7 +45,7 @@ pub struct Evidence {
     pub position_std_m: f64,
     /// Median of all ranges, m.
     pub median_range_m: f64,
-    /// Share of the ticks at which the gate was widened, as most ranges failed it together.
+    /// Share of the ticks at which the noise was widened, as most ranges failed the gate together.
     pub widened_share: f64,
     /// Standard deviation that is assumed of a range, m: the median of the sensors'.
     pub range_std_m: f64,
@@ -404,7 +404,7 @@ mod tests {
         assert!(reasons(&Evidence { anees: figure(30.0), recording: None, ..good() }).contains("--stand-off"));
         let rejected = ["A", "B", "C"].map(|name| sensor(name, 100, 60));
         assert!(reasons(&Evidence { sensors: rejected.into(), nis: figure(0.9), ..good() }).contains("calibrate"));
-        assert!(reasons(&Evidence { widened_share: 0.2, ..good() }).contains("calibrate"));
+        assert!(reasons(&Evidence { widened_share: 0.3, ..good() }).contains("calibrate"));
     }
 
     #[test]

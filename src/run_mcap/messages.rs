@@ -200,9 +200,10 @@ pub struct Estimate {
     /// Ranges in it.
     #[prost(uint64, tag = "19")]
     pub tested: u64,
-    /// 1 if most ranges failed together, so that the filter was widened and all were fused.
-    #[prost(uint64, tag = "20")]
-    pub widened: u64,
+    /// How many times larger than told ranges' standard deviations are taken from the next on: more than 1 while most
+    /// sensors fail together.
+    #[prost(double, tag = "20")]
+    pub noise_scale: f64,
 }
 
 /// Messages refused, by cause.

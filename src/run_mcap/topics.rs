@@ -115,7 +115,7 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
         digest: digest_of(estimate).to_string(),
         nis_all: estimate.nis_all,
         tested: estimate.tested,
-        widened: estimate.widened,
+        noise_scale: estimate.noise_scale,
     }
 }
 
@@ -316,7 +316,7 @@ fn record_of(message: &Estimate, state_dim: usize) -> Option<EstimateRecord> {
         digest: [digest as u64, (digest >> 64) as u64],
         nis_all: message.nis_all,
         tested: message.tested,
-        widened: message.widened,
+        noise_scale: message.noise_scale,
         ..EstimateOfFusion::default()
     };
     estimate.state[..n].copy_from_slice(&message.state);

@@ -109,6 +109,10 @@ impl<const N: usize> Tracker for Imm<N> {
         self.modes[self.likelier()].bank.judged()
     }
 
+    fn widen(&mut self, _factor: f64) {
+        // The banks start anew when rejections show that they are locked out.
+    }
+
     fn state(&self) -> &[f64] {
         self.estimate.x.as_slice()
     }

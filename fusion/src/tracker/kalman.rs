@@ -64,7 +64,7 @@ impl<const N: usize> Tracker for Kalman<N> {
             let normalised_square = range.normalised_square(&position_covariance);
             let passed = self.gate.passes(normalised_square);
             let used = use_of(reading, passed);
-            failed.set(reading.robot, !passed);
+            failed.set(reading.robot, self.gate.fails(normalised_square));
             if used == RangeUse::Fused {
                 information.add(&range);
             }
@@ -87,6 +87,10 @@ impl<const N: usize> Tracker for Kalman<N> {
 
     fn judged(&self) -> &[Judged] {
         &self.judged
+    }
+
+    fn widen(&mut self, factor: f64) {
+        self.estimate.p *= factor;
     }
 
     fn state(&self) -> &[f64] {

@@ -165,7 +165,9 @@ impl<const N: usize> Bank<N> {
     /// Notes what becomes of a reading, and how well the likeliest hypothesis that it may belong to foretold it.
     fn judge(&mut self, reading: &Reading, passed: bool, normalised_square: Option<f64>, fit: &mut Fit) {
         let used = use_of(reading, passed);
-        fit.failed.set(reading.robot, !passed);
+        // A range of which the gate let most of the weight pass may still be far from the likeliest hypothesis.
+        let speaks_against = normalised_square.is_some_and(|square| self.gate.fails(square));
+        fit.failed.set(reading.robot, !passed || speaks_against);
         if used == RangeUse::Fused {
             fit.fused += 1;
         } else {
