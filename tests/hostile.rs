@@ -26,9 +26,10 @@ use rangehound::{report, tables};
 use rangehound_fusion::{Centre, centre};
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::{RangeSensor, Sensor};
-use rangehound_robot::serial::read_ranges;
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
+use rangehound_shared::radio::log::{LogOptions, read_log};
+use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
 use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
@@ -518,13 +519,90 @@ fn hostile_log(dice: &mut Dice, sound: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn hostile_serial_lines() {
-    let documents = [b"\n12.34\r\nA,5\n".to_vec(), b"half\nanchor 7,0.25\n\n-1\nnan\n".to_vec(), vec![b'1'; 300]];
-    attack_parser("serial lines", 1.0, &documents, |bytes| {
-        read_ranges(bytes, |range_m| assert!(range_m.is_none_or(|range_m| range_m.is_finite() && range_m >= 0.0)))
-            .unwrap();
-        Verdict::Taken
-    });
+fn hostile_radios() {
+    for format in Format::ALL {
+        let documents = radio_logs(format);
+        attack(&format!("radio {format}"), 1.0, |dice, input| {
+            let bytes = dice.damaged(&documents);
+            input.set(bytes.clone());
+            let whole = reports(format, &[&bytes]);
+            assert_eq!(whole, reports(format, &bytes.chunks(1 + dice.below(40)).collect::<Vec<_>>()));
+            for range in whole.iter().flatten() {
+                assert!(range.range_m > 0.0 && range.range_m.is_finite(), "{range:?}");
+                assert!(!range.anchor.chars().any(char::is_control), "{range:?}");
+            }
+            let options = LogOptions {
+                rate_hz: dice.chance(0.1).then(|| dice.number()),
+                stamp_unit: dice.chance(0.2).then_some(StampUnit::Microseconds),
+                tag: dice.chance(0.1).then(|| "0".to_owned()),
+            };
+            let mut last_s = f64::NEG_INFINITY;
+            match read_log(format, bytes.as_slice(), &options) {
+                Ok((rows, summary)) => {
+                    assert!(!rows.is_empty() && rows.len() as u64 == summary.rows);
+                    for row in rows {
+                        assert!(row.time_s >= last_s && row.time_s.is_finite() && row.range_m > 0.0, "{row:?}");
+                        last_s = row.time_s;
+                    }
+                    Verdict::Taken
+                }
+                Err(error) => refused(error),
+            }
+        });
+    }
+}
+
+/// All ranges of a stream that comes in these pieces, by report; none for what is refused.
+fn reports(format: Format, pieces: &[&[u8]]) -> Vec<Vec<RadioRange>> {
+    let (mut parser, mut all) = (radio::Parser::new(format), Vec::new());
+    for piece in pieces {
+        parser.push(piece, |report| all.push(report.map_or(Vec::new(), |report| report.ranges.to_vec())));
+    }
+    let _ = parser.finish();
+    all
+}
+
+/// Undamaged logs of a port.
+fn radio_logs(format: Format) -> Vec<Vec<u8>> {
+    let stamped = |lines: &[&str]| {
+        let line = |(number, line): (usize, &&str)| format!("{}.5 {line}\r\n", 1_700_000_000 + number);
+        lines.iter().enumerate().map(line).collect::<String>().into_bytes()
+    };
+    let dated = |lines: &[&str]| {
+        let line = |(number, line): (usize, &&str)| format!("2023-11-14T22:13:{number:02}.25Z {line}\n");
+        lines.iter().enumerate().map(line).collect::<String>().into_bytes()
+    };
+    match format {
+        Format::Plain => vec![stamped(&["12.34", "A,5.5", "anchor 7,0.25"]), dated(&["12.34", "A,5.5"])],
+        Format::Dwm1001 => {
+            let lec = "DIST,2,AN0,022E,7.94,8.03,0.00,3.44,AN1,15BA,0.00,8.03,0.00,6.71,POS,6.95,5.37,-1.97,52";
+            let les = "022E[7.94,8.03,0.00]=3.44 15BA[0.00,8.03,0.00]=6.71 le_us=2576 est[6.95,5.37,-1.97,52]";
+            vec![stamped(&["dwm> lec", lec, lec, "DIST,0"]), dated(&["dwm> les", les, les])]
+        }
+        Format::Mauwb => {
+            let new = "AT+RANGE=tid:0,mask:01,seq:65,range:(92,0,0,0,0,0,0,0),ancid:(0,-1,-1,-1,-1,-1,-1,-1)";
+            let old = "AT+RANGE=tid:0, mask:04, seq:63, range:(0,0,30,0), rssi:(0.00,0.00,-77.93,0.00)";
+            vec![stamped(&["OK", new, new]), dated(&[old, old])]
+        }
+        Format::Linktrack => {
+            vec![(0..5).flat_map(|number| node_frame(number * 20, &[1000, 2345, 8_388_607])).collect()]
+        }
+    }
+}
+
+/// A frame of a LinkTrack with nodes of these ranges, mm.
+fn node_frame(local_time: u32, ranges_mm: &[u32]) -> Vec<u8> {
+    let mut frame = vec![0x55, 0x05, (22 + 7 * ranges_mm.len()) as u8, 0, 2, 5];
+    frame.extend(local_time.to_le_bytes());
+    frame.extend([0; 8]);
+    frame.extend([0x56, 0x13, ranges_mm.len() as u8]);
+    for (id, range_mm) in (0..).zip(ranges_mm) {
+        frame.extend([1, id]);
+        frame.extend(&range_mm.to_le_bytes()[..3]);
+        frame.extend([161, 158]);
+    }
+    frame.push(frame.iter().fold(0, |sum: u8, byte| sum.wrapping_add(*byte)));
+    frame
 }
 
 /// What nodes of this run could send if they were broken.
