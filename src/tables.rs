@@ -30,7 +30,7 @@ use rangehound_shared::scenario::Source;
 use rangehound_shared::sealed;
 
 use crate::curves::Curves;
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, in_utf8};
 use crate::failure::{self, Failure};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 use crate::whole_file::{PARTIAL, WholeFile};
@@ -109,6 +109,7 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
     let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
+    in_utf8("DIR", &out_dir)?;
     Ok(RunDescription { out_dir, ..description })
 }
 

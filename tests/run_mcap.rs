@@ -1,6 +1,8 @@
 //! A run in one file: whole for other programs' readers, replayed to the bit whatever happened in the run, and readable up to
 //! where a kill has cut it.
 
+pub(crate) mod zstd;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -38,6 +38,11 @@ impl Place {
         &self.prefix
     }
 
+    /// The run's folder.
+    pub(super) fn dir(&self) -> &Path {
+        &self.dir
+    }
+
     pub(super) fn path(&self, file: &str) -> PathBuf {
         self.dir.join(file)
     }
