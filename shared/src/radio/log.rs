@@ -21,6 +21,9 @@ const BACK_MAX: u32 = 8;
 const SINCE_1970: [(f64, StampUnit); 3] =
     [(1e17, StampUnit::Nanoseconds), (1e14, StampUnit::Microseconds), (1e11, StampUnit::Milliseconds)];
 
+/// One report in so many may name another tag: it is a damaged one.
+const OTHER_TAGS_MAX: u64 = 100;
+
 /// A gap that is usual between two frames of a LinkTrack, if its clock counts milliseconds, is not longer, s.
 const FRAME_GAP_MAX_S: f64 = 3.0;
 
@@ -31,7 +34,7 @@ pub struct LogOptions {
     pub rate_hz: Option<f64>,
     /// Unit of time stamps that are whole numbers, or of a LinkTrack's clock [default: ms].
     pub stamp_unit: Option<StampUnit>,
-    /// The tag whose ranges are wanted, where a log has several.
+    /// The tag whose ranges are wanted, where a log has several: the target (`--target`).
     pub tag: Option<String>,
 }
 
@@ -98,10 +101,10 @@ pub enum LogError {
         by_s: f64,
     },
     /// Ranges to more than one target.
-    #[error("the log has ranges of several tags ({}): choose one by --tag ID", .0.join(", "))]
+    #[error("the log has ranges of several tags ({}): choose one by --target ID", .0.join(", "))]
     Tags(Vec<String>),
     /// The tag that was asked for is not there.
-    #[error("--tag {wanted}: no such tag in the log{}", if .found.is_empty() { String::new() } else { format!("; it has {}", .found.join(", ")) })]
+    #[error("--target {wanted}: no such tag in the log{}", if .found.is_empty() { String::new() } else { format!("; it has {}", .found.join(", ")) })]
     NoSuchTag {
         /// What was asked for.
         wanted: String,
@@ -311,7 +314,7 @@ impl<'a, F: FnMut(LogRow)> Log<'a, F> {
             if summary.reports == 0 && !tags.contains(wanted) {
                 return Err(LogError::NoSuchTag { wanted: wanted.clone(), found: tags });
             }
-        } else if summary.other_tags > 0 {
+        } else if summary.other_tags > summary.reports / OTHER_TAGS_MAX {
             tags.sort_by_key(|tag| (tag.len(), tag.clone()));
             return Err(LogError::Tags(tags));
         }
@@ -453,13 +456,18 @@ mod tests {
 
     #[test]
     fn ranges_of_two_tags_are_not_mixed() {
-        let line = |tag, cm| format!("{cm}.5 AT+RANGE=tid:{tag},mask:01,seq:65,range:({cm},0),ancid:(3,-1)\n");
+        let line =
+            |tag: u32, cm: u32| format!("{cm}.5 AT+RANGE=tid:{tag},mask:01,seq:65,range:({cm},0),ancid:(3,-1)\n");
         let text = [line(0, 92), line(1, 93), line(0, 94)].concat();
         assert!(complaint(Format::Mauwb, text.as_bytes(), &LogOptions::default()).contains("several tags (0, 1)"));
         let tag = |tag: &str| LogOptions { tag: Some(tag.to_owned()), ..LogOptions::default() };
         let (rows, summary) = read(Format::Mauwb, text.as_bytes(), &tag("1")).unwrap();
         assert_eq!((rows.len(), rows[0].range_m, rows[0].anchor.as_str(), summary.other_tags), (1, 0.93, "3", 2));
         assert!(complaint(Format::Mauwb, text.as_bytes(), &tag("7")).contains("no such tag in the log; it has 0, 1"));
+        // One in two hundred is no second tag, but damage.
+        let text: String = (0..200).map(|number| line(if number == 100 { 8 } else { 0 }, 1000 + number)).collect();
+        let (rows, summary) = read(Format::Mauwb, text.as_bytes(), &LogOptions::default()).unwrap();
+        assert_eq!((rows.len(), summary.other_tags), (199, 1));
     }
 
     #[test]
