@@ -6,7 +6,7 @@
 mod attack;
 mod mutation;
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::ffi::OsString;
 use std::fs::File;
 use std::os::unix::ffi::OsStringExt;
@@ -30,7 +30,7 @@ use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::radio::log::{LogOptions, read_log};
 use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
-use rangehound_shared::recording::{ReadOptions, Recording};
+use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
 use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
 use rangehound_shared::sealed;
@@ -155,18 +155,47 @@ fn long_input_is_taken_or_refused_too() {
     }
 }
 
+/// Forms that a recording may be read in.
+fn read_options() -> Vec<ReadOptions> {
+    let columns = |text: &str| text.parse::<ColumnMap>().unwrap();
+    let anchors = b"sensor_id;x_m;y_m;z_m\n1;0;0;2\n2;9,5;0;\n3;0;9;1\nA;1;1;1\n";
+    let anchors = Anchors::parse(&anchors[..], Path::new("anchors.csv"), &ColumnMap::default()).unwrap();
+    vec![
+        ReadOptions::default(),
+        ReadOptions { strict: true, ..ReadOptions::default() },
+        ReadOptions { columns: columns("time=1:ms,sensor=2,x=3:m,y=4:cm,range=5:mm"), ..ReadOptions::default() },
+        ReadOptions { target: Some("1".to_owned()), columns: columns("range=x:m"), ..ReadOptions::default() },
+        ReadOptions { anchors: Some(anchors.clone()), ..ReadOptions::default() },
+        ReadOptions { anchors: Some(anchors), columns: columns("range=d_*:cm"), ..ReadOptions::default() },
+    ]
+}
+
 #[test]
 fn hostile_recordings() {
     let documents = [
         head_of("ranges.csv", 12),
         b"range_m,sensor_id,x,sensor_x_m,sensor_y_m,time_s\n1,2,,3,4,5\n1,3,,3,4,5\n".to_vec(),
+        b"\xef\xbb\xbf# log\r\nt (ms);Anchor;anchor_x_cm;anchor_y_cm;anchor_z_m;\"dist, mm\";tag\r\n1,5;2;3;4;;\"5,5\";1\r\n".to_vec(),
+        b"# time_s sensor_id sensor_x_m sensor_y_m range_m\n1 2 3 4 5\n  2   \"a b\" 3 4 5.5e0 \n\n".to_vec(),
+        b"timestamp\td_1\td_2\tdist_A (mm)\trssi_1\n2024-05-01T12:00:00.5+02:00\t1\t-1\t0\t7\n2024-05-01 10:00:01\t\t2\tnan\t7\n".to_vec(),
+        b"time_s,range_1_m,range_2_m,3 (cm)\n1,2,3,400\n1.5,,0,1\n".to_vec(),
     ];
-    attack_parser("recordings", 1.0, &documents, |bytes| {
-        let recording = match Recording::parse(bytes, Path::new("hostile.csv"), &ReadOptions::default()) {
-            Ok(recording) => recording,
+    let options = read_options();
+    let turn = Cell::new(0);
+    attack_parser("recordings", 2.0, &documents, |bytes| {
+        turn.set(turn.get() + 1);
+        let options = &options[turn.get() % options.len()];
+        let (recording, summary) = match Recording::parse(bytes, Path::new("hostile.csv"), options) {
+            Ok(read) => read,
             Err(error) => return refused(error),
         };
-        let mut world = Playback::new(recording.0);
+        assert!(summary.lines().iter().all(|line| line.lines().count() == 1));
+        // The run folder's copy is the same recording.
+        let mut copy = Vec::new();
+        recording.write_csv(&mut copy).unwrap();
+        let (again, _) = Recording::parse(&copy[..], Path::new("copy.csv"), &ReadOptions::default()).unwrap();
+        assert_eq!(again, recording);
+        let mut world = Playback::new(recording);
         for _ in 0..20 {
             world.advance(&[]);
             let numbers = world.entries().iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
@@ -177,8 +206,45 @@ fn hostile_recordings() {
 }
 
 #[test]
+fn hostile_anchors() {
+    let documents = [
+        b"sensor_id,x_m,y_m,z_m\n1,0,0,2\nA,9.5,0,\n".to_vec(),
+        b"# site\nname;X (cm);Y (cm)\n\"a;b\";1,5;2\n7;0;9\n".to_vec(),
+    ];
+    attack_parser("anchors", 0.5, &documents, |bytes| {
+        match Anchors::parse(bytes, Path::new("anchors.csv"), &ColumnMap::default()) {
+            Ok(anchors) => {
+                let numbers =
+                    anchors.iter().flat_map(|(_, anchor)| anchor.position_m.into_iter().chain(anchor.height_m));
+                assert!(numbers.into_iter().all(f64::is_finite));
+                Verdict::Taken
+            }
+            Err(error) => refused(error),
+        }
+    });
+}
+
+#[test]
+fn hostile_columns() {
+    let documents =
+        [b"time=stamp_ns:ns,sensor=anchor_id,range=dist:mm".to_vec(), b"time=1:iso,x=a b:m,y=3,z=7:cm".to_vec()];
+    attack_parser("columns", 0.5, &documents, |bytes| {
+        let Ok(text) = std::str::from_utf8(bytes) else { return refused("not UTF-8") };
+        match text.parse::<ColumnMap>() {
+            Ok(map) => {
+                assert_eq!(map.to_string().parse::<ColumnMap>().unwrap(), map);
+                Verdict::Taken
+            }
+            Err(error) => refused(error),
+        }
+    });
+}
+
+#[test]
 fn hostile_true_tracks() {
-    attack_parser("true tracks", 1.0, &[head_of("truth.csv", 12)], |bytes| match tables::parse_truth(bytes) {
+    let documents =
+        [head_of("truth.csv", 12), b"# mocap\nt_ms;z_m;X (mm);Y (mm)\n0;0;1500;2000\n1000;0;3000;4500,0\n".to_vec()];
+    attack_parser("true tracks", 1.0, &documents, |bytes| match tables::parse_truth(bytes) {
         Ok(truth) => {
             for time_s in [0.0, 0.1, 1.0, f64::NAN, f64::INFINITY] {
                 assert!(truth.at(time_s).is_none_or(|place| place.iter().all(|number| number.is_finite())));

@@ -149,22 +149,18 @@ fn of_times(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     let mut steps_s = Vec::new();
     let mut speeds_mps = Vec::new();
     let mut last: Vec<Option<(f64, f64)>> = vec![None; ROBOTS_MAX];
-    let mut before_s = None;
     for index in sample(recording.len()) {
         let Some((time_s, readings)) = recording.instant(index) else { break };
-        if let Some(step_s) = before_s.map(|before_s| time_s - before_s).filter(|step_s| *step_s > 0.0) {
-            steps_s.push(step_s);
-        }
-        before_s = Some(time_s);
         for reading in readings {
             if let Some((then_s, range_m)) = last[reading.sensor].replace((time_s, reading.range_m))
                 && time_s > then_s
             {
+                steps_s.push(time_s - then_s);
                 speeds_mps.push((reading.range_m - range_m).abs() / (time_s - then_s));
             }
         }
     }
-    if steps_s.len() < FEWEST || speeds_mps.len() < FEWEST {
+    if steps_s.len() < FEWEST {
         return None;
     }
     let (step_s, speed_mps) = (median(steps_s), median(speeds_mps));
@@ -182,7 +178,7 @@ fn of_times(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     };
     let line = line_to_type(columns.map, Role::Time, name, index, likely);
     let text = format!(
-        "stamps step by {step_s} s (median), and ranges change by {speed_mps:.2e} m/s: if the stamps are in {}, {line}",
+        "a sensor's stamps step by {step_s} s, and its ranges change by {speed_mps:.1e} m/s (medians): if the stamps are in {}, {line}",
         likely.symbol()
     );
     Some(Doubt { kind: DoubtKind::TimesInAnotherUnit, text })

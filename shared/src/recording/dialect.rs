@@ -174,6 +174,11 @@ impl Numbers {
         self.mark == Some(b',')
     }
 
+    /// Whether a field has the decimal mark that the file has not.
+    pub(super) fn is_other_mark(self, field: &[u8]) -> bool {
+        self.mark.is_some_and(|mark| field.contains(if mark == b',' { &b'.' } else { &b',' }))
+    }
+
     /// A number in seconds or metres. The unit shifts its decimals, so that 2957 mm are 2.957 m to the last bit.
     pub(super) fn read(&mut self, field: &[u8], unit: Unit) -> Option<f64> {
         let mut mark = None;

@@ -10,6 +10,7 @@
 //! | `names`, `columns`, `unit`, `layout` | which column is what and in which unit, by name or by `--columns` |
 //! | `anchors`, `wide`, `track` | places of sensors, columns for each anchor, true tracks |
 //! | `rows` | rows to ranges: what is refused, what is passed over and counted |
+//! | `port` | logs of a radio's port, by [`crate::radio`] |
 //! | `gathering` | ranges to a [`Recording`]: order, repeats, instants |
 //! | `checks` | units that cannot be |
 
@@ -25,6 +26,7 @@ mod lines;
 mod name;
 mod names;
 mod options;
+mod port;
 mod rows;
 mod stamp;
 mod summary;
@@ -39,6 +41,7 @@ pub use columns::{ColumnMap, ColumnMapError};
 pub use error::{Complaint, Problem, RecordingError};
 pub use name::SensorName;
 pub use options::ReadOptions;
+pub use port::PortLog;
 pub use summary::{Doubt, DoubtKind, ReadSummary};
 pub use track::{TrackPoint, parse_track, read_track};
 
@@ -97,7 +100,10 @@ impl Recording {
     /// # Errors
     /// As [`Self::read`].
     pub fn parse(input: impl Read, path: &Path, options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
-        rows::read(input, path, options)
+        match options.port {
+            Some(port) => port::read(input, path, port, options),
+            None => rows::read(input, path, options),
+        }
     }
 
     /// Writes the recording as CSV that [`Self::read`] reads back, the same to the last bit.

@@ -2,6 +2,7 @@
 
 use super::anchors::Anchors;
 use super::columns::ColumnMap;
+use super::port::PortLog;
 
 /// What the user says of a recording's form. The default finds everything in the file itself.
 ///
@@ -16,4 +17,6 @@ pub struct ReadOptions {
     pub anchors: Option<Anchors>,
     /// The one target to read, of a log of several (`--target`).
     pub target: Option<String>,
+    /// The log is one of a radio's port rather than a table (`--format`).
+    pub port: Option<PortLog>,
 }

@@ -29,6 +29,7 @@ const RANGE_MAX_M: f64 = 1e6;
 const TARGETS_MAX: usize = 64;
 
 const A_TIME: &str = "a finite number within +-1e11";
+const A_STAMP: &str = "seconds, or date and time by ISO 8601 as in 2024-05-01T12:00:00.5Z";
 const A_COORDINATE: &str = "a finite number within +-1e8";
 const A_RANGE: &str = "a finite number from 0 to 1e6";
 
@@ -256,9 +257,8 @@ impl<R: Read> Log<'_, R> {
     fn time_s(&mut self) -> Result<f64, Fault> {
         let Column { index, unit, is_told } = self.layout.time;
         if unit == Unit::Iso {
-            return stamp::seconds(self.table.field(index)).ok_or_else(|| {
-                Fault::Bad(self.table.complaint(index, "a stamp by ISO 8601 as in 2024-05-01T12:00:00.5Z"))
-            });
+            let time_s = stamp::seconds(self.table.field(index));
+            return time_s.ok_or_else(|| Fault::Bad(self.table.complaint(index, A_STAMP)));
         }
         if !self.last_time.0.is_empty() && self.last_time.0 == self.table.field(index) {
             return Ok(self.last_time.1);
@@ -278,7 +278,8 @@ impl<R: Read> Log<'_, R> {
             let expected = format!("seconds; this looks like {} since 1970: {hint}", likely.symbol());
             return Err(Fault::Fatal(self.table.row_error(self.table.complaint(index, expected))));
         }
-        Err(Fault::Bad(self.table.complaint(index, A_TIME)))
+        let is_clock = self.table.field(index).contains(&b':');
+        Err(Fault::Bad(self.table.complaint(index, if is_clock { A_STAMP } else { A_TIME })))
     }
 
     fn take_long(

@@ -104,6 +104,13 @@ impl<R: Read> Table<R> {
         };
         (self.header_line, self.line) = (number, number);
         let fields = Fields::of(&line, self.separator);
+        if known == 0
+            && let Some(format) = radio_of(&line)
+        {
+            return Err(self.header_error(&format!(
+                "expected a header that names the columns; if this is a log of a radio's port, type --format {format}"
+            )));
+        }
         let is_data =
             known == 0 && (0..fields.len()).any(|index| self.numbers.read(fields.get(index), Unit::Metre).is_some());
         self.numbers = Numbers::default();
@@ -250,7 +257,11 @@ impl<R: Read> Table<R> {
 
     /// A complaint about a field of the row that was read last.
     pub(super) fn complaint(&self, index: usize, expected: impl Into<String>) -> Complaint {
-        Complaint::new(self.header.get(index).map_or("", String::as_str), expected, self.field(index))
+        let (field, mut expected) = (self.field(index), expected.into());
+        if self.numbers.is_other_mark(field) {
+            expected.push_str(" with the decimal mark of the rows above");
+        }
+        Complaint::new(self.header.get(index).map_or("", String::as_str), expected, field)
     }
 
     /// Refuses the file for the row that was read last.
@@ -275,6 +286,18 @@ impl<R: Read> Table<R> {
     /// The columns that there are, for people.
     pub(super) fn listed_columns(&self) -> String {
         listed(self.header.iter().map(String::as_str))
+    }
+}
+
+/// The radio whose report a line looks like.
+fn radio_of(line: &[u8]) -> Option<&'static str> {
+    let has = |word: &[u8]| line.windows(word.len()).any(|window| window == word);
+    if has(b"DIST,") || has(b"]=") {
+        Some("dwm1001")
+    } else if has(b"AT+RANGE") {
+        Some("mauwb")
+    } else {
+        has(b"\x55\x05").then_some("linktrack")
     }
 }
 

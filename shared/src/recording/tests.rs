@@ -341,8 +341,11 @@ fn a_row_longer_than_its_header_is_never_misread() {
     );
     let decimal = format!("{HEADER}0.1,A,0,0,\"2,957\"\n0.2,A,0,0,\"3,1\"\n");
     assert!(
-        complaint(decimal, &ReadOptions::default()).contains("2 of 2 rows are bad"),
+        complaint(&decimal, &ReadOptions::default()).contains("2 of 2 rows are bad"),
         "two decimal marks in one file"
+    );
+    assert!(
+        complaint(&decimal, &ReadOptions::default()).contains("with the decimal mark of the rows above, got \"2,957\"")
     );
 }
 
