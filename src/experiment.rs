@@ -118,7 +118,9 @@ impl Experiment {
 /// # Errors
 /// [`Failure::Input`], with the path, if it is none in UTF-8.
 pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
-    path.to_str().ok_or_else(|| Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another")))
+    path.to_str().ok_or_else(|| {
+        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
+    })
 }
 
 /// A scenario file with the command line's values over its own, not yet checked.

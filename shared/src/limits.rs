@@ -39,7 +39,8 @@ pub fn explain(error: &std::io::Error) -> Option<String> {
 fn processes() -> String {
     let of_user = if getuid().is_root() { None } else { getrlimit(Resource::Nproc).current };
     let of_cgroup = cgroup_limits().min_by_key(|(_, limit, used)| limit.saturating_sub(*used));
-    let of_system = ["threads-max", "pid_max"].map(|name| (name, number(&Path::new(PROC).join("sys/kernel").join(name))));
+    let of_system =
+        ["threads-max", "pid_max"].map(|name| (name, number(&Path::new(PROC).join("sys/kernel").join(name))));
     let used = threads_of_system();
     let is_reached = |limit: u64, used: u64| used.saturating_add(NEAR) >= limit;
     if let Some((path, limit, used)) = &of_cgroup

@@ -6,8 +6,8 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use nalgebra::Vector2;
 use anyhow::Context;
+use nalgebra::Vector2;
 use rangehound_fusion::planner::certified::Certified;
 use rangehound_fusion::planner::{Plan, Planner};
 use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioError, defaults};

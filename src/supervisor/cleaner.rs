@@ -32,7 +32,9 @@ impl Cleaner {
         };
         if let Err(error) = std::thread::Builder::new().name("cleaner".to_owned()).spawn_scoped(scope, clean) {
             let reason = with_causes(&error.into());
-            log::warn!("what killed nodes leave stays until the end of the run: no thread for it can be started: {reason}");
+            log::warn!(
+                "what killed nodes leave stays until the end of the run: no thread for it can be started: {reason}"
+            );
         }
         Self { requests }
     }

@@ -156,7 +156,9 @@ fn go_on_until_the_end(
         if removals_in_a_row >= REMOVALS_MAX {
             return Ok((past.summaries, Err(anyhow!("{what}, again and again before a tick was over"))));
         }
-        log::warn!("{what}, as systemd does at a user's last logout with RemoveIPC=yes; the run goes on from its checkpoints");
+        log::warn!(
+            "{what}, as systemd does at a user's last logout with RemoveIPC=yes; the run goes on from its checkpoints"
+        );
         let starts = past.starts();
         rendezvous = match rendezvous.found_again(&starts) {
             Ok(again) => again,

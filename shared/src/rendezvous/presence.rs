@@ -119,7 +119,8 @@ impl Inspection {
         files.filter_map(|entry| {
             let target = std::fs::read_link(entry.path()).ok()?;
             let path = PathBuf::from(target.to_str()?.strip_suffix(REMOVED)?);
-            let is_writable = || entry.path().symlink_metadata().is_ok_and(|link| link.permissions().mode() & 0o200 != 0);
+            let is_writable =
+                || entry.path().symlink_metadata().is_ok_and(|link| link.permissions().mode() & 0o200 != 0);
             (self.is_ours(&path) && self.is_needed(&path, is_writable)).then_some(path)
         })
     }
