@@ -194,15 +194,15 @@ fn apply(
     sensors: &mut Vec<SensorTable>,
     field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
 ) {
-    for &PerSensor { sensor, value } in values {
+    for PerSensor { sensor, value } in values {
         match sensor {
-            None => *all = Some(value),
+            None => *all = Some(*value),
             Some(id) => {
-                let index = sensors.iter().position(|known| known.id == id).unwrap_or_else(|| {
-                    sensors.push(SensorTable { id, ..SensorTable::default() });
+                let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
+                    sensors.push(SensorTable::new(id.clone()));
                     sensors.len() - 1
                 });
-                *field(&mut sensors[index]) = Some(value);
+                *field(&mut sensors[index]) = Some(*value);
             }
         }
     }

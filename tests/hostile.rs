@@ -29,7 +29,7 @@ use rangehound_robot::sensor::{RangeSensor, Sensor};
 use rangehound_robot::serial::read_ranges;
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
-use rangehound_shared::recording::Recording;
+use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
 use rangehound_shared::sealed;
@@ -145,7 +145,7 @@ fn long_input_is_taken_or_refused_too() {
             let text = format!("{head}{}", text.repeat(LEN / text.len()));
             let _ =
                 ScenarioFile::parse(&text, "long.toml").inspect_err(|error| assert!(error.to_string().len() < 2_000));
-            let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"))
+            let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"), &ReadOptions::default())
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = tables::parse_truth(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
             let mut desk = Desk::new(PlannerTable::default(), 1).unwrap();
@@ -161,11 +161,11 @@ fn hostile_recordings() {
         b"range_m,sensor_id,x,sensor_x_m,sensor_y_m,time_s\n1,2,,3,4,5\n1,3,,3,4,5\n".to_vec(),
     ];
     attack_parser("recordings", 1.0, &documents, |bytes| {
-        let recording = match Recording::parse(bytes, Path::new("hostile.csv")) {
+        let recording = match Recording::parse(bytes, Path::new("hostile.csv"), &ReadOptions::default()) {
             Ok(recording) => recording,
             Err(error) => return refused(error),
         };
-        let mut world = Playback::new(recording);
+        let mut world = Playback::new(recording.0);
         for _ in 0..20 {
             world.advance(&[]);
             let numbers = world.entries().iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);

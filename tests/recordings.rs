@@ -108,8 +108,12 @@ fn real_recordings_are_tracked_to_the_figures() {
 /// Each sensor's own calibration is removed from its own ranges.
 #[test]
 fn bias_and_scale_of_one_sensor_are_its_own() {
-    let sensor =
-        |bias_m, scale| SensorTable { id: 2, bias_m: Some(bias_m), scale: Some(scale), range_std_m: Some(0.3) };
+    let sensor = |bias_m, scale| SensorTable {
+        id: "2".parse().unwrap(),
+        bias_m: Some(bias_m),
+        scale: Some(scale),
+        range_std_m: Some(0.3),
+    };
     let file = |sensor: Option<Vec<SensorTable>>| ScenarioFile {
         recording: Some(RecordingTable { ranges: Some("ranges.csv".to_owned()), sensor, ..RecordingTable::default() }),
         filter: Some(FilterTable { gate_sigma: Some(3.0) }),
@@ -120,7 +124,7 @@ fn bias_and_scale_of_one_sensor_are_its_own() {
     assert_eq!(plain.robots[..2], special.robots[..2]);
     assert_eq!((special.robots[2].calibration.bias_m, special.robots[2].range_std_m), (0.5, 0.3));
 
-    let unknown = SensorTable { id: 77, ..SensorTable::default() };
+    let unknown = SensorTable::new("77".parse().unwrap());
     let error = Scenario::from_file(&file(Some(vec![unknown])), "test", &shipped()).unwrap_err().to_string();
     assert!(error.contains("recording.sensor[0].id: expected a sensor of the recording (0, 1, 2), got 77"), "{error}");
     let twice = vec![sensor(0.1, 0.0), sensor(0.2, 0.0)];

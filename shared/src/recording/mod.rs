@@ -1,5 +1,13 @@
 //! Recorded ranges: CSV with a row for each range, checked while it is read.
 
+mod name;
+mod options;
+mod summary;
+
+pub use name::SensorName;
+pub use options::ReadOptions;
+pub use summary::ReadSummary;
+
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -34,10 +42,10 @@ pub struct Recording {
 }
 
 /// One sensor of a recording. Its index in [`Recording::sensors`] is its robot's id in the run.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
-    /// Its id in the file.
-    pub id: u64,
+    /// What the file calls it.
+    pub name: SensorName,
     /// Where it was at its first range, m.
     pub first_position_m: [f64; 2],
 }
@@ -49,6 +57,8 @@ pub struct RecordedRange {
     pub sensor: usize,
     /// Where the sensor was, m.
     pub position_m: [f64; 2],
+    /// Its height in the recording's frame, m; `None` if the recording has none.
+    pub height_m: Option<f64>,
     /// What it measured, m.
     pub range_m: f64,
 }
@@ -101,17 +111,17 @@ impl Recording {
     ///
     /// # Errors
     /// [`RecordingError`] for the first thing that is wrong.
-    pub fn read(path: &Path) -> Result<Self, RecordingError> {
+    pub fn read(path: &Path, options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
         let file = std::fs::File::open(path)
             .map_err(|error| RecordingError::Unreadable { file: path.to_owned(), reason: error.to_string() })?;
-        Self::parse(file, path)
+        Self::parse(file, path, options)
     }
 
     /// Parses CSV from a reader; `path` names it in errors.
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub fn parse(input: impl Read, path: &Path) -> Result<Self, RecordingError> {
+    pub fn parse(input: impl Read, path: &Path, _options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
         let mut reader = csv::ReaderBuilder::new();
         reader.trim(csv::Trim::All).flexible(true);
         let mut reader = reader.from_reader(Rationed::new(input, ROW_LEN_MAX));
@@ -126,7 +136,7 @@ impl Recording {
                 .ok_or_else(|| RecordingError::MissingColumn { file: path.to_owned(), missing: column })?;
         }
 
-        let mut rows: Vec<(f64, u64, [f64; 2], f64)> = Vec::new();
+        let mut rows: Vec<(f64, SensorName, [f64; 2], f64)> = Vec::new();
         let mut record = csv::StringRecord::new();
         let mut line = 1;
         loop {
@@ -139,7 +149,7 @@ impl Recording {
             line = record.position().map_or(line + 1, csv::Position::line);
             let row = Row { path, row: rows.len() + 1, line, record: &record, column_index: &column_index };
             let time_s = row.number(0, -TIME_MAX_S, TIME_MAX_S, "a finite number within +-1e11")?;
-            let sensor_id = row.sensor_id()?;
+            let sensor_name = row.sensor_name()?;
             let coordinate = "a finite number within +-1e8";
             let x_m = row.number(2, -COORDINATE_MAX_M, COORDINATE_MAX_M, coordinate)?;
             let y_m = row.number(3, -COORDINATE_MAX_M, COORDINATE_MAX_M, coordinate)?;
@@ -155,12 +165,12 @@ impl Recording {
                     reason: format!("it has more than {ROWS_MAX} rows"),
                 });
             }
-            rows.push((time_s, sensor_id, [x_m, y_m], range_m));
+            rows.push((time_s, sensor_name, [x_m, y_m], range_m));
         }
 
         let mut first_positions = BTreeMap::new();
-        for &(_, id, position_m, _) in &rows {
-            first_positions.entry(id).or_insert(position_m);
+        for (_, name, position_m, _) in &rows {
+            first_positions.entry(name.clone()).or_insert(*position_m);
         }
         let count = first_positions.len();
         if !(2..=ROBOTS_MAX).contains(&count) {
@@ -174,24 +184,26 @@ impl Recording {
             });
         }
         let sensors: Vec<Sensor> =
-            first_positions.into_iter().map(|(id, first_position_m)| Sensor { id, first_position_m }).collect();
-        Ok(Self::group(sensors, &rows))
+            first_positions.into_iter().map(|(name, first_position_m)| Sensor { name, first_position_m }).collect();
+        let summary = ReadSummary { rows: rows.len() as u64 };
+        Ok((Self::group(sensors, &rows), summary))
     }
 
     /// Rows with one stamp become one instant, unless a sensor would be in it twice.
-    fn group(sensors: Vec<Sensor>, rows: &[(f64, u64, [f64; 2], f64)]) -> Self {
+    fn group(sensors: Vec<Sensor>, rows: &[(f64, SensorName, [f64; 2], f64)]) -> Self {
         let mut instants: Vec<Instant> = Vec::new();
         let mut readings: Vec<RecordedRange> = Vec::with_capacity(rows.len());
         let mut instant_start = 0;
-        for &(time_s, id, position_m, range_m) in rows {
-            let sensor = sensors.partition_point(|sensor| sensor.id < id);
+        for (time_s, name, position_m, range_m) in rows {
+            let (time_s, position_m, range_m) = (*time_s, *position_m, *range_m);
+            let sensor = sensors.partition_point(|sensor| sensor.name < *name);
             let joins = instants.last().is_some_and(|instant| instant.time_s == time_s)
                 && readings[instant_start..].iter().all(|reading| reading.sensor != sensor);
             if !joins {
                 instant_start = readings.len();
                 instants.push(Instant { time_s, readings_end: 0 });
             }
-            readings.push(RecordedRange { sensor, position_m, range_m });
+            readings.push(RecordedRange { sensor, position_m, height_m: None, range_m });
             if let Some(instant) = instants.last_mut() {
                 instant.readings_end = readings.len();
             }
@@ -199,7 +211,7 @@ impl Recording {
         Self { sensors, instants, readings }
     }
 
-    /// The sensors by ascending id.
+    /// The sensors by ascending name.
     #[must_use]
     pub fn sensors(&self) -> &[Sensor] {
         &self.sensors
@@ -259,8 +271,8 @@ impl Row<'_> {
         }
     }
 
-    fn sensor_id(&self) -> Result<u64, RecordingError> {
-        self.field(1).parse().map_err(|_| self.error(1, "a whole number from 0".to_owned()))
+    fn sensor_name(&self) -> Result<SensorName, RecordingError> {
+        self.field(1).parse().map_err(|error: name::SensorNameError| self.error(1, error.to_string()))
     }
 
     fn error(&self, column: usize, expected: String) -> RecordingError {
@@ -285,7 +297,8 @@ mod tests {
     const HEADER: &str = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n";
 
     fn parse(rows: &str) -> Result<Recording, RecordingError> {
-        Recording::parse(format!("{HEADER}{rows}").as_bytes(), Path::new("r.csv"))
+        let text = format!("{HEADER}{rows}");
+        Recording::parse(text.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).map(|(recording, _)| recording)
     }
 
     fn complaint(rows: &str) -> String {
@@ -295,7 +308,7 @@ mod tests {
     #[test]
     fn equal_stamps_become_one_instant_but_never_with_a_sensor_twice() {
         let recording = parse("0,9,0,0,1\n0,4,1,0,2\n1,9,0,0,3\n1,9,0,0,4\n").unwrap();
-        assert_eq!(recording.sensors().iter().map(|s| s.id).collect::<Vec<_>>(), [4, 9]);
+        assert_eq!(recording.sensors().iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["4", "9"]);
         assert_eq!(recording.len(), 3);
         let (time_s, ranges) = recording.instant(0).unwrap();
         assert_eq!((time_s, ranges.len(), ranges[0].sensor, ranges[1].sensor), (0.0, 2, 1, 0));
@@ -314,7 +327,7 @@ mod tests {
         assert!(complaint("0,1,0,0,-1\n").contains("range_m: expected a finite number from 0"));
         assert!(complaint("inf,1,0,0,1\n").contains("time_s: expected a finite number"));
         assert!(complaint("1e308,1,0,0,1\n").contains("time_s: expected a finite number within"));
-        assert!(complaint("0,1.5,0,0,1\n").contains("sensor_id: expected a whole number"));
+        assert!(complaint("0,,0,0,1\n").contains("sensor_id: expected a name"));
         assert!(complaint("2,1,0,0,1\n1,2,0,0,1\n").contains("row 2 (line 3): time_s: expected a time not before"));
         assert!(complaint("0,1,0,0\n").contains("range_m: expected a finite number from 0 to 1e6, got \"\""));
         assert!(complaint("0,1,0,0,1\n1,1,0,0,1\n").contains("row 2 (line 3): sensor_id: expected 2 to 256 different"));
@@ -323,7 +336,8 @@ mod tests {
 
     #[test]
     fn a_missing_column_is_named() {
-        let error = Recording::parse("time_s,range_m\n".as_bytes(), Path::new("r.csv")).unwrap_err();
+        let error =
+            Recording::parse("time_s,range_m\n".as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap_err();
         assert!(error.to_string().contains("expected a column sensor_id"), "{error}");
     }
 
@@ -332,7 +346,7 @@ mod tests {
         fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400), headed in any::<bool>()) {
             let mut text = if headed { HEADER.as_bytes().to_vec() } else { Vec::new() };
             text.extend(bytes);
-            let _ = Recording::parse(text.as_slice(), Path::new("r.csv"));
+            let _ = Recording::parse(text.as_slice(), Path::new("r.csv"), &ReadOptions::default());
         }
 
         #[test]
@@ -345,7 +359,7 @@ mod tests {
             if let Ok(recording) = parse(&text) {
                 prop_assert_eq!(recording.readings.len(), rows.len());
                 for (reading, (_, id, x, range)) in recording.readings.iter().zip(&rows) {
-                    prop_assert_eq!(recording.sensors[reading.sensor].id, *id);
+                    prop_assert_eq!(recording.sensors[reading.sensor].name.as_str(), id.to_string());
                     prop_assert_eq!((reading.position_m[0], reading.range_m), (*x, *range));
                 }
             }
