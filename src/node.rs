@@ -194,6 +194,7 @@ pub fn input_or_running(error: RendezvousError) -> Failure {
         RendezvousError::Taken { .. }
         | RendezvousError::RoleTaken { .. }
         | RendezvousError::NotOurs(_)
+        | RendezvousError::NoFolder(_)
         | RendezvousError::Short(_)
         | RendezvousError::OtherBuild { .. }
         | RendezvousError::Unusable { .. }

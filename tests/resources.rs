@@ -279,3 +279,47 @@ fn a_path_that_is_not_utf_8_is_refused_by_name_before_anything_is_made() {
         assert_nothing_made(&run);
     }
 }
+
+#[test]
+fn what_lies_where_the_run_would_meet_is_told_or_mended() {
+    let run = Run::new();
+    let shared = run.shared_folder();
+    std::fs::write(&shared, "mine").unwrap();
+    let refused = run.command("run --ticks 5").finish();
+    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "expected a folder"]);
+    assert_eq!(std::fs::read(&shared).unwrap(), b"mine");
+    std::fs::remove_file(&shared).unwrap();
+
+    // A link to a folder of the user's, whose files are not leftovers of a run.
+    std::fs::create_dir(run.path("mine")).unwrap();
+    run.write("mine/thesis.txt", "mine");
+    std::os::unix::fs::symlink(run.path("mine"), &shared).unwrap();
+    let refused = run.command("run --ticks 5").finish();
+    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "expected a folder"]);
+    assert_eq!(std::fs::read(run.path("mine/thesis.txt")).unwrap(), b"mine");
+    std::fs::remove_file(&shared).unwrap();
+
+    // One that nobody may enter, or everybody may write to.
+    for mode in [0o000, 0o777] {
+        std::fs::create_dir(&shared).unwrap();
+        std::fs::set_permissions(&shared, std::fs::Permissions::from_mode(mode)).unwrap();
+        run.lockstep("--ticks 5").finish().succeeded();
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
+fn shared_memory_that_is_removed_and_cannot_be_made_again_ends_the_run_with_the_cause() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    let supervisor = run.command_by(&mounted("mount -t tmpfs -o size=1m none /dev/shm"), ENDLESS);
+    run.wait_for_ticks(100);
+    let shared_memory = Path::new("/proc").join(supervisor.pid().as_raw_pid().to_string()).join("root/dev/shm");
+    assert!(std::fs::write(shared_memory.join("fill"), vec![1; 4 << 20]).is_err(), "it was to be filled");
+    std::fs::remove_dir_all(shared_memory.join(run.shared_folder().file_name().unwrap())).unwrap();
+    let outcome = supervisor.finish();
+    assert_refused(&outcome, 1, &["was removed from outside", "cannot be made again", "/dev/shm", "kB free"]);
+    assert!(outcome.stdout.contains("digest"), "it reported what it had: {outcome:#?}");
+}

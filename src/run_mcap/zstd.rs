@@ -55,7 +55,12 @@ impl ZstdDecoder {
             Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
                 self.to_skip = length as usize;
             }
-            Err(_) if input.len() < FRAME_HEADER_MAX => return Ok(None),
+            // It may be cut where the bytes that have been read end.
+            Err(FrameDecoderError::ReadFrameHeaderError(error))
+                if input.len() < FRAME_HEADER_MAX && !matches!(error, ReadFrameHeaderError::BadMagicNumber(_)) =>
+            {
+                return Ok(None);
+            }
             Err(error) => return Err(damaged(error)),
         }
         Ok(Some(input.len() - rest.len()))

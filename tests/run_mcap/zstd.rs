@@ -20,18 +20,23 @@ fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
     [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
 }
 
+/// The checksum of a chunk.
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, _| if crc & 1 != 0 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
+    !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
+}
+
 /// A chunk of these records, in two frames with one between that is no data.
 fn chunk(records: &[u8]) -> Vec<u8> {
     let (first, second) = records.split_at(records.len() / 3);
     let frame = |bytes: &[u8]| compress_to_vec(bytes, CompressionLevel::Fastest);
-    chunk_of(records.len() as u64, &[&frame(first)[..], SKIPPABLE, &frame(second)].concat())
+    chunk_of(records.len() as u64, crc32(records), &[&frame(first)[..], SKIPPABLE, &frame(second)].concat())
 }
 
-fn chunk_of(len: u64, compressed: &[u8]) -> Vec<u8> {
+fn chunk_of(len: u64, crc: u32, compressed: &[u8]) -> Vec<u8> {
     let mut body = vec![0; 16];
     body.extend(len.to_le_bytes());
-    // No checksum: many writers have none.
-    body.extend([0; 4]);
+    body.extend(crc.to_le_bytes());
     body.extend(4_u32.to_le_bytes());
     body.extend(b"zstd");
     body.extend((compressed.len() as u64).to_le_bytes());
@@ -131,7 +136,7 @@ fn a_window_beyond_all_measure_is_refused() {
     let begin = whole.windows(4).position(|window| window == b"zstd").unwrap() - 41;
     bytes = whole[..begin].to_vec();
     // A window of a terabyte, and a block of one byte over and over.
-    bytes.extend(chunk_of(1 << 20, b"\x28\xb5\x2f\xfd\0\xf0\x03\0\x10x"));
+    bytes.extend(chunk_of(1 << 20, 0, b"\x28\xb5\x2f\xfd\0\xf0\x03\0\x10x"));
     let mut reader = match FrameReader::open(&bytes[..]) {
         Ok(reader) => reader,
         Err(error) => panic!("{error}"),

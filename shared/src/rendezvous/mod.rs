@@ -164,6 +164,9 @@ pub enum RendezvousError {
     /// The folder belongs to somebody else.
     #[error("{} belongs to another user: choose another --name", .0.display())]
     NotOurs(PathBuf),
+    /// Something else has the name of the folder.
+    #[error("{}: expected a folder or nothing, got something else: remove it, or choose another --name", .0.display())]
+    NoFolder(PathBuf),
     /// The description of the run cannot be used.
     #[error("{}: {reason}", .file.display())]
     Unusable {
