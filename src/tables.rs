@@ -30,7 +30,7 @@ use rangehound_shared::scenario::Source;
 use rangehound_shared::sealed;
 
 use crate::curves::Curves;
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, in_utf8};
 use crate::failure::{self, Failure};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 use crate::whole_file::{PARTIAL, WholeFile};
@@ -109,6 +109,7 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
     let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
+    in_utf8("DIR", &out_dir)?;
     Ok(RunDescription { out_dir, ..description })
 }
 
@@ -141,6 +142,8 @@ pub struct Keep {
     pub truth: Option<Truth>,
     /// The report is printed as JSON.
     pub json: bool,
+    /// A result that is not sound is a failure.
+    pub strict: bool,
 }
 
 /// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
@@ -152,7 +155,7 @@ pub fn report_and_tables(
     keep: &Keep,
     nodes: Vec<NodeSummary>,
 ) -> Result<Report, Failure> {
-    let &Keep { ranges, ref truth, json } = keep;
+    let &Keep { ranges, ref truth, json, strict } = keep;
     let truth = truth.as_ref();
     let scenario = &description.scenario;
     if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
@@ -173,6 +176,9 @@ pub fn report_and_tables(
     }
     written.and(table).and(recorded)?;
     printed?;
+    if strict && !report.verdict.sound {
+        return Err(Failure::Running(anyhow::anyhow!("the result is not sound, and --strict was given")));
+    }
     Ok(report)
 }
 
@@ -205,8 +211,9 @@ fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
     Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", folder.display()))
 }
 
-/// Writes `estimate.csv` from fusion's log. A recording's tick 0 is left out: it comes before the
-/// first range, when nothing is known.
+/// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes
+/// several ticks for it, of which the last knows most. A recording's tick 0 is left out: it comes before the first range,
+/// when nothing is known.
 ///
 /// # Errors
 /// If a file cannot be read or written.
@@ -216,18 +223,30 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let mut reader = EstimateRecord::reader(out_dir, *run_id, scenario)?;
     let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
+    let mut last: Option<EstimateRecord> = None;
     while let Some(record) = reader.next() {
         let (tick, words) = record?;
         if tick < first_tick {
             continue;
         }
-        let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, scenario.motion.state_dim());
-        // Models without velocities (a random walk) take them to be zero.
-        let [x, y, vx, vy, ..] = estimate.state;
-        let p = position_covariance(&estimate);
-        writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])?;
+        let record = EstimateRecord::from_words(words, scenario.motion.state_dim());
+        if let Some(last) = last.filter(|last| last.time_s != record.time_s) {
+            write_estimate_row(&mut out, &last)?;
+        }
+        last = Some(record);
+    }
+    if let Some(last) = last {
+        write_estimate_row(&mut out, &last)?;
     }
     out.finish()
+}
+
+fn write_estimate_row(out: &mut impl Write, record: &EstimateRecord) -> std::io::Result<()> {
+    let EstimateRecord { time_s, estimate } = record;
+    // Models without velocities (a random walk) take them to be zero.
+    let [x, y, vx, vy, ..] = estimate.state;
+    let p = position_covariance(estimate);
+    writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
 }
 
 /// Writes `ranges.csv` and `truth.csv` of a simulated run: what the robots measured, in the form of

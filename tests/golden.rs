@@ -32,7 +32,7 @@ fn step(before: Estimate<4>, sensors: &Value, ranges: &Value) -> (Estimate<4>, E
     for (sensor, range_m) in sensors.as_array().unwrap().iter().zip(numbers(ranges)) {
         information.add(&predicted.innovation(Vector2::from_row_slice(&numbers(sensor)), range_m, 1.0));
     }
-    (predicted, predicted.update(&information).0)
+    (predicted, predicted.update(&information))
 }
 
 fn assert_close(estimate: &Estimate<4>, expected: &Value, what: &str) {

@@ -508,8 +508,8 @@ fn hostile_logs() {
     });
 }
 
-/// Two kinds of files: as the recorder writes them, where damage meets a checksum, and without chunks and checksums, where it
-/// meets the messages.
+/// Three kinds of files: as the recorder writes them, where damage meets a checksum; without chunks and checksums, where it
+/// meets the messages; and compressed with zstd, where it meets the decoder.
 #[test]
 fn hostile_run_files() {
     let plain = |bytes: &[u8]| {
@@ -553,6 +553,7 @@ fn hostile_run_files() {
         })
         .collect();
     let mut documents: Vec<Vec<u8>> = sound.iter().map(|bytes| plain(bytes)).collect();
+    documents.extend(sound.iter().map(|bytes| crate::run_mcap::zstd::with_zstd(bytes)));
     documents.extend(sound);
     attack_parser("run files", 0.2, &documents, |bytes| {
         let read = || -> Result<(), String> {
@@ -691,6 +692,7 @@ fn hostile_messages() {
                 y_m: dice.number(),
                 range_m: dice.number(),
                 range_kind: if dice.chance(0.7) { dice.below(4) as u64 } else { dice.word() },
+                height_m: dice.number(),
             };
             let range_m = sensor.borrow_mut().measure(dice.word(), &entry);
             assert!(range_m.is_none_or(f64::is_finite), "{entry:?} {range_m:?}");

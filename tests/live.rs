@@ -87,6 +87,12 @@ fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
         (403, "GET", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {token}")]),
         (405, "PUT", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {token}")]),
     ];
+    // Through a tunnel that takes another port here: refused, with what to do.
+    let other = [format!("Host: localhost:{}", if *port == 9_000 { 9_001 } else { 9_000 })];
+    let answer = page.ask("GET", &format!("/?token={token}"), &other);
+    assert_eq!(answer.status, 403, "{answer:?}");
+    assert!(answer.body.contains(&format!("ssh -L {port}:127.0.0.1:{port}")), "{answer:?}");
+    assert!(answer.body.contains("--live=PORT") && answer.body.trim_end().lines().count() == 1, "{answer:?}");
     for (status, method, path, headers) in cases {
         let answer = page.ask(method, &path, &headers);
         assert_eq!(answer.status, status, "{method} {path} {headers:?}: {answer:?}");

@@ -6,7 +6,9 @@ use nalgebra::Vector2;
 use rangehound::in_process::Team;
 use rangehound::report::Truth;
 use rangehound::tables;
-use rangehound_shared::scenario::{FilterTable, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable};
+use rangehound_shared::scenario::{
+    FilterTable, GateKey, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable,
+};
 
 /// A recording with the noise that is assumed of it.
 struct Case {
@@ -113,7 +115,7 @@ fn bias_and_scale_of_one_sensor_are_its_own() {
     };
     let file = |sensor: Option<Vec<SensorTable>>| ScenarioFile {
         recording: Some(RecordingTable { ranges: Some("ranges.csv".to_owned()), sensor, ..RecordingTable::default() }),
-        filter: Some(FilterTable { gate_sigma: Some(3.0) }),
+        filter: Some(FilterTable { gate_sigma: Some(GateKey::Sigma(3.0)), ..FilterTable::default() }),
         ..ScenarioFile::default()
     };
     let plain = Scenario::from_file(&file(None), "test", &shipped()).unwrap();

@@ -28,6 +28,7 @@
 //! | [`sealed`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
 //! | [`protocol`] | which builds understand each other |
 //! | [`bounded`] | reading no more of a file than it may have |
+//! | [`limits`] | which limit of the system a refusal is about |
 //! | [`resources`] | open files and shared memory: is there enough |
 //! | [`footprint`] | what a node that has started keeps resident |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
@@ -41,6 +42,7 @@ pub mod clock;
 pub mod digest;
 pub mod draws;
 pub mod footprint;
+pub mod limits;
 pub mod matrix;
 pub mod message;
 pub mod motion;
