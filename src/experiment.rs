@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use rangehound_fusion::planner;
 use rangehound_shared::rendezvous::{RunDescription, RunName, living_runs};
 use rangehound_shared::scenario::{
-    FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable, defaults,
+    FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
+    defaults,
 };
 
 use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};

@@ -91,7 +91,8 @@ impl World for Playback {
             for reading in readings {
                 let &RecordedRange { sensor, position_m: [x_m, y_m], height_m, range_m } = reading;
                 // Without the target's height, ranges are taken as level.
-                let height_m = height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
+                let height_m =
+                    height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
                 let range_kind = RangeKind::Measured.to_bits();
                 self.entries[sensor] = WorldEntry { x_m, y_m, range_m, range_kind, height_m };
             }

@@ -221,7 +221,11 @@ impl<'a> Sim<'a> {
         {
             for (id, (silent, drive)) in self.silent.iter_mut().zip(&self.drives).enumerate() {
                 if drive.is_none() && !*silent {
-                    log::warn!("tick {}: goes on without {}, silent for {limit:?}", self.tick, self.scenario.name_of(id));
+                    log::warn!(
+                        "tick {}: goes on without {}, silent for {limit:?}",
+                        self.tick,
+                        self.scenario.name_of(id)
+                    );
                     *silent = true;
                 }
             }

@@ -6,8 +6,8 @@ use clap::{Args, ValueEnum};
 use rangehound_shared::rendezvous::RunName;
 use rangehound_shared::scenario::{GateKey, PatienceKey};
 
-use super::input::InputArgs;
 use super::ParentArgs;
+use super::input::InputArgs;
 use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, port, standbys, whole};
 use crate::pin::Pin;
 use crate::supervisor::restart::Rule;

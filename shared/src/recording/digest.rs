@@ -27,7 +27,8 @@ pub(super) fn digest(recording: &Recording) -> RecordingDigest {
             let RecordedRange { sensor, position_m: [x_m, y_m], height_m, range_m } = *reading;
             let mut words = [0; 41];
             let numbers = [x_m, y_m, height_m.unwrap_or(0.0), range_m].map(f64::to_bits);
-            for (slot, word) in words.as_chunks_mut::<8>().0.iter_mut().zip([sensor as u64].into_iter().chain(numbers)) {
+            for (slot, word) in words.as_chunks_mut::<8>().0.iter_mut().zip([sensor as u64].into_iter().chain(numbers))
+            {
                 *slot = word.to_le_bytes();
             }
             words[40] = u8::from(height_m.is_some());

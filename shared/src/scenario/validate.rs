@@ -11,8 +11,8 @@ use super::bounds::{
 };
 use super::{
     Calibration, Clearance, Clock, CovarianceKey, FilterTable, GateKey, MeanKey, PLANNERS, Patience, PatienceKey,
-    PlannerSpec, PlannerTable, Prior, PriorTable, RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario,
-    RecordedRanges, ScenarioError, ScenarioFile, Source, TargetTable, defaults,
+    PlannerSpec, PlannerTable, Prior, PriorTable, RecordedRanges, RecordingTable, RobotSpec, RobotTable, RobotsTable,
+    Scenario, ScenarioError, ScenarioFile, Source, TargetTable, defaults,
 };
 use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
