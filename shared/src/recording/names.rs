@@ -85,7 +85,6 @@ const TIME: [&str; 12] = [
     "timeutc",
     "headerstamp",
     "unixtimestamp",
-    
 ];
 const TIME_LIKELY: [&str; 6] = ["t", "ts", "utc", "date", "elapsed", "elapsedtime"];
 
@@ -132,8 +131,7 @@ const TARGET: [&str; 8] = ["target", "targetid", "targetname", "tag", "tagid", "
 
 const AXES: [&str; 9] =
     ["sensor*", "anchor*", "beacon*", "station*", "node*", "sensorpos*", "anchorpos*", "*sensor", "*anchor"];
-const TARGET_AXES: [&str; 7] =
-    ["truth*", "true*", "target*", "tag*", "gt*", "groundtruth*", "poseposition*"];
+const TARGET_AXES: [&str; 7] = ["truth*", "true*", "target*", "tag*", "gt*", "groundtruth*", "poseposition*"];
 
 /// A column's name, taken apart.
 #[derive(Debug, PartialEq, Eq)]
