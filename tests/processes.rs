@@ -4,6 +4,7 @@ mod by_hand;
 mod disturbed;
 mod memory;
 mod missing;
+mod removed;
 mod rogue;
 mod standby;
 

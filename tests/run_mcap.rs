@@ -1,6 +1,8 @@
 //! A run in one file: whole for other programs' readers, replayed to the bit whatever happened in the run, and readable up to
 //! where a kill has cut it.
 
+pub(crate) mod zstd;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,7 +18,7 @@ use rangehound_shared::scenario::{Scenario, ScenarioFile};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
-use crate::support::{Outcome, Run, is_alive, signal};
+use crate::support::{Outcome, Run, is_alive, signal, skipped};
 
 const NODES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
@@ -110,7 +112,7 @@ fn others_read_what_a_run_with_kills_was_and_it_replays_to_the_bit() {
     assert_eq!(listed.collect::<BTreeMap<_, _>>(), expected);
 
     let Some(python) = python() else {
-        eprintln!("there is no python3 with {PACKAGES:?}: checked with the mcap crate only");
+        skipped("a run's file with another reader than the mcap crate", "no python3 with its packages can be made");
         return;
     };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/run_mcap/read.py");

@@ -170,6 +170,7 @@ impl<'a> Fusion<'a> {
                 return Ok(Some(hold));
             }
             standby.sign();
+            self.rendezvous.look_for_removal()?;
             self.ranges.keep_up()?;
             let sign = roster.last_sign(Role::Fusion);
             silent_looks = if sign == last_sign { silent_looks + 1 } else { 0 };
@@ -383,8 +384,9 @@ impl<'a> Fusion<'a> {
         match &self.hold {
             Some(hold) if hold.is_current() => {
                 hold.sign();
-                Ok(())
+                Ok(self.rendezvous.look_for_removal()?)
             }
+            _ if self.rendezvous.is_removed() => Err(self.rendezvous.removed().into()),
             _ => Err(FusionError::Deposed),
         }
     }

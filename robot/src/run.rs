@@ -128,6 +128,7 @@ impl<S: RangeSensor, A: Actuator> Robot<'_, S, A> {
     ) -> Result<(), RobotError> {
         while !termination.requested() {
             hold.sign();
+            rendezvous.look_for_removal()?;
             let calls = self.wait()?;
             self.look(calls)?;
             self.stop_without_ticks();

@@ -70,6 +70,9 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
+    /// Exit with 1 if the report's verdict is that the result is not sound
+    #[arg(long)]
+    pub strict: bool,
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use crate::curves::Curves;
 use crate::report::Report;
+use crate::report::verdict::Verdict;
 use crate::whole_file;
 
 /// Width of all pictures, px: labels can be read on a phone.
@@ -47,8 +48,10 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}: report of a run</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n<dl>\n"
+         <title>{title}: report of a run</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n"
     );
+    write_verdict(&mut html, &report.verdict)?;
+    html.push_str("<dl>\n");
     for (name, value) in key_figures(report) {
         writeln!(html, "<div><dt>{name}</dt><dd>{}</dd></div>", escaped(&value))?;
     }
@@ -65,6 +68,19 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
     }
     html.push_str("</main>\n</body>\n</html>\n");
     Ok(html)
+}
+
+/// Whether the result can be believed, before all figures.
+fn write_verdict(html: &mut String, verdict: &Verdict) -> std::fmt::Result {
+    let Verdict { sound, summary, reasons, notes } = verdict;
+    let (class, word) = if *sound { ("sound", "Sound") } else { ("unsound", "Not sound") };
+    write!(html, "<div class=\"verdict {class}\"><strong>{word}</strong><span>{}</span>", escaped(summary))?;
+    for (label, text) in
+        reasons.iter().map(|reason| ("likely reason", reason)).chain(notes.iter().map(|note| ("note", note)))
+    {
+        write!(html, "<p>{label}: {}</p>", escaped(text))?;
+    }
+    html.write_str("</div>\n")
 }
 
 /// What the run was and what it came to.
@@ -112,14 +128,14 @@ mod tests {
     use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
     use super::*;
-    use crate::report::Tally;
+    use crate::report::{Background, Tally};
 
     #[test]
     fn names_are_text_whatever_they_hold() {
         assert_eq!(escaped("<a href='x'>\"&\""), "&lt;a href=&#39;x&#39;&gt;&quot;&amp;&quot;");
         let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
         scenario.name = "<script>".to_owned();
-        let report = Tally::new().unwrap().report(&scenario, Vec::new());
+        let report = Tally::new().unwrap().report(&scenario, Background::default(), Vec::new());
         let html = page(&report, &Curves::default()).unwrap();
         assert!(html.contains("<h1>&lt;script&gt;</h1>") && !html.contains("<script>"), "{html}");
     }
@@ -127,7 +143,9 @@ mod tests {
     #[test]
     fn a_run_without_ticks_has_a_page_without_pictures() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
-        let html = page(&Tally::new().unwrap().report(&scenario, Vec::new()), &Curves::default()).unwrap();
+        let html =
+            page(&Tally::new().unwrap().report(&scenario, Background::default(), Vec::new()), &Curves::default())
+                .unwrap();
         assert!(html.contains("<dt>robots</dt>") && !html.contains("<svg"), "{html}");
     }
 }

@@ -9,7 +9,7 @@ use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
 use crate::frame::Frame;
-use crate::report::{Report, Tally};
+use crate::report::{Background, Report, Tally};
 
 /// Characters of a setting: a space is left between the columns.
 const SETTING_LEN_MAX: usize = 11;
@@ -163,7 +163,7 @@ impl Side {
             position_trace_m2,
             ranges,
             ..
-        } = self.tally.report(scenario, Vec::new());
+        } = self.tally.report(scenario, Background::default(), Vec::new());
         Figures {
             planner,
             gate_sigma: scenario.gate_sigma,

@@ -51,7 +51,8 @@ impl std::fmt::Display for Report {
             let fate = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
             writeln!(f, "{}", field_in(DOUBTFUL, name, fate))?;
         }
-        write!(f, "{}", field("digest", &self.digest))
+        writeln!(f, "{}", field("digest", &self.digest))?;
+        write!(f, "{}", self.verdict)
     }
 }
 

@@ -5,6 +5,7 @@ use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{Heading, RobotRecord};
 use serde::Serialize;
 
+use super::verdict::Verdict;
 use crate::hops::HopSummary;
 use crate::percentiles::Point;
 
@@ -62,6 +63,8 @@ pub struct Report {
     pub hops_us: HopSummary,
     /// The processes.
     pub nodes: Vec<NodeSummary>,
+    /// Whether the result can be believed.
+    pub verdict: Verdict,
 }
 
 /// Trace of the position covariance, m^2.

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::recording::SensorName;
+
 /// A scenario file, parsed but not yet checked; [`super::Scenario::from_file`] checks it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -199,15 +201,23 @@ pub struct RecordingTable {
 }
 
 /// One `[[recording.sensor]]`.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorTable {
-    /// The sensor's id in the recording.
-    pub id: u64,
+    /// What the recording calls the sensor: text, or a whole number.
+    pub id: SensorName,
     /// Its range standard deviation, m.
     pub range_std_m: Option<f64>,
     /// Its bias, m.
     pub bias_m: Option<f64>,
     /// Its scale error.
     pub scale: Option<f64>,
+}
+
+impl SensorTable {
+    /// A sensor that does not differ from the rest yet.
+    #[must_use]
+    pub fn new(id: SensorName) -> Self {
+        Self { id, range_std_m: None, bias_m: None, scale: None }
+    }
 }

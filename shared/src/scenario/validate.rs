@@ -17,7 +17,7 @@ use super::{
 use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
 use crate::motion::MotionModel;
-use crate::recording::Recording;
+use crate::recording::{ReadOptions, Recording};
 use crate::rendezvous::RunName;
 use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
 
@@ -143,7 +143,7 @@ impl Checker<'_> {
             return Err(self.refuse("recording.ranges", "the path of a CSV file of ranges", "nothing"));
         };
         let ranges = folder.join(ranges);
-        let recording = Recording::read(&ranges)?;
+        let (recording, _) = Recording::read(&ranges, &ReadOptions::default())?;
         let std_m = self.number("recording.range_std_m", table.range_std_m, defaults::RECORDED_RANGE_STD_M, STD_M)?;
         let bias_m = self.number("recording.bias_m", table.bias_m, 0.0, BIAS_M)?;
         let scale = self.number("recording.scale", table.scale, 0.0, SCALE)?;
@@ -151,7 +151,7 @@ impl Checker<'_> {
             .sensors()
             .iter()
             .map(|sensor| RobotSpec {
-                label: sensor.id.to_string(),
+                label: sensor.name.to_string(),
                 start_m: sensor.first_position_m,
                 speed_mps: 0.0,
                 range_std_m: std_m,
@@ -162,10 +162,10 @@ impl Checker<'_> {
         let special = table.sensor.as_deref().unwrap_or_default();
         for (index, sensor) in special.iter().enumerate() {
             let key = |name: &str| format!("recording.sensor[{index}].{name}");
-            let Some(robot) = recording.sensors().iter().position(|known| known.id == sensor.id) else {
-                let known: Vec<String> = recording.sensors().iter().map(|known| known.id.to_string()).collect();
+            let Some(robot) = recording.sensors().iter().position(|known| known.name == sensor.id) else {
+                let known: Vec<String> = recording.sensors().iter().map(|known| known.name.to_string()).collect();
                 let expected = format!("a sensor of the recording ({})", known.join(", "));
-                return Err(self.refuse(&key("id"), expected, sensor.id));
+                return Err(self.refuse(&key("id"), expected, &sensor.id));
             };
             if special[..index].iter().any(|before| before.id == sensor.id) {
                 return Err(self.refuse(&key("id"), "each sensor once", format!("{} twice", sensor.id)));
