@@ -79,7 +79,11 @@ impl Experiment {
             name: Some(name_after(&args.ranges)),
             recording: Some(recording),
             target: Some(TargetTable { noise_psd: args.accel_psd, ..TargetTable::default() }),
-            filter: Some(FilterTable { gate_sigma: args.gate }),
+            filter: Some(FilterTable {
+                gate_sigma: args.gate.gate.clone(),
+                distrust: args.gate.distrust(),
+                ..FilterTable::default()
+            }),
             ..ScenarioFile::default()
         };
         let (name, out) = (args.name.as_ref(), args.out.as_deref());

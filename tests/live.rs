@@ -4,12 +4,12 @@ mod browser;
 mod http;
 
 use std::io::Write;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
-use crate::support::{Process, Run, comm, digest_in_process, signal};
+use crate::support::{Process, Run, comm, digest_in_process, signal, skipped};
 use browser::Browser;
 use http::{Answer, Events, Page};
 
@@ -365,7 +365,7 @@ fn what_cannot_be_shown_is_refused_in_one_line() {
 #[test]
 fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     let Some(mut browser) = Browser::start() else {
-        eprintln!("NOT TESTED: no chromium, chromium-browser, google-chrome or $RANGEHOUND_BROWSER is here");
+        skipped("the live page in a browser", "no chromium, chromium-browser, google-chrome or $RANGEHOUND_BROWSER");
         return;
     };
     let run = Run::new();
@@ -380,7 +380,6 @@ fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     let pixels = "document.getElementById('field').toDataURL()";
     let before = browser.evaluate(pixels);
     assert!(before.as_str().unwrap().len() > 2_000, "{before}");
-    std::thread::sleep(Duration::from_millis(500));
     run.wait_until("the canvas has changed", || browser.evaluate(pixels) != before);
 
     let first = run.pid_of("robot-1", 1);

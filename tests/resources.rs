@@ -8,7 +8,7 @@ use std::process::Command;
 
 use rustix::process::Signal;
 
-use crate::support::{Outcome, Run, signal};
+use crate::support::{Outcome, Run, signal, skipped};
 
 const ENDLESS: &str = "run --clock lockstep --ticks 100000000 --patience forever";
 
@@ -26,12 +26,12 @@ fn assert_nothing_made(run: &Run) {
     assert!(!run.path("out").exists() && !run.shared_folder().exists());
 }
 
-/// True if this user may have mounts of his own; else says that a test is skipped.
+/// True if this user may have mounts of his own; else says that a test is not run.
 fn may_mount() -> bool {
     let probe = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "none", "/mnt"]).output();
     let may = probe.is_ok_and(|output| output.status.success());
     if !may {
-        println!("skipped: this user may not mount");
+        skipped("what needs mounts of its own", "this user may not mount");
     }
     may
 }

@@ -16,6 +16,7 @@
 //! | [`motion`] | linear target models, exactly discretised |
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
 //! | [`recording`] | range recordings in CSV |
+//! | [`radio`] | what ranging radios print |
 //! | [`message`] | what travels on each topic |
 //! | [`bus`] | topics and their iceoryx2 services |
 //! | [`bells`] | wake-ups |
@@ -46,6 +47,7 @@ pub mod matrix;
 pub mod message;
 pub mod motion;
 pub mod protocol;
+pub mod radio;
 pub mod record;
 pub mod recording;
 pub mod rendezvous;

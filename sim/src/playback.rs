@@ -70,6 +70,7 @@ impl World for Playback {
                     y_m: reading.position_m[1],
                     range_m: reading.range_m,
                     range_kind: RangeKind::Measured.to_bits(),
+                    ..WorldEntry::default()
                 };
             }
             self.next_instant += 1;

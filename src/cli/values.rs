@@ -7,7 +7,7 @@ use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
 use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::recording::SensorName;
-use rangehound_shared::scenario::{PLANNERS, PatienceKey};
+use rangehound_shared::scenario::{GateKey, PLANNERS, PatienceKey};
 
 /// What each planner does, in the order of [`PLANNERS`].
 const PLANNERS_DO: [&str; PLANNERS.len()] = [
@@ -75,6 +75,10 @@ pub(super) fn standbys(text: &str) -> Result<usize, String> {
 
 pub(super) fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "expected a number".to_owned())
+}
+
+pub(super) fn gate(text: &str) -> Result<GateKey, String> {
+    text.parse()
 }
 
 pub(super) fn megabytes(text: &str) -> Result<u64, String> {

@@ -30,7 +30,7 @@ use removal::go_on_until_the_end;
 pub fn run(args: &RunArgs) -> Result<(), Failure> {
     end_with(&args.parent)?;
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
-    let keep = Keep { ranges: args.write_recording, truth: None, json: args.json };
+    let keep = Keep { ranges: args.write_recording, truth: None, json: args.json, strict: args.strict };
     execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
 }
 
@@ -41,7 +41,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    let keep = Keep { ranges: false, truth, json: args.json };
+    let keep = Keep { ranges: false, truth, json: args.json, strict: false };
     execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
 }
 
