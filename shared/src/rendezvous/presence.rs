@@ -157,10 +157,14 @@ impl Inspection {
 
     /// False for what legitimately loses its name while a process holds it open.
     fn is_needed(&self, path: &Path, is_writable: impl Fn() -> bool) -> bool {
+        let nodes = self.place.path("nodes");
+        if path.starts_with(&nodes) {
+            // A node that starts looks at the others, and holds files of the dead open when those are cleaned up.
+            return !nodes.exists();
+        }
         match path.extension().and_then(|extension| extension.to_str()) {
-            // A way from one node to another goes when either does, and a new one is made for whoever comes. A node's
-            // details go when a dead node is cleaned up, and whoever lists the nodes may hold them open then.
-            Some("connection" | "partial" | "details") => false,
+            // A way from one node to another goes when either does, and a new one is made for whoever comes.
+            Some("connection" | "partial") => false,
             // Whoever reads a dead node's messages holds them open for a while: only its writer needs the name.
             Some("data") => is_writable(),
             // Of one who has been deposed: another file has the name.
