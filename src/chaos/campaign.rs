@@ -546,7 +546,8 @@ fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
     tally(&alone)
 }
 
-/// Living processes of this program that go by this run's name, but for this one.
+/// Living processes of this program in this PID namespace that go by this run's name, but for this one. Another container may
+/// have a run of the same name.
 fn processes_of(name: &RunName) -> Vec<i32> {
     let program = std::env::current_exe().ok();
     let name = name.to_string();
@@ -555,11 +556,17 @@ fn processes_of(name: &RunName) -> Vec<i32> {
         let mut arguments = arguments.split(|byte| *byte == 0);
         arguments.any(|argument| argument == b"--name") && arguments.next() == Some(name.as_bytes())
     };
-    std::fs::read_dir("/proc")
+    let namespace = |process: &str| std::fs::read_link(format!("/proc/{process}/ns/pid")).ok();
+    let here = namespace("self");
+    // Where `/proc` is of another namespace, its numbers are not those that signals go by.
+    let is_own = std::fs::read_link("/proc/self").is_ok_and(|me| me.as_os_str() == &*std::process::id().to_string());
+    let processes = is_own.then(|| std::fs::read_dir("/proc").ok()).flatten();
+    processes
         .into_iter()
         .flatten()
         .flatten()
         .filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok())
+        .filter(|pid| here.is_some() && namespace(&pid.to_string()) == here)
         .filter(|pid| Some(*pid) != i32::try_from(std::process::id()).ok())
         .filter(|pid| std::fs::read_link(format!("/proc/{pid}/exe")).ok() == program)
         .filter(is_of_run)

@@ -368,11 +368,7 @@ impl Rendezvous {
     ///
     /// # Errors
     /// If that cannot be told, as the door cannot be locked: nothing was done.
-    pub fn while_current<T>(
-        &self,
-        hold: &RoleHold,
-        action: impl FnOnce() -> T,
-    ) -> Result<Option<T>, RendezvousError> {
+    pub fn while_current<T>(&self, hold: &RoleHold, action: impl FnOnce() -> T) -> Result<Option<T>, RendezvousError> {
         let _door = self.place.enter(false)?;
         Ok(hold.is_current().then(action))
     }

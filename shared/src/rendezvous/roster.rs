@@ -205,7 +205,8 @@ impl Roster {
 
     /// Puts down who holds the role.
     fn write_entry(&self, role: Role, file: &mut File, incarnation: u64) -> Result<(), RendezvousError> {
-        if let Some(number) = holder::own_number_in_proc().filter(|number| *number != std::process::id().cast_signed()) {
+        if let Some(number) = holder::own_number_in_proc().filter(|number| *number != std::process::id().cast_signed())
+        {
             self.place.write(&number_file_name(role), format!("{incarnation} {number}").as_bytes())?;
         }
         write_entry(file, incarnation).map_err(|source| self.place.io_error(&file_name(role), source))
