@@ -221,21 +221,15 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
 /// A command line that runs the rest in a PID namespace of its own, as in a container.
 const NAMESPACE: &str = "exec unshare --pid --fork --kill-child";
 
-/// True if this user may make namespaces; else says that a test is skipped.
-fn may_unshare() -> bool {
+/// Fails where this user may not make PID namespaces: a test that does nothing would say that all is well.
+fn look_for_namespaces() {
     let probe = Command::new("unshare").args(["--pid", "--fork", "true"]).output();
-    let may = probe.is_ok_and(|output| output.status.success());
-    if !may {
-        println!("skipped: this user may not make PID namespaces");
-    }
-    may
+    assert!(probe.is_ok_and(|output| output.status.success()), "needs `unshare --pid`: run this test as root");
 }
 
 #[test]
 fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
-    if !may_unshare() {
-        return;
-    }
+    look_for_namespaces();
     let run = Run::new();
     let in_container = format!("{NAMESPACE} --mount-proc sh -c '\"$@\" & wait' sh \"$@\"");
     let sim = run.command_by(&in_container, "sim --ticks 100000000");
@@ -278,9 +272,7 @@ fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
 /// Its own number is not the one that `/proc` gives it.
 #[test]
 fn a_run_without_a_proc_of_its_own_gets_to_its_end() {
-    if !may_unshare() {
-        return;
-    }
+    look_for_namespaces();
     let run = Run::new();
     run.command_by(&format!("{NAMESPACE} \"$@\""), "run --clock lockstep --ticks 40").finish().succeeded();
     assert_eq!(run.report()["ticks"], 40);
