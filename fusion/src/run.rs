@@ -321,6 +321,8 @@ impl<'a> Fusion<'a> {
         self.centre.plan();
         let planned_ns = monotonic_ns();
         let tally = self.intake.close(tick, filtered_ns);
+        // A deposed one writes nothing that its successor could read.
+        self.require_lead()?;
         let centre = self.centre.saved()?;
         let saved = Saved { centre, intake: Cow::Borrowed(self.intake.record()), tally };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
