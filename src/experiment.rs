@@ -140,6 +140,8 @@ impl Experiment {
         let mut inputs = Vec::new();
         if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
             inputs.extend(recording.inputs(folder));
+            let (rows, sensors) = (ranges.summary.rows, scenario.robots.len());
+            failure::tell(format!("recording: {rows} ranges of {sensors} sensors; read as {}", ranges.summary.read_as));
             for line in ranges.summary.lines() {
                 failure::tell(format!("recording: {line}"));
             }

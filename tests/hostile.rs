@@ -195,7 +195,7 @@ fn hostile_recordings() {
         recording.write_csv(&mut copy).unwrap();
         let (again, _) = Recording::parse(&copy[..], Path::new("copy.csv"), &ReadOptions::default()).unwrap();
         assert_eq!(again, recording);
-        let mut world = Playback::new(recording);
+        let mut world = Playback::new(recording.into(), None);
         for _ in 0..20 {
             world.advance(&[]);
             let numbers = world.entries().iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);

@@ -420,7 +420,7 @@ mod tests {
             let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
             tally.add_estimate(tick as u64, &estimate, None);
         }
-        let distrust = |robot, from_tick, to_tick| Distrust { robot, from_tick, to_tick };
+        let distrust = |robot, from_tick, to_tick| Distrust { robot, sensor: robot.to_string(), from_tick, to_tick };
         assert_eq!(tally.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
     }
 
