@@ -101,6 +101,9 @@ pub struct TrackArgs {
     /// Reject a range whose innovation is more than this many standard deviations
     #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
     pub gate: Option<f64>,
+    /// What `rangehound calibrate` found: bias, scale and noise of the sensors; flags win over it
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
     /// Who is started, and started again
     #[command(flatten)]
     pub supervision: SupervisionArgs,
