@@ -24,7 +24,7 @@ use rangehound_shared::recording::Recording;
 
 use crate::cli::CalibrateArgs;
 use crate::failure::{self, Failure};
-use crate::report::truth::Truth;
+use crate::report::Truth;
 use crate::watch::Progress;
 use crate::{tables, terminal, whole_file};
 use model::{Model, Problem, Reading};

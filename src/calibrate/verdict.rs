@@ -213,3 +213,82 @@ fn open_quantities(problem: &Problem, fit: &Fit, time: f64) -> Vec<String> {
     }
     told
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::search::search;
+    use super::*;
+
+    const ANCHORS_M: [[f64; 2]; 4] = [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]];
+
+    /// Ranges to a target on a winding path, or one that stands still, with noise of a seed.
+    fn simulated(seed: u64, biases_m: [f64; 4], scale: f64, std_m: f64, moves: bool) -> Vec<Reading> {
+        let mut state = seed;
+        let mut uniform = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..1_200)
+            .map(|index| {
+                let (time_s, sensor) = (0.05 * f64::from(index), index as usize % 4);
+                let t = if moves { time_s } else { 0.0 };
+                let (x, y) = (5.0 + 3.5 * (0.31 * t).sin(), 4.0 + 2.8 * (0.47 * t).cos());
+                let position_m = ANCHORS_M[sensor];
+                let distance = (x - position_m[0]).hypot(y - position_m[1]);
+                let normal = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+                let range_m = (1.0 + scale) * distance + biases_m[sensor] + std_m * normal;
+                Reading { time_s, sensor, position_m, range_m }
+            })
+            .collect()
+    }
+
+    fn findings(readings: &[Reading]) -> (Findings, Option<Fit>) {
+        let problem = Problem::new(readings, 4);
+        judge(&problem, &search(&problem, |_| ()))
+    }
+
+    #[test]
+    fn intervals_hold_the_biases_that_were_put_in() {
+        let biases_m = [0.1, 0.3, -0.2, 0.5];
+        let (mut inside, mut all) = (0, 0);
+        for seed in 1..=3 {
+            let (findings, fit) = findings(&simulated(seed, biases_m, 0.0, 0.05, true));
+            assert_eq!(fit.unwrap().model, Model { bias: Sharing::Each, scale: Sharing::Absent });
+            for (sensor, bias_m) in findings.sensors.iter().zip(biases_m) {
+                let found = sensor.bias_m.unwrap();
+                assert!((found.value - bias_m).abs() < 0.05, "{found:?} for {bias_m}");
+                inside += usize::from((found.value - bias_m).abs() <= found.half_width);
+                all += 1;
+                assert!((0.04..0.065).contains(&sensor.range_std_m.unwrap().value), "{sensor:?}");
+            }
+        }
+        assert!(inside * 10 >= all * 7, "{inside} of {all}");
+    }
+
+    #[test]
+    fn a_scale_error_of_all_is_found_as_one() {
+        let (findings, _) = findings(&simulated(4, [0.0; 4], 0.06, 0.05, true));
+        let scale = findings.sensors[0].scale.unwrap();
+        assert!((scale.value - 0.06).abs() < 0.01 && findings.sensors[0].bias_m.is_none(), "{findings:?}");
+    }
+
+    #[test]
+    fn sound_ranges_are_left_alone() {
+        let (findings, _) = findings(&simulated(5, [0.0; 4], 0.0, 0.05, true));
+        assert!(
+            findings.sensors.iter().all(|sensor| sensor.bias_m.is_none() && sensor.scale.is_none()),
+            "{findings:?}"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_not() {
+        let (findings, fit) = findings(&simulated(6, [0.2; 4], 0.0, 0.05, false));
+        assert!(fit.is_none() && findings.untold[0].contains("stands still"), "{findings:?}");
+        let mut readings = simulated(7, [0.0; 4], 0.0, 0.05, true);
+        assert_eq!(obstacle(&readings, 4), None);
+        assert!(obstacle(&readings[..40], 4).unwrap().contains("too few"));
+        readings.retain(|reading| reading.sensor < 2);
+        assert!(obstacle(&readings, 2).unwrap().contains("mirror"));
+    }
+}
