@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rangehound_fusion::planner;
-use rangehound_shared::recording::Recording;
+use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::rendezvous::{RunDescription, RunName, living_runs};
 use rangehound_shared::scenario::{
     FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
@@ -66,7 +66,7 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_track(args: &TrackArgs) -> Result<Self, Failure> {
-        let ranges = args.ranges.to_str().ok_or_else(|| Failure::input("RANGES.csv: expected a name in UTF-8"))?;
+        let ranges = in_utf8("RANGES.csv", &args.ranges)?;
         let mut recording = RecordingTable {
             ranges: Some(ranges.to_owned()),
             range_std_m: args.range_std,
@@ -79,15 +79,19 @@ impl Experiment {
         let mut accel_psd = args.accel_psd;
         if let Some(path) = &args.calibration {
             let calibration = crate::calibrate::file::read(path)?;
-            let read = Recording::read(&args.ranges).map_err(Failure::input)?;
-            let known: Vec<String> = read.sensors().iter().map(|sensor| sensor.id.to_string()).collect();
+            let (read, _) = Recording::read(&args.ranges, &ReadOptions::default()).map_err(Failure::input)?;
+            let known: Vec<String> = read.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
             crate::calibrate::file::merge(&calibration, &known, &mut recording, &mut accel_psd);
         }
         let file = ScenarioFile {
             name: Some(name_after(&args.ranges)),
             recording: Some(recording),
             target: Some(TargetTable { noise_psd: accel_psd, ..TargetTable::default() }),
-            filter: Some(FilterTable { gate_sigma: args.gate }),
+            filter: Some(FilterTable {
+                gate_sigma: args.gate.gate.clone(),
+                distrust: args.gate.distrust(),
+                ..FilterTable::default()
+            }),
             ..ScenarioFile::default()
         };
         let (name, out) = (args.name.as_ref(), args.out.as_deref());
@@ -105,7 +109,7 @@ impl Experiment {
         let scenario = Scenario::from_file(&file, file_name, folder).map_err(Failure::input)?;
         if let (Some(recording), Source::Recorded { ranges }) = (&mut file.recording, &scenario.source) {
             // The copy in the run folder must find it too.
-            recording.ranges = std::path::absolute(ranges)?.to_str().map(str::to_owned);
+            recording.ranges = Some(in_utf8("ranges", &std::path::absolute(ranges)?)?.to_owned());
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
             .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
@@ -116,8 +120,19 @@ impl Experiment {
         };
         let out = out.map_or_else(|| Path::new(RUNS).join(name.to_string()), Path::to_owned);
         let out_dir = std::path::absolute(&out).map_err(|error| Failure::input(format!("--out: {error}")))?;
+        in_utf8("--out", &out_dir)?;
         Ok(Self { name, description: RunDescription::new(scenario, out_dir), scenario_file: file })
     }
+}
+
+/// A path as text, which is how the files of a run and its processes tell it each other.
+///
+/// # Errors
+/// [`Failure::Input`], with the path, if it is none in UTF-8.
+pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
+    path.to_str().ok_or_else(|| {
+        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
+    })
 }
 
 /// A scenario file with the command line's values over its own, not yet checked.
@@ -191,15 +206,15 @@ fn apply(
     sensors: &mut Vec<SensorTable>,
     field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
 ) {
-    for &PerSensor { sensor, value } in values {
+    for PerSensor { sensor, value } in values {
         match sensor {
-            None => *all = Some(value),
+            None => *all = Some(*value),
             Some(id) => {
-                let index = sensors.iter().position(|known| known.id == id).unwrap_or_else(|| {
-                    sensors.push(SensorTable { id, ..SensorTable::default() });
+                let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
+                    sensors.push(SensorTable::new(id.clone()));
                     sensors.len() - 1
                 });
-                *field(&mut sensors[index]) = Some(value);
+                *field(&mut sensors[index]) = Some(*value);
             }
         }
     }

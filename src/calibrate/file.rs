@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use rangehound_shared::recording::SensorName;
 use rangehound_shared::scenario::{RecordingTable, SensorTable};
 use serde::Deserialize;
 
@@ -142,9 +143,9 @@ pub fn merge(file: &Calibration, known: &[String], table: &mut RecordingTable, p
 
 /// The table's entry of a sensor, made if it is not there: the one place that knows how the scenario names sensors.
 fn entry<'a>(sensors: &'a mut Vec<SensorTable>, name: &str) -> Option<&'a mut SensorTable> {
-    let id = name.parse().ok()?;
+    let id: SensorName = name.parse().ok()?;
     let index = sensors.iter().position(|sensor| sensor.id == id).unwrap_or_else(|| {
-        sensors.push(SensorTable { id, ..SensorTable::default() });
+        sensors.push(SensorTable::new(id));
         sensors.len() - 1
     });
     sensors.get_mut(index)

@@ -20,7 +20,7 @@ pub mod verdict;
 
 use std::fmt::Write as _;
 
-use rangehound_shared::recording::Recording;
+use rangehound_shared::recording::{ReadOptions, Recording};
 
 use crate::cli::CalibrateArgs;
 use crate::failure::{self, Failure};
@@ -35,9 +35,9 @@ use verdict::{Findings, Measured};
 /// # Errors
 /// [`Failure`]; also if nothing could be told.
 pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
-    let recording = Recording::read(&args.ranges).map_err(Failure::input)?;
+    let (recording, _) = Recording::read(&args.ranges, &ReadOptions::default()).map_err(Failure::input)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.id.to_string()).collect();
+    let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
     let readings = readings(&recording);
     let problem = Problem::new(&readings, names.len());
     if problem.thinned > 0 {
