@@ -32,7 +32,7 @@ pub use run::{
     TrackArgs,
 };
 pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
-pub use study::{ChaosArgs, CompareArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};
+pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};
 pub use values::PerSensor;
 
 /// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
@@ -91,6 +91,8 @@ pub enum Command {
     Track(TrackArgs),
     /// Compare the planners over many runs: tables and pictures
     Compare(CompareArgs),
+    /// Find noise, bias and scale of each sensor from a recording, for `track --calibration`
+    Calibrate(CalibrateArgs),
     /// Print the script by which a shell completes commands and flags
     Completions(CompletionsArgs),
     /// Print the names that a shell completes, one a line

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rangehound_fusion::planner;
+use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::rendezvous::{RunDescription, RunName, living_runs};
 use rangehound_shared::scenario::{
     FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
@@ -81,10 +82,17 @@ impl Experiment {
         apply(&args.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
         apply(&args.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
         recording.sensor = Some(sensors);
+        let mut accel_psd = args.accel_psd;
+        if let Some(path) = &args.calibration {
+            let calibration = crate::calibrate::file::read(path)?;
+            let (read, _) = Recording::read(&args.ranges, &ReadOptions::default()).map_err(Failure::input)?;
+            let known: Vec<String> = read.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
+            crate::calibrate::file::merge(&calibration, &known, &mut recording, &mut accel_psd);
+        }
         let file = ScenarioFile {
             name: Some(name_after(&args.ranges)),
             recording: Some(recording),
-            target: Some(TargetTable { noise_psd: args.accel_psd, ..TargetTable::default() }),
+            target: Some(TargetTable { noise_psd: accel_psd, ..TargetTable::default() }),
             filter: Some(FilterTable {
                 gate_sigma: args.gate.gate.clone(),
                 distrust: args.gate.distrust(),

@@ -23,6 +23,7 @@
 //! | [`plan`] | one step per JSON line, for programs of any language |
 //! | [`chaos`] | campaigns of faults on a live run |
 //! | [`latency`] | the time from range to heading, beside the bare transport |
+//! | [`calibrate`] | noise, bias and scale of sensors from a recording |
 //! | [`pin`] | which processors a command runs on |
 //! | [`in_process`] | the same steps composed in one process |
 //! | [`compare`] | Monte Carlo of the planners on all cores |
@@ -38,6 +39,7 @@
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |
 
+pub mod calibrate;
 pub mod chaos;
 pub mod chart;
 pub mod cli;

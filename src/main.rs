@@ -9,7 +9,8 @@ use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
 use rangehound::{
-    chaos, compare, latency, live, node, plan, recorder, remote, replay, shell, status, supervisor, terminal, watch,
+    calibrate, chaos, compare, latency, live, node, plan, recorder, remote, replay, shell, status, supervisor,
+    terminal, watch,
 };
 
 fn main() -> ExitCode {
@@ -54,6 +55,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Chaos(args) => chaos::chaos(&args),
         Command::Plan(args) => plan::plan(&args),
         Command::Compare(args) => compare::compare(&args),
+        Command::Calibrate(args) => calibrate::calibrate(&args),
         Command::Latency(args) => latency::latency(&args),
         Command::LatencyNode(args) => latency::reference::latency_node(&args),
         Command::Completions(args) => shell::completions(&args),

@@ -22,7 +22,7 @@ Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or
 bad input.";
 
 /// Below each command's flags.
-const EACH: [(&str, &str); 21] = [
+const EACH: [(&str, &str); 22] = [
     ("run", RUN),
     ("sim", SIM),
     ("fusion", FUSION),
@@ -42,6 +42,7 @@ const EACH: [(&str, &str); 21] = [
     ("scenario", SCENARIO),
     ("track", TRACK),
     ("compare", COMPARE),
+    ("calibrate", CALIBRATE),
     ("completions", COMPLETIONS),
     ("man", MAN),
 ];
@@ -179,6 +180,15 @@ const COMPARE: &str = "Examples:
   rangehound compare                             six planners, 1000 runs of each
   rangehound compare --planners certified,grid --runs 50
   rangehound compare mine.toml --robots 5 --stand-off 0";
+
+const CALIBRATE: &str = "Without --truth the ranges must tell by themselves: three sensors or more that
+are not on one line, and a target that moves. What they cannot tell is named and
+not used; if that is everything, no file is written and the exit code is 1.
+
+Examples:
+  rangehound calibrate ranges.csv
+  rangehound track ranges.csv --calibration runs/calibrate/calibration.toml
+  rangehound calibrate ranges.csv --truth truth.csv --out truth-calibration";
 
 const COMPLETIONS: &str = "Examples, for bash, zsh and fish:
   source <(rangehound completions bash)          in ~/.bashrc

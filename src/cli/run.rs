@@ -108,6 +108,9 @@ pub struct TrackArgs {
     /// Which ranges are fused
     #[command(flatten)]
     pub gate: GateArgs,
+    /// What `rangehound calibrate` found: bias, scale and noise of the sensors; flags win over it
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
     /// Who is started, and started again
     #[command(flatten)]
     pub supervision: SupervisionArgs,

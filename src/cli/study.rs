@@ -78,6 +78,22 @@ pub struct CompareArgs {
     pub json: bool,
 }
 
+/// `calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
+    /// Recorded ranges: CSV with time_s,sensor_id,sensor_x_m,sensor_y_m,range_m
+    pub ranges: PathBuf,
+    /// True track to compare the ranges with: CSV with time_s,x_m,y_m [default: from the ranges alone]
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Folder for calibration.toml and residuals.svg; those of an earlier calibration are replaced
+    #[arg(long, value_name = "DIR", default_value = "runs/calibrate")]
+    pub out: PathBuf,
+    /// Print the findings as one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// `latency`.
 #[derive(Debug, Args)]
 pub struct LatencyArgs {

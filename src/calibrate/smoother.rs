@@ -1,0 +1,405 @@
+//! The target's whole path and the sensors' errors at once: a robust Gauss-Newton step over a chain of blocks with a border.
+
+use super::model::{Model, Problem};
+
+/// Degrees of freedom of the ranges' Student distribution: heavy tails, so that an outlier counts little.
+pub const FREEDOM: f64 = 4.0;
+
+const STEPS_MAX: usize = 30;
+
+type Block = [[f64; 4]; 4];
+type Column = [f64; 4];
+
+/// An estimate of everything.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// `[x y vx vy]` at each knot.
+    pub states: Vec<Column>,
+    /// Biases, then scale errors, as the model numbers them.
+    pub errors: Vec<f64>,
+    /// Scale of each sensor's noise, m.
+    pub sigmas_m: Vec<f64>,
+    /// Spectral density of the acceleration, m^2/s^3.
+    pub accel_psd: f64,
+}
+
+/// What a solution tells beside the estimate.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// Negative logarithm of the evidence (Laplace), up to a constant of the data.
+    pub unlikelihood: f64,
+    /// Covariance of the errors.
+    pub covariance: Vec<Vec<f64>>,
+    /// What is left of each range, m.
+    pub residuals_m: Vec<f64>,
+    /// Variance that the path adds to each residual, m^2.
+    pub path_variances_m2: Vec<f64>,
+}
+
+struct Normal {
+    diagonal: Vec<Block>,
+    upper: Vec<Block>,
+    border: Vec<Vec<Column>>,
+    corner: Vec<Vec<f64>>,
+    pull: Vec<Column>,
+    errors_pull: Vec<f64>,
+}
+
+/// Distance, direction, bias, scale and residual of one observation.
+fn residual(problem: &Problem, model: Model, estimate: &Estimate, index: usize) -> (f64, f64, [f64; 2], f64) {
+    let observation = &problem.observations[index];
+    let sensor = observation.reading.sensor;
+    let state = &estimate.states[observation.knot];
+    let dx = state[0] + observation.after_s * state[2] - observation.reading.position_m[0];
+    let dy = state[1] + observation.after_s * state[3] - observation.reading.position_m[1];
+    let distance = dx.hypot(dy).max(1e-6 * problem.span_m);
+    let bias = model.bias_index(sensor).map_or(0.0, |at| estimate.errors[at]);
+    let scale = model.scale_index(sensor, problem.sensors).map_or(0.0, |at| estimate.errors[at]);
+    let left = observation.reading.range_m - bias - (1.0 + scale) * distance;
+    (left, distance, [dx / distance, dy / distance], scale)
+}
+
+fn motion_error(before: &Column, after: &Column, dt: f64) -> Column {
+    [
+        after[0] - before[0] - dt * before[2],
+        after[1] - before[1] - dt * before[3],
+        after[2] - before[2],
+        after[3] - before[3],
+    ]
+}
+
+/// The parts of an axis' inverse process noise: position, cross, velocity.
+fn motion_weight(dt: f64, psd: f64) -> (f64, f64, f64) {
+    (12.0 / (psd * dt * dt * dt), -6.0 / (psd * dt * dt), 4.0 / (psd * dt))
+}
+
+fn cost(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> f64 {
+    let mut sum = 0.0;
+    for (index, observation) in problem.observations.iter().enumerate() {
+        let sigma = estimate.sigmas_m[observation.reading.sensor];
+        let ratio = residual(problem, model, estimate, index).0 / sigma;
+        sum += 0.5 * (FREEDOM + 1.0) * (ratio * ratio / FREEDOM).ln_1p() + sigma.ln();
+    }
+    for k in 1..problem.knots_s.len() {
+        let dt = problem.knots_s[k] - problem.knots_s[k - 1];
+        let e = motion_error(&estimate.states[k - 1], &estimate.states[k], dt);
+        let (p, c, v) = motion_weight(dt, estimate.accel_psd);
+        for axis in 0..2 {
+            let (a, b) = (e[axis], e[axis + 2]);
+            sum += 0.5 * (p * a * a + 2.0 * c * a * b + v * b * b);
+        }
+        sum += (estimate.accel_psd * dt * dt).ln() * 2.0;
+    }
+    for (error, std) in estimate.errors.iter().zip(prior_stds) {
+        sum += 0.5 * (error / std).powi(2) + std.ln();
+    }
+    sum
+}
+
+fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> Normal {
+    let (knots, errors) = (problem.knots_s.len(), estimate.errors.len());
+    let mut n = Normal {
+        diagonal: vec![[[0.0; 4]; 4]; knots],
+        upper: vec![[[0.0; 4]; 4]; knots.saturating_sub(1)],
+        border: vec![vec![[0.0; 4]; errors]; knots],
+        corner: vec![vec![0.0; errors]; errors],
+        pull: vec![[0.0; 4]; knots],
+        errors_pull: vec![0.0; errors],
+    };
+    for k in 1..knots {
+        let dt = problem.knots_s[k] - problem.knots_s[k - 1];
+        let e = motion_error(&estimate.states[k - 1], &estimate.states[k], dt);
+        let (p, c, v) = motion_weight(dt, estimate.accel_psd);
+        for a in 0..2 {
+            let b = a + 2;
+            let (wp, wv) = (p * e[a] + c * e[b], c * e[a] + v * e[b]);
+            n.pull[k][a] -= wp;
+            n.pull[k][b] -= wv;
+            n.pull[k - 1][a] += wp;
+            n.pull[k - 1][b] += dt * wp + wv;
+            n.diagonal[k][a][a] += p;
+            n.diagonal[k][a][b] += c;
+            n.diagonal[k][b][a] += c;
+            n.diagonal[k][b][b] += v;
+            let d = &mut n.diagonal[k - 1];
+            d[a][a] += p;
+            d[a][b] += dt * p + c;
+            d[b][a] += dt * p + c;
+            d[b][b] += dt * dt * p + 2.0 * dt * c + v;
+            let u = &mut n.upper[k - 1];
+            u[a][a] -= p;
+            u[a][b] -= c;
+            u[b][a] -= dt * p + c;
+            u[b][b] -= dt * c + v;
+        }
+    }
+    for k in 0..knots {
+        // A breath of a prior, so that no direction is quite free.
+        let tiny = 1e-8 / (problem.span_m * problem.span_m);
+        (0..4).for_each(|i| n.diagonal[k][i][i] += tiny);
+    }
+    for (index, observation) in problem.observations.iter().enumerate() {
+        let (left, distance, [ux, uy], scale) = residual(problem, model, estimate, index);
+        let sensor = observation.reading.sensor;
+        let variance = estimate.sigmas_m[sensor].powi(2);
+        let weight = (FREEDOM + 1.0) / (FREEDOM + left * left / variance) / variance;
+        let (gx, gy, t) = ((1.0 + scale) * ux, (1.0 + scale) * uy, observation.after_s);
+        let slope = [gx, gy, gx * t, gy * t];
+        let k = observation.knot;
+        let slots = [(model.bias_index(sensor), 1.0), (model.scale_index(sensor, problem.sensors), distance)];
+        for i in 0..4 {
+            n.pull[k][i] += weight * slope[i] * left;
+            for j in 0..4 {
+                n.diagonal[k][i][j] += weight * slope[i] * slope[j];
+            }
+        }
+        for (at, by) in slots {
+            let Some(at) = at else { continue };
+            n.errors_pull[at] += weight * by * left;
+            for i in 0..4 {
+                n.border[k][at][i] += weight * slope[i] * by;
+            }
+            for (other, other_by) in slots {
+                if let Some(other) = other {
+                    n.corner[at][other] += weight * by * other_by;
+                }
+            }
+        }
+    }
+    for (at, std) in prior_stds.iter().enumerate() {
+        n.corner[at][at] += 1.0 / (std * std);
+        n.errors_pull[at] -= estimate.errors[at] / (std * std);
+    }
+    n
+}
+
+struct Solved {
+    step: Vec<Column>,
+    errors_step: Vec<f64>,
+    log_det: f64,
+    inverse_pivots: Vec<Block>,
+    gains: Vec<Vec<Column>>,
+    covariance: Vec<Vec<f64>>,
+}
+
+fn solve(n: &Normal) -> Option<Solved> {
+    let (knots, errors) = (n.diagonal.len(), n.corner.len());
+    let mut log_det = 0.0;
+    let mut inverse_pivots: Vec<Block> = Vec::with_capacity(knots);
+    // Column 0 is the pull, the rest the border.
+    let mut columns: Vec<Vec<Column>> =
+        (0..knots).map(|k| std::iter::once(n.pull[k]).chain(n.border[k].iter().copied()).collect()).collect();
+    for k in 0..knots {
+        let mut pivot = n.diagonal[k];
+        if k > 0 {
+            let (upper, before) = (&n.upper[k - 1], &inverse_pivots[k - 1]);
+            let carried = product(&transposed(upper), before);
+            let taken = product(&carried, upper);
+            for i in 0..4 {
+                for j in 0..4 {
+                    pivot[i][j] -= taken[i][j];
+                }
+            }
+            let (done, rest) = columns.split_at_mut(k);
+            for (column, before) in rest[0].iter_mut().zip(&done[k - 1]) {
+                let taken = times(&carried, before);
+                (0..4).for_each(|i| column[i] -= taken[i]);
+            }
+        }
+        let (inverse, det) = inverted(&pivot)?;
+        log_det += det;
+        inverse_pivots.push(inverse);
+    }
+    for k in (0..knots).rev() {
+        let (now, later) = columns.split_at_mut(k + 1);
+        for (at, column) in now[k].iter_mut().enumerate() {
+            let mut right = *column;
+            if let Some(after) = later.first() {
+                let taken = times(&n.upper[k], &after[at]);
+                (0..4).for_each(|i| right[i] -= taken[i]);
+            }
+            *column = times(&inverse_pivots[k], &right);
+        }
+    }
+    let mut schur = n.corner.clone();
+    let mut right = n.errors_pull.clone();
+    for k in 0..knots {
+        for a in 0..errors {
+            right[a] -= dot(&n.border[k][a], &columns[k][0]);
+            for b in 0..errors {
+                schur[a][b] -= dot(&n.border[k][a], &columns[k][b + 1]);
+            }
+        }
+    }
+    let (covariance, det) = inverted_any(schur)?;
+    log_det += det;
+    let errors_step: Vec<f64> = covariance.iter().map(|row| row.iter().zip(&right).map(|(a, b)| a * b).sum()).collect();
+    let step = columns
+        .iter()
+        .map(|columns| {
+            let mut step = columns[0];
+            for (gain, by) in columns[1..].iter().zip(&errors_step) {
+                (0..4).for_each(|i| step[i] -= gain[i] * by);
+            }
+            step
+        })
+        .collect();
+    let gains = columns.into_iter().map(|columns| columns[1..].to_vec()).collect();
+    Some(Solved { step, errors_step, log_det, inverse_pivots, gains, covariance })
+}
+
+/// Improves an estimate until it stays; `None` where the numbers break down.
+pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Option<Solution> {
+    let prior_stds = model.prior_stds(problem.sensors, problem.span_m);
+    let mut now = cost(problem, model, estimate, &prior_stds);
+    for _ in 0..STEPS_MAX {
+        let solved = solve(&normal(problem, model, estimate, &prior_stds))?;
+        let mut factor = 1.0;
+        let mut better = None;
+        for _ in 0..6 {
+            let mut next = estimate.clone();
+            for (state, step) in next.states.iter_mut().zip(&solved.step) {
+                (0..4).for_each(|i| state[i] += factor * step[i]);
+            }
+            next.errors.iter_mut().zip(&solved.errors_step).for_each(|(error, step)| *error += factor * step);
+            let then = cost(problem, model, &next, &prior_stds);
+            if then < now {
+                better = Some((next, then));
+                break;
+            }
+            factor *= 0.4;
+        }
+        let Some((next, then)) = better else { break };
+        *estimate = next;
+        let gained = now - then;
+        now = then;
+        if gained < 1e-3 {
+            break;
+        }
+    }
+    let n = normal(problem, model, estimate, &prior_stds);
+    let solved = solve(&n)?;
+    let path = path_covariances(&n, &solved);
+    let mut residuals_m = Vec::with_capacity(problem.observations.len());
+    let mut path_variances_m2 = Vec::with_capacity(problem.observations.len());
+    for (index, observation) in problem.observations.iter().enumerate() {
+        let (left, distance, [ux, uy], scale) = residual(problem, model, estimate, index);
+        let (gx, gy, t) = ((1.0 + scale) * ux, (1.0 + scale) * uy, observation.after_s);
+        let slope = [gx, gy, gx * t, gy * t];
+        let mut variance = dot(&slope, &times(&path[observation.knot], &slope));
+        let mut errors_slope: Vec<f64> = solved.gains[observation.knot].iter().map(|gain| -dot(gain, &slope)).collect();
+        let sensor = observation.reading.sensor;
+        if let Some(at) = model.bias_index(sensor) {
+            errors_slope[at] += 1.0;
+        }
+        if let Some(at) = model.scale_index(sensor, problem.sensors) {
+            errors_slope[at] += distance;
+        }
+        for (row, a) in solved.covariance.iter().zip(&errors_slope) {
+            variance += a * row.iter().zip(&errors_slope).map(|(c, b)| c * b).sum::<f64>();
+        }
+        residuals_m.push(left);
+        path_variances_m2.push(variance.max(0.0));
+    }
+    Some(Solution {
+        unlikelihood: now + 0.5 * solved.log_det,
+        covariance: solved.covariance,
+        residuals_m,
+        path_variances_m2,
+    })
+}
+
+fn path_covariances(n: &Normal, solved: &Solved) -> Vec<Block> {
+    let mut all = solved.inverse_pivots.clone();
+    for k in (0..all.len().saturating_sub(1)).rev() {
+        let gain = product(&solved.inverse_pivots[k], &n.upper[k]);
+        let added = product(&product(&gain, &all[k + 1]), &transposed(&gain));
+        for i in 0..4 {
+            for j in 0..4 {
+                all[k][i][j] += added[i][j];
+            }
+        }
+    }
+    all
+}
+
+/// Each sensor's noise from what is left, as the expectation-maximisation step of a Student distribution.
+pub fn update_sigmas(problem: &Problem, solution: &Solution, sigmas_m: &mut [f64], least_m: f64) {
+    let mut sums = vec![(0.0, 0.0); sigmas_m.len()];
+    let left = solution.residuals_m.iter().zip(&solution.path_variances_m2);
+    for (observation, (left, added)) in problem.observations.iter().zip(left) {
+        let sensor = observation.reading.sensor;
+        let square = left * left + added;
+        let weight = (FREEDOM + 1.0) / (FREEDOM + square / sigmas_m[sensor].powi(2));
+        sums[sensor].0 += weight * square;
+        sums[sensor].1 += 1.0;
+    }
+    // A sensor that was hardly heard has the noise of all.
+    let all = sums.iter().fold((0.0, 0.0), |all, one| (all.0 + one.0, all.1 + one.1));
+    let usual = all.0 / f64::max(all.1, 1.0);
+    for (sigma, (sum, count)) in sigmas_m.iter_mut().zip(sums) {
+        *sigma = ((sum + 5.0 * usual) / (count + 5.0)).sqrt().max(least_m);
+    }
+}
+
+fn product(a: &Block, b: &Block) -> Block {
+    let mut c = [[0.0; 4]; 4];
+    for i in 0..4 {
+        for j in 0..4 {
+            c[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j] + a[i][3] * b[3][j];
+        }
+    }
+    c
+}
+
+fn transposed(a: &Block) -> Block {
+    std::array::from_fn(|i| std::array::from_fn(|j| a[j][i]))
+}
+
+fn times(a: &Block, x: &Column) -> Column {
+    std::array::from_fn(|i| dot(&a[i], x))
+}
+
+fn dot(a: &Column, b: &Column) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+}
+
+fn inverted(a: &Block) -> Option<(Block, f64)> {
+    let (inverse, log_det) = inverted_any(a.iter().map(|row| row.to_vec()).collect())?;
+    Some((std::array::from_fn(|i| std::array::from_fn(|j| inverse[i][j])), log_det))
+}
+
+/// Inverse and logarithm of the determinant of a positive definite matrix.
+fn inverted_any(mut a: Vec<Vec<f64>>) -> Option<(Vec<Vec<f64>>, f64)> {
+    let n = a.len();
+    let mut log_det = 0.0;
+    for i in 0..n {
+        for j in 0..=i {
+            let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
+            if i == j {
+                if !(sum > 0.0) {
+                    return None;
+                }
+                a[i][i] = sum.sqrt();
+                log_det += sum.ln();
+            } else {
+                a[i][j] = sum / a[j][j];
+            }
+        }
+    }
+    let mut inverse = vec![vec![0.0; n]; n];
+    for column in 0..n {
+        let mut x = vec![0.0; n];
+        for i in column..n {
+            let unit = if i == column { 1.0 } else { 0.0 };
+            x[i] = (unit - (column..i).map(|k| a[i][k] * x[k]).sum::<f64>()) / a[i][i];
+        }
+        for i in (0..n).rev() {
+            x[i] = (x[i] - (i + 1..n).map(|k| a[k][i] * x[k]).sum::<f64>()) / a[i][i];
+        }
+        for i in 0..n {
+            inverse[i][column] = x[i];
+        }
+    }
+    Some((inverse, log_det))
+}
