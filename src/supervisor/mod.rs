@@ -7,17 +7,18 @@ mod nodes;
 pub mod restart;
 mod silence;
 
-use std::fs::File;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use rangehound_shared::bus::Bus;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
+use rangehound_shared::rendezvous::{Rendezvous, Role};
 use rangehound_shared::signal::Termination;
 
 use crate::cli::{RecordingArgs, ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::{end_with, input_or_running};
+use crate::out_folder::{self, Claim};
 use crate::tables::{self, Keep};
 use crate::watch::{Progress, Watch};
 use crate::{in_process, live, recorder, remote};
@@ -34,7 +35,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
     end_with(&args.parent)?;
     let experiment = Experiment::from_run(&args.experiment, Naming::Numbered)?;
     let keep = Keep { ranges: args.write_recording, truth: None, json: args.json };
-    execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
+    execute(experiment, args.in_process, &args.supervision, &args.recording, &keep, &[])
 }
 
 /// `rangehound track`.
@@ -45,7 +46,8 @@ pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
     let keep = Keep { ranges: false, truth, json: args.json };
-    execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
+    let inputs: Vec<&Path> = args.truth.iter().map(PathBuf::as_path).collect();
+    execute(experiment, args.in_process, &args.supervision, &args.recording, &keep, &inputs)
 }
 
 /// `rangehound resume`: goes on with a run all of whose processes are gone.
@@ -58,21 +60,25 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
-    let look = || tables::look_for_writable(&description);
+    let found = || {
+        let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
+        Ok((rendezvous, tables::look_for_writable(&description)?))
+    };
     let keep = Keep { json: args.json, ..Keep::default() };
-    supervise(&name, &description, &args.supervision, &args.recording, &keep, look)
+    supervise(&args.supervision, &args.recording, &keep, found)
 }
 
 fn execute(
-    experiment: Experiment,
+    mut experiment: Experiment,
     in_process: bool,
     supervision: &SupervisionArgs,
     recording: &RecordingArgs,
     keep: &Keep,
+    inputs: &[&Path],
 ) -> Result<(), Failure> {
-    let Experiment { name, description, .. } = &experiment;
     if in_process {
-        let _folder = tables::prepare_folder(&experiment)?;
+        let description = &experiment.description;
+        let _folder = tables::prepare_folder(&experiment, inputs)?;
         let mut progress = Progress::new("tick", description.scenario.ticks);
         in_process::run(description, |tick| {
             if tick > 0 && tick % 4_096 == 0 {
@@ -83,29 +89,32 @@ fn execute(
         if !recording.no_record {
             recorder::record_logs(description, None, recording.limit.bytes(), &Termination::listen()?)?;
         }
-        tables::report_and_tables(description, keep, Vec::new())?;
-        return Ok(());
+        let reported = tables::report_and_tables(description, keep, Vec::new());
+        out_folder::seal(&description.out_dir);
+        return reported.map(drop);
     }
-    supervise(name, description, supervision, recording, keep, || tables::prepare_folder(&experiment))
+    supervise(supervision, recording, keep, || {
+        // Only who has the name may touch the folder.
+        let rendezvous = experiment.found()?;
+        let folder = tables::prepare_folder(&experiment, inputs)?;
+        Ok((rendezvous, folder))
+    })
 }
 
-/// Starts the processes of a run, sees to them until it ends, and reports.
+/// Founds a run in its folder, starts its processes, sees to them until it ends, and reports.
 fn supervise(
-    name: &RunName,
-    description: &RunDescription,
     supervision: &SupervisionArgs,
     recording: &RecordingArgs,
     keep: &Keep,
-    prepare_folder: impl FnOnce() -> Result<File, Failure>,
+    found: impl FnOnce() -> Result<(Rendezvous, Claim), Failure>,
 ) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     supervision.pin.apply().map_err(Failure::input)?;
     if let Some(Some(port)) = supervision.show.live {
         live::look_for(port)?;
     }
-    // Only who has the name may touch the folder.
-    let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
-    let _folder = prepare_folder()?;
+    let (rendezvous, _folder) = found()?;
+    let description = &rendezvous.description().clone();
     let hold = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
     let (summaries, outcome) = std::thread::scope(|scope| {
         let bus = Bus::connect(&rendezvous, "observer")?;
@@ -140,6 +149,7 @@ fn supervise(
     })?;
     drop(rendezvous);
     let reported = tables::report_and_tables(description, keep, summaries);
+    out_folder::seal(&description.out_dir);
     // Why the run ended early comes first.
     outcome?;
     let ticks = reported?.ticks;
