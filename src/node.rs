@@ -94,11 +94,7 @@ fn found(args: &SimArgs) -> Result<(Rendezvous, Option<Claim>), Failure> {
 }
 
 /// Refuses flags that say another experiment than the one that goes on: they would be without effect.
-fn refuse_other_experiment(
-    args: &ExperimentArgs,
-    asked: &Experiment,
-    living: &RunDescription,
-) -> Result<(), Failure> {
+fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &RunDescription) -> Result<(), Failure> {
     let name = &asked.name;
     let refuse = |flag: &str, is: &dyn std::fmt::Display| {
         Failure::input(format!(

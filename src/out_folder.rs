@@ -67,9 +67,7 @@ impl Kind {
                     || numbered("iceoryx2-", ".log")
                     || numbered("futex-", ".log")
             }
-            Self::Chaos => {
-                name == chaos::FILE_NAME || numbered("round-", ".toml") || numbered("round-", ".log")
-            }
+            Self::Chaos => name == chaos::FILE_NAME || numbered("round-", ".toml") || numbered("round-", ".log"),
         }
     }
 }
@@ -144,12 +142,7 @@ pub fn claim(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<Claim, Refus
 ///
 /// # Errors
 /// [`Failure::Input`] if it cannot be had.
-pub fn claim_or_number(
-    chosen: Option<&Path>,
-    default: &str,
-    kind: Kind,
-    inputs: &[&Path],
-) -> Result<Claim, Failure> {
+pub fn claim_or_number(chosen: Option<&Path>, default: &str, kind: Kind, inputs: &[&Path]) -> Result<Claim, Failure> {
     if let Some(chosen) = chosen {
         return Ok(claim(chosen, kind, inputs)?);
     }
@@ -212,9 +205,10 @@ pub fn remove(folder: &Path) {
     if !ledger::is_marked(folder) {
         return;
     }
-    for (below, name) in [folder.join(LOGS), folder.to_owned()].iter().flat_map(|below| {
-        entries(below).map(move |name| (below, name)).collect::<Vec<_>>()
-    }) {
+    for (below, name) in [folder.join(LOGS), folder.to_owned()]
+        .iter()
+        .flat_map(|below| entries(below).map(move |name| (below, name)).collect::<Vec<_>>())
+    {
         let path = below.join(&name);
         if name != MARK && is_ours(&path) {
             let _ = std::fs::remove_file(path);
@@ -327,7 +321,8 @@ fn refuse_inputs(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<(), Refu
     for input in inputs {
         let Ok(metadata) = std::fs::metadata(input) else { continue };
         let is_in = input.canonicalize().is_ok_and(|input| input.starts_with(&real_folder));
-        let is_one = |path: PathBuf| std::fs::metadata(path).is_ok_and(|result| identity(&result) == identity(&metadata));
+        let is_one =
+            |path: PathBuf| std::fs::metadata(path).is_ok_and(|result| identity(&result) == identity(&metadata));
         if is_in || metadata.is_file() && results().any(is_one) {
             return Err(Refusal::Unusable(format!(
                 "expected another folder: {} is read, and lies where results would go, in {}",

@@ -112,9 +112,9 @@ fn is_page(file: &Path) -> bool {
 fn write_page(file: &Path, page: &[u8]) -> std::io::Result<()> {
     let partial = with_ending(file, &format!(".{}{PARTIAL}", std::process::id()));
     let mut out = File::create_new(&partial)?;
-    let named = out.write_all(page).and_then(|()| {
-        if is_page(file) { std::fs::rename(&partial, file) } else { rename_to_free(&partial, file) }
-    });
+    let named = out
+        .write_all(page)
+        .and_then(|()| if is_page(file) { std::fs::rename(&partial, file) } else { rename_to_free(&partial, file) });
     named.inspect_err(|_| drop(std::fs::remove_file(&partial)))
 }
 

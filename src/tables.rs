@@ -30,8 +30,8 @@ use rangehound_shared::sealed;
 use crate::curves::Curves;
 use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
-use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 use crate::out_folder::{self, Claim, Kind};
+use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 use crate::whole_file::{self, WholeFile};
 use crate::{page, picture, run_mcap, terminal};
 

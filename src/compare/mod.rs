@@ -23,8 +23,8 @@ use rangehound_shared::scenario::{PLANNERS, Scenario};
 use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::experiment::Given;
 use crate::failure::{self, Failure};
-use crate::watch::Progress;
 use crate::out_folder::{Kind, claim_or_number};
+use crate::watch::Progress;
 use crate::whole_file;
 
 use monte_carlo::Trials;

@@ -87,7 +87,9 @@ pub fn ticks_told(file: &File) -> Option<u64> {
     let estimates = estimates?;
     let (pairs, _) = counts?.as_chunks::<10>();
     let of_estimates = pairs.iter().find(|pair| pair[..2] == estimates.to_le_bytes());
-    Some(of_estimates.map_or(0, |pair| u64::from_le_bytes([
-        pair[2], pair[3], pair[4], pair[5], pair[6], pair[7], pair[8], pair[9],
-    ])))
+    Some(
+        of_estimates.map_or(0, |pair| {
+            u64::from_le_bytes([pair[2], pair[3], pair[4], pair[5], pair[6], pair[7], pair[8], pair[9]])
+        }),
+    )
 }

@@ -187,7 +187,10 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
                 continue;
             }
             Err(TryLockError::WouldBlock) => {
-                bail!("{}: another process is writing it: wait for its end, or choose another name with --out", named());
+                bail!(
+                    "{}: another process is writing it: wait for its end, or choose another name with --out",
+                    named()
+                );
             }
             // A file system without locks has room for recordings all the same.
             Ok(()) | Err(TryLockError::Error(_)) => {}

@@ -43,8 +43,9 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
-    let experiment = Experiment::from_track(args)?;
+    // Before a folder is made for the name.
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
+    let experiment = Experiment::from_track(args)?;
     let keep = Keep { ranges: false, truth, json: args.json };
     let inputs: Vec<&Path> = args.truth.iter().map(PathBuf::as_path).collect();
     execute(experiment, args.in_process, &args.supervision, &args.recording, &keep, &inputs)
