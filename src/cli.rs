@@ -25,7 +25,8 @@ use crate::terminal;
 pub use look::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 pub use run::{
-    ClockArg, ExperimentArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs, TrackArgs,
+    ClockArg, ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs,
+    TrackArgs,
 };
 pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 pub use study::{ChaosArgs, CompareArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};

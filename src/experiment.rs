@@ -90,7 +90,7 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_track(args: &TrackArgs) -> Result<Self, Failure> {
-        let ranges = args.ranges.to_str().ok_or_else(|| Failure::input("RANGES.csv: expected a name in UTF-8"))?;
+        let ranges = in_utf8("RANGES.csv", &args.ranges)?;
         let mut recording = RecordingTable {
             ranges: Some(ranges.to_owned()),
             range_std_m: args.range_std,
@@ -104,7 +104,11 @@ impl Experiment {
             name: Some(name_after(&args.ranges)),
             recording: Some(recording),
             target: Some(TargetTable { noise_psd: args.accel_psd, ..TargetTable::default() }),
-            filter: Some(FilterTable { gate_sigma: args.gate }),
+            filter: Some(FilterTable {
+                gate_sigma: args.gate.gate.clone(),
+                distrust: args.gate.distrust(),
+                ..FilterTable::default()
+            }),
             ..ScenarioFile::default()
         };
         let (name, out) = (args.name.as_ref(), args.out.as_deref());
@@ -122,10 +126,12 @@ impl Experiment {
         let scenario = Scenario::from_file(&file, file_name, folder).map_err(Failure::input)?;
         if let (Some(recording), Source::Recorded { ranges }) = (&mut file.recording, &scenario.source) {
             // The copy in the run folder must find it too.
-            recording.ranges = std::path::absolute(ranges)?.to_str().map(str::to_owned);
+            recording.ranges = Some(in_utf8("ranges", &std::path::absolute(ranges)?)?.to_owned());
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
             .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
+        let folder = std::path::absolute(out.unwrap_or(Path::new(RUNS)));
+        in_utf8("--out", &folder.map_err(|error| Failure::input(format!("--out: {error}")))?)?;
         let (name, numbered) = match (name, naming) {
             (Some(name), _) => (name.clone(), None),
             (None, Naming::Exact) => {
@@ -175,6 +181,16 @@ impl Experiment {
             }
         }
     }
+}
+
+/// A path as text, which is how the files of a run and its processes tell it each other.
+///
+/// # Errors
+/// [`Failure::Input`], with the path, if it is none in UTF-8.
+pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
+    path.to_str().ok_or_else(|| {
+        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
+    })
 }
 
 /// A scenario file with the command line's values over its own, not yet checked.
@@ -252,15 +268,15 @@ fn apply(
     sensors: &mut Vec<SensorTable>,
     field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
 ) {
-    for &PerSensor { sensor, value } in values {
+    for PerSensor { sensor, value } in values {
         match sensor {
-            None => *all = Some(value),
+            None => *all = Some(*value),
             Some(id) => {
-                let index = sensors.iter().position(|known| known.id == id).unwrap_or_else(|| {
-                    sensors.push(SensorTable { id, ..SensorTable::default() });
+                let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
+                    sensors.push(SensorTable::new(id.clone()));
                     sensors.len() - 1
                 });
-                *field(&mut sensors[index]) = Some(value);
+                *field(&mut sensors[index]) = Some(*value);
             }
         }
     }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
+use rangehound_shared::limits;
 use serde::Serialize;
 
 use crate::terminal::{self, BAD};
@@ -49,13 +50,18 @@ fn complain(problem: &str) {
     tell(format_args!("{BAD}rangehound:{BAD:#} {}", one_short_line(problem)));
 }
 
-/// An error and what caused it, each said once: many errors quote their cause themselves.
-fn with_causes(error: &anyhow::Error) -> String {
+/// An error and what caused it, each said once: many errors quote their cause themselves. With the limit that has been
+/// reached, where it is one of the system's.
+pub(crate) fn with_causes(error: &anyhow::Error) -> String {
     let mut said = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
         if !said.contains(&cause) {
             let _ = write!(said, ": {cause}");
         }
+    }
+    let refusal = error.chain().find_map(|cause| limits::explain(cause.downcast_ref()?));
+    if let Some(limit) = refusal {
+        let _ = write!(said, ": {limit}");
     }
     said
 }

@@ -97,7 +97,7 @@ impl Team {
         let tick = self.centre.next_tick();
         for ((report, (sensor, _)), entry) in self.reports.iter_mut().zip(&mut self.robots).zip(self.world.entries()) {
             let range_m = sensor.measure(tick, entry).map(|range_m| (range_m, sensor.std_m()));
-            *report = Some(Report { position_m: Vector::new(entry.x_m, entry.y_m), range_m });
+            *report = Some(Report { position_m: Vector::new(entry.x_m, entry.y_m), height_m: entry.height_m, range_m });
         }
         disturb(&mut self.reports);
         self.centre.update(self.world.time_s(), &self.reports)?;

@@ -5,6 +5,7 @@ use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::motion::Transition;
 use rangehound_shared::record::Exchange;
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 /// The trace of the position covariance, m^2, that no headings of this tick can lead below at the next one:
@@ -26,15 +27,20 @@ pub fn least_next_trace_m2(
     let is_planned = |Exchange { heard, command }: Exchange| {
         heard.is_some_and(|heard| heard.taken_at == tick) || command != Command::default()
     };
-    let planned = scenario.robots.iter().zip(exchanges).filter(|(_, exchange)| is_planned(*exchange));
-    let information = planned.fold(prior, |sum, (robot, _)| sum + robot.range_std_m.powi(-2));
+    let planned = scenario.robots.iter().zip(exchanges).enumerate().filter(|(_, (_, exchange))| is_planned(*exchange));
+    // Of who is distrusted no range will be fused.
+    let distrusted = RobotSet::from_bits(estimate.distrusted);
+    let information = planned.fold(prior, |sum, (id, (robot, exchange))| {
+        let told_m = exchange.heard.and_then(|heard| heard.range_m).map_or(robot.told_std_m, |(_, std_m)| std_m);
+        if distrusted.contains(id) { sum } else { sum + (told_m * estimate.noise_scale).powi(-2) }
+    });
     let trace_m2 = 4.0 * information / ((information - bound) * (information + bound));
     (trace_m2.is_finite() && trace_m2 > 0.0).then_some(trace_m2)
 }
 
 /// Its entries xx, xy and yy at the next tick, before any range.
 fn predicted_position_covariance_m2(scenario: &Scenario, estimate: &Estimate) -> [f64; 3] {
-    let Transition { phi, process_noise } = scenario.motion.transition::<STATE_DIM_MAX>(scenario.dt_s);
+    let Transition { phi, process_noise } = scenario.filter_motion.transition::<STATE_DIM_MAX>(scenario.dt_s);
     let n = (estimate.state_dim as usize).min(STATE_DIM_MAX);
     let covariance = SMatrix::<f64, STATE_DIM_MAX, STATE_DIM_MAX>::from_fn(|i, j| {
         if i < n && j < n { estimate.covariance[i * n + j] } else { 0.0 }

@@ -34,6 +34,7 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
         _ => found(args)?,
     };
     rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
+        _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         SimError::Rendezvous(error) => input_or_running(error),
         error @ (SimError::Checkpoint(_) | SimError::Sealed(_)) => Failure::input(error),
         other => Failure::from(other),
@@ -49,6 +50,7 @@ pub fn fusion(args: &FusionArgs) -> Result<(), Failure> {
     let rendezvous = join(&args.node.name, &termination)?;
     let run = if args.standby { rangehound_fusion::run::run_standby } else { rangehound_fusion::run::run };
     run(&rendezvous, &termination).map_err(|error| match error {
+        _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         FusionError::Rendezvous(error) => input_or_running(error),
         error @ (FusionError::Checkpoint(_) | FusionError::Sealed(_)) => Failure::input(error),
         other => Failure::from(other),
@@ -64,6 +66,8 @@ pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
     let termination = prepare(Role::Robot(id), &args.node.parent)?;
     let rendezvous = join(&args.node.name, &termination)?;
     rangehound_robot::run::run(&rendezvous, id, &termination).map_err(|error| match error {
+        // Whatever it came to first.
+        _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         RobotError::Rendezvous(error) => input_or_running(error),
         error @ RobotError::NoSuchRobot { .. } => Failure::input(error),
         other => Failure::from(other),
@@ -249,6 +253,7 @@ pub fn input_or_running(error: RendezvousError) -> Failure {
         RendezvousError::Taken { .. }
         | RendezvousError::RoleTaken { .. }
         | RendezvousError::NotOurs(_)
+        | RendezvousError::NoFolder(_)
         | RendezvousError::Short(_)
         | RendezvousError::OtherBuild { .. }
         | RendezvousError::Unusable { .. }

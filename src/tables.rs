@@ -13,22 +13,22 @@
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
-use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
 
 use nalgebra::Vector2;
 use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
-use rangehound_shared::bounded::{self, Rationed};
+use rangehound_shared::bounded;
 use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord, estimate_log, world_log};
+use rangehound_shared::recording::{RecordingError, TrackPoint, parse_track, read_track};
 use rangehound_shared::rendezvous::{Role, RunDescription};
 use rangehound_shared::scenario::Source;
 use rangehound_shared::sealed;
 
 use crate::curves::Curves;
-use crate::experiment::Experiment;
+use crate::experiment::{Experiment, in_utf8};
 use crate::failure::{self, Failure};
 use crate::out_folder::{self, Claim, Kind};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
@@ -54,15 +54,6 @@ pub(crate) const FILE_NAMES: [&str; 8] =
 
 /// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
 const LONG: u64 = 1_000_000;
-
-/// Longest row of a true track, bytes.
-const TRUTH_ROW_LEN_MAX: usize = 1 << 16;
-
-/// Most rows of a true track.
-const TRUTH_ROWS_MAX: usize = 10_000_000;
-
-/// Largest number in a true track: as in recordings.
-const TRUTH_MAX: f64 = 1e11;
 
 /// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario. `inputs` are what is
 /// read besides the experiment's own files.
@@ -97,6 +88,7 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
     let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
     let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
+    in_utf8("DIR", &out_dir)?;
     Ok(RunDescription { out_dir, ..description })
 }
 
@@ -139,6 +131,8 @@ pub struct Keep {
     pub truth: Option<Truth>,
     /// The report is printed as JSON.
     pub json: bool,
+    /// A result that is not sound is a failure.
+    pub strict: bool,
 }
 
 /// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
@@ -150,7 +144,7 @@ pub fn report_and_tables(
     keep: &Keep,
     nodes: Vec<NodeSummary>,
 ) -> Result<Report, Failure> {
-    let &Keep { ranges, ref truth, .. } = keep;
+    let &Keep { ranges, ref truth, strict, .. } = keep;
     let truth = truth.as_ref();
     let (report, printed) = make_report(description, keep, nodes)?;
     let written = report::write(&report, &description.out_dir);
@@ -161,6 +155,9 @@ pub fn report_and_tables(
     }
     written.and(table).and(recorded)?;
     printed?;
+    if strict && !report.verdict.sound {
+        return Err(Failure::Running(anyhow::anyhow!("the result is not sound, and --strict was given")));
+    }
     Ok(report)
 }
 
@@ -212,8 +209,9 @@ pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>
     page::write(report, &curves, &description.out_dir)
 }
 
-/// Writes `estimate.csv` from fusion's log. A recording's tick 0 is left out: it comes before the
-/// first range, when nothing is known.
+/// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes
+/// several ticks for it, of which the last knows most. A recording's tick 0 is left out: it comes before the first range,
+/// when nothing is known.
 ///
 /// # Errors
 /// If a file cannot be read or written.
@@ -223,18 +221,30 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let mut reader = EstimateRecord::reader(out_dir, *run_id, scenario)?;
     let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
+    let mut last: Option<EstimateRecord> = None;
     while let Some(record) = reader.next() {
         let (tick, words) = record?;
         if tick < first_tick {
             continue;
         }
-        let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, scenario.motion.state_dim());
-        // Models without velocities (a random walk) take them to be zero.
-        let [x, y, vx, vy, ..] = estimate.state;
-        let p = position_covariance(&estimate);
-        writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])?;
+        let record = EstimateRecord::from_words(words, scenario.motion.state_dim());
+        if let Some(last) = last.filter(|last| last.time_s != record.time_s) {
+            write_estimate_row(&mut out, &last)?;
+        }
+        last = Some(record);
+    }
+    if let Some(last) = last {
+        write_estimate_row(&mut out, &last)?;
     }
     out.finish()
+}
+
+fn write_estimate_row(out: &mut impl Write, record: &EstimateRecord) -> std::io::Result<()> {
+    let EstimateRecord { time_s, estimate } = record;
+    // Models without velocities (a random walk) take them to be zero.
+    let [x, y, vx, vy, ..] = estimate.state;
+    let p = position_covariance(estimate);
+    writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
 }
 
 /// Writes `ranges.csv` and `truth.csv` of a simulated run: what the robots measured, in the form of
@@ -270,15 +280,12 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     truths.finish()
 }
 
-/// Reads a true track, `time_s,x_m,y_m`, in order of time.
+/// Reads a true track, `time_s,x_m,y_m` in any of the forms that a recording may have, in order of time.
 ///
 /// # Errors
 /// [`Failure::Input`] with file and row of the first thing that is wrong.
 pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
-    let refuse =
-        |problem: String| Failure::input(format!("{}: expected a track time_s,x_m,y_m: {problem}", path.display()));
-    let file = File::open(path).map_err(|error| refuse(error.to_string()))?;
-    parse_truth(file).map_err(refuse)
+    truth_of(read_track(path)).map_err(|problem| Failure::input(problem.to_string()))
 }
 
 /// Parses a true track from a reader.
@@ -286,41 +293,9 @@ pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
 /// # Errors
 /// What is wrong first, in one line.
 pub fn parse_truth(input: impl Read) -> Result<Truth, String> {
-    #[derive(serde::Deserialize)]
-    struct Row {
-        time_s: f64,
-        x_m: f64,
-        y_m: f64,
-    }
-    let mut reader = csv::ReaderBuilder::new();
-    let mut reader = reader.trim(csv::Trim::All).from_reader(Rationed::new(input, TRUTH_ROW_LEN_MAX));
-    let header = reader.headers().map_err(|error| short(&error))?.clone();
-    let mut record = csv::StringRecord::new();
-    let mut points: Vec<(f64, Vector2<f64>)> = Vec::new();
-    loop {
-        reader.get_mut().renew();
-        if !reader.read_record(&mut record).map_err(|error| short(&error))? {
-            break;
-        }
-        let row = points.len() + 1;
-        let Row { time_s, x_m, y_m } =
-            record.deserialize(Some(&header)).map_err(|error| format!("row {row}: {}", short(&error)))?;
-        let ordered = points.last().is_none_or(|(before_s, _)| *before_s <= time_s);
-        if !(ordered && [time_s, x_m, y_m].iter().all(|value| value.abs() <= TRUTH_MAX)) {
-            return Err(format!("row {row}: not numbers within +-{TRUTH_MAX:e} in order of time"));
-        }
-        if points.len() == TRUTH_ROWS_MAX {
-            return Err(format!("more than {TRUTH_ROWS_MAX} rows"));
-        }
-        points.push((time_s, Vector2::new(x_m, y_m)));
-    }
-    if points.len() < 2 {
-        return Err("fewer than two rows".to_owned());
-    }
-    Ok(Truth::new(points))
+    truth_of(parse_track(input, Path::new("the true track"))).map_err(|problem| problem.to_string())
 }
 
-/// What the CSV reader says, in one line: it quotes what stood there, of whatever length.
-fn short(error: &csv::Error) -> String {
-    error.to_string().chars().filter(|c| !c.is_control()).take(200).collect()
+fn truth_of(track: Result<Vec<TrackPoint>, RecordingError>) -> Result<Truth, RecordingError> {
+    Ok(Truth::new(track?.into_iter().map(|(time_s, [x_m, y_m])| (time_s, Vector2::new(x_m, y_m))).collect()))
 }

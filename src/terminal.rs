@@ -121,18 +121,32 @@ pub fn field(label: &str, text: impl Display) -> String {
 /// The same, its label in a style.
 #[must_use]
 pub fn field_in(style: Style, label: &str, text: impl Display) -> String {
+    labelled(style, label, |indent| wrapped(&text.to_string(), indent))
+}
+
+/// The same for sentences, broken between any two words.
+#[must_use]
+pub fn prose_in(style: Style, label: &str, text: impl Display) -> String {
+    labelled(style, label, |indent| broken(&text.to_string(), indent, " "))
+}
+
+fn labelled(style: Style, label: &str, text: impl FnOnce(usize) -> String) -> String {
     let indent = LABEL.max(label.chars().count() + 3);
     let padding = " ".repeat(indent - 2 - label.chars().count());
-    format!("  {style}{label}{style:#}{padding}{}", wrapped(&text.to_string(), indent))
+    format!("  {style}{label}{style:#}{padding}{}", text(indent))
 }
 
 /// Text that begins in a column, broken after commas so that each part stays in [`WIDTH`] if it can, and goes on below its
 /// beginning.
 #[must_use]
 pub fn wrapped(text: &str, indent: usize) -> String {
+    broken(text, indent, ", ")
+}
+
+fn broken(text: &str, indent: usize, separator: &str) -> String {
     let mut out = String::new();
     let mut column = indent;
-    for part in text.split_inclusive(", ") {
+    for part in text.split_inclusive(separator) {
         let length = part.trim_end().chars().count();
         if column > indent && column + length > WIDTH {
             out.truncate(out.trim_end().len());
@@ -175,5 +189,11 @@ mod tests {
         let text = field_in(BAD, "label", "text");
         assert_eq!(anstream::adapter::strip_str(&text).to_string(), field("label", "text"));
         assert_ne!(text, field("label", "text"));
+    }
+
+    #[test]
+    fn sentences_are_broken_between_words() {
+        let text = prose_in(Style::new(), "label", "one two ".repeat(30));
+        assert!(text.lines().count() > 2 && text.lines().all(|line| line.len() <= WIDTH), "{text}");
     }
 }

@@ -10,6 +10,7 @@ use rangehound_shared::signal::Termination;
 
 use crate::cli::WatchArgs;
 use crate::failure::{self, Failure};
+use crate::node::input_or_running;
 use crate::report::{NodeSummary, position_covariance};
 use crate::tables::{self, Keep};
 use crate::{node, terminal};
@@ -178,13 +179,26 @@ impl Drop for Progress {
 /// [`Failure`].
 pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    let rendezvous = node::join(&args.node.name, &termination)?;
+    while !watch_until_removed(args, &termination)? {
+        failure::tell(format_args!("the shared memory of run {} was removed; joining it again", args.node.name));
+    }
+    Ok(())
+}
+
+/// The same; false if somebody has removed the shared memory of a run, whose supervisor makes it again.
+fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bool, Failure> {
+    let rendezvous = node::join(&args.node.name, termination)?;
     let bus = Bus::connect(&rendezvous, "observer")?;
     let description = rendezvous.description();
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
     let roster = rendezvous.roster();
+    let is_supervised = roster.is_held(Role::Supervisor);
     let has_lost_its_supervisor = || roster.starts(Role::Supervisor) > 0 && !roster.is_held(Role::Supervisor);
     while !rendezvous.is_finished() && !termination.requested() {
+        if rendezvous.is_removed() {
+            watch.finish();
+            return if is_supervised { Ok(false) } else { Err(input_or_running(rendezvous.removed())) };
+        }
         // Nobody marks a run as finished that is ended before its last tick.
         if has_lost_its_supervisor() && !rendezvous.is_finished() {
             watch.finish();
@@ -195,7 +209,7 @@ pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
     }
     watch.finish();
     if !rendezvous.is_finished() {
-        return Ok(());
+        return Ok(true);
     }
     wait_for_last_words(&rendezvous);
     let nodes = roles(description.scenario.robots.len())
@@ -204,9 +218,9 @@ pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
     let keep = Keep { json: args.json, ..Keep::default() };
     if roster.starts(Role::Supervisor) > 0 {
         // The supervisor writes the report, and knows more of the nodes.
-        return tables::print_report(description, &keep, nodes).map(drop);
+        return tables::print_report(description, &keep, nodes).map(|_| true);
     }
-    tables::report_and_tables(description, &keep, nodes).map(drop)
+    tables::report_and_tables(description, &keep, nodes).map(|_| true)
 }
 
 /// Waits for fusion, which puts its last tick down after it has published it. False if it goes on: the run does, or it hangs.

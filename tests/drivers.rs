@@ -5,6 +5,9 @@ use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 
+use rangehound_shared::record::EstimateRecord;
+use rangehound_shared::rendezvous::RunDescription;
+use rangehound_shared::sealed;
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat};
 use rustix::process::Signal;
 
@@ -13,17 +16,16 @@ use crate::support::Run;
 const STOP: &str = "0.000000,0.000000";
 
 /// The example beside this binary: built by `cargo test`, but not by `cargo test --test integration`.
-fn example() -> Option<PathBuf> {
-    let example = std::env::current_exe().unwrap().parent()?.parent()?.join("examples/serial_range");
-    if !example.exists() {
-        println!("skipped: `cargo build -p rangehound-robot --example serial_range` makes what is tested");
-    }
-    example.exists().then_some(example)
+fn example() -> PathBuf {
+    let this = std::env::current_exe().unwrap();
+    let example = this.ancestors().nth(2).unwrap().join("examples/serial_range");
+    assert!(example.exists(), "`cargo build -p rangehound-robot --example serial_range` makes what is tested");
+    example
 }
 
 #[test]
 fn a_robot_on_a_port_takes_part_in_a_run() {
-    let Some(example) = example() else { return };
+    let example = example();
     let run = Run::new();
     run.write("mine.toml", "clock = \"realtime\"\ndt_s = 0.02\nticks = 200\n[robots]\ncount = 1\n");
     let port = run.path("port");
@@ -77,9 +79,58 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     run.assert_nothing_left();
 }
 
+/// What fusion heard of robot 0, m.
+fn heard_m(run: &Run) -> Vec<f64> {
+    let RunDescription { run_id, scenario, out_dir } =
+        sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap();
+    let mut log = EstimateRecord::reader(&out_dir, run_id, &scenario).unwrap();
+    let mut heard = Vec::new();
+    while let Some(Ok((_, words))) = log.next() {
+        let robots = EstimateRecord::exchanges(words, scenario.motion.state_dim());
+        heard.extend(robots.filter_map(|robot| robot.heard?.range_m));
+    }
+    heard.into_iter().map(|(range_m, _)| range_m).collect()
+}
+
+/// A DWM1001 names its anchors in any order, cuts lines, and says its own quality.
+#[test]
+fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
+    let example = example();
+    let run = Run::new();
+    run.write("mine.toml", "clock = \"realtime\"\ndt_s = 0.02\nticks = 100\n[robots]\ncount = 1\n");
+    let port = run.path("port");
+    mknodat(CWD, &port, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+    let nodes = [run.command("sim mine.toml"), run.node("fusion")];
+    let words = ["--name", &run.name, "--id", "0", "--port", port.to_str().unwrap(), "--format", "dwm1001"];
+    let missing = run.start_program(&example, &words).finish();
+    assert!(missing.code == Some(2) && missing.stderr.contains("--anchor ID"), "{missing:#?}");
+    let robot = run.start_program(&example, &[&words[..], &["--anchor", "022e"]].concat());
+
+    let flags = OFlags::NONBLOCK.bits().cast_signed();
+    let mut radio = File::options().read(true).write(true).custom_flags(flags).open(&port).unwrap();
+    let lines = "dwm> lec\r\n\
+                 DIST,2,AN0,15BA,0.00,8.03,0.00,900.00,AN1,022E,7.94,8.03,0.00,15.00,POS,6.95,5.37,-1.97,52\r\n\
+                 DIST,2,AN0,022E,7.94,8.03,0.00,800.00,AN1,022E,7.94,8.03,0.00\r\n\
+                 DIST,1,AN0,15BA,0.00,8.03,0.00,700.00,POS,6.95,5.37,-1.97,52\r\n";
+    run.wait_until("the run is over", || {
+        let _ = radio.write(lines.as_bytes());
+        run.last_world().is_some_and(|(ticks, _)| ticks >= 101)
+    });
+    drop(radio);
+    let outcome = robot.finish().succeeded();
+    assert_eq!(outcome.stderr.matches("port: expected lines like DIST").count(), 1, "{outcome:#?}");
+    assert!(outcome.stderr.contains("port: 10 lines or frames refused, 20 taken"), "{outcome:#?}");
+    for node in nodes {
+        node.finish().succeeded();
+    }
+    let heard = heard_m(&run);
+    assert!(!heard.is_empty() && heard.iter().all(|range_m| *range_m == 15.0), "{heard:?}");
+    run.assert_nothing_left();
+}
+
 #[test]
 fn a_port_or_robot_that_is_not_there_is_refused() {
-    let Some(example) = example() else { return };
+    let example = example();
     let run = Run::new();
     let sim = run.command("sim --clock realtime --ticks 1000");
     run.wait_until("the run is founded", || sim.has_joined());

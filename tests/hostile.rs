@@ -6,7 +6,7 @@
 mod attack;
 mod mutation;
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::ffi::OsString;
 use std::fs::File;
 use std::os::unix::ffi::OsStringExt;
@@ -26,10 +26,11 @@ use rangehound::{report, tables};
 use rangehound_fusion::{Centre, centre};
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::{RangeSensor, Sensor};
-use rangehound_robot::serial::read_ranges;
 use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
-use rangehound_shared::recording::Recording;
+use rangehound_shared::radio::log::{LogOptions, read_log};
+use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
+use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
 use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
 use rangehound_shared::sealed;
@@ -145,7 +146,7 @@ fn long_input_is_taken_or_refused_too() {
             let text = format!("{head}{}", text.repeat(LEN / text.len()));
             let _ =
                 ScenarioFile::parse(&text, "long.toml").inspect_err(|error| assert!(error.to_string().len() < 2_000));
-            let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"))
+            let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"), &ReadOptions::default())
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = tables::parse_truth(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
             let mut desk = Desk::new(PlannerTable::default(), 1).unwrap();
@@ -154,17 +155,46 @@ fn long_input_is_taken_or_refused_too() {
     }
 }
 
+/// Forms that a recording may be read in.
+fn read_options() -> Vec<ReadOptions> {
+    let columns = |text: &str| text.parse::<ColumnMap>().unwrap();
+    let anchors = b"sensor_id;x_m;y_m;z_m\n1;0;0;2\n2;9,5;0;\n3;0;9;1\nA;1;1;1\n";
+    let anchors = Anchors::parse(&anchors[..], Path::new("anchors.csv"), &ColumnMap::default()).unwrap();
+    vec![
+        ReadOptions::default(),
+        ReadOptions { strict: true, ..ReadOptions::default() },
+        ReadOptions { columns: columns("time=1:ms,sensor=2,x=3:m,y=4:cm,range=5:mm"), ..ReadOptions::default() },
+        ReadOptions { target: Some("1".to_owned()), columns: columns("range=x:m"), ..ReadOptions::default() },
+        ReadOptions { anchors: Some(anchors.clone()), ..ReadOptions::default() },
+        ReadOptions { anchors: Some(anchors), columns: columns("range=d_*:cm"), ..ReadOptions::default() },
+    ]
+}
+
 #[test]
 fn hostile_recordings() {
     let documents = [
         head_of("ranges.csv", 12),
         b"range_m,sensor_id,x,sensor_x_m,sensor_y_m,time_s\n1,2,,3,4,5\n1,3,,3,4,5\n".to_vec(),
+        b"\xef\xbb\xbf# log\r\nt (ms);Anchor;anchor_x_cm;anchor_y_cm;anchor_z_m;\"dist, mm\";tag\r\n1,5;2;3;4;;\"5,5\";1\r\n".to_vec(),
+        b"# time_s sensor_id sensor_x_m sensor_y_m range_m\n1 2 3 4 5\n  2   \"a b\" 3 4 5.5e0 \n\n".to_vec(),
+        b"timestamp\td_1\td_2\tdist_A (mm)\trssi_1\n2024-05-01T12:00:00.5+02:00\t1\t-1\t0\t7\n2024-05-01 10:00:01\t\t2\tnan\t7\n".to_vec(),
+        b"time_s,range_1_m,range_2_m,3 (cm)\n1,2,3,400\n1.5,,0,1\n".to_vec(),
     ];
-    attack_parser("recordings", 1.0, &documents, |bytes| {
-        let recording = match Recording::parse(bytes, Path::new("hostile.csv")) {
-            Ok(recording) => recording,
+    let options = read_options();
+    let turn = Cell::new(0);
+    attack_parser("recordings", 2.0, &documents, |bytes| {
+        turn.set(turn.get() + 1);
+        let options = &options[turn.get() % options.len()];
+        let (recording, summary) = match Recording::parse(bytes, Path::new("hostile.csv"), options) {
+            Ok(read) => read,
             Err(error) => return refused(error),
         };
+        assert!(summary.lines().iter().all(|line| line.lines().count() == 1));
+        // The run folder's copy is the same recording.
+        let mut copy = Vec::new();
+        recording.write_csv(&mut copy).unwrap();
+        let (again, _) = Recording::parse(&copy[..], Path::new("copy.csv"), &ReadOptions::default()).unwrap();
+        assert_eq!(again, recording);
         let mut world = Playback::new(recording);
         for _ in 0..20 {
             world.advance(&[]);
@@ -176,8 +206,45 @@ fn hostile_recordings() {
 }
 
 #[test]
+fn hostile_anchors() {
+    let documents = [
+        b"sensor_id,x_m,y_m,z_m\n1,0,0,2\nA,9.5,0,\n".to_vec(),
+        b"# site\nname;X (cm);Y (cm)\n\"a;b\";1,5;2\n7;0;9\n".to_vec(),
+    ];
+    attack_parser("anchors", 0.5, &documents, |bytes| {
+        match Anchors::parse(bytes, Path::new("anchors.csv"), &ColumnMap::default()) {
+            Ok(anchors) => {
+                let numbers =
+                    anchors.iter().flat_map(|(_, anchor)| anchor.position_m.into_iter().chain(anchor.height_m));
+                assert!(numbers.into_iter().all(f64::is_finite));
+                Verdict::Taken
+            }
+            Err(error) => refused(error),
+        }
+    });
+}
+
+#[test]
+fn hostile_columns() {
+    let documents =
+        [b"time=stamp_ns:ns,sensor=anchor_id,range=dist:mm".to_vec(), b"time=1:iso,x=a b:m,y=3,z=7:cm".to_vec()];
+    attack_parser("columns", 0.5, &documents, |bytes| {
+        let Ok(text) = std::str::from_utf8(bytes) else { return refused("not UTF-8") };
+        match text.parse::<ColumnMap>() {
+            Ok(map) => {
+                assert_eq!(map.to_string().parse::<ColumnMap>().unwrap(), map);
+                Verdict::Taken
+            }
+            Err(error) => refused(error),
+        }
+    });
+}
+
+#[test]
 fn hostile_true_tracks() {
-    attack_parser("true tracks", 1.0, &[head_of("truth.csv", 12)], |bytes| match tables::parse_truth(bytes) {
+    let documents =
+        [head_of("truth.csv", 12), b"# mocap\nt_ms;z_m;X (mm);Y (mm)\n0;0;1500;2000\n1000;0;3000;4500,0\n".to_vec()];
+    attack_parser("true tracks", 1.0, &documents, |bytes| match tables::parse_truth(bytes) {
         Ok(truth) => {
             for time_s in [0.0, 0.1, 1.0, f64::NAN, f64::INFINITY] {
                 assert!(truth.at(time_s).is_none_or(|place| place.iter().all(|number| number.is_finite())));
@@ -441,8 +508,8 @@ fn hostile_logs() {
     });
 }
 
-/// Two kinds of files: as the recorder writes them, where damage meets a checksum, and without chunks and checksums, where it
-/// meets the messages.
+/// Three kinds of files: as the recorder writes them, where damage meets a checksum; without chunks and checksums, where it
+/// meets the messages; and compressed with zstd, where it meets the decoder.
 #[test]
 fn hostile_run_files() {
     let plain = |bytes: &[u8]| {
@@ -486,6 +553,7 @@ fn hostile_run_files() {
         })
         .collect();
     let mut documents: Vec<Vec<u8>> = sound.iter().map(|bytes| plain(bytes)).collect();
+    documents.extend(sound.iter().map(|bytes| crate::run_mcap::zstd::with_zstd(bytes)));
     documents.extend(sound);
     attack_parser("run files", 0.2, &documents, |bytes| {
         let read = || -> Result<(), String> {
@@ -518,13 +586,90 @@ fn hostile_log(dice: &mut Dice, sound: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn hostile_serial_lines() {
-    let documents = [b"\n12.34\r\nA,5\n".to_vec(), b"half\nanchor 7,0.25\n\n-1\nnan\n".to_vec(), vec![b'1'; 300]];
-    attack_parser("serial lines", 1.0, &documents, |bytes| {
-        read_ranges(bytes, |range_m| assert!(range_m.is_none_or(|range_m| range_m.is_finite() && range_m >= 0.0)))
-            .unwrap();
-        Verdict::Taken
-    });
+fn hostile_radios() {
+    for format in Format::ALL {
+        let documents = radio_logs(format);
+        attack(&format!("radio {format}"), 1.0, |dice, input| {
+            let bytes = dice.damaged(&documents);
+            input.set(bytes.clone());
+            let whole = reports(format, &[&bytes]);
+            assert_eq!(whole, reports(format, &bytes.chunks(1 + dice.below(40)).collect::<Vec<_>>()));
+            for range in whole.iter().flatten() {
+                assert!(range.range_m > 0.0 && range.range_m.is_finite(), "{range:?}");
+                assert!(!range.anchor.chars().any(char::is_control), "{range:?}");
+            }
+            let options = LogOptions {
+                rate_hz: dice.chance(0.1).then(|| dice.number()),
+                stamp_unit: dice.chance(0.2).then_some(StampUnit::Microseconds),
+                tag: dice.chance(0.1).then(|| "0".to_owned()),
+            };
+            let mut last_s = f64::NEG_INFINITY;
+            match read_log(format, bytes.as_slice(), &options) {
+                Ok((rows, summary)) => {
+                    assert!(!rows.is_empty() && rows.len() as u64 == summary.rows);
+                    for row in rows {
+                        assert!(row.time_s >= last_s && row.time_s.is_finite() && row.range_m > 0.0, "{row:?}");
+                        last_s = row.time_s;
+                    }
+                    Verdict::Taken
+                }
+                Err(error) => refused(error),
+            }
+        });
+    }
+}
+
+/// All ranges of a stream that comes in these pieces, by report; none for what is refused.
+fn reports(format: Format, pieces: &[&[u8]]) -> Vec<Vec<RadioRange>> {
+    let (mut parser, mut all) = (radio::Parser::new(format), Vec::new());
+    for piece in pieces {
+        parser.push(piece, |report| all.push(report.map_or(Vec::new(), |report| report.ranges.to_vec())));
+    }
+    let _ = parser.finish();
+    all
+}
+
+/// Undamaged logs of a port.
+fn radio_logs(format: Format) -> Vec<Vec<u8>> {
+    let stamped = |lines: &[&str]| {
+        let line = |(number, line): (usize, &&str)| format!("{}.5 {line}\r\n", 1_700_000_000 + number);
+        lines.iter().enumerate().map(line).collect::<String>().into_bytes()
+    };
+    let dated = |lines: &[&str]| {
+        let line = |(number, line): (usize, &&str)| format!("2023-11-14T22:13:{number:02}.25Z {line}\n");
+        lines.iter().enumerate().map(line).collect::<String>().into_bytes()
+    };
+    match format {
+        Format::Plain => vec![stamped(&["12.34", "A,5.5", "anchor 7,0.25"]), dated(&["12.34", "A,5.5"])],
+        Format::Dwm1001 => {
+            let lec = "DIST,2,AN0,022E,7.94,8.03,0.00,3.44,AN1,15BA,0.00,8.03,0.00,6.71,POS,6.95,5.37,-1.97,52";
+            let les = "022E[7.94,8.03,0.00]=3.44 15BA[0.00,8.03,0.00]=6.71 le_us=2576 est[6.95,5.37,-1.97,52]";
+            vec![stamped(&["dwm> lec", lec, lec, "DIST,0"]), dated(&["dwm> les", les, les])]
+        }
+        Format::Mauwb => {
+            let new = "AT+RANGE=tid:0,mask:01,seq:65,range:(92,0,0,0,0,0,0,0),ancid:(0,-1,-1,-1,-1,-1,-1,-1)";
+            let old = "AT+RANGE=tid:0, mask:04, seq:63, range:(0,0,30,0), rssi:(0.00,0.00,-77.93,0.00)";
+            vec![stamped(&["OK", new, new]), dated(&[old, old])]
+        }
+        Format::Linktrack => {
+            vec![(0..5).flat_map(|number| node_frame(number * 20, &[1000, 2345, 8_388_607])).collect()]
+        }
+    }
+}
+
+/// A frame of a LinkTrack with nodes of these ranges, mm.
+fn node_frame(local_time: u32, ranges_mm: &[u32]) -> Vec<u8> {
+    let mut frame = vec![0x55, 0x05, (22 + 7 * ranges_mm.len()) as u8, 0, 2, 5];
+    frame.extend(local_time.to_le_bytes());
+    frame.extend([0; 8]);
+    frame.extend([0x56, 0x13, ranges_mm.len() as u8]);
+    for (id, range_mm) in (0..).zip(ranges_mm) {
+        frame.extend([1, id]);
+        frame.extend(&range_mm.to_le_bytes()[..3]);
+        frame.extend([161, 158]);
+    }
+    frame.push(frame.iter().fold(0, |sum: u8, byte| sum.wrapping_add(*byte)));
+    frame
 }
 
 /// What nodes of this run could send if they were broken.
@@ -547,6 +692,7 @@ fn hostile_messages() {
                 y_m: dice.number(),
                 range_m: dice.number(),
                 range_kind: if dice.chance(0.7) { dice.below(4) as u64 } else { dice.word() },
+                height_m: dice.number(),
             };
             let range_m = sensor.borrow_mut().measure(dice.word(), &entry);
             assert!(range_m.is_none_or(f64::is_finite), "{entry:?} {range_m:?}");

@@ -4,12 +4,12 @@ mod browser;
 mod http;
 
 use std::io::Write;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
-use crate::support::{Process, Run, comm, digest_in_process, signal};
+use crate::support::{Process, Run, comm, digest_in_process, signal, skipped};
 use browser::Browser;
 use http::{Answer, Events, Page};
 
@@ -87,6 +87,12 @@ fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
         (403, "GET", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {token}")]),
         (405, "PUT", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {token}")]),
     ];
+    // Through a tunnel that takes another port here: refused, with what to do.
+    let other = [format!("Host: localhost:{}", if *port == 9_000 { 9_001 } else { 9_000 })];
+    let answer = page.ask("GET", &format!("/?token={token}"), &other);
+    assert_eq!(answer.status, 403, "{answer:?}");
+    assert!(answer.body.contains(&format!("ssh -L {port}:127.0.0.1:{port}")), "{answer:?}");
+    assert!(answer.body.contains("--live=PORT") && answer.body.trim_end().lines().count() == 1, "{answer:?}");
     for (status, method, path, headers) in cases {
         let answer = page.ask(method, &path, &headers);
         assert_eq!(answer.status, status, "{method} {path} {headers:?}: {answer:?}");
@@ -359,7 +365,7 @@ fn what_cannot_be_shown_is_refused_in_one_line() {
 #[test]
 fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     let Some(mut browser) = Browser::start() else {
-        eprintln!("NOT TESTED: no chromium, chromium-browser, google-chrome or $RANGEHOUND_BROWSER is here");
+        skipped("the live page in a browser", "no chromium, chromium-browser, google-chrome or $RANGEHOUND_BROWSER");
         return;
     };
     let run = Run::new();
@@ -374,7 +380,6 @@ fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     let pixels = "document.getElementById('field').toDataURL()";
     let before = browser.evaluate(pixels);
     assert!(before.as_str().unwrap().len() > 2_000, "{before}");
-    std::thread::sleep(Duration::from_millis(500));
     run.wait_until("the canvas has changed", || browser.evaluate(pixels) != before);
 
     let first = run.pid_of("robot-1", 1);

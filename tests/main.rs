@@ -17,7 +17,7 @@
 //! | `live` | the live page: who is let in, what its buttons do, and in a real browser |
 //! | `licences` | every dependency is free to use |
 //! | `page` | `report.html`: whole, small, offline, and the faults are in it |
-//! | `recordings` | recorded ranges, ours and (where present) real ones |
+//! | `recordings` | recorded ranges, ours and (where they lie beside the project) real ones |
 //! | `resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
 //! | `run_mcap` | a run in one file: for other readers, replayed to the bit, cut, repaired, bounded |
 //! | `strangers` | other users and other versions: kept out, in a clear line |

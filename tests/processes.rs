@@ -4,6 +4,7 @@ mod by_hand;
 mod disturbed;
 mod memory;
 mod missing;
+mod removed;
 mod rogue;
 mod standby;
 
@@ -111,13 +112,21 @@ fn the_report_has_the_keys_that_were_agreed_on() {
         run.lockstep(words_of_run).finish().succeeded();
         let report = run.report();
         let top = "scenario seed clock planner robots ticks wall_s ticks_per_s digest position_rmse_m anees \
-                   nis_mean position_trace_m2 ranges headings refused distrusted latency_us hops_us nodes";
+                   nis_mean nis_all_mean gate_widened position_trace_m2 ranges sensors headings refused distrusted latency_us hops_us nodes";
         assert_eq!(keys(&report), words(top));
         assert_eq!(keys(&report["position_trace_m2"]), words("final median"));
         assert_eq!(keys(&report["ranges"]), words("published fused rejected late fused_late missing"));
         assert_eq!(keys(&report["refused"]), words("impostor out_of_range malformed future contradiction jump"));
         assert!(report["refused"].as_object().unwrap().values().all(|count| *count == 0), "{report}");
         assert_eq!(report["distrusted"], serde_json::json!([]));
+        assert_eq!((&report["gate_widened"], &report["nis_all_mean"]), (&serde_json::json!(0), &report["nis_mean"]));
+        for (id, sensor) in report["sensors"].as_array().unwrap().iter().enumerate() {
+            assert_eq!(keys(sensor), words("name ranges fused rejected distrusted nis_mean"));
+            assert_eq!(
+                (&sensor["name"], &sensor["fused"]),
+                (&serde_json::json!(id.to_string()), &serde_json::json!(20))
+            );
+        }
         assert_eq!(keys(&report["headings"]), words("fresh late none refused"));
         assert_eq!(keys(&report["latency_us"]), words("count p50 p90 p99 p99_9 max"));
         let nodes = report["nodes"].as_array().unwrap();

@@ -6,7 +6,9 @@ use nalgebra::Vector2;
 use rangehound::in_process::Team;
 use rangehound::report::Truth;
 use rangehound::tables;
-use rangehound_shared::scenario::{FilterTable, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable};
+use rangehound_shared::scenario::{
+    FilterTable, GateKey, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable,
+};
 
 /// A recording with the noise that is assumed of it.
 struct Case {
@@ -66,14 +68,11 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// A real recording beside the project, or `None` with a message where it is absent.
-fn real(name: &str) -> Option<PathBuf> {
+/// Where real recordings lie beside the project; they are not part of it.
+fn real(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
-    let present = folder.join("ranges.csv").exists();
-    if !present {
-        println!("skipped: the recording {name} is not beside the project");
-    }
-    present.then_some(folder)
+    assert!(folder.join("ranges.csv").exists(), "the recording {name} is not at {}", folder.display());
+    folder
 }
 
 fn shipped() -> PathBuf {
@@ -88,6 +87,7 @@ fn the_shipped_recording_is_tracked_from_its_ranges_alone() {
 }
 
 #[test]
+#[ignore = "needs recordings that are not part of the project, in ../shared/data; .ci/run runs it where they are"]
 fn real_recordings_are_tracked_to_the_figures() {
     let cases = [
         ("labyrinth", 0.2, 0.12, 0.0, 0.0, 3.0, 0.25, f64::INFINITY),
@@ -97,8 +97,7 @@ fn real_recordings_are_tracked_to_the_figures() {
         ("murp17", 0.2, 0.25, 0.0, 0.0, 10.0, 1.5, f64::INFINITY),
     ];
     for (name, accel_psd, range_std_m, bias_m, scale, start_s, rms_max_m, median_max_m) in cases {
-        let Some(folder) = real(name) else { continue };
-        let errors = Case { folder, accel_psd, range_std_m, bias_m, scale, start_s }.errors_m();
+        let errors = Case { folder: real(name), accel_psd, range_std_m, bias_m, scale, start_s }.errors_m();
         let (rms_m, median_m) = (rms(&errors), errors[errors.len() / 2]);
         println!("{name} bias {bias_m} scale {scale}: {rms_m:.3} m RMS, {median_m:.3} m median");
         assert!(rms_m <= rms_max_m && median_m <= median_max_m, "{name}: {rms_m} {median_m}");
@@ -108,11 +107,15 @@ fn real_recordings_are_tracked_to_the_figures() {
 /// Each sensor's own calibration is removed from its own ranges.
 #[test]
 fn bias_and_scale_of_one_sensor_are_its_own() {
-    let sensor =
-        |bias_m, scale| SensorTable { id: 2, bias_m: Some(bias_m), scale: Some(scale), range_std_m: Some(0.3) };
+    let sensor = |bias_m, scale| SensorTable {
+        id: "2".parse().unwrap(),
+        bias_m: Some(bias_m),
+        scale: Some(scale),
+        range_std_m: Some(0.3),
+    };
     let file = |sensor: Option<Vec<SensorTable>>| ScenarioFile {
         recording: Some(RecordingTable { ranges: Some("ranges.csv".to_owned()), sensor, ..RecordingTable::default() }),
-        filter: Some(FilterTable { gate_sigma: Some(3.0) }),
+        filter: Some(FilterTable { gate_sigma: Some(GateKey::Sigma(3.0)), ..FilterTable::default() }),
         ..ScenarioFile::default()
     };
     let plain = Scenario::from_file(&file(None), "test", &shipped()).unwrap();
@@ -120,7 +123,7 @@ fn bias_and_scale_of_one_sensor_are_its_own() {
     assert_eq!(plain.robots[..2], special.robots[..2]);
     assert_eq!((special.robots[2].calibration.bias_m, special.robots[2].range_std_m), (0.5, 0.3));
 
-    let unknown = SensorTable { id: 77, ..SensorTable::default() };
+    let unknown = SensorTable::new("77".parse().unwrap());
     let error = Scenario::from_file(&file(Some(vec![unknown])), "test", &shipped()).unwrap_err().to_string();
     assert!(error.contains("recording.sensor[0].id: expected a sensor of the recording (0, 1, 2), got 77"), "{error}");
     let twice = vec![sensor(0.1, 0.0), sensor(0.2, 0.0)];

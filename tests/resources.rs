@@ -1,11 +1,14 @@
 //! What the system has too little of: one clear line, nothing left behind, and the tracking goes on where it can.
 
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{PermissionsExt, chown};
 use std::path::Path;
 use std::process::Command;
 
 use rustix::process::Signal;
 
-use crate::support::{Outcome, Run, signal};
+use crate::support::{Outcome, Run, signal, skipped};
 
 const ENDLESS: &str = "run --clock lockstep --ticks 100000000 --patience forever";
 
@@ -23,12 +26,12 @@ fn assert_nothing_made(run: &Run) {
     assert!(!run.path("out").exists() && !run.shared_folder().exists());
 }
 
-/// True if this user may have mounts of his own; else says that a test is skipped.
+/// True if this user may have mounts of his own; else says that a test is not run.
 fn may_mount() -> bool {
     let probe = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "none", "/mnt"]).output();
     let may = probe.is_ok_and(|output| output.status.success());
     if !may {
-        println!("skipped: this user may not mount");
+        skipped("what needs mounts of its own", "this user may not mount");
     }
     may
 }
@@ -208,4 +211,115 @@ fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_and_says_why() 
     signal(rustix::process::Pid::from_raw(pid).unwrap(), Signal::KILL);
     let outcome = supervisor.finish();
     assert_refused(&outcome, 1, &["/dev/shm"]);
+}
+
+/// A user that no other process is of.
+const NOBODY: u32 = 61_234;
+
+/// A run whose folder is that user's, if this one may become him.
+fn run_of_nobody() -> Option<Run> {
+    if !rustix::process::getuid().is_root() {
+        println!("skipped: only root may become another user");
+        return None;
+    }
+    let run = Run::new();
+    let folder = run.path("");
+    std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o777)).unwrap();
+    chown(&folder, Some(NOBODY), Some(NOBODY)).unwrap();
+    Some(run)
+}
+
+fn as_nobody(limit: &str) -> String {
+    format!("exec setpriv --reuid {NOBODY} --regid {NOBODY} --clear-groups prlimit {limit} -- \"$@\"")
+}
+
+#[test]
+fn a_limit_of_processes_is_told_by_name_and_number() {
+    let Some(run) = run_of_nobody() else { return };
+    let refused = run.command_by(&as_nobody("--nproc=4"), "run").finish();
+    assert_refused(&refused, 1, &["cannot start", "may have 4 processes", "ulimit -u"]);
+    assert!(!Path::new("/dev/shm").join(format!("rh-{NOBODY}-{}", run.name)).exists());
+    let refused = run.command_by(&as_nobody("--nproc=1"), "run --live").finish();
+    assert_refused(&refused, 1, &["cannot start", "may have 1 processes", "ulimit -u"]);
+}
+
+#[test]
+fn a_path_that_is_not_utf_8_is_refused_by_name_before_anything_is_made() {
+    let run = Run::new();
+    let strange = run.path("").join(OsStr::from_bytes(b"a\xff"));
+    std::fs::create_dir(&strange).unwrap();
+    run.write("r.csv", "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n0,1,0,0,5\n0,2,9,0,5\n");
+    std::fs::copy(run.path("r.csv"), strange.join("r.csv")).unwrap();
+    std::fs::write(strange.join("replay.toml"), "[recording]\nranges = \"r.csv\"\n").unwrap();
+    let here = "exec \"$@\" --name ";
+    for (script, words) in [
+        ("--out \"$(printf 'a\\377/out')\"", "run"),
+        ("--out \"$(printf 'a\\377')\"", "run --in-process"),
+        ("--out \"$(printf 'a\\377')\"", "sim"),
+        ("--out \"$(printf 'a\\377')\"", "track r.csv"),
+        ("--out \"$(printf 'a\\377')\"", "chaos --faults 1"),
+        ("--out \"$(printf 'a\\377')\"", "latency --ticks 100"),
+        ("--out out \"$(printf 'a\\377/r.csv')\"", "track"),
+        ("--out out \"$(printf 'a\\377/replay.toml')\"", "run"),
+        ("\"$(printf 'a\\377')\"", "resume"),
+    ] {
+        let args: Vec<&str> = words.split(' ').collect();
+        let outcome = run.start_by(&format!("{here}{} {script}", run.name), &args).finish();
+        // A folder that holds no run is refused for that.
+        let names: &[&str] = if words == "resume" { &["a"] } else { &["UTF-8", "a\\xFF"] };
+        assert_refused(&outcome, 2, names);
+        assert_nothing_made(&run);
+        assert_eq!(std::fs::read_dir(&strange).unwrap().count(), 2, "{words}");
+    }
+    // Where one is.
+    let in_it = format!("cd \"$(printf 'a\\377')\" && exec \"$@\" --name {}", run.name);
+    for words in ["run", "sim", "track r.csv"] {
+        let args: Vec<&str> = words.split(' ').collect();
+        assert_refused(&run.start_by(&in_it, &args).finish(), 2, &["UTF-8", "a\\xFF"]);
+        assert_nothing_made(&run);
+    }
+}
+
+#[test]
+fn what_lies_where_the_run_would_meet_is_told_or_mended() {
+    let run = Run::new();
+    let shared = run.shared_folder();
+    std::fs::write(&shared, "mine").unwrap();
+    let refused = run.command("run --ticks 5").finish();
+    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "expected a folder"]);
+    assert_eq!(std::fs::read(&shared).unwrap(), b"mine");
+    std::fs::remove_file(&shared).unwrap();
+
+    // A link to a folder of the user's, whose files are not leftovers of a run.
+    std::fs::create_dir(run.path("mine")).unwrap();
+    run.write("mine/thesis.txt", "mine");
+    std::os::unix::fs::symlink(run.path("mine"), &shared).unwrap();
+    let refused = run.command("run --ticks 5").finish();
+    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "expected a folder"]);
+    assert_eq!(std::fs::read(run.path("mine/thesis.txt")).unwrap(), b"mine");
+    std::fs::remove_file(&shared).unwrap();
+
+    // One that nobody may enter, or everybody may write to.
+    for mode in [0o000, 0o777] {
+        std::fs::create_dir(&shared).unwrap();
+        std::fs::set_permissions(&shared, std::fs::Permissions::from_mode(mode)).unwrap();
+        run.lockstep("--ticks 5").finish().succeeded();
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
+fn shared_memory_that_is_removed_and_cannot_be_made_again_ends_the_run_with_the_cause() {
+    if !may_mount() {
+        return;
+    }
+    let run = Run::new();
+    let supervisor = run.command_by(&mounted("mount -t tmpfs -o size=1m none /dev/shm"), ENDLESS);
+    run.wait_for_ticks(100);
+    let shared_memory = Path::new("/proc").join(supervisor.pid().as_raw_pid().to_string()).join("root/dev/shm");
+    assert!(std::fs::write(shared_memory.join("fill"), vec![1; 4 << 20]).is_err(), "it was to be filled");
+    std::fs::remove_dir_all(shared_memory.join(run.shared_folder().file_name().unwrap())).unwrap();
+    let outcome = supervisor.finish();
+    assert_refused(&outcome, 1, &["was removed from outside", "cannot be made again", "/dev/shm", "kB free"]);
+    assert!(outcome.stdout.contains("digest"), "it reported what it had: {outcome:#?}");
 }

@@ -7,19 +7,19 @@ use std::process::{Command, Output};
 use rangehound_shared::protocol::{PROGRAM as VERSION, PROTOCOL};
 use rustix::process::Signal;
 
-use crate::support::{Outcome, PROGRAM, Run};
+use crate::support::{Outcome, PROGRAM, Run, skipped};
 
 const ENDLESS: &str = "--ticks 100000000 --patience forever";
 
 /// Another user: any id that is not this one's.
 const NOBODY: [&str; 3] = ["--reuid=65534", "--regid=65534", "--clear-groups"];
 
-/// True if this user may act as another; else says that a test is skipped.
+/// True if this user may act as another; else says that a test is not run.
 fn may_be_another() -> bool {
     let probe = Command::new("setpriv").args(NOBODY).arg("true").output();
     let may = probe.is_ok_and(|output| output.status.success());
     if !may {
-        println!("skipped: this user may not act as another");
+        skipped("what needs another user", "this user may not act as another");
     }
     may
 }

@@ -1,7 +1,7 @@
 //! What is printed: for people in 80 columns and without escapes where nobody sees them, for scripts as JSON; what a shell
 //! is told of the commands.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rangehound::cli;
 use rustix::process::Signal;
@@ -143,10 +143,14 @@ fn a_run_that_is_over_is_finishing_while_it_is_written_up() {
     let recorder = recorder(&run, None);
     signal(recorder, Signal::STOP);
     run.wait_until("the run is over", || run.shared_folder().join("finished").exists());
-    std::thread::sleep(Duration::from_millis(1_500));
-    let status = json(&run.node("status --json").finish().succeeded());
-    let supervisor_is = status["nodes"].as_array().and_then(|nodes| nodes.last()).unwrap();
-    assert_eq!((&status["phase"], &supervisor_is["state"]), (&"finishing".into(), &"running".into()), "{status}");
+    let began = Instant::now();
+    run.wait_until("the supervisor has waited for longer than a hang takes", || {
+        let waited = began.elapsed();
+        let status = json(&run.node("status --json").finish().succeeded());
+        let supervisor_is = status["nodes"].as_array().and_then(|nodes| nodes.last()).unwrap();
+        assert_eq!((&status["phase"], &supervisor_is["state"]), (&"finishing".into(), &"running".into()), "{status}");
+        waited > Duration::from_millis(1_500)
+    });
     let shown = run.node("status").finish().succeeded().stdout;
     assert!(shown.contains("finishing") && !shown.contains("gone") && !shown.contains("nobody leads"), "{shown}");
     signal(recorder, Signal::CONT);

@@ -74,7 +74,11 @@ fn median_trace_m2(scenario: &Scenario, planner: Box<dyn Planner>) -> Result<f64
             noise.standard_normal(tick, &mut drawn);
             let range_m = (target_m - *at_m).norm() + robot.range_std_m * drawn[0];
             // At tick 0 nothing is measured yet.
-            Some(Report { position_m: *at_m, range_m: (tick > 0).then_some((range_m, robot.range_std_m)) })
+            Some(Report {
+                position_m: *at_m,
+                height_m: 0.0,
+                range_m: (tick > 0).then_some((range_m, robot.range_std_m)),
+            })
         });
         let reports: Vec<Option<Report>> = measured.collect();
         centre.update(time_s, &reports)?;

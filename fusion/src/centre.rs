@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
-use rangehound_shared::record::Exchange;
+use rangehound_shared::record::{Exchange, Judged};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clearance, Scenario, Source};
 use rangehound_shared::sealed::SealError;
@@ -47,7 +47,8 @@ pub struct Centre {
     dt_s: f64,
     clearance: Clearance,
     speed_limits_mps: Vec<f64>,
-    range_stds_m: Vec<f64>,
+    /// Standard deviations of the robots' ranges before they have said any, m.
+    told_stds_m: Vec<f64>,
     tracking: Tracking,
     /// `None`: late reports are missed.
     past: Option<Past>,
@@ -56,6 +57,8 @@ pub struct Centre {
     time_s: f64,
     digest: Digest,
     fit: Fit,
+    /// What became of each robot's range at the last tick.
+    judged: Vec<Option<Judged>>,
     missing: u64,
     bodies: Vec<Option<Body>>,
     problem: Problem,
@@ -72,6 +75,7 @@ pub struct Saved<'a> {
     time_s: f64,
     digest: Digest,
     fit: Fit,
+    judged: Cow<'a, [Option<Judged>]>,
     missing: u64,
     objective: f64,
     lower_bound: f64,
@@ -86,6 +90,8 @@ pub struct Saved<'a> {
 struct Body {
     position_m: Vector,
     heard_at: u64,
+    /// Standard deviation of its last range, m, if it has had one.
+    range_std_m: Option<f64>,
 }
 
 /// The estimate is no longer one.
@@ -108,7 +114,7 @@ impl Centre {
             dt_s: scenario.dt_s,
             clearance: scenario.clearance,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
-            range_stds_m: scenario.robots.iter().map(|robot| robot.range_std_m).collect(),
+            told_stds_m: scenario.robots.iter().map(|robot| robot.told_std_m).collect(),
             tracking: Tracking::new(scenario),
             past: None,
             planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
@@ -116,6 +122,7 @@ impl Centre {
             time_s: 0.0,
             digest: Digest::default(),
             fit: Fit::default(),
+            judged: vec![None; robots],
             missing: 0,
             bodies: vec![None; robots],
             problem: Problem::default(),
@@ -150,6 +157,7 @@ impl Centre {
             time_s: self.time_s,
             digest: self.digest,
             fit: self.fit,
+            judged: Cow::Borrowed(&self.judged),
             missing: self.missing,
             objective: self.plan.objective,
             lower_bound: self.plan.lower_bound,
@@ -166,8 +174,8 @@ impl Centre {
     /// If it is not such.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
-        let lens = [restored.bodies.len(), restored.commands.len(), restored.trust.robots()];
-        if lens != [robots; 3] {
+        let Saved { bodies, commands, judged, trust, .. } = &restored;
+        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
@@ -177,6 +185,7 @@ impl Centre {
         self.time_s = restored.time_s;
         self.digest = restored.digest;
         self.fit = restored.fit;
+        self.judged = restored.judged.into_owned();
         self.missing = restored.missing;
         self.plan.objective = restored.objective;
         self.plan.lower_bound = restored.lower_bound;
@@ -203,11 +212,12 @@ impl Centre {
         let tick = self.next_tick;
         self.next_tick += 1;
         for (body, report) in self.bodies.iter_mut().zip(reports) {
-            let Some(Report { position_m, .. }) = *report else { continue };
-            *body = Some(Body { position_m, heard_at: tick });
+            let Some(Report { position_m, range_m, .. }) = *report else { continue };
+            *body = Some(Body { position_m, heard_at: tick, range_std_m: last_std_m(range_m, *body) });
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
+        self.judged.fill(None);
         if tick == 0 {
             self.missing = 0;
         } else {
@@ -218,6 +228,10 @@ impl Centre {
             };
             self.keep(tick, dt_s, reports);
             self.fit = self.tracking.step(dt_s, reports);
+            self.judged.copy_from_slice(self.tracking.judged());
+            if let Some(past) = self.past.as_mut().and_then(Past::newest) {
+                past.judged.copy_from_slice(&self.judged);
+            }
         }
         self.time_s = time_s;
         let (state, covariance) = (self.tracking.tracker.state(), self.tracking.tracker.covariance());
@@ -231,7 +245,7 @@ impl Centre {
     /// Writes down what a tick starts from, if the past is kept.
     fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Report>]) {
         let Some(past) = &mut self.past else { return };
-        let mut place = past.place(reports.len());
+        let mut place = past.place(reports.len(), &self.tracking.trust);
         (place.tick, place.dt_s) = (tick, dt_s);
         place.reports.copy_from_slice(reports);
         match self.tracking.save_before(&mut place) {
@@ -247,6 +261,12 @@ impl Centre {
         self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
     }
 
+    /// What became of a robot's range of one of the last ticks, if that is kept.
+    #[must_use]
+    pub fn judged_at(&self, tick: u64, id: usize) -> Option<Judged> {
+        self.past.as_ref()?.at(tick)?.judged.get(id).copied()?
+    }
+
     /// Takes a report of an earlier tick: goes back to before it and processes it and all ticks since again, so that
     /// the state is that of a centre which had the report in time, to the bit. What has been published stays as it
     /// was: this holds from the next prediction on. A position newer than the one known counts for the next plan.
@@ -260,7 +280,8 @@ impl Centre {
         if self.bodies[id].is_none_or(|body| body.heard_at < tick) {
             let steps = past.since(tick).map(|past| past.commands[id]);
             let position_m = steps.fold(report.position_m, |position_m, command| moved(position_m, command, self.dt_s));
-            self.bodies[id] = Some(Body { position_m, heard_at: tick });
+            let range_std_m = last_std_m(report.range_m, self.bodies[id]);
+            self.bodies[id] = Some(Body { position_m, heard_at: tick, range_std_m });
         }
         if report.range_m.is_none() {
             return Late::NoRange;
@@ -277,6 +298,11 @@ impl Centre {
 
     /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
     /// were heard lately; the others are told to stand. Sensors of a recording go their own way.
+    ///
+    /// It plans with what will be fused: with the standard deviations that the robots' last messages report, and with
+    /// nothing of robots that are distrusted. Those are members whose range tells nothing, `lambda = 0`: they change
+    /// neither the objective nor its bound, and are turned to where their range would tell most beside the others', were
+    /// it fused, so that they are of use as soon as they are trusted again.
     pub fn plan(&mut self) -> &[Command] {
         if self.recorded {
             return &self.commands;
@@ -289,12 +315,12 @@ impl Centre {
                 self.planned.push(id);
             }
         }
+        let (distrusted, noise_scale) = (self.tracking.trust.distrusted(), self.tracking.trust.noise_scale());
         let team = self.planned.iter().filter_map(|&id| {
-            Some(TeamMember {
-                position_m: self.bodies[id]?.position_m,
-                max_speed_mps: self.speed_limits_mps[id],
-                range_std_m: self.range_stds_m[id],
-            })
+            let Body { position_m, range_std_m, .. } = self.bodies[id]?;
+            let told_m = range_std_m.unwrap_or(self.told_stds_m[id]) * noise_scale;
+            let range_std_m = if distrusted.contains(id) { f64::INFINITY } else { told_m };
+            Some(TeamMember { position_m, max_speed_mps: self.speed_limits_mps[id], range_std_m })
         });
         self.problem.pose(&covariance, Vector::new(target[0], target[1]), self.dt_s, &self.clearance, team);
         self.planner.plan(tick, &self.problem, &mut self.plan);
@@ -329,9 +355,10 @@ impl Centre {
 
     /// The last tick's exchange with each robot, as it is put down, given what each said at it.
     pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Report>]) -> impl Iterator<Item = Exchange> + 'a {
-        said.iter()
-            .zip(&self.commands)
-            .map(move |(said, command)| Exchange { heard: said.map(|report| report.heard(tick)), command: *command })
+        said.iter().zip(&self.judged).zip(&self.commands).map(move |((said, judged), command)| Exchange {
+            heard: said.map(|report| report.heard(tick, *judged)),
+            command: *command,
+        })
     }
 
     /// What the last [`Self::plan`] chose, and what it is worth.
@@ -364,6 +391,12 @@ impl Centre {
         self.tracking.trust.distrusted()
     }
 
+    /// How many times larger than told the standard deviations of ranges are taken: 1 unless most sensors fail together.
+    #[must_use]
+    pub fn noise_scale(&self) -> f64 {
+        self.tracking.trust.noise_scale()
+    }
+
     /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
@@ -372,6 +405,9 @@ impl Centre {
             state_dim: self.state().len() as u64,
             nis: self.fit.nis,
             fused: u64::from(self.fit.fused),
+            nis_all: self.fit.nis_all,
+            tested: u64::from(self.fit.tested),
+            noise_scale: self.noise_scale(),
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             distrusted: self.distrusted().to_bits(),
@@ -384,6 +420,11 @@ impl Centre {
         estimate.covariance[..self.covariance().len()].copy_from_slice(self.covariance());
         estimate
     }
+}
+
+/// The standard deviation of a robot's last range, given the newest message and what was known before it.
+fn last_std_m(range_m: Option<(f64, f64)>, before: Option<Body>) -> Option<f64> {
+    range_m.map(|(_, std_m)| std_m).or(before.and_then(|body| body.range_std_m))
 }
 
 /// Where a command takes a robot in a time step.
@@ -414,7 +455,7 @@ mod tests {
     fn a_silent_robot_is_told_to_stand_after_some_ticks() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
-        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), range_m: None });
+        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
         centre.update(0.0, &[heard; 3]).unwrap();
         assert!(centre.plan().iter().all(|command| command.speed_mps == 10.0));
         for tick in 1..=SILENCE_TICKS_MAX + 1 {
@@ -448,7 +489,11 @@ mod tests {
         let (time_s, noise_m) = (0.1 * tick as f64, 0.8 * (7.3 * tick as f64 + 2.1 * id as f64).sin());
         let position_m = Vector::from_angle(2.1 * id as f64 + 0.02 * tick as f64) * 20.0;
         let to_target = Vector::new(-8.0 * time_s, 4.0 * time_s) - position_m;
-        Some(Report { position_m, range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)) })
+        Some(Report {
+            position_m,
+            height_m: 0.0,
+            range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)),
+        })
     }
 
     fn tick(centre: &mut Centre, reports: &[Option<Report>]) {
@@ -537,7 +582,7 @@ mod tests {
     #[test]
     fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
         let mut centre = of("");
-        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), range_m: None });
+        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), height_m: 0.0, range_m: None });
         tick(&mut centre, &[stands(15.0); 3]);
         for _ in 1..=3 {
             tick(&mut centre, &[stands(15.0), None, stands(15.0)]);
@@ -545,7 +590,7 @@ mod tests {
         let commands: Vec<Command> = [2, 3].map(|k| centre.past.as_ref().unwrap().at(k).unwrap().commands[1]).into();
         centre.take_late(2, 1, stands(40.0).unwrap());
         let expected = commands.iter().fold(Vector::new(40.0, 0.0), |at, command| moved(at, *command, 0.1));
-        assert_eq!(centre.bodies[1], Some(Body { position_m: expected, heard_at: 2 }));
+        assert_eq!(centre.bodies[1], Some(Body { position_m: expected, heard_at: 2, range_std_m: None }));
         centre.take_late(1, 1, stands(70.0).unwrap());
         assert_eq!(centre.bodies[1].map(|body| body.heard_at), Some(2), "older than what is known");
     }

@@ -29,7 +29,7 @@ pub struct Estimate<const N: usize> {
 
 /// What a set of ranges says of the target's position, linearised about one estimate.
 ///
-/// With `e_i` the unit vector from robot i to the estimate and `nu_i = z_i - d_i` the innovation:
+/// With `e_i` the line of sight from robot i to the estimate and `nu_i = z_i - d_i` the innovation:
 /// `J = sum e_i e_i^T / sigma_i^2` (the sum of Eq. 13), `y = sum e_i nu_i / sigma_i^2`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RangeInformation {
@@ -37,8 +37,6 @@ pub struct RangeInformation {
     pub matrix: Matrix2<f64>,
     /// `y`.
     pub vector: Vector2<f64>,
-    /// `sum nu_i^2 / sigma_i^2`.
-    pub weighted_square: f64,
     /// Ranges in the sums.
     pub count: u32,
 }
@@ -46,7 +44,8 @@ pub struct RangeInformation {
 /// A range against what the estimate predicts of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
-    /// Unit vector from the robot to the estimated target, a row of `H`; zero without a line of sight.
+    /// Gradient of the distance, a row of `H`: the unit vector from the robot to the estimated target. Of a sensor at
+    /// another height it is the horizontal part of that, nothing straight above the target; zero without a line of sight.
     pub line_of_sight: Vector2<f64>,
     /// `nu = z - d`, m.
     pub innovation_m: f64,
@@ -77,33 +76,45 @@ impl<const N: usize> Estimate<N> {
     /// The innovation of a range `z` measured at `robot` with standard deviation `std_m` (Eqs. 3-8).
     #[must_use]
     pub fn innovation(&self, robot: Vector2<f64>, range_m: f64, std_m: f64) -> Innovation {
-        let sight = self.position() - robot;
-        let distance_m = sight.norm();
+        self.slant_innovation(robot, 0.0, range_m, std_m)
+    }
+
+    /// The innovation of a range measured by a sensor `height_m` above (or below) the plane in which the target moves:
+    /// the predicted distance is the slant one, `d = sqrt(dx^2 + dy^2 + h^2)`, and its gradient `(dx, dy) / d`.
+    #[must_use]
+    pub fn slant_innovation(&self, sensor: Vector2<f64>, height_m: f64, range_m: f64, std_m: f64) -> Innovation {
+        let sight = self.position() - sensor;
+        let distance_m = (sight.norm_squared() + height_m * height_m).sqrt();
         let line_of_sight = if distance_m > LINE_OF_SIGHT_MIN_M { sight / distance_m } else { Vector2::zeros() };
         Innovation { line_of_sight, innovation_m: range_m - distance_m, noise_variance_m2: std_m * std_m }
     }
 
-    /// Joint update with all ranges of `information`, which must be linearised about this estimate
-    /// (Eqs. 9-13). Returns the posterior and the normalised innovation squared (NIS).
+    /// The second-order terms of a distance of `distance_m` that has this gradient, whose second derivative is
+    /// `(I - e e^T) / d` at any height: mean `tr((I - e e^T) P) / 2 d` and variance `tr(((I - e e^T) P)^2) / 2 d^2`.
+    #[must_use]
+    pub fn bend(&self, line_of_sight: &Vector2<f64>, distance_m: f64) -> Bend {
+        let (p, e) = (self.position_covariance(), line_of_sight);
+        let along_m2 = e.dot(&(p * e));
+        let across_m2 = (p.trace() - along_m2).max(0.0);
+        // A distance changes by no more than the position does.
+        let mean_m = (across_m2 / (2.0 * distance_m)).min(across_m2.sqrt());
+        let square = (p.norm_squared() - 2.0 * (p * e).norm_squared() + along_m2 * along_m2).max(0.0);
+        let variance_m2 = (0.5 * square / (distance_m * distance_m)).min(2.0 * mean_m * mean_m);
+        Bend { mean_m, variance_m2 }
+    }
+
+    /// Joint update with all ranges of `information`, which must be linearised about this estimate (Eqs. 9-13).
     ///
     /// The position's posterior covariance is `(P_11^-1 + J)^-1`, written for 2 x 2 matrices without an
     /// inverse as `(P_11 + |P_11| adj J) / (1 + tr(P_11 J) + |P_11| |J|)`: a sum of positive terms, so
     /// it stays positive definite however much the ranges say. The other states follow by their
     /// regression `B = P_21 P_11^-1` on the position; their conditional covariance does not change.
-    /// `NIS = nu^T S^-1 nu = sum nu_i^2 / sigma_i^2 - y^T P+_11 y`, chi-square with one degree of
-    /// freedom for each range.
     #[must_use]
-    pub fn update(&self, information: &RangeInformation) -> (Self, f64) {
-        let RangeInformation { matrix: j, vector: y, weighted_square, .. } = information;
+    pub fn update(&self, information: &RangeInformation) -> Self {
         let prior = self.position_covariance();
         let prior_det = determinant(&prior);
-        let j_adjugate = Matrix2::new(j[(1, 1)], -j[(0, 1)], -j[(1, 0)], j[(0, 0)]);
-        let trace_pj = prior[(0, 0)] * j[(0, 0)] + 2.0 * prior[(0, 1)] * j[(0, 1)] + prior[(1, 1)] * j[(1, 1)];
-        let gain = 1.0 / (1.0 + trace_pj.max(0.0) + prior_det * determinant(j));
-        let posterior = (prior + j_adjugate * prior_det) * gain;
-
-        let shift = posterior * y;
-        let nis = (weighted_square - y.dot(&shift)).max(0.0);
+        let posterior = posterior_covariance(&prior, prior_det, &information.matrix);
+        let shift = posterior * information.vector;
 
         // Columns of P belonging to the position, and the regression on it: B = A P_11^-1.
         let a = self.p.fixed_columns::<2>(0).into_owned();
@@ -125,8 +136,60 @@ impl<const N: usize> Estimate<N> {
         let mut x = self.x + b * shift;
         x[0] = self.x[0] + shift[0];
         x[1] = self.x[1] + shift[1];
-        (Self { x, p: conditioned(&p) }, nis)
+        Self { x, p: conditioned(&p) }
     }
+
+    /// Joint normalised innovation squared of ranges linearised about this estimate: `nu^T S^-1 nu`, chi-square with
+    /// one degree of freedom for each range.
+    ///
+    /// It is what the least squares of prior and ranges leave: `min_s s^T P_11^-1 s + sum (nu_i - e_i . s)^2 / sigma_i^2`.
+    /// The prior's square root takes in the ranges one by one by rotations, and the squares that do not fit into it
+    /// add up: positive terms all, so nothing cancels however vague the prior is and however sharp the ranges are.
+    #[must_use]
+    pub fn nis<'a>(&self, ranges: impl Iterator<Item = &'a Innovation>) -> f64 {
+        let prior = self.position_covariance();
+        // P^-1 = R^T R, where the coordinate of the lesser variance comes first.
+        let larger = usize::from(prior[(1, 1)] > prior[(0, 0)]);
+        let lesser = 1 - larger;
+        let rest_m2 = (determinant(&prior) / prior[(larger, larger)]).max(f64::EPSILON * prior[(lesser, lesser)]);
+        let mut first = [rest_m2.sqrt().recip(), -prior[(0, 1)] / prior[(larger, larger)] / rest_m2.sqrt(), 0.0];
+        let mut second = [prior[(larger, larger)].sqrt().recip(), 0.0];
+        ranges.fold(0.0, |nis, range| {
+            let weight = range.noise_variance_m2.sqrt().recip();
+            let e = range.line_of_sight;
+            let row = [e[lesser], e[larger], range.innovation_m].map(|value| value * weight);
+            let (cos, sin) = rotation(first[0], row[0]);
+            let [across, value] = [1, 2].map(|i| cos * row[i] - sin * first[i]);
+            first = std::array::from_fn(|i| cos * first[i] + sin * row[i]);
+            let (cos, sin) = rotation(second[0], across);
+            let left = cos * value - sin * second[1];
+            second = [cos * second[0] + sin * across, cos * second[1] + sin * value];
+            nis + left * left
+        })
+    }
+}
+
+/// Cosine and sine of the turn that takes `(kept, taken)` to `(length, 0)`.
+fn rotation(kept: f64, taken: f64) -> (f64, f64) {
+    let length = kept.hypot(taken);
+    if length > 0.0 { (kept / length, taken / length) } else { (1.0, 0.0) }
+}
+
+/// `(P^-1 + J)^-1` without an inverse, as a sum of positive terms.
+fn posterior_covariance(prior: &Matrix2<f64>, prior_det: f64, j: &Matrix2<f64>) -> Matrix2<f64> {
+    let j_adjugate = Matrix2::new(j[(1, 1)], -j[(0, 1)], -j[(1, 0)], j[(0, 0)]);
+    let trace_pj = prior[(0, 0)] * j[(0, 0)] + 2.0 * prior[(0, 1)] * j[(0, 1)] + prior[(1, 1)] * j[(1, 1)];
+    let gain = 1.0 / (1.0 + trace_pj.max(0.0) + prior_det * determinant(j));
+    (prior + j_adjugate * prior_det) * gain
+}
+
+/// What a distance gains and how far it scatters because it is no linear function of the position.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bend {
+    /// How much longer it is in the mean than at the estimate, m.
+    pub mean_m: f64,
+    /// Variance beyond the linear one, m^2.
+    pub variance_m2: f64,
 }
 
 impl Innovation {
@@ -150,7 +213,6 @@ impl RangeInformation {
         let weighted_sight = range.line_of_sight * weight;
         self.matrix += weighted_sight * range.line_of_sight.transpose();
         self.vector += weighted_sight * range.innovation_m;
-        self.weighted_square += range.innovation_m * range.innovation_m * weight;
         self.count += 1;
     }
 }
@@ -176,11 +238,13 @@ mod tests {
     use proptest::prelude::*;
     use rangehound_shared::motion::MotionModel;
 
+    fn innovations<const N: usize>(at: &Estimate<N>, ranges: &[(f64, f64, f64, f64)]) -> Vec<Innovation> {
+        ranges.iter().map(|&(x, y, range_m, std_m)| at.innovation(Vector2::new(x, y), range_m, std_m)).collect()
+    }
+
     fn information<const N: usize>(at: &Estimate<N>, ranges: &[(f64, f64, f64, f64)]) -> RangeInformation {
         let mut information = RangeInformation::default();
-        for &(x, y, range_m, std_m) in ranges {
-            information.add(&at.innovation(Vector2::new(x, y), range_m, std_m));
-        }
+        innovations(at, ranges).iter().for_each(|range| information.add(range));
         information
     }
 
@@ -196,7 +260,7 @@ mod tests {
         let model = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 };
         let predicted = start.predict(&model.transition(0.1));
         let ranges = [(-5.0, 0.0, 6.4, 1.0), (0.0, 4.0, 5.2, 1.0), (7.0, -3.0, 6.3, 1.0)];
-        let (updated, _) = predicted.update(&information(&predicted, &ranges));
+        let updated = predicted.update(&information(&predicted, &ranges));
         let x = [1.1810777495805928, -1.0355879379168275, 7.987640874667729, -7.998502210638008];
         let p = [
             (0, 0, 0.625724634630599),
@@ -210,7 +274,58 @@ mod tests {
         }
     }
 
+    /// Where the prior is vague and the ranges are sharp: against 80-digit arithmetic. `sum nu^2 / sigma^2 - y . shift`
+    /// has 1e13 to 1e18 as its terms here, and no right digit.
+    #[test]
+    fn the_nis_of_a_vague_prior_matches_high_precision_arithmetic() {
+        let far = [(-5.0, 0.0, 1_000_006.324, 1e-3), (0.0, 4.0, 500_002.0, 1e-3)];
+        let near = [(-5.0, 0.0, 6.324, 1e-3), (0.0, 4.0, 2.237, 1e-3), (7.0, -3.0, 7.81, 1e-3)];
+        let cases = [
+            (0.0, &near[..], 0.055_884_205_656_080_34),
+            (5e11, &far[..], 1.547_117_859_222_203_8),
+            (5e11, &far[..1], 0.769_230_768_376_430_3),
+        ];
+        for (correlated, ranges, expected) in cases {
+            let p = SMatrix::from([[1e12, correlated], [correlated, 1e12]]);
+            let prior = Estimate { x: SVector::from([1.0, 2.0]), p };
+            let nis = prior.nis(innovations(&prior, ranges).iter());
+            assert!((nis / expected - 1.0).abs() < 1e-6, "{nis} {expected}");
+        }
+    }
+
     proptest! {
+        /// A slant range: gradient and second-order terms against differences of the distance.
+        #[test]
+        fn the_slant_range_and_its_terms_equal_finite_differences(
+            at in (-20.0..20.0_f64, -20.0..20.0_f64), sensor in (-20.0..20.0_f64, -20.0..20.0_f64), height_m in -9.0..9.0_f64,
+            seed in proptest::collection::vec(-1.0..1.0_f64, 4),
+        ) {
+            prop_assume!(height_m.abs() > 0.5);
+            let sensor = Vector2::new(sensor.0, sensor.1);
+            let slant = |x: f64, y: f64| Vector2::new(x, y).metric_distance(&sensor).hypot(height_m);
+            let root = SMatrix::<f64, 2, 2>::from_iterator(seed);
+            let estimate = Estimate { x: SVector::from([at.0, at.1]), p: (root * root.transpose() + SMatrix::identity() * 0.1) * 0.1 };
+            let range = estimate.slant_innovation(sensor, height_m, 1.0, 1.0);
+            let d = slant(at.0, at.1);
+            prop_assert!((range.innovation_m - (1.0 - d)).abs() < 1e-12);
+            let step = 1e-4;
+            let gradient = Vector2::new(
+                slant(at.0 + step, at.1) - slant(at.0 - step, at.1), slant(at.0, at.1 + step) - slant(at.0, at.1 - step),
+            ) / (2.0 * step);
+            prop_assert!((range.line_of_sight - gradient).norm() < 1e-7);
+            let second = |i: usize, j: usize| {
+                let [a, b] = [i, j].map(|axis| Vector2::ith(axis, step));
+                let at = |v: Vector2<f64>| slant(at.0 + v.x, at.1 + v.y);
+                (at(a + b) - at(a - b) - at(b - a) + at(-a - b)) / (4.0 * step * step)
+            };
+            let hp = Matrix2::new(second(0, 0), second(0, 1), second(1, 0), second(1, 1)) * estimate.p;
+            let bend = estimate.bend(&range.line_of_sight, d);
+            let mean_m = (0.5 * hp.trace()).min(estimate.p.trace().sqrt());
+            prop_assert!((bend.mean_m - mean_m).abs() < 1e-5 * (1.0 + mean_m), "{} {mean_m}", bend.mean_m);
+            let variance_m2 = 0.5 * (hp * hp).trace();
+            prop_assert!((bend.variance_m2 - variance_m2).abs() < 1e-5 * (1.0 + variance_m2), "{} {variance_m2}", bend.variance_m2);
+        }
+
         /// The O(M) forms against the textbook's M x M ones.
         #[test]
         fn update_and_nis_equal_the_textbook_kalman_gain(
@@ -219,7 +334,8 @@ mod tests {
         ) {
             let root = SMatrix::<f64, 4, 4>::from_iterator(seed);
             let prior = Estimate { x: SVector::from([1.0, 2.0, 3.0, 4.0]), p: root * root.transpose() + SMatrix::identity() * 0.1 };
-            let (posterior, nis) = prior.update(&information(&prior, &ranges));
+            let posterior = prior.update(&information(&prior, &ranges));
+            let nis = prior.nis(innovations(&prior, &ranges).iter());
             let m = ranges.len();
             let mut h = DMatrix::zeros(m, 4);
             let mut nu = DMatrix::zeros(m, 1);
@@ -265,7 +381,7 @@ mod tests {
                         (estimate.x[0] + cos * distance_m, estimate.x[1] + sin * distance_m, distance_m, 10.0_f64.powf(log_std))
                     })
                     .collect();
-                estimate = estimate.update(&information(&estimate, &ranges)).0;
+                estimate = estimate.update(&information(&estimate, &ranges));
                 prop_assert!(is_spd(&estimate.p), "step {step}: {}", estimate.p);
             }
         }
@@ -280,7 +396,7 @@ mod tests {
             let (sin, cos) = (f64::from(step) * 0.01).sin_cos();
             let on_top = (estimate.x[0], estimate.x[1], 0.3, 1.0);
             let ranges = [(10.0 * cos, 10.0 * sin, 10.0, 1.0), on_top, (5.0, 0.0, 6.0, 0.5)];
-            estimate = estimate.update(&information(&estimate, &ranges)).0;
+            estimate = estimate.update(&information(&estimate, &ranges));
             if step % 1_000 == 0 {
                 assert!(is_spd(&estimate.p), "step {step}");
             }
@@ -297,7 +413,7 @@ mod tests {
         for step in 0..500 {
             estimate = estimate.predict(&transition);
             let range_m = estimate.position().norm() + 1e-5;
-            estimate = estimate.update(&information(&estimate, &[(0.0, 0.0, range_m, 1e-4); 10])).0;
+            estimate = estimate.update(&information(&estimate, &[(0.0, 0.0, range_m, 1e-4); 10]));
             assert!(is_spd(&estimate.p), "step {step}: {}", estimate.p);
         }
     }
@@ -305,7 +421,7 @@ mod tests {
     #[test]
     fn a_robot_on_the_estimate_informs_of_nothing() {
         let prior = Estimate { x: SVector::from([3.0, 4.0]), p: SMatrix::<f64, 2, 2>::identity() };
-        let (posterior, _) = prior.update(&information(&prior, &[(3.0, 4.0, 2.0, 1.0)]));
+        let posterior = prior.update(&information(&prior, &[(3.0, 4.0, 2.0, 1.0)]));
         assert_eq!(posterior.x, prior.x);
         assert!((posterior.p - prior.p).amax() < 1e-11);
     }

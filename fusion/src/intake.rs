@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use rangehound_shared::clock::range_deadline_ns;
 use rangehound_shared::message::{Header, Range, Refusal};
+use rangehound_shared::record::Judged;
 use rangehound_shared::scenario::bounds;
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
 use serde::{Deserialize, Serialize};
@@ -62,6 +63,8 @@ pub struct LateReport {
     pub robot: usize,
     /// What it says.
     pub report: Report,
+    /// What became of its range.
+    pub judged: Option<Judged>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -216,10 +219,11 @@ impl Intake {
 
     /// What a message says, if its numbers make sense.
     fn sound(&self, centre: &Centre, header: &Header, range: &Range) -> Result<Report, Refusal> {
-        let Range { present, x_m, y_m, range_m, range_std_m, .. } = *range;
+        let Range { present, x_m, y_m, height_m, range_m, range_std_m, .. } = *range;
         let near = |value: f64| value.abs() <= DISTANCE_MAX_M;
         let measures = near(range_m) && bounds::STD_M.contains(&range_std_m);
-        let is_sound = near(x_m) && near(y_m) && measures && range_m >= -NEGATIVE_SIGMA_MAX * range_std_m;
+        let is_sound =
+            [x_m, y_m, height_m].into_iter().all(near) && measures && range_m >= -NEGATIVE_SIGMA_MAX * range_std_m;
         // Steps of a simulation are all alike; those of a recording never go back.
         let is_timely = match self.steps_m {
             Some(_) => header.valid_at_s == header.tick as f64 * self.dt_s,
@@ -232,7 +236,7 @@ impl Intake {
             return Err(Refusal::Malformed);
         }
         let range_m = (present == 1).then_some((range_m, range_std_m));
-        Ok(Report { position_m: Vector::new(x_m, y_m), range_m })
+        Ok(Report { position_m: Vector::new(x_m, y_m), height_m, range_m })
     }
 
     /// The newest tick that can have begun. In lock step none begins before fusion has answered the last; in real
@@ -286,7 +290,7 @@ impl Intake {
             Late::NoRange => {}
             Late::Missed => return,
         }
-        self.late.push(LateReport { tick, robot: id, report });
+        self.late.push(LateReport { tick, robot: id, report, judged: centre.judged_at(tick, id) });
     }
 
     /// The newest tick that a robot is ahead at, once: the ticks before it are over.
@@ -469,6 +473,7 @@ mod tests {
             range_m: 15.0,
             range_std_m: 1.0,
             tick_began_ns,
+            height_m: 0.0,
         }
     }
 
@@ -487,6 +492,7 @@ mod tests {
                 Range { present: 2, ..ok },
                 Range { x_m: f64::NAN, ..ok },
                 Range { y_m: f64::INFINITY, ..ok },
+                Range { height_m: f64::NAN, ..ok },
                 Range { range_m: f64::NAN, ..ok },
                 Range { range_m: -11.0, ..ok },
                 Range { range_m: 1e300, ..ok },
@@ -504,7 +510,7 @@ mod tests {
             intake.take(centre, &Header { valid_at_s: 0.2, ..header }, &[ok], *now_ns);
             intake.refuse(Refusal::Impostor, 1);
             let tally = team.tick(&[0, 2]);
-            let expected = [(Refusal::Impostor, 1), (Refusal::OutOfRange, 2), (Refusal::Malformed, 13)];
+            let expected = [(Refusal::Impostor, 1), (Refusal::OutOfRange, 2), (Refusal::Malformed, 14)];
             assert_eq!(refused(&tally), expected, "{clock}");
             let estimate = team.centre.estimate();
             assert_eq!((estimate.fused, estimate.missing), (2, 1), "{clock}");

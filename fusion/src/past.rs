@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use rangehound_shared::message::Command;
+use rangehound_shared::record::Judged;
 
 use crate::report::Report;
 use crate::trust::Trust;
@@ -21,6 +22,8 @@ pub(crate) struct PastTick {
     /// The trust in the robots before the tick.
     pub(crate) trust: Trust,
     pub(crate) reports: Vec<Option<Report>>,
+    /// What became of the reports' ranges.
+    pub(crate) judged: Vec<Option<Judged>>,
     /// What robots were told after it.
     pub(crate) commands: Vec<Command>,
 }
@@ -31,14 +34,15 @@ pub(crate) struct Past(VecDeque<PastTick>);
 
 impl Past {
     /// A place for a tick after all others: the oldest one's, once there are enough.
-    pub(crate) fn place(&mut self, robots: usize) -> PastTick {
+    pub(crate) fn place(&mut self, robots: usize, trust: &Trust) -> PastTick {
         let full = self.0.len() == LATE_TICKS_MAX;
         full.then(|| self.0.pop_front()).flatten().unwrap_or_else(|| PastTick {
             tick: 0,
             dt_s: 0.0,
             tracker: Vec::new(),
-            trust: Trust::new(robots),
+            trust: trust.clone(),
             reports: vec![None; robots],
+            judged: vec![None; robots],
             commands: vec![Command::default(); robots],
         })
     }

@@ -170,6 +170,7 @@ impl<'a> Fusion<'a> {
                 return Ok(Some(hold));
             }
             standby.sign();
+            self.rendezvous.look_for_removal()?;
             self.ranges.keep_up()?;
             let sign = roster.last_sign(Role::Fusion);
             silent_looks = if sign == last_sign { silent_looks + 1 } else { 0 };
@@ -313,7 +314,7 @@ impl<'a> Fusion<'a> {
         let tick = self.centre.next_tick();
         let began_ns = monotonic_ns();
         let last_range_ns = self.intake.last_range_ns();
-        let distrusted = self.centre.distrusted();
+        let (distrusted, noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
         let time_s = self.intake.time_s(&self.centre);
         self.centre.update(time_s, self.intake.reports())?;
         let filtered_ns = monotonic_ns();
@@ -338,7 +339,7 @@ impl<'a> Fusion<'a> {
         self.estimates.send(tick, self.centre.time_s(), &[estimate])?;
         self.put_down(tick, estimate);
         self.expect();
-        self.tell_of_trust(distrusted);
+        self.tell_of_trust(distrusted, noise_scale);
         self.tell_of_refusals(&tally);
         Ok(())
     }
@@ -348,9 +349,18 @@ impl<'a> Fusion<'a> {
         self.bed.expect(self.intake.expected());
     }
 
-    /// Names who is distrusted since the last tick, and who no longer is.
-    fn tell_of_trust(&self, before: RobotSet) {
-        let now = self.centre.distrusted();
+    /// Says when most sensors fail together and when they no longer do, and names who is distrusted since the last tick, and who no longer is.
+    fn tell_of_trust(&self, before: RobotSet, noise_scale_before: f64) {
+        let (now, noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
+        if noise_scale > 1.0 && noise_scale_before == 1.0 {
+            log::warn!(
+                "most sensors fail together: takes their ranges to be {noise_scale:.1} times as noisy as told, and distrusts nobody"
+            );
+            return;
+        }
+        if noise_scale == 1.0 && noise_scale_before > 1.0 {
+            log::warn!("most sensors no longer fail together: takes their ranges to be as noisy as told again");
+        }
         for id in now.iter().filter(|id| !before.contains(*id)) {
             log::warn!("robot {id} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate");
         }
@@ -374,8 +384,9 @@ impl<'a> Fusion<'a> {
         match &self.hold {
             Some(hold) if hold.is_current() => {
                 hold.sign();
-                Ok(())
+                Ok(self.rendezvous.look_for_removal()?)
             }
+            _ if self.rendezvous.is_removed() => Err(self.rendezvous.removed().into()),
             _ => Err(FusionError::Deposed),
         }
     }
@@ -414,7 +425,7 @@ fn write(
     let record = EstimateRecord { time_s: centre.time_s(), estimate };
     log.write(tick, record.to_words(centre.exchanges(tick, heard.said())))?;
     for late in heard.said_late() {
-        EstimateRecord::amend(log, scenario, late.tick, late.robot, late.report.heard(tick))?;
+        EstimateRecord::amend(log, scenario, late.tick, late.robot, late.report.heard(tick, late.judged))?;
     }
     Ok(())
 }

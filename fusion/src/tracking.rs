@@ -1,13 +1,14 @@
 //! Tracker and trust together: what one tick's reports do to both, and the same tick once more when one comes late.
 
 use nalgebra::Vector2;
+use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
 
 use crate::past::PastTick;
 use crate::report::Report;
 use crate::tracker::{self, Fit, Reading, Tracker};
-use crate::trust::Trust;
+use crate::trust::{Policy, Trust};
 
 /// The estimate, and whose ranges go into it.
 #[derive(Debug)]
@@ -15,28 +16,52 @@ pub(crate) struct Tracking {
     pub(crate) tracker: Box<dyn Tracker>,
     pub(crate) trust: Trust,
     readings: Vec<Reading>,
+    /// What the last step did with each robot's range.
+    judged: Vec<Option<Judged>>,
 }
 
 impl Tracking {
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
         let tracker = tracker::for_scenario(scenario);
-        Self { tracker, trust: Trust::new(robots), readings: Vec::with_capacity(robots) }
+        let policy =
+            Policy { distrusts: scenario.distrust, widens: scenario.distrust || scenario.gate_sigma.is_some() };
+        Self {
+            tracker,
+            trust: Trust::new(robots, policy),
+            readings: Vec::with_capacity(robots),
+            judged: vec![None; robots],
+        }
+    }
+
+    /// What the last step did with each robot's range.
+    pub(crate) fn judged(&self) -> &[Option<Judged>] {
+        &self.judged
     }
 
     /// Predicts over `dt_s` seconds, then updates with the reports' ranges in order of the robots' ids.
     pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Report>]) -> Fit {
-        let distrusted = self.trust.distrusted();
+        let (distrusted, noise_scale) = (self.trust.distrusted(), self.trust.noise_scale());
         self.readings.clear();
         for (robot, report) in reports.iter().enumerate() {
-            if let Some(Report { position_m, range_m: Some((range_m, range_std_m)) }) = *report {
+            if let Some(Report { position_m, height_m, range_m: Some((range_m, range_std_m)) }) = *report {
                 let position_m = Vector2::new(position_m.x, position_m.y);
                 let distrusted = distrusted.contains(robot);
-                self.readings.push(Reading { robot, position_m, range_m, range_std_m, distrusted });
+                let range_std_m = range_std_m * noise_scale;
+                self.readings.push(Reading { robot, position_m, height_m, range_m, range_std_m, distrusted });
             }
         }
         let fit = self.tracker.step(dt_s, &self.readings);
-        self.trust.judge(self.readings.iter().map(|reading| reading.robot), &fit.failed);
+        self.judged.fill(None);
+        for (reading, judged) in self.readings.iter().zip(self.tracker.judged()) {
+            self.judged[reading.robot] = Some(*judged);
+        }
+        let squares = self.readings.iter().zip(self.tracker.judged());
+        let squares = squares.map(|(reading, judged)| (reading.robot, judged.normalised_square));
+        let factor = self.trust.judge(squares, &fit.failed);
+        if factor > 1.0 {
+            self.tracker.widen(factor);
+        }
         fit
     }
 
@@ -68,9 +93,9 @@ impl Tracking {
             } else {
                 self.save_before(past)?;
             }
-            let distrusted = self.trust.distrusted().contains(robot);
-            let fit = self.step(past.dt_s, &past.reports);
-            fused.get_or_insert(!distrusted && !fit.failed.contains(robot));
+            self.step(past.dt_s, &past.reports);
+            past.judged.copy_from_slice(&self.judged);
+            fused.get_or_insert(self.judged[robot].is_some_and(|judged| judged.used == RangeUse::Fused));
         }
         Ok(fused.unwrap_or(false))
     }

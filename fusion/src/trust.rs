@@ -1,4 +1,5 @@
-//! Whose ranges are fused, pure: a robot whose ranges keep failing the gate is distrusted until it mends.
+//! Whose ranges are fused, and how noisy they are taken to be, pure: a robot whose ranges keep failing the gate is
+//! distrusted until it mends; where most sensors fail together, it is the filter or the noise that is wrong.
 
 use rangehound_shared::robot_set::RobotSet;
 use serde::{Deserialize, Serialize};
@@ -12,27 +13,96 @@ pub const RECENT: u32 = u8::BITS;
 /// estimate follows it before the gate tells, and in one run of five it is a sound one that is named.
 pub const FAILURES_MAX: u32 = 5;
 
+/// Median of a chi-square of one degree of freedom: what half of the normalised innovations squared of a sensor lie
+/// above whose noise is as told.
+const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_572_8;
+
+/// Change of the logarithm of a sensor's noise variance with each range: a tracker of the median that forgets within
+/// some twenty ranges, has a standard deviation of 0.34, and is moved by outliers no more than by other ranges.
+const LOG_STEP: f64 = 0.1;
+
+/// The team's noise variance, over what it is told to be, from which on its sensors are taken to fail together, and
+/// below which they no longer do. Neither four standard deviations of one sensor's tracker, nor a fifth of outliers from
+/// all sensors, nor a third of the sensors that are all wrong, comes to the first.
+const LOG_WIDENED: f64 = 1.6;
+const LOG_NARROW: f64 = 0.7;
+
+/// Most that the logarithm is taken for, either way.
+const LOG_MAX: f64 = 14.0;
+const LOG_MIN: f64 = -1.0;
+
+/// Ranges of a sensor before its noise counts, and ranges of the team, in multiples of its size, after which a sensor that
+/// was not heard counts no more.
+const RANGES_MIN: u32 = 8;
+const RECENT_ROUNDS: u64 = 8;
+
+/// Most that an estimate is made less certain at once, in variance.
+const LOST_MAX: f64 = 1e6;
+
+/// What may be done about ranges that fail.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Policy {
+    /// Robots are distrusted.
+    pub distrusts: bool,
+    /// Where most sensors fail together, ranges are taken to be noisier than told.
+    pub widens: bool,
+}
+
 /// What the gate has said of each robot's ranges.
 ///
 /// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of
 /// them passed. Failures count only while most of the team's newest ranges pass: where half of them or more fail, it
 /// is the filter that is wrong, or nobody can tell.
+///
+/// Beside that, the noise of each sensor is followed by the median of its normalised innovations squared, which outliers
+/// do not move far. Where the median sensor is worse by [`LOG_WIDENED`] than it is told to be, most fail together: by a
+/// common bias, by noise that is larger than told, or because the estimate is lost. Then nobody is distrusted, and all
+/// ranges are taken to be as noisy as they are, until that is over.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trust {
+    policy: Policy,
     /// Of each robot, newest lowest: 1 for a range that failed.
     records: Vec<u8>,
     distrusted: RobotSet,
     /// Which of the team's newest ranges failed, as many as it has robots; places are taken in turn.
     newest_failed: RobotSet,
     next_place: usize,
+    noises: Vec<Noise>,
+    /// Ranges of the team so far.
+    ranges: u64,
+    /// Logarithm of the factor on all variances while sensors fail together.
+    widened_log: Option<f64>,
+    /// Memory only.
+    #[serde(skip)]
+    scratch: Vec<f64>,
+}
+
+/// How noisy one sensor is.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct Noise {
+    /// Logarithm of the variance of its ranges over what it is told to be.
+    log: f64,
+    /// Ranges so far, and the team's count at the last of them.
+    ranges: u32,
+    last: u64,
 }
 
 impl Trust {
     /// Trusts all of a team.
     #[must_use]
-    pub fn new(robots: usize) -> Self {
+    pub fn new(robots: usize, policy: Policy) -> Self {
         let (distrusted, newest_failed) = (RobotSet::default(), RobotSet::default());
-        Self { records: vec![0; robots], distrusted, newest_failed, next_place: 0 }
+        Self {
+            policy,
+            records: vec![0; robots],
+            distrusted,
+            newest_failed,
+            next_place: 0,
+            noises: vec![Noise::default(); robots],
+            ranges: 0,
+            widened_log: None,
+            scratch: Vec::with_capacity(robots),
+        }
     }
 
     /// Who is distrusted.
@@ -47,21 +117,51 @@ impl Trust {
         self.records.len()
     }
 
-    /// Becomes a copy of another of the same team, in the memory that is there.
-    pub fn copy_from(&mut self, other: &Self) {
-        self.records.clone_from(&other.records);
-        (self.distrusted, self.newest_failed, self.next_place) =
-            (other.distrusted, other.newest_failed, other.next_place);
+    /// How many times larger than told the standard deviations of ranges are to be taken: 1 unless most sensors fail
+    /// together.
+    #[must_use]
+    pub fn noise_scale(&self) -> f64 {
+        self.widened_log.map_or(1.0, |log| (0.5 * log).exp())
     }
 
-    /// Takes what the gate said of a tick's ranges: of whom they are, and whose failed.
-    pub fn judge(&mut self, heard: impl Iterator<Item = usize> + Clone, failed: &RobotSet) {
+    /// Becomes a copy of another of the same team, in the memory that is there.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.policy = other.policy;
+        self.records.clone_from(&other.records);
+        self.noises.clone_from(&other.noises);
+        (self.distrusted, self.newest_failed, self.next_place) =
+            (other.distrusted, other.newest_failed, other.next_place);
+        (self.ranges, self.widened_log) = (other.ranges, other.widened_log);
+    }
+
+    /// Takes what the gate said of a tick's ranges: of whom they are, with their normalised innovations squared where
+    /// anything predicted them, and whose failed. Returns how many times less certain the estimate is to be taken, in
+    /// variance: more than 1 where sensors fail together and most of the newest ranges fail even so, so that it may be lost.
+    pub fn judge(&mut self, heard: impl Iterator<Item = (usize, Option<f64>)> + Clone, failed: &RobotSet) -> f64 {
         let robots = self.records.len();
-        for id in heard.clone() {
+        for (id, _) in heard.clone() {
             self.newest_failed.set(self.next_place, failed.contains(id));
             self.next_place = (self.next_place + 1) % robots;
         }
         let filter_is_wrong = 2 * self.newest_failed.len() >= robots;
+        if self.policy.widens {
+            self.follow_noise(heard.clone());
+        }
+        if self.widened_log.is_some() {
+            // Nobody is to blame, nor was before.
+            self.distrusted = RobotSet::default();
+            self.records.fill(0);
+            let squares = heard.filter_map(|(_, square)| square);
+            let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+            return if filter_is_wrong && count > 0.0 { (sum / count).clamp(1.0, LOST_MAX) } else { 1.0 };
+        }
+        if self.policy.distrusts {
+            self.count_failures(heard.map(|(id, _)| id), failed, filter_is_wrong);
+        }
+        1.0
+    }
+
+    fn count_failures(&mut self, heard: impl Iterator<Item = usize>, failed: &RobotSet, filter_is_wrong: bool) {
         for id in heard {
             let has_failed = failed.contains(id);
             if has_failed && filter_is_wrong {
@@ -76,25 +176,52 @@ impl Trust {
             }
         }
     }
+
+    /// Follows each sensor's noise, and sees whether most of them are worse than told.
+    fn follow_noise(&mut self, heard: impl Iterator<Item = (usize, Option<f64>)>) {
+        for (id, square) in heard {
+            let Some(square) = square else { continue };
+            self.ranges += 1;
+            let Noise { log, ranges, .. } = self.noises[id];
+            // Squares are of the noise as it is taken at present.
+            let step = if square > CHI_SQUARE_MEDIAN { LOG_STEP } else { -LOG_STEP };
+            let log = (log + step).clamp(LOG_MIN, LOG_MAX);
+            self.noises[id] = Noise { log, ranges: ranges.saturating_add(1), last: self.ranges };
+        }
+        let oldest = self.ranges.saturating_sub(RECENT_ROUNDS * self.noises.len() as u64);
+        let counts = |noise: &&Noise| noise.ranges >= RANGES_MIN && noise.last >= oldest;
+        self.scratch.clear();
+        self.scratch.extend(self.noises.iter().filter(counts).map(|noise| noise.log));
+        let Some(last) = self.scratch.len().checked_sub(1) else { return };
+        // The lower one of a pair: alone or in a pair nobody can tell who is wrong.
+        let median = *self.scratch.select_nth_unstable_by(last / 2, f64::total_cmp).1;
+        self.scratch.clear();
+        let threshold = if self.widened_log.is_some() { LOG_NARROW } else { LOG_WIDENED };
+        self.widened_log = (median >= threshold).then_some(median);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn trust(robots: usize) -> Trust {
+        Trust::new(robots, Policy { distrusts: true, widens: true })
+    }
+
     /// Ticks of which each tells who fails, in a team of 4 that is all heard.
     fn after(trust: &mut Trust, ticks: usize, failing: &[usize]) -> Vec<usize> {
         let mut failed = RobotSet::default();
         failing.iter().for_each(|id| failed.set(*id, true));
         for _ in 0..ticks {
-            trust.judge(0..4, &failed);
+            trust.judge((0..4).map(|id| (id, None)), &failed);
         }
         trust.distrusted().iter().collect()
     }
 
     #[test]
     fn a_robot_that_keeps_failing_is_distrusted_until_it_passes_eight_in_a_row() {
-        let mut trust = Trust::new(4);
+        let mut trust = trust(4);
         assert_eq!(after(&mut trust, 4, &[2]), []);
         assert_eq!(after(&mut trust, 3, &[]), []);
         assert_eq!(after(&mut trust, 1, &[2]), [2], "five of the last eight");
@@ -106,7 +233,7 @@ mod tests {
 
     #[test]
     fn an_outlier_now_and_then_is_forgiven() {
-        let mut trust = Trust::new(4);
+        let mut trust = trust(4);
         for _ in 0..50 {
             after(&mut trust, 1, &[1]);
             assert_eq!(after(&mut trust, 1, &[]), []);
@@ -115,7 +242,7 @@ mod tests {
 
     #[test]
     fn where_half_the_team_fails_the_filter_is_wrong() {
-        let mut trust = Trust::new(4);
+        let mut trust = trust(4);
         assert_eq!(after(&mut trust, 100, &[0, 3]), []);
         assert_eq!(after(&mut trust, 100, &[0, 1, 2, 3]), []);
         assert_eq!(after(&mut trust, 5, &[3]), [3]);
@@ -126,10 +253,12 @@ mod tests {
     #[test]
     fn alone_or_in_a_pair_nobody_can_tell_who_is_wrong() {
         for robots in [1, 2] {
-            let mut trust = Trust::new(robots);
+            let mut trust = trust(robots);
             let mut failed = RobotSet::default();
             failed.set(0, true);
-            (0..100).for_each(|_| trust.judge(0..robots, &failed));
+            (0..100).for_each(|_| {
+                trust.judge((0..robots).map(|id| (id, None)), &failed);
+            });
             assert!(trust.distrusted().is_empty(), "{robots}");
         }
     }
@@ -137,11 +266,11 @@ mod tests {
     /// As in recordings, where ranges come one by one.
     #[test]
     fn ranges_one_at_a_time_do_as_well() {
-        let mut trust = Trust::new(4);
+        let mut trust = trust(4);
         let mut failed = RobotSet::default();
         failed.set(1, true);
         for tick in 0..4 * 5 {
-            trust.judge(std::iter::once(tick % 4), &failed);
+            trust.judge(std::iter::once((tick % 4, None)), &failed);
         }
         assert!(trust.distrusted().iter().eq([1]));
     }

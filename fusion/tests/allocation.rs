@@ -24,7 +24,7 @@ fn tick(centre: &mut Centre, reports: &mut [Option<Report>]) {
     let k = centre.next_tick() as f64;
     for (i, report) in reports.iter_mut().enumerate() {
         let position_m = Vector::from_angle(i as f64 + 0.01 * k) * 12.0;
-        *report = Some(Report { position_m, range_m: (k > 0.0).then_some((12.0, 1.0)) });
+        *report = Some(Report { position_m, height_m: 0.0, range_m: (k > 0.0).then_some((12.0, 1.0)) });
     }
     // The last robot's range comes a tick late.
     let late = reports.last_mut().and_then(Option::take);

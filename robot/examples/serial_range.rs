@@ -2,6 +2,7 @@
 //!
 //! ```sh
 //! cargo run --release --example serial_range -- --name demo --id 0 --port /dev/ttyUSB0
+//! cargo run --release --example serial_range -- --name demo --id 0 --port /dev/ttyUSB0 --format dwm1001 --anchor 022E
 //! ```
 //!
 //! Other hardware: implement `RangeSensor` and `Actuator` for it, and give them to `run_with` in place of these two.
@@ -10,17 +11,18 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser};
 use rangehound_robot::run::run_with;
-use rangehound_robot::serial::{SerialActuator, SerialSensor};
+use rangehound_robot::serial::{Radio, SerialActuator, SerialSensor};
+use rangehound_shared::radio::Format;
 use rangehound_shared::rendezvous::{Rendezvous, Role, RunName};
 use rangehound_shared::scenario::{Calibration, bounds};
 use rangehound_shared::signal::Termination;
 
 /// One robot of a run, with its range sensor and its drive on a serial port.
 ///
-/// Reads ranges, one a line, as `12.34` or `A,12.34` (m, after a label), and writes commands as `heading_rad,speed_mps`:
-/// to the port if it is a device, else to standard output.
+/// Reads ranges as the radio prints them and writes commands as lines `heading_rad,speed_mps`.
 #[derive(Debug, Parser)]
 struct Args {
     /// Name of the run to join; waits for it to be founded
@@ -32,6 +34,19 @@ struct Args {
     /// Device, FIFO or file; - for standard input
     #[arg(long, value_name = "PATH")]
     port: PathBuf,
+    /// What the radio prints: plain (`12.34` or `A,12.34` a line, m), dwm1001 (`lec` or `les` in its shell), linktrack
+    /// (NodeFrame3), mauwb (`AT+RANGE=`)
+    #[arg(long, default_value_t)]
+    format: Format,
+    /// Anchor whose range is this robot's, as the radio prints its id; all formats but plain need it
+    #[arg(long, value_name = "ID")]
+    anchor: Option<String>,
+    /// Tag whose range is this robot's, where the radio says it [default: the first that is seen]
+    #[arg(long, value_name = "ID")]
+    tag: Option<String>,
+    /// Where commands go: a device; - for standard output [default: the port if it is a device and plain, else -]
+    #[arg(long, value_name = "PATH")]
+    drive: Option<PathBuf>,
     /// Age at which a range is none any more, s [default: the scenario's time step]
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     max_age: Option<Duration>,
@@ -46,6 +61,10 @@ struct Args {
 fn main() -> Result<()> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
     let args = Args::parse();
+    if args.format != Format::Plain && args.anchor.is_none() {
+        let complaint = format!("--format {}: expected --anchor ID, whose range is this robot's", args.format);
+        Args::command().error(ErrorKind::MissingRequiredArgument, complaint).exit();
+    }
     ensure!(bounds::BIAS_M.contains(&args.range_bias), "--range-bias: expected {:?} m", bounds::BIAS_M);
     ensure!(bounds::SCALE.contains(&args.range_scale), "--range-scale: expected {:?}", bounds::SCALE);
     let termination = Termination::listen()?;
@@ -58,8 +77,14 @@ fn main() -> Result<()> {
     let port = || format!("--port {}", args.port.display());
     let calibration = Calibration { bias_m: args.range_bias, scale: args.range_scale };
     let max_age = args.max_age.unwrap_or(Duration::from_secs_f64(scenario.dt_s));
-    let mut sensor = SerialSensor::open(&args.port, calibration, robot.range_std_m, max_age).with_context(port)?;
-    let mut actuator = SerialActuator::open(&args.port).with_context(port)?;
+    let radio = Radio { format: args.format, anchor: args.anchor, tag: args.tag };
+    let mut sensor =
+        SerialSensor::open(&args.port, radio, calibration, robot.told_std_m, max_age).with_context(port)?;
+    // A radio's shell takes commands of its own: those to the drive are not for it.
+    let of_radio = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
+    let drive = args.drive.unwrap_or(of_radio);
+    let mut actuator =
+        SerialActuator::open(&drive).with_context(|| format!("where commands go: {}", drive.display()))?;
     Ok(run_with(&run, args.id, &mut sensor, &mut actuator, &termination)?)
 }
 

@@ -128,6 +128,7 @@ impl<S: RangeSensor, A: Actuator> Robot<'_, S, A> {
     ) -> Result<(), RobotError> {
         while !termination.requested() {
             hold.sign();
+            rendezvous.look_for_removal()?;
             let calls = self.wait()?;
             self.look(calls)?;
             self.stop_without_ticks();
@@ -218,6 +219,7 @@ impl<S: RangeSensor, A: Actuator> Robot<'_, S, A> {
             range_m: range_m.unwrap_or(0.0),
             range_std_m: self.sensor.std_m(),
             tick_began_ns: header.sent_ns,
+            height_m: entry.height_m,
         };
         let range_sent_ns = self.ranges.send(header.tick, header.valid_at_s, &[range])?;
         // In real time the first one starts fusion's deadline.

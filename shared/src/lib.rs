@@ -16,6 +16,7 @@
 //! | [`motion`] | linear target models, exactly discretised |
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
 //! | [`recording`] | range recordings in CSV |
+//! | [`radio`] | what ranging radios print |
 //! | [`message`] | what travels on each topic |
 //! | [`bus`] | topics and their iceoryx2 services |
 //! | [`bells`] | wake-ups |
@@ -27,6 +28,7 @@
 //! | [`sealed`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
 //! | [`protocol`] | which builds understand each other |
 //! | [`bounded`] | reading no more of a file than it may have |
+//! | [`limits`] | which limit of the system a refusal is about |
 //! | [`resources`] | open files and shared memory: is there enough |
 //! | [`footprint`] | what a node that has started keeps resident |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
@@ -40,10 +42,12 @@ pub mod clock;
 pub mod digest;
 pub mod draws;
 pub mod footprint;
+pub mod limits;
 pub mod matrix;
 pub mod message;
 pub mod motion;
 pub mod protocol;
+pub mod radio;
 pub mod record;
 pub mod recording;
 pub mod rendezvous;

@@ -28,7 +28,7 @@ pub struct Header {
 /// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend, Serialize, Deserialize)]
 #[repr(C)]
-#[type_name("rangehound.WorldEntry.v1")]
+#[type_name("rangehound.WorldEntry.v2")]
 pub struct WorldEntry {
     /// Position, m.
     pub x_m: f64,
@@ -38,14 +38,17 @@ pub struct WorldEntry {
     pub range_m: f64,
     /// [`RangeKind`] as a number.
     pub range_kind: u64,
+    /// Height of the sensor above the plane in which the target moves, m; 0 where both move in one plane.
+    pub height_m: f64,
 }
 
 impl WorldEntry {
     /// True if its numbers are numbers and its range is of a kind.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        let Self { x_m, y_m, range_m, range_kind } = *self;
-        [x_m, y_m, range_m].iter().all(|value| value.is_finite()) && RangeKind::from_bits(range_kind).is_some()
+        let Self { x_m, y_m, range_m, range_kind, height_m } = *self;
+        [x_m, y_m, range_m, height_m].iter().all(|value| value.is_finite())
+            && RangeKind::from_bits(range_kind).is_some()
     }
 }
 
@@ -81,7 +84,7 @@ impl RangeKind {
 /// Topic `range`: one robot's range, or its word that it has none at this tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
 #[repr(C)]
-#[type_name("rangehound.Range.v1")]
+#[type_name("rangehound.Range.v2")]
 pub struct Range {
     /// Id of the robot.
     pub robot: u64,
@@ -97,6 +100,8 @@ pub struct Range {
     pub range_std_m: f64,
     /// When the tick began, monotonic ns, as `world` said: what real-time deadlines count from.
     pub tick_began_ns: u64,
+    /// Height of the sensor above the plane in which the target moves, m: the range is the slant one.
+    pub height_m: f64,
 }
 
 /// Topic `heading`, an entry for each robot: what it shall drive until the next tick.
@@ -170,7 +175,7 @@ impl Refusal {
 /// Topic `estimate`: what fusion knows after a tick.
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[repr(C)]
-#[type_name("rangehound.Estimate.v3")]
+#[type_name("rangehound.Estimate.v4")]
 pub struct Estimate {
     /// Dimension n of the state.
     pub state_dim: u64,
@@ -182,6 +187,13 @@ pub struct Estimate {
     pub nis: f64,
     /// Ranges fused: degrees of freedom of the NIS.
     pub fused: u64,
+    /// Normalised innovation squared of all ranges of the tick, whether they were fused or not.
+    pub nis_all: f64,
+    /// Ranges in it: its degrees of freedom.
+    pub tested: u64,
+    /// How many times larger than told the filter takes the standard deviations of ranges from the next on: more than 1
+    /// while most sensors fail together.
+    pub noise_scale: f64,
     /// Ranges that failed the gate, or whose robot is distrusted.
     pub rejected: u64,
     /// Robots not heard.
@@ -248,6 +260,9 @@ impl Default for Estimate {
             covariance: [0.0; STATE_DIM_MAX * STATE_DIM_MAX],
             nis: 0.0,
             fused: 0,
+            nis_all: 0.0,
+            tested: 0,
+            noise_scale: 1.0,
             rejected: 0,
             missing: 0,
             late: 0,
@@ -277,11 +292,11 @@ impl Drive {
 // What other builds read from shared memory: a change must be a decision.
 const _: () = {
     assert!(size_of::<Header>() == 40);
-    assert!(size_of::<WorldEntry>() == 32);
-    assert!(size_of::<Range>() == 56);
+    assert!(size_of::<WorldEntry>() == 40);
+    assert!(size_of::<Range>() == 64);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
-    assert!(size_of::<Estimate>() == 800);
+    assert!(size_of::<Estimate>() == 824);
     assert!(size_of::<Truth>() == 88);
 };
 
@@ -297,6 +312,7 @@ mod tests {
             WorldEntry { x_m: f64::NAN, ..sound },
             WorldEntry { y_m: f64::INFINITY, ..sound },
             WorldEntry { range_m: f64::NAN, ..sound },
+            WorldEntry { height_m: f64::NAN, ..sound },
             WorldEntry { range_kind: 3, ..sound },
         ] {
             assert!(!nonsense.is_sound(), "{nonsense:?}");

@@ -6,6 +6,7 @@ use crate::message::{Command, Drive, Estimate, RangeKind, Refusal, Stages, World
 use crate::robot_set;
 use crate::scenario::Scenario;
 use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
+use serde::{Deserialize, Serialize};
 
 /// Where fusion's log lies in a run folder.
 #[must_use]
@@ -42,10 +43,50 @@ pub struct Exchange {
 pub struct Heard {
     /// Where the robot was, m.
     pub position_m: [f64; 2],
+    /// Height of its sensor above the plane in which the target moves, m.
+    pub height_m: f64,
     /// Its range and the range's standard deviation, m; `None` if its sensor had none.
     pub range_m: Option<(f64, f64)>,
     /// The first tick whose estimate knows of it: the message's own, or a later one if it came late.
     pub taken_at: u64,
+    /// What fusion did with the range; `None` without one, and at tick 0.
+    pub judged: Option<Judged>,
+}
+
+/// What fusion did with a range, and how well the range agreed with what was predicted of it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Judged {
+    /// What was done with it.
+    pub used: RangeUse,
+    /// Its own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` where nothing was known that
+    /// could predict it.
+    pub normalised_square: Option<f64>,
+}
+
+/// What fusion did with a range.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RangeUse {
+    /// It was fused.
+    Fused,
+    /// It failed the gate.
+    Rejected,
+    /// Its robot was distrusted.
+    Distrusted,
+}
+
+impl RangeUse {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Fused, Self::Rejected, Self::Distrusted];
+
+    /// What it is called in recordings.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fused => "fused",
+            Self::Rejected => "rejected",
+            Self::Distrusted => "distrusted",
+        }
+    }
 }
 
 /// The simulator's words of one tick.
@@ -66,6 +107,8 @@ pub struct WorldRecord {
 pub struct RobotRecord {
     /// Where it was, m.
     pub position_m: [f64; 2],
+    /// Height of its sensor above the plane in which the target moves, m.
+    pub height_m: f64,
     /// What the world told its sensor, m, if anything: the true range, or a recorded one.
     pub range_m: Option<f64>,
     /// When it published its range, monotonic ns, if its sensor had one.
@@ -118,11 +161,13 @@ impl Heading {
 
 impl EstimateRecord {
     /// Words before the state: single ones, then those of `refused` and `distrusted`.
-    const TALLIES: usize = 18 + Refusal::ALL.len() + robot_set::WORDS;
+    const TALLIES: usize = Self::SINGLE_WORDS + Refusal::ALL.len() + robot_set::WORDS;
+
+    const SINGLE_WORDS: usize = 21;
 
     /// Words of the part with one robot: what was heard, and the command.
     const WORDS_PER_ROBOT: usize = Self::WORDS_HEARD + 2;
-    const WORDS_HEARD: usize = 5;
+    const WORDS_HEARD: usize = 8;
 
     /// Words before the parts with the robots.
     fn words_of_estimate(state_dim: usize) -> usize {
@@ -172,11 +217,14 @@ impl EstimateRecord {
             e.stages.planned_ns,
             e.stages.saved_ns,
             e.stages.sent_ns,
+            e.nis_all.to_bits(),
+            e.tested,
+            e.noise_scale.to_bits(),
         ];
         let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
         let robots = exchanges.into_iter().flat_map(|Exchange { heard, command }| {
-            let [x, y, range, std, taken] = heard.map_or([0; Self::WORDS_HEARD], Heard::to_words);
-            [x, y, range, std, taken, command.heading_rad.to_bits(), command.speed_mps.to_bits()]
+            let heard = heard.map_or([0; Self::WORDS_HEARD], Heard::to_words);
+            heard.into_iter().chain([command.heading_rad.to_bits(), command.speed_mps.to_bits()])
         });
         tallies.into_iter().chain(e.refused).chain(e.distrusted).chain(numbers).chain(robots)
     }
@@ -199,11 +247,9 @@ impl EstimateRecord {
     /// The parts with all robots, in the order of their ids, in words that [`Self::to_words`] made.
     pub fn exchanges(words: &[u64], state_dim: usize) -> impl Iterator<Item = Exchange> {
         let robots = words.get(Self::words_of_estimate(state_dim)..).unwrap_or_default();
-        robots.as_chunks::<{ Self::WORDS_PER_ROBOT }>().0.iter().map(|[x, y, range, std, taken, heading, speed]| {
-            Exchange {
-                heard: Heard::from_words([*x, *y, *range, *std, *taken]),
-                command: Command { heading_rad: f64::from_bits(*heading), speed_mps: f64::from_bits(*speed) },
-            }
+        robots.as_chunks::<{ Self::WORDS_PER_ROBOT }>().0.iter().map(|[heard @ .., heading, speed]| Exchange {
+            heard: Heard::from_words(*heard),
+            command: Command { heading_rad: f64::from_bits(*heading), speed_mps: f64::from_bits(*speed) },
         })
     }
 
@@ -231,8 +277,11 @@ impl EstimateRecord {
                 saved_ns: word(16),
                 sent_ns: word(17),
             },
-            refused: std::array::from_fn(|i| word(18 + i)),
-            distrusted: std::array::from_fn(|i| word(18 + Refusal::ALL.len() + i)),
+            nis_all: f64::from_bits(word(18)),
+            tested: word(19),
+            noise_scale: f64::from_bits(word(20)),
+            refused: std::array::from_fn(|i| word(Self::SINGLE_WORDS + i)),
+            distrusted: std::array::from_fn(|i| word(Self::SINGLE_WORDS + Refusal::ALL.len() + i)),
             ..Estimate::default()
         };
         for (i, value) in estimate.state.iter_mut().take(state_dim).enumerate() {
@@ -247,21 +296,33 @@ impl EstimateRecord {
 
 impl Heard {
     fn to_words(self) -> [u64; EstimateRecord::WORDS_HEARD] {
-        let Self { position_m: [x_m, y_m], range_m, taken_at } = self;
+        let Self { position_m: [x_m, y_m], height_m, range_m, taken_at, judged } = self;
         // No sensor has a standard deviation of zero.
         let (range_m, std_m) = range_m.unwrap_or_default();
-        [x_m.to_bits(), y_m.to_bits(), range_m.to_bits(), std_m.to_bits(), taken_at + 1]
+        let used = judged.map_or(0, |judged| judged.used as u64 + 1);
+        // A range that nothing predicted has no square.
+        let square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
+        let [x, y, height, range, std, square] = [x_m, y_m, height_m, range_m, std_m, square].map(f64::to_bits);
+        [x, y, height, range, std, taken_at + 1, used, square]
     }
 
-    fn from_words([x, y, range, std, taken]: [u64; EstimateRecord::WORDS_HEARD]) -> Option<Self> {
+    fn from_words([x, y, height, range, std, taken, used, square]: [u64; EstimateRecord::WORDS_HEARD]) -> Option<Self> {
         let range_m = (std != 0).then_some((f64::from_bits(range), f64::from_bits(std)));
         let taken_at = taken.checked_sub(1)?;
-        Some(Self { position_m: [f64::from_bits(x), f64::from_bits(y)], range_m, taken_at })
+        let used = used.checked_sub(1).and_then(|used| RangeUse::ALL.get(usize::try_from(used).ok()?).copied());
+        let normalised_square = Some(f64::from_bits(square)).filter(|square| !square.is_nan());
+        Some(Self {
+            position_m: [f64::from_bits(x), f64::from_bits(y)],
+            height_m: f64::from_bits(height),
+            range_m,
+            taken_at,
+            judged: used.map(|used| Judged { used, normalised_square }),
+        })
     }
 }
 
 impl WorldRecord {
-    const WORDS_PER_ROBOT: usize = 9;
+    const WORDS_PER_ROBOT: usize = 10;
 
     fn words(scenario: &Scenario) -> usize {
         2 + Self::truth_dim(scenario) + Self::WORDS_PER_ROBOT * scenario.robots.len()
@@ -304,8 +365,9 @@ impl WorldRecord {
             let [heading_rad, speed_mps] = drive.map_or([0.0; 2], |drive| [drive.heading_rad, drive.speed_mps]);
             let is_absent = entry.range_kind == RangeKind::Absent.to_bits();
             let range_m = if is_absent { f64::NAN } else { entry.range_m };
-            let [x, y, range, rad, mps] = [entry.x_m, entry.y_m, range_m, heading_rad, speed_mps].map(f64::to_bits);
-            [x, y, range, sent_ns, held_ns, heading, rad, mps, refused]
+            let [x, y, height, range] = [entry.x_m, entry.y_m, entry.height_m, range_m].map(f64::to_bits);
+            let [rad, mps] = [heading_rad, speed_mps].map(f64::to_bits);
+            [x, y, height, range, sent_ns, held_ns, heading, rad, mps, refused]
         });
         [time_s.to_bits(), ended_ns].into_iter().chain(truth.iter().map(|value| value.to_bits())).chain(robots)
     }
@@ -326,8 +388,9 @@ impl WorldRecord {
                 .as_chunks::<{ Self::WORDS_PER_ROBOT }>()
                 .0
                 .iter()
-                .map(|[x, y, range, sent_ns, held_ns, heading, rad, mps, refused]| RobotRecord {
+                .map(|[x, y, height, range, sent_ns, held_ns, heading, rad, mps, refused]| RobotRecord {
                     position_m: [float(x), float(y)],
+                    height_m: float(height),
                     range_m: Some(float(range)).filter(|range_m| !range_m.is_nan()),
                     range_sent_ns: stamp(*sent_ns),
                     heading_held_ns: stamp(*held_ns),
@@ -350,6 +413,9 @@ mod tests {
             state_dim: 2,
             nis: 1.5,
             fused: 3,
+            nis_all: 2.5,
+            tested: 27,
+            noise_scale: 1.75,
             rejected: 4,
             missing: 5,
             late: 6,
@@ -373,12 +439,22 @@ mod tests {
         estimate.state[..2].copy_from_slice(&[0.5, -0.5]);
         estimate.covariance[..4].copy_from_slice(&[4.0, 1.0, 1.0, 2.0]);
         let record = EstimateRecord { time_s: 0.7, estimate };
-        let heard = Heard { position_m: [0.0, 0.0], range_m: None, taken_at: 0 };
-        let late = Heard { position_m: [1.0, -2.0], range_m: Some((-0.5, 1.5)), taken_at: 12 };
+        let heard = Heard { position_m: [0.0, 0.0], height_m: 0.0, range_m: None, taken_at: 0, judged: None };
+        let judged = [(RangeUse::Rejected, Some(20.0)), (RangeUse::Fused, None), (RangeUse::Distrusted, Some(0.5))]
+            .map(|(used, normalised_square)| Some(Judged { used, normalised_square }));
+        let late = Heard {
+            position_m: [1.0, -2.0],
+            range_m: Some((-0.5, 1.5)),
+            taken_at: 12,
+            height_m: 3.5,
+            judged: judged[0],
+        };
+        let [fused, distrusted] = [1, 2].map(|i| Heard { judged: judged[i], ..late });
         let command = Command { heading_rad: -3.0, speed_mps: 4.0 };
-        let exchanges = [None, Some(heard), Some(late)].map(|heard| Exchange { heard, command });
+        let exchanges =
+            [None, Some(heard), Some(late), Some(fused), Some(distrusted)].map(|heard| Exchange { heard, command });
         let words: Vec<u64> = record.to_words(exchanges).collect();
-        assert_eq!(words.len(), EstimateRecord::words_of_estimate(2) + 3 * EstimateRecord::WORDS_PER_ROBOT);
+        assert_eq!(words.len(), EstimateRecord::words_of_estimate(2) + 5 * EstimateRecord::WORDS_PER_ROBOT);
         assert_eq!(EstimateRecord::from_words(&words, 2), record);
         assert!(EstimateRecord::exchanges(&words, 2).eq(exchanges));
     }

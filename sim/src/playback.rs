@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
-use rangehound_shared::recording::{Recording, RecordingError};
+use rangehound_shared::recording::{ReadOptions, Recording, RecordingError};
 use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_sound};
@@ -23,7 +23,8 @@ impl Playback {
     /// # Errors
     /// [`RecordingError`].
     pub fn read(ranges: &Path) -> Result<Self, RecordingError> {
-        Ok(Self::new(Recording::read(ranges)?))
+        let (recording, _) = Recording::read(ranges, &ReadOptions::default())?;
+        Ok(Self::new(recording))
     }
 
     /// Plays a recording from its start.
@@ -69,6 +70,7 @@ impl World for Playback {
                     y_m: reading.position_m[1],
                     range_m: reading.range_m,
                     range_kind: RangeKind::Measured.to_bits(),
+                    ..WorldEntry::default()
                 };
             }
             self.next_instant += 1;
@@ -97,7 +99,7 @@ mod tests {
     #[test]
     fn every_range_is_played_once_at_its_time_and_place() {
         let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n5,1,0,0,3\n6,2,1,1,4\n6,1,0,2,5\n";
-        let recording = Recording::parse(csv.as_bytes(), Path::new("r.csv")).unwrap();
+        let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
         let mut world = Playback::new(recording);
         let heard = |world: &Playback| -> Vec<(f64, f64, f64)> {
             let measured = |entry: &&WorldEntry| entry.range_kind == RangeKind::Measured.to_bits();

@@ -67,6 +67,7 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Sim
 }
 
 struct Sim<'a> {
+    rendezvous: &'a Rendezvous,
     hold: RoleHold,
     scenario: &'a Scenario,
     world: Box<dyn World>,
@@ -104,6 +105,7 @@ impl<'a> Sim<'a> {
             .ok();
         let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim, &hold)?;
         let mut sim = Self {
+            rendezvous,
             hold,
             scenario,
             world: world_of(scenario)?,
@@ -192,7 +194,7 @@ impl<'a> Sim<'a> {
         let mut repeat_at = Instant::now() + REPEAT;
         while !termination.requested() {
             let calls = self.bed.wait(repeat_at.saturating_duration_since(Instant::now()));
-            self.hold.sign();
+            self.sign()?;
             let stood_still = standstill.look();
             first_answer = first_answer.map(|first| first + stood_still);
             self.take_drives()?;
@@ -236,7 +238,7 @@ impl<'a> Sim<'a> {
                 std::thread::sleep(left);
                 Calls::default()
             };
-            self.hold.sign();
+            self.sign()?;
             self.take_drives()?;
             if calls.has(Call::Hello) {
                 // Whoever has just started can still take part in this tick.
@@ -244,6 +246,12 @@ impl<'a> Sim<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Gives a sign of life, and sees that the run is still there.
+    fn sign(&self) -> Result<(), SimError> {
+        self.hold.sign();
+        Ok(self.rendezvous.look_for_removal()?)
     }
 
     fn publish(&mut self) -> Result<(), SimError> {

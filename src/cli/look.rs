@@ -6,7 +6,7 @@ use clap::Args;
 use rangehound_shared::rendezvous::{Role, RunName};
 
 use super::values::{PlannerName, number, port, speed};
-use super::{NodeArgs, RecordLimitArgs, ShowArgs};
+use super::{GateArgs, NodeArgs, RecordLimitArgs, ShowArgs};
 
 /// `watch`.
 #[derive(Debug, Args)]
@@ -61,9 +61,9 @@ pub struct ReplayArgs {
     /// Another planner: what would it have told the robots, where they were?
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
-    /// Another gate, in standard deviations of an innovation
-    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
-    pub gate: Option<f64>,
+    /// Another gate
+    #[command(flatten)]
+    pub gate: GateArgs,
     /// Another spectral density of the target's noise, such as of its acceleration, m^2/s^3
     #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
     pub accel_psd: Option<f64>,
@@ -77,7 +77,7 @@ pub struct ReplayArgs {
     #[arg(long, value_name = "X", requires = "live", value_parser = speed, allow_negative_numbers = true, default_value_t = 1.0)]
     pub speed: f64,
     /// Make a whole file of one that was cut short or damaged, with all ticks up to there
-    #[arg(long, conflicts_with_all = ["planner", "gate", "accel_psd", "live"])]
+    #[arg(long, conflicts_with_all = ["planner", "gate", "distrust", "no_distrust", "accel_psd", "live"])]
     pub repair: bool,
     /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
     #[arg(long, value_name = "FILE", requires = "repair")]

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use rangehound_shared::rendezvous::RunName;
-use rangehound_shared::scenario::PatienceKey;
+use rangehound_shared::scenario::{GateKey, PatienceKey};
 
 use super::ParentArgs;
-use super::values::{PerSensor, PlannerName, megabytes, number, patience, port, standbys, whole};
+use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, port, standbys, whole};
 use crate::pin::Pin;
 use crate::supervisor::restart::Rule;
 
@@ -70,6 +70,9 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
+    /// Exit with 1 if the report's verdict is that the result is not sound
+    #[arg(long)]
+    pub strict: bool,
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
@@ -98,9 +101,9 @@ pub struct TrackArgs {
     /// Scale error S in `measured = (1+S) true + B`; SENSOR=S for one sensor, repeatable
     #[arg(long, value_name = "[SENSOR=]S", allow_hyphen_values = true)]
     pub range_scale: Vec<PerSensor>,
-    /// Reject a range whose innovation is more than this many standard deviations
-    #[arg(long, value_name = "SIGMA", value_parser = number, allow_negative_numbers = true)]
-    pub gate: Option<f64>,
+    /// Which ranges are fused
+    #[command(flatten)]
+    pub gate: GateArgs,
     /// Who is started, and started again
     #[command(flatten)]
     pub supervision: SupervisionArgs,
@@ -122,6 +125,28 @@ pub struct TrackArgs {
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
+}
+
+/// Which ranges are fused: two switches.
+#[derive(Debug, Default, Args)]
+pub struct GateArgs {
+    /// Reject a range whose innovation is more than this many standard deviations, or "none": fuse all
+    #[arg(long, value_name = "SIGMA", value_parser = gate, allow_negative_numbers = true)]
+    pub gate: Option<GateKey>,
+    /// Test but do not fuse the ranges of a sensor that keeps failing while most do not [default: where there is a gate]
+    #[arg(long, overrides_with = "no_distrust")]
+    distrust: bool,
+    /// Fuse every range that passes the gate, whatever its sensor did before
+    #[arg(long, overrides_with = "distrust")]
+    no_distrust: bool,
+}
+
+impl GateArgs {
+    /// Whether sensors are distrusted, if that was said.
+    #[must_use]
+    pub fn distrust(&self) -> Option<bool> {
+        (self.distrust || self.no_distrust).then_some(self.distrust)
+    }
 }
 
 /// `resume`.

@@ -6,7 +6,8 @@ use clap::Arg;
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
 use rangehound_fusion::run::STANDBYS_MAX;
-use rangehound_shared::scenario::{PLANNERS, PatienceKey};
+use rangehound_shared::recording::SensorName;
+use rangehound_shared::scenario::{GateKey, PLANNERS, PatienceKey};
 
 /// What each planner does, in the order of [`PLANNERS`].
 const PLANNERS_DO: [&str; PLANNERS.len()] = [
@@ -38,10 +39,10 @@ impl TypedValueParser for PlannerName {
 }
 
 /// A value for all sensors, or for one: `0.1` or `105=0.1`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct PerSensor {
     /// The sensor, if not all.
-    pub sensor: Option<u64>,
+    pub sensor: Option<SensorName>,
     /// The value.
     pub value: f64,
 }
@@ -51,7 +52,7 @@ impl std::str::FromStr for PerSensor {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let expected = || "expected a number or SENSOR=NUMBER".to_owned();
-        let (sensor, value) = match text.split_once('=') {
+        let (sensor, value) = match text.rsplit_once('=') {
             Some((sensor, value)) => (Some(sensor.parse().map_err(|_| expected())?), value),
             None => (None, text),
         };
@@ -74,6 +75,10 @@ pub(super) fn standbys(text: &str) -> Result<usize, String> {
 
 pub(super) fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "expected a number".to_owned())
+}
+
+pub(super) fn gate(text: &str) -> Result<GateKey, String> {
+    text.parse()
 }
 
 pub(super) fn megabytes(text: &str) -> Result<u64, String> {

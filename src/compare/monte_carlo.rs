@@ -6,6 +6,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use anyhow::Context;
 use nalgebra::Vector2;
 use rangehound_fusion::planner::certified::Certified;
 use rangehound_fusion::planner::{Plan, Planner};
@@ -95,9 +96,9 @@ impl Trials {
         let mut indexed = std::thread::scope(|scope| {
             let start = |_| std::thread::Builder::new().spawn_scoped(scope, || self.work(&next, &done));
             let workers: std::io::Result<Vec<_>> = (0..self.threads).map(start).collect();
-            let Ok(workers) = workers.inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed)) else {
-                anyhow::bail!("the system refuses {} threads", self.threads);
-            };
+            let workers = workers
+                .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))
+                .with_context(|| format!("the system refuses {} threads", self.threads))?;
             while workers.iter().any(|worker| !worker.is_finished()) {
                 on_progress(done.load(Ordering::Relaxed));
                 std::thread::sleep(LOOK);
@@ -106,7 +107,7 @@ impl Trials {
             for worker in workers {
                 indexed.extend(worker.join().map_err(|_| anyhow::anyhow!("a thread broke off"))??);
             }
-            Ok(indexed)
+            Ok::<_, anyhow::Error>(indexed)
         })?;
         indexed.sort_unstable_by_key(|(index, _)| *index);
         let mut trials: Vec<Vec<Trial>> = self.planners.iter().map(|_| Vec::new()).collect();

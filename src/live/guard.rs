@@ -79,6 +79,15 @@ pub(super) fn is_from_here(headers: &HeaderMap, port: u16) -> bool {
         && origin.is_none_or(|origin| is_ours(origin, "http://"))
 }
 
+/// What to do for whom [`is_from_here`] refuses: most come through a tunnel from another port.
+pub(super) fn where_from_here(port: u16) -> String {
+    format!(
+        "This page is for this machine only, at http://127.0.0.1:{port}/ or http://localhost:{port}/. Through a tunnel, take the \
+         same port at both ends: ssh -L {port}:127.0.0.1:{port} HOST. Where that port is taken, start with --live=PORT (rangehound \
+         live: --port PORT) for another.\n"
+    )
+}
+
 /// Puts the headers of every answer.
 pub(super) fn protect(headers: &mut HeaderMap) {
     for (name, value) in ANSWER_HEADERS {

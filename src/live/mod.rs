@@ -49,7 +49,7 @@ const LOOK: Duration = Duration::from_millis(50);
 const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
 
 /// In the run's own folder: so that a page that is started again is found where it was.
-const ADDRESS_FILE: &str = "live";
+pub(crate) const ADDRESS_FILE: &str = "live";
 
 /// `rangehound live`.
 ///

@@ -15,7 +15,7 @@ use hyper::{Method, Request, Response, StatusCode};
 
 use super::act::{Action, Refused};
 use super::assets;
-use super::guard::{TOKEN_HEADER, is_from_here, protect};
+use super::guard::{self, TOKEN_HEADER, is_from_here, protect};
 use super::shared::Shared;
 use super::stream::{self, Body, Life};
 
@@ -30,7 +30,7 @@ pub(super) fn answer(request: &Request<Incoming>, shared: &Arc<Shared>, life: &A
 
 fn route(request: &Request<Incoming>, shared: &Arc<Shared>, life: &Arc<Life>) -> Response<Body> {
     if !is_from_here(request.headers(), shared.port) {
-        return say(StatusCode::FORBIDDEN, "This page is for this machine only.");
+        return say(StatusCode::FORBIDDEN, guard::where_from_here(shared.port));
     }
     let path = request.uri().path();
     let mut parts = path.split('/').skip(1);

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use crate::curves::Curves;
 use crate::report::Report;
+use crate::report::verdict::Verdict;
 use crate::whole_file;
 
 /// Width of all pictures, px: labels can be read on a phone.
@@ -47,8 +48,10 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}: report of a run</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n<dl>\n"
+         <title>{title}: report of a run</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n"
     );
+    write_verdict(&mut html, &report.verdict)?;
+    html.push_str("<dl>\n");
     for (name, value) in key_figures(report) {
         writeln!(html, "<div><dt>{name}</dt><dd>{}</dd></div>", escaped(&value))?;
     }
@@ -67,6 +70,19 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
     Ok(html)
 }
 
+/// Whether the result can be believed, before all figures.
+fn write_verdict(html: &mut String, verdict: &Verdict) -> std::fmt::Result {
+    let Verdict { sound, summary, reasons, notes } = verdict;
+    let (class, word) = if *sound { ("sound", "Sound") } else { ("unsound", "Not sound") };
+    write!(html, "<div class=\"verdict {class}\"><strong>{word}</strong><span>{}</span>", escaped(summary))?;
+    for (label, text) in
+        reasons.iter().map(|reason| ("likely reason", reason)).chain(notes.iter().map(|note| ("note", note)))
+    {
+        write!(html, "<p>{label}: {}</p>", escaped(text))?;
+    }
+    html.write_str("</div>\n")
+}
+
 /// What the run was and what it came to.
 fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     let Report { position_trace_m2: trace, latency_us: latency, .. } = report;
@@ -80,7 +96,9 @@ fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     let position_error = report.position_rmse_m.map(|rmse_m| ("position error, RMS", format!("{rmse_m:.3} m")));
     let anees = report.anees.map(|anees| ("ANEES, 1 is ideal", format!("{anees:.2}")));
     let nis = report.nis_mean.map(|nis| ("NIS, 1 is ideal", format!("{nis:.2}")));
-    figures.extend([position_error, anees, nis].into_iter().flatten());
+    let nis_all = report.nis_all_mean.filter(|_| report.ranges.rejected > 0);
+    let nis_all = nis_all.map(|nis| ("NIS with the rejected ranges", format!("{nis:.2}")));
+    figures.extend([position_error, anees, nis, nis_all].into_iter().flatten());
     figures.push(("position trace, end", format!("{:.3} m²", trace.r#final)));
     figures.push(("position trace, median", format!("{:.3} m²", trace.median)));
     if latency.count > 0 {
@@ -110,14 +128,14 @@ mod tests {
     use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
     use super::*;
-    use crate::report::Tally;
+    use crate::report::{Background, Tally};
 
     #[test]
     fn names_are_text_whatever_they_hold() {
         assert_eq!(escaped("<a href='x'>\"&\""), "&lt;a href=&#39;x&#39;&gt;&quot;&amp;&quot;");
         let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
         scenario.name = "<script>".to_owned();
-        let report = Tally::new().unwrap().report(&scenario, Vec::new());
+        let report = Tally::new().unwrap().report(&scenario, Background::default(), Vec::new());
         let html = page(&report, &Curves::default()).unwrap();
         assert!(html.contains("<h1>&lt;script&gt;</h1>") && !html.contains("<script>"), "{html}");
     }
@@ -125,7 +143,9 @@ mod tests {
     #[test]
     fn a_run_without_ticks_has_a_page_without_pictures() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
-        let html = page(&Tally::new().unwrap().report(&scenario, Vec::new()), &Curves::default()).unwrap();
+        let html =
+            page(&Tally::new().unwrap().report(&scenario, Background::default(), Vec::new()), &Curves::default())
+                .unwrap();
         assert!(html.contains("<dt>robots</dt>") && !html.contains("<svg"), "{html}");
     }
 }

@@ -9,7 +9,7 @@ use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
 use crate::frame::Frame;
-use crate::report::{Report, Tally};
+use crate::report::{Background, Report, Tally};
 
 /// Characters of a setting: a space is left between the columns.
 const SETTING_LEN_MAX: usize = 11;
@@ -86,11 +86,14 @@ pub(super) struct Comparison {
 pub(super) struct Figures {
     pub(super) planner: String,
     pub(super) gate_sigma: Option<f64>,
+    pub(super) distrust: bool,
     /// As in the scenario; none of a model that is matrices.
     pub(super) noise_psd: Option<f64>,
     pub(super) position_rmse_m: Option<f64>,
     pub(super) anees: Option<f64>,
     pub(super) nis_mean: Option<f64>,
+    pub(super) nis_all_mean: Option<f64>,
+    pub(super) gate_widened: u64,
     pub(super) position_trace_final_m2: f64,
     pub(super) position_trace_median_m2: f64,
     pub(super) fused: u64,
@@ -138,7 +141,7 @@ impl Differences {
             heading_apart_max_rad: self.headings_apart.max,
             position_apart_mean_m: self.positions_apart.mean.value(),
             position_apart_max_m: self.positions_apart.max,
-            psd_unit: match recorded.motion {
+            psd_unit: match recorded.filter_motion {
                 MotionModel::IntegratorChain { order: 1, .. } => "m^2/s",
                 MotionModel::IntegratorChain { order: 3, .. } => "m^2/s^5",
                 MotionModel::IntegratorChain { .. } | MotionModel::Custom { .. } => "m^2/s^3",
@@ -150,18 +153,30 @@ impl Differences {
 impl Side {
     fn figures(self, scenario: &Scenario) -> Figures {
         let (objective_mean, lower_bound_mean) = (self.objective.value(), self.bound.value());
-        let Report { planner, position_rmse_m, anees, nis_mean, position_trace_m2, ranges, .. } =
-            self.tally.report(scenario, Vec::new());
+        let Report {
+            planner,
+            position_rmse_m,
+            anees,
+            nis_mean,
+            nis_all_mean,
+            gate_widened,
+            position_trace_m2,
+            ranges,
+            ..
+        } = self.tally.report(scenario, Background::default(), Vec::new());
         Figures {
             planner,
             gate_sigma: scenario.gate_sigma,
-            noise_psd: match scenario.motion {
+            distrust: scenario.distrust,
+            noise_psd: match scenario.filter_motion {
                 MotionModel::IntegratorChain { noise_psd, .. } => Some(noise_psd),
                 MotionModel::Custom { .. } => None,
             },
             position_rmse_m,
             anees,
             nis_mean,
+            nis_all_mean,
+            gate_widened,
             position_trace_final_m2: position_trace_m2.r#final,
             position_trace_median_m2: position_trace_m2.median,
             fused: ranges.fused,
@@ -181,10 +196,12 @@ impl std::fmt::Display for Comparison {
             // What may have been changed comes first.
             ("planner", was.planner.clone(), would_be.planner.clone()),
             ("gate, sigma", setting(was.gate_sigma), setting(would_be.gate_sigma)),
+            ("distrust", on_or_off(was.distrust), on_or_off(would_be.distrust)),
             (&noise, setting(was.noise_psd), setting(would_be.noise_psd)),
             ("position error, m RMS", number(was.position_rmse_m), number(would_be.position_rmse_m)),
             ("ANEES", number(was.anees), number(would_be.anees)),
             ("NIS", number(was.nis_mean), number(would_be.nis_mean)),
+            ("NIS, all ranges", number(was.nis_all_mean), number(would_be.nis_all_mean)),
             (
                 "trace at the end, m^2",
                 number(Some(was.position_trace_final_m2)),
@@ -216,6 +233,10 @@ impl std::fmt::Display for Comparison {
         }
         Ok(())
     }
+}
+
+fn on_or_off(switch: bool) -> String {
+    if switch { "on" } else { "off" }.to_owned()
 }
 
 /// A number as somebody has written it, as far as there is room.

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use rangehound_shared::digest::Digest;
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, Source, bounds};
+use rangehound_shared::scenario::{GateKey, PlannerSpec, PlannerTable, Scenario, Source, bounds};
 use serde::Serialize;
 
 use crate::cli::ReplayArgs;
@@ -134,14 +134,19 @@ fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> 
             scenario.planner = spec;
         }
     }
-    if let Some(sigma) = args.gate {
-        if !bounds::GATE_SIGMA.contains(&sigma) {
-            return Err(Failure::input(format!("--gate: expected a number from 1 to 1e6, got {sigma}")));
-        }
-        scenario.gate_sigma = Some(sigma);
+    if let Some(gate) = &args.gate.gate {
+        scenario.gate_sigma = match gate {
+            GateKey::Sigma(sigma) if bounds::GATE_SIGMA.contains(sigma) => Some(*sigma),
+            GateKey::Sigma(sigma) => {
+                return Err(Failure::input(format!("--gate: expected a number from 1 to 1e6 or none, got {sigma}")));
+            }
+            GateKey::Word(_) => None,
+        };
+        scenario.distrust = scenario.gate_sigma.is_some();
     }
+    scenario.distrust = args.gate.distrust().unwrap_or(scenario.distrust);
     if let Some(psd) = args.accel_psd {
-        let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.motion else {
+        let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
             return Err(Failure::input("--accel-psd: expected a target model with a spectral density, got matrices"));
         };
         if !bounds::NOISE_PSD.contains(&psd) {

@@ -4,28 +4,34 @@
 //! |---|---|
 //! | `summary` | the figures: the keys of `report.json` |
 //! | `tally` | adding them up tick by tick |
+//! | `consistency` | how far NIS and ANEES may be from 1 by chance |
+//! | `verdict` | whether the result can be believed, and why not |
 //! | `truth` | a true track to compare with |
 //! | `print` | the report on the terminal |
 
+pub mod consistency;
 mod print;
 mod summary;
 mod tally;
 mod truth;
+pub mod verdict;
 
 use std::path::Path;
 
 use nalgebra::Vector2;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::{Scenario, Source};
 use rangehound_shared::tick_log::TickLogError;
 
 use crate::whole_file;
+use verdict::{RecordingEvidence, TruthEvidence};
 
 pub use summary::{
-    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
+    SensorSummary, TraceSummary,
 };
-pub use tally::{Tally, position_covariance, position_error};
+pub use tally::{Background, Tally, position_covariance, position_error};
 pub use truth::Truth;
 
 /// File name of the report in a run folder.
@@ -45,21 +51,55 @@ pub fn from_logs(
     let mut worlds = Worlds::open(description)?;
     let mut estimates = EstimateRecord::reader(out_dir, *run_id, scenario)?;
     let state_dim = scenario.motion.state_dim();
+    let mut overlap = truth.map(Overlap::of);
     while let Some(record) = estimates.next() {
         let (tick, words) = record?;
         let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
         let world = worlds.at(tick, &mut tally)?;
         let robots = world.map_or(&[][..], |world| &world.robots);
         tally.add_untold(EstimateRecord::exchanges(words, state_dim), robots);
+        tally.add_sensors(EstimateRecord::exchanges(words, state_dim));
         if let Some(world) = world {
             tally.add_hops(&estimate.stages, &world.robots);
         }
         let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
         let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(time_s)));
+        if let Some(overlap) = overlap.as_mut().filter(|_| tick > 0) {
+            overlap.add(time_s, truth_m.is_some());
+        }
         tally.add_estimate(tick, &estimate, truth_m);
     }
     worlds.at(u64::MAX, &mut tally)?;
-    Ok(tally.report(scenario, nodes))
+    let recording = matches!(scenario.source, Source::Recorded { .. }).then(RecordingEvidence::default);
+    let background = Background { truth: overlap.map(Overlap::evidence), recording };
+    Ok(tally.report(scenario, background, nodes))
+}
+
+/// How a true track overlaps a run.
+struct Overlap {
+    evidence: TruthEvidence,
+    ticks: u64,
+    covered: u64,
+}
+
+impl Overlap {
+    fn of(truth: &Truth) -> Self {
+        Self { evidence: TruthEvidence { span_s: truth.span_s(), ..TruthEvidence::default() }, ticks: 0, covered: 0 }
+    }
+
+    fn add(&mut self, time_s: f64, is_covered: bool) {
+        let [first_s, last_s] = &mut self.evidence.run_span_s;
+        if self.ticks == 0 {
+            *first_s = time_s;
+        }
+        *last_s = time_s;
+        self.ticks += 1;
+        self.covered += u64::from(is_covered);
+    }
+
+    fn evidence(self) -> TruthEvidence {
+        TruthEvidence { covered_share: self.covered as f64 / self.ticks.max(1) as f64, ..self.evidence }
+    }
 }
 
 /// Walks through the simulator's log beside fusion's.

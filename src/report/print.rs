@@ -1,10 +1,14 @@
 //! The report as it is printed.
 
 use super::{
-    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
+    TraceSummary,
 };
 use crate::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
+
+/// Share of a sensor's ranges that were not fused above which it is told.
+const DOUBTFUL_SHARE: f64 = 0.1;
 
 /// Times of distrust that are told one by one in print; the file has all.
 const DISTRUST_LINES_MAX: usize = 5;
@@ -20,12 +24,19 @@ impl std::fmt::Display for Report {
             writeln!(f, "{}", field("position error", format_args!("{rmse_m:.3} m RMS")))?;
         }
         let ratio = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{value:.2}"));
-        let consistency = format!("ANEES {}, NIS {}; 1 is ideal", ratio(self.anees), ratio(self.nis_mean));
+        // Of all ranges too, where not all were fused.
+        let all = if self.ranges.rejected > 0 {
+            format!(" ({} with the rejected)", ratio(self.nis_all_mean))
+        } else {
+            String::new()
+        };
+        let consistency = format!("ANEES {}, NIS {}{all}; 1 is ideal", ratio(self.anees), ratio(self.nis_mean));
         writeln!(f, "{}", field("consistency", consistency))?;
         let TraceSummary { r#final: end, median } = self.position_trace_m2;
         writeln!(f, "{}", field("position trace", format_args!("{end:.3} m^2 at the end, {median:.3} median")))?;
         writeln!(f, "{}\n{}", field("ranges", ranges), field("headings", headings))?;
         self.fmt_doubtful_messages(f)?;
+        self.fmt_doubtful_sensors(f)?;
         if latency_us.count > 0 {
             let LatencySummary { p50, p90, p99, p99_9, max, .. } = latency_us;
             let waits = format!("{p50:.0} us p50, {p90:.0} p90, {p99:.0} p99, {p99_9:.0} p99.9, {max:.0} max");
@@ -40,7 +51,8 @@ impl std::fmt::Display for Report {
             let fate = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
             writeln!(f, "{}", field_in(DOUBTFUL, name, fate))?;
         }
-        write!(f, "{}", field("digest", &self.digest))
+        writeln!(f, "{}", field("digest", &self.digest))?;
+        write!(f, "{}", self.verdict)
     }
 }
 
@@ -58,7 +70,29 @@ impl std::fmt::Display for HeadingSummary {
     }
 }
 
+/// Sensors that are told one by one in print; the file has all.
+const SENSOR_LINES_MAX: usize = 5;
+
 impl Report {
+    /// The sensors of which most was not fused, if there are any, and whether the gate was widened.
+    fn fmt_doubtful_sensors(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let lost = |sensor: &SensorSummary| sensor.rejected + sensor.distrusted;
+        let mut doubtful: Vec<&SensorSummary> =
+            self.sensors.iter().filter(|sensor| lost(sensor) as f64 > DOUBTFUL_SHARE * sensor.ranges as f64).collect();
+        let share = |count: u64, of: u64| 100.0 * count as f64 / of as f64;
+        doubtful.sort_by(|a, b| share(lost(b), b.ranges).total_cmp(&share(lost(a), a.ranges)));
+        for SensorSummary { name, ranges, rejected, distrusted, .. } in doubtful.into_iter().take(SENSOR_LINES_MAX) {
+            let (rejected, distrusted) = (share(*rejected, *ranges), share(*distrusted, *ranges));
+            let lost = format!("{rejected:.0} % of {ranges} ranges rejected, {distrusted:.0} % distrusted");
+            writeln!(f, "{}", field_in(DOUBTFUL, "sensor", format_args!("{name}: {lost}")))?;
+        }
+        if self.gate_widened > 0 {
+            let times = format!("at {} ticks: most sensors failed it together", self.gate_widened);
+            writeln!(f, "{}", field_in(DOUBTFUL, "gate widened", times))?;
+        }
+        Ok(())
+    }
+
     /// What was refused and who was distrusted, if anything was.
     fn fmt_doubtful_messages(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { refused, distrusted, .. } = self;

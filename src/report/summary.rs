@@ -5,6 +5,7 @@ use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{Heading, RobotRecord};
 use serde::Serialize;
 
+use super::verdict::Verdict;
 use crate::hops::HopSummary;
 use crate::percentiles::Point;
 
@@ -37,10 +38,16 @@ pub struct Report {
     /// Innovation squared over its covariance, averaged over the ticks, per range: 1 for a consistent
     /// filter; null if no range was fused.
     pub nis_mean: Option<f64>,
+    /// The same over all ranges, whether they were fused or not: far above 1 where good ranges are thrown away.
+    pub nis_all_mean: Option<f64>,
+    /// Ticks after which ranges were taken to be noisier than told, because most sensors failed together.
+    pub gate_widened: u64,
     /// Trace of the position covariance.
     pub position_trace_m2: TraceSummary,
     /// What became of the ranges.
     pub ranges: RangeSummary,
+    /// What became of each sensor's, in the order of the robots' ids.
+    pub sensors: Vec<SensorSummary>,
     /// Range messages that fusion refused, by cause.
     pub refused: RefusalSummary,
     /// When robots were distrusted.
@@ -56,6 +63,8 @@ pub struct Report {
     pub hops_us: HopSummary,
     /// The processes.
     pub nodes: Vec<NodeSummary>,
+    /// Whether the result can be believed.
+    pub verdict: Verdict,
 }
 
 /// Trace of the position covariance, m^2.
@@ -83,6 +92,24 @@ pub struct RangeSummary {
     pub fused_late: u64,
     /// Robots not heard, or too late, summed over the ticks.
     pub missing: u64,
+}
+
+/// What became of one sensor's ranges, in time or late: fused, rejected and distrusted add up to all.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct SensorSummary {
+    /// The sensor's name in the recording, or its robot's id.
+    pub name: String,
+    /// Ranges that fusion heard and judged.
+    pub ranges: u64,
+    /// Fused.
+    pub fused: u64,
+    /// Failed the gate.
+    pub rejected: u64,
+    /// Not fused because the robot was distrusted, whether or not they passed the gate.
+    pub distrusted: u64,
+    /// Each range's own innovation squared over its variance, averaged over all that anything predicted: 1 for a sensor
+    /// that is as it is said to be.
+    pub nis_mean: Option<f64>,
 }
 
 /// Messages that fusion refused, by [`Refusal`].

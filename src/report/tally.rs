@@ -5,15 +5,21 @@ use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Estimate, Stages};
-use rangehound_shared::record::{Exchange, RobotRecord};
+use rangehound_shared::record::{Exchange, RangeUse, RobotRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
+use super::consistency::{Consistency, ConsistencySummary};
+use super::verdict::{Evidence, RecordingEvidence, SensorEvidence, TruthEvidence, Verdict};
 use super::{
-    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, TraceSummary,
+    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
+    TraceSummary,
 };
 use crate::hops::Hops;
 use crate::percentiles;
+
+/// Most that one range counts in the NIS by which a result is judged: the square of a usual gate.
+const SQUARE_CAP: f64 = 16.0;
 
 /// Adds up a run tick by tick.
 #[derive(Debug)]
@@ -21,8 +27,11 @@ pub struct Tally {
     ticks: u64,
     digest: Digest,
     squared_error_m2: Mean,
-    nees: Mean,
-    nis: Mean,
+    nees: Consistency,
+    nis: Consistency,
+    nis_all: Consistency,
+    gate_widened: u64,
+    sensors: Vec<Sensor>,
     traces_m2: Vec<f64>,
     ranges: RangeSummary,
     refused: RefusalSummary,
@@ -30,8 +39,18 @@ pub struct Tally {
     headings: HeadingSummary,
     latency_ns: Histogram<u64>,
     hops: Hops,
+    /// All ranges, mm.
+    ranges_mm: Histogram<u64>,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
+}
+
+/// One sensor's ranges.
+#[derive(Debug, Default)]
+struct Sensor {
+    counts: [u64; RangeUse::ALL.len()],
+    nis: Mean,
+    nis_capped: Mean,
 }
 
 #[derive(Debug, Default)]
@@ -51,6 +70,14 @@ impl Mean {
     }
 }
 
+impl Sensor {
+    fn summary(&self, name: &str) -> SensorSummary {
+        let [fused, rejected, distrusted] = self.counts;
+        let ranges = fused + rejected + distrusted;
+        SensorSummary { name: name.to_owned(), ranges, fused, rejected, distrusted, nis_mean: self.nis.value() }
+    }
+}
+
 impl Tally {
     /// Nothing yet.
     ///
@@ -61,8 +88,11 @@ impl Tally {
             ticks: 0,
             digest: Digest::default(),
             squared_error_m2: Mean::default(),
-            nees: Mean::default(),
-            nis: Mean::default(),
+            nees: Consistency::default(),
+            nis: Consistency::default(),
+            nis_all: Consistency::default(),
+            gate_widened: 0,
+            sensors: Vec::new(),
             traces_m2: Vec::new(),
             ranges: RangeSummary::default(),
             refused: RefusalSummary::default(),
@@ -71,6 +101,7 @@ impl Tally {
             // Grows with the largest value; 3 digits are what the report shows.
             latency_ns: Histogram::new(3)?,
             hops: Hops::new()?,
+            ranges_mm: Histogram::new(3)?,
             first_end_ns: None,
             last_end_ns: 0,
         })
@@ -82,10 +113,9 @@ impl Tally {
         self.ranges.add(estimate);
         self.refused.add(estimate);
         self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));
-        if estimate.fused > 0 {
-            self.nis.sum += estimate.nis;
-            self.nis.count += estimate.fused as f64;
-        }
+        self.nis.add(estimate.nis, estimate.fused);
+        self.nis_all.add(estimate.nis_all, estimate.tested);
+        self.gate_widened += u64::from(estimate.noise_scale > 1.0);
         if tick == 0 {
             return;
         }
@@ -96,7 +126,7 @@ impl Tally {
             let (squared_error_m2, nees) = position_error(estimate, truth_m);
             self.squared_error_m2.add(squared_error_m2);
             if let Some(nees) = nees {
-                self.nees.add(nees / 2.0);
+                self.nees.add(nees, 2);
             }
         }
     }
@@ -140,6 +170,26 @@ impl Tally {
         }
     }
 
+    /// Adds what became of a tick's ranges, sensor by sensor.
+    pub fn add_sensors(&mut self, exchanges: impl IntoIterator<Item = Exchange>) {
+        for (robot, exchange) in exchanges.into_iter().enumerate() {
+            if self.sensors.len() <= robot {
+                self.sensors.push(Sensor::default());
+            }
+            let Some(heard) = exchange.heard else { continue };
+            if let Some((range_m, _)) = heard.range_m {
+                let _ = self.ranges_mm.record((range_m * 1e3) as u64);
+            }
+            let Some(judged) = heard.judged else { continue };
+            let sensor = &mut self.sensors[robot];
+            sensor.counts[judged.used as usize] += 1;
+            if let Some(square) = judged.normalised_square {
+                sensor.nis.add(square);
+                sensor.nis_capped.add(square.min(SQUARE_CAP));
+            }
+        }
+    }
+
     /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
     pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
         for robot in robots {
@@ -147,9 +197,51 @@ impl Tally {
         }
     }
 
+    /// What a verdict weighs.
+    fn evidence(&self, scenario: &Scenario, background: Background) -> Evidence {
+        let sensors: Vec<SensorEvidence> = scenario
+            .robots
+            .iter()
+            .zip(&self.sensors)
+            .map(|(robot, sensor)| SensorEvidence {
+                name: robot.label.clone(),
+                ranges: sensor.counts.iter().sum(),
+                fused: sensor.counts[RangeUse::Fused as usize],
+            })
+            .collect();
+        // A faulty sensor says nothing about the others' result.
+        let of_others = |nis: fn(&Sensor) -> &Mean| {
+            let others = sensors.iter().zip(&self.sensors).filter(|(evidence, _)| !evidence.is_faulty());
+            let (sum, count) = others
+                .map(|(_, sensor)| nis(sensor))
+                .fold((0.0, 0.0), |(sum, count), mean| (sum + mean.sum, count + mean.count));
+            let dof_each = count / self.ticks.max(1) as f64;
+            let all = self.nis_all.summary().filter(|_| count > 0.0);
+            all.map(|all| ConsistencySummary::new(sum / count, all.independent_samples, dof_each))
+        };
+        let (nis_all, nis_capped) = (of_others(|sensor| &sensor.nis), of_others(|sensor| &sensor.nis_capped));
+        let mut traces_m2 = self.traces_m2[self.traces_m2.len() / 2..].to_vec();
+        let mut stds_m: Vec<f64> = scenario.robots.iter().map(|robot| robot.range_std_m).collect();
+        let Background { truth, recording } = background;
+        Evidence {
+            sensors,
+            nis: self.nis.summary(),
+            nis_all,
+            nis_capped,
+            anees: self.nees.summary(),
+            truth,
+            position_std_m: median(&mut traces_m2).max(0.0).sqrt(),
+            median_range_m: self.ranges_mm.value_at_quantile(0.5) as f64 / 1e3,
+            widened_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
+            range_std_m: median(&mut stds_m),
+            recording,
+        }
+    }
+
     /// The report.
     #[must_use]
-    pub fn report(mut self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
+    pub fn report(mut self, scenario: &Scenario, background: Background, nodes: Vec<NodeSummary>) -> Report {
+        let verdict = Verdict::of(&self.evidence(scenario, background));
         let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
         let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
         self.traces_m2.sort_unstable_by(f64::total_cmp);
@@ -164,13 +256,21 @@ impl Tally {
             ticks_per_s: if wall_s > 0.0 { self.ticks as f64 / wall_s } else { 0.0 },
             digest: self.digest.to_string(),
             position_rmse_m: self.squared_error_m2.value().map(f64::sqrt),
-            anees: self.nees.value(),
-            nis_mean: self.nis.value(),
+            anees: self.nees.mean(),
+            nis_mean: self.nis.mean(),
+            nis_all_mean: self.nis_all.mean(),
+            gate_widened: self.gate_widened,
             position_trace_m2: TraceSummary {
                 r#final: last_trace_m2,
                 median: self.traces_m2.get(self.traces_m2.len() / 2).copied().unwrap_or(0.0),
             },
             ranges: self.ranges,
+            sensors: scenario
+                .robots
+                .iter()
+                .zip(self.sensors)
+                .map(|(robot, sensor)| sensor.summary(&robot.label))
+                .collect(),
             refused: self.refused,
             distrusted: self.distrusted,
             headings: self.headings,
@@ -178,8 +278,24 @@ impl Tally {
             percentiles: percentiles::curve(&self.latency_ns),
             hops_us: self.hops.summary(),
             nodes,
+            verdict,
         }
     }
+}
+
+/// What is known of a run from elsewhere than its logs.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Background {
+    /// The true track that the user gave.
+    pub truth: Option<TruthEvidence>,
+    /// The recording.
+    pub recording: Option<RecordingEvidence>,
+}
+
+/// The median; 0 of nothing.
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// The 2 x 2 block of the position.
@@ -202,7 +318,7 @@ pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Optio
 #[cfg(test)]
 mod tests {
     use rangehound_shared::message::Command;
-    use rangehound_shared::record::Heard;
+    use rangehound_shared::record::{Heard, Judged};
 
     use super::*;
 
@@ -221,7 +337,7 @@ mod tests {
     #[test]
     fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
         let exchange = |range_m| Exchange {
-            heard: Some(Heard { position_m: [0.0; 2], range_m, taken_at: 1 }),
+            heard: Some(Heard { position_m: [0.0; 2], height_m: 0.0, range_m, taken_at: 1, judged: None }),
             command: Command::default(),
         };
         let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
@@ -234,6 +350,49 @@ mod tests {
         // The tick under way when a run is ended: the simulator has not put it down.
         tally.add_untold(heard, &[]);
         assert_eq!(tally.ranges.published, 5);
+    }
+
+    #[test]
+    fn each_sensor_is_told_what_became_of_its_ranges() {
+        let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
+            heard: Some(Heard {
+                position_m: [0.0; 2],
+                height_m: 0.0,
+                range_m: judged.map(|_| (1.0, 1.0)),
+                taken_at: 1,
+                judged: judged.map(|(used, normalised_square)| Judged { used, normalised_square }),
+            }),
+            command: Command::default(),
+        };
+        let mut tally = Tally::new().unwrap();
+        let (fused, rejected, distrusted) = (RangeUse::Fused, RangeUse::Rejected, RangeUse::Distrusted);
+        tally.add_sensors([exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
+        tally.add_sensors([
+            exchange(Some((fused, Some(0.5)))),
+            Exchange::default(),
+            exchange(Some((rejected, Some(20.0)))),
+        ]);
+        let told: Vec<SensorSummary> = tally.sensors.iter().map(|sensor| sensor.summary("a")).collect();
+        let expected = [(2, 2, 0, 0, Some(0.5)), (0, 0, 0, 0, None), (2, 0, 1, 1, Some(12.5))];
+        for (told, (ranges, fused, rejected, distrusted, nis_mean)) in told.into_iter().zip(expected) {
+            assert_eq!(told, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
+        }
+    }
+
+    #[test]
+    fn the_nis_of_all_ranges_is_beside_that_of_the_fused_ones() {
+        let mut tally = Tally::new().unwrap();
+        tally.add_estimate(
+            1,
+            &Estimate { nis: 1.5, fused: 2, nis_all: 30.0, tested: 4, rejected: 2, ..Estimate::default() },
+            None,
+        );
+        tally.add_estimate(
+            2,
+            &Estimate { nis_all: 20.0, tested: 1, noise_scale: 2.0, rejected: 1, ..Estimate::default() },
+            None,
+        );
+        assert_eq!((tally.nis.mean(), tally.nis_all.mean(), tally.gate_widened), (Some(0.75), Some(10.0), 1));
     }
 
     #[test]

@@ -13,6 +13,12 @@ impl Truth {
         Self(points)
     }
 
+    /// First and last time, s.
+    #[must_use]
+    pub fn span_s(&self) -> [f64; 2] {
+        [self.0.first(), self.0.last()].map(|point| point.map_or(0.0, |(time_s, _)| *time_s))
+    }
+
     /// Position at a time, by linear interpolation; `None` outside the track.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Option<Vector2<f64>> {

@@ -34,6 +34,9 @@ pub struct Place {
     /// What its sensor is told: the true range, or a recorded one.
     #[prost(double, optional, tag = "3")]
     pub range_m: Option<f64>,
+    /// Height of its sensor above the plane in which the target moves.
+    #[prost(double, tag = "4")]
+    pub height_m: f64,
 }
 
 /// Topic `/range`: a robot's word to fusion.
@@ -66,6 +69,15 @@ pub struct Range {
     /// When it was published, as far as the simulator was told.
     #[prost(uint64, optional, tag = "9")]
     pub sent_ns: Option<u64>,
+    /// Height of the sensor above the plane in which the target moves: the range is the slant one.
+    #[prost(double, tag = "10")]
+    pub height_m: f64,
+    /// What fusion did with it: `fused`, `rejected` by the gate, or not fused as its robot is `distrusted`.
+    #[prost(string, optional, tag = "11")]
+    pub used: Option<String>,
+    /// Its own innovation squared over its variance, of one degree of freedom, if anything predicted it.
+    #[prost(double, optional, tag = "12")]
+    pub normalised_square: Option<f64>,
 }
 
 /// Topic `/heading`: fusion's word to all robots.
@@ -182,6 +194,16 @@ pub struct Estimate {
     /// Rolling hash over all estimates up to this one: after the last, the report's.
     #[prost(string, tag = "17")]
     pub digest: String,
+    /// Normalised innovation squared of all ranges of the tick, fused or not, of `tested` degrees of freedom.
+    #[prost(double, tag = "18")]
+    pub nis_all: f64,
+    /// Ranges in it.
+    #[prost(uint64, tag = "19")]
+    pub tested: u64,
+    /// How many times larger than told ranges' standard deviations are taken from the next on: more than 1 while most
+    /// sensors fail together.
+    #[prost(double, tag = "20")]
+    pub noise_scale: f64,
 }
 
 /// Messages refused, by cause.

@@ -16,6 +16,7 @@ pub mod read;
 pub mod scene;
 pub mod topics;
 pub mod write;
+mod zstd;
 
 /// Marks files as ours: the MCAP profile, and the name of the metadata record.
 pub const PROFILE: &str = "rangehound";

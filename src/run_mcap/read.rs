@@ -11,6 +11,7 @@ use rangehound_shared::sealed::SealError;
 
 use super::messages::{OnTopic, TOPICS};
 use super::topics::{Gathering, Senseless};
+use super::zstd::ZstdDecoder;
 use super::{DESCRIPTION, PROFILE, SCENARIO};
 use crate::frame::Frame;
 
@@ -103,7 +104,9 @@ impl<R: Read> FrameReader<R> {
     pub fn open(input: R) -> Result<Self, ReadError> {
         let options =
             LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(RECORD_LEN_MAX);
-        let mcap = LinearReader::new_with_options(options);
+        let mut mcap = LinearReader::new_with_options(options);
+        mcap.add_decompressor(ZstdDecoder::new())
+            .map_err(|error| ReadError::Damaged { reason: error.to_string(), after: None })?;
         let mut reader = Self { input, mcap, run: Run::default(), bytes_read: 0 };
         while reader.run.description.is_none() {
             if reader.run.is_over {

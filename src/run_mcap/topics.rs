@@ -2,7 +2,9 @@
 
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
-use rangehound_shared::record::{EstimateRecord, Exchange, Heading as Followed, Heard, RobotRecord, WorldRecord};
+use rangehound_shared::record::{
+    EstimateRecord, Exchange, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
+};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source, bounds};
 
@@ -20,15 +22,15 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     let (tick, time_s) = (*tick, *time_s);
     let places = world.robots.iter().map(|robot| {
         let [x_m, y_m] = robot.position_m;
-        Place { x_m, y_m, range_m: robot.range_m }
+        Place { x_m, y_m, range_m: robot.range_m, height_m: robot.height_m }
     });
     let world_message = World { tick, time_s: world.time_s, robots: places.collect(), ended_ns: world.ended_ns };
     let ranges = exchanges.iter().zip(&world.robots).zip(0..).filter_map(move |((exchange, body), robot)| {
         let sent_ns = body.range_sent_ns;
-        let (position_m, range_m, taken_at) = match exchange.heard {
-            Some(Heard { position_m, range_m, taken_at }) => (position_m, range_m, Some(taken_at)),
-            None => (body.position_m, None, None),
-        };
+        let (position_m, height_m) =
+            exchange.heard.map_or((body.position_m, body.height_m), |heard| (heard.position_m, heard.height_m));
+        let (range_m, taken_at) = (exchange.heard.and_then(|heard| heard.range_m), exchange.heard.map(|h| h.taken_at));
+        let judged = exchange.heard.and_then(|heard| heard.judged);
         // What nobody sent and nobody heard was not.
         (taken_at.is_some() || sent_ns.is_some()).then(|| {
             let ([x_m, y_m], (range_m, range_std_m)) = (position_m, range_m.unzip());
@@ -42,6 +44,9 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 range_std_m,
                 taken_at_tick: taken_at,
                 sent_ns,
+                height_m,
+                used: judged.map(|judged| judged.used.name().to_owned()),
+                normalised_square: judged.and_then(|judged| judged.normalised_square),
             })
         })
     });
@@ -54,7 +59,12 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
         .collect();
     let heading = Heading { tick, time_s, commands, sent_ns: estimate.stages.sent_ns };
     let drives = world.robots.iter().zip(0..).filter_map(move |(body, robot)| {
-        let silent = RobotRecord { position_m: body.position_m, range_m: body.range_m, ..RobotRecord::default() };
+        let silent = RobotRecord {
+            position_m: body.position_m,
+            height_m: body.height_m,
+            range_m: body.range_m,
+            ..RobotRecord::default()
+        };
         let drive = || {
             let Command { heading_rad, speed_mps } = body.driven;
             OnTopic::Drive(Drive {
@@ -103,6 +113,9 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
         lower_bound: estimate.lower_bound,
         stages: Some(Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns }),
         digest: digest_of(estimate).to_string(),
+        nis_all: estimate.nis_all,
+        tested: estimate.tested,
+        noise_scale: estimate.noise_scale,
     }
 }
 
@@ -179,11 +192,13 @@ impl Gathering {
     fn admit(&mut self, message: OnTopic) -> Option<()> {
         match message {
             OnTopic::World(World { time_s, robots, ended_ns, .. }) => {
-                let sound =
-                    |place: &Place| [place.x_m, place.y_m, place.range_m.unwrap_or(0.0)].into_iter().all(is_near);
+                let sound = |place: &Place| {
+                    [place.x_m, place.y_m, place.height_m, place.range_m.unwrap_or(0.0)].into_iter().all(is_near)
+                };
                 (robots.len() == self.robots && robots.iter().all(sound) && time_s.is_finite()).then_some(())?;
-                let robots = robots.into_iter().map(|Place { x_m, y_m, range_m }| RobotRecord {
+                let robots = robots.into_iter().map(|Place { x_m, y_m, range_m, height_m }| RobotRecord {
                     position_m: [x_m, y_m],
+                    height_m,
                     range_m,
                     ..RobotRecord::default()
                 });
@@ -191,12 +206,22 @@ impl Gathering {
             }
             OnTopic::Range(range) => {
                 let slot = self.exchanges.get_mut(usize::try_from(range.robot).ok()?)?;
-                let Range { x_m, y_m, range_m, range_std_m, taken_at_tick, .. } = range;
+                let Range { x_m, y_m, range_m, range_std_m, taken_at_tick, height_m, used, normalised_square, .. } =
+                    range;
                 let range_m = range_m.zip(range_std_m);
                 let is_sound =
                     range_m.is_none_or(|(range_m, std_m)| is_near(range_m) && bounds::STD_M.contains(&std_m));
-                (is_near(x_m) && is_near(y_m) && is_sound).then_some(())?;
-                slot.heard = taken_at_tick.map(|taken_at| Heard { position_m: [x_m, y_m], range_m, taken_at });
+                ([x_m, y_m, height_m].into_iter().all(is_near) && is_sound).then_some(())?;
+                let judged = match used {
+                    None => None,
+                    Some(name) => {
+                        let used = RangeUse::ALL.into_iter().find(|used| used.name() == name)?;
+                        let normalised_square = normalised_square.filter(|square| !square.is_nan());
+                        Some(Judged { used, normalised_square })
+                    }
+                };
+                let heard = |taken_at| Heard { position_m: [x_m, y_m], height_m, range_m, taken_at, judged };
+                slot.heard = taken_at_tick.map(heard);
                 slot.heard.is_none_or(|heard| heard.taken_at >= self.tick).then_some(())?;
             }
             OnTopic::Heading(Heading { commands, .. }) => {
@@ -289,6 +314,9 @@ fn record_of(message: &Estimate, state_dim: usize) -> Option<EstimateRecord> {
         lower_bound: message.lower_bound,
         stages: StagesOfFusion { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns },
         digest: [digest as u64, (digest >> 64) as u64],
+        nis_all: message.nis_all,
+        tested: message.tested,
+        noise_scale: message.noise_scale,
         ..EstimateOfFusion::default()
     };
     estimate.state[..n].copy_from_slice(&message.state);

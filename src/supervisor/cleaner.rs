@@ -6,6 +6,8 @@ use std::thread::Scope;
 use rangehound_shared::bus::Bus;
 use rangehound_shared::rendezvous::Rendezvous;
 
+use crate::failure::with_causes;
+
 /// A thread that cleans up after killed nodes: it takes tens of milliseconds for each, which nobody
 /// should wait for who watches the living. Ends when dropped.
 pub(super) struct Cleaner {
@@ -15,7 +17,7 @@ pub(super) struct Cleaner {
 impl Cleaner {
     pub(super) fn start<'scope>(rendezvous: &'scope Rendezvous, scope: &'scope Scope<'scope, '_>) -> Self {
         let (requests, received) = mpsc::channel();
-        scope.spawn(move || {
+        let clean = move || {
             // A node of its own: ports do not move between threads.
             let Ok(bus) = Bus::connect(rendezvous, "observer") else { return };
             let mut left = 0;
@@ -27,7 +29,13 @@ impl Cleaner {
             if left > 0 {
                 log::warn!("{left} dead nodes were left to be removed with the run");
             }
-        });
+        };
+        if let Err(error) = std::thread::Builder::new().name("cleaner".to_owned()).spawn_scoped(scope, clean) {
+            let reason = with_causes(&error.into());
+            log::warn!(
+                "what killed nodes leave stays until the end of the run: no thread for it can be started: {reason}"
+            );
+        }
         Self { requests }
     }
 

@@ -9,6 +9,7 @@ use rangehound_shared::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::nodes::describe;
+use crate::failure::with_causes;
 use crate::node::this_program;
 
 /// One that has ended before its run this often is left alone.
@@ -81,6 +82,11 @@ impl<'a> Companions<'a> {
         while self.any_is_running() && began.elapsed() < GRACE {
             sleep();
         }
+        self.kill();
+    }
+
+    /// Ends all at once: what they were about is begun anew.
+    pub(super) fn kill(&mut self) {
         self.signal(Signal::KILL);
         for companion in &mut self.all {
             let _ = companion.child.take().map(|mut child| child.wait());
@@ -112,7 +118,10 @@ impl Companion {
             .spawn();
         match spawned {
             Ok(child) => self.child = Some(child),
-            Err(error) => log::warn!("goes on without {}, which cannot be started: {error}", self.command),
+            Err(error) => {
+                let reason = with_causes(&error.into());
+                log::warn!("goes on without {}, which cannot be started: {reason}", self.command);
+            }
         }
     }
 

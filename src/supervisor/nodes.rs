@@ -2,22 +2,23 @@
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::PathBuf;
 use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
 use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::clock::monotonic_ns;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RoleHold, Roster};
+use rangehound_shared::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
 use rangehound_shared::signal::Termination;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
+use rustix::process::{Pid, PidfdFlags, Signal, getpid, kill_process, pidfd_open};
 
 use super::cleaner::Cleaner;
 use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
 use crate::cli::SupervisionArgs;
-use crate::failure::Failure;
+use crate::failure::{Failure, with_causes};
 use crate::node::{command_line, this_program};
 use crate::out_folder;
 use crate::report::{Incident, NodeSummary};
@@ -51,6 +52,18 @@ pub(super) struct Nodes<'a> {
     cleaner: Cleaner,
     nodes: Vec<Node>,
     last_death: Option<Instant>,
+    inspection: Inspection,
+    /// How often the lead has been taken.
+    leads: u64,
+}
+
+/// How the nodes of a run came to their end.
+#[derive(Debug)]
+pub(super) enum Ended {
+    /// With the run.
+    Finished,
+    /// Somebody has removed the run's shared memory: this file of it, or more.
+    Removed(PathBuf),
 }
 
 /// One role's process, and what has become of its forerunners.
@@ -82,12 +95,16 @@ impl<'a> Nodes<'a> {
         hold: &'a RoleHold,
         supervision: &SupervisionArgs,
         cleaner: Cleaner,
+        before: Vec<NodeSummary>,
     ) -> Result<Self, Failure> {
         let policies = Policies::new(&supervision.rules);
         let roles = watch::roles(rendezvous.description().scenario.robots.len());
         let roles = roles.chain((1..=supervision.standby).map(Role::Standby));
-        let nodes = roles.map(|role| Node::new(role, supervision.standby > 0)).collect();
-        let mut all = Self { rendezvous, hold, policies, cleaner, nodes, last_death: None };
+        let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, supervision.standby > 0)).collect();
+        // What has become of each before goes on.
+        nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
+        let inspection = rendezvous.inspection();
+        let mut all = Self { rendezvous, hold, policies, cleaner, nodes, last_death: None, inspection, leads: 0 };
         for node in &mut all.nodes {
             if let Err(error) = node.start(rendezvous) {
                 all.end(false);
@@ -97,8 +114,9 @@ impl<'a> Nodes<'a> {
         Ok(all)
     }
 
-    /// Watches until the run is finished, a node that is not replaced dies, or an end is asked for.
-    pub(super) fn supervise(&mut self, termination: &Termination, mut look: impl FnMut()) -> anyhow::Result<()> {
+    /// Watches until the run is finished, its shared memory is removed, a node that is not replaced dies, or an end is asked
+    /// for.
+    pub(super) fn supervise(&mut self, termination: &Termination, mut look: impl FnMut()) -> anyhow::Result<Ended> {
         let mut looked = Instant::now();
         let mut listened = Instant::now();
         while !self.rendezvous.is_finished() {
@@ -112,13 +130,35 @@ impl<'a> Nodes<'a> {
                 looked = Instant::now();
             }
             if listened.elapsed() >= silence::LOOK {
+                if let Some(removed) = self.inspect() {
+                    return Ok(Ended::Removed(removed));
+                }
+                self.leads = self.leads.max(self.rendezvous.roster().starts(Role::Fusion));
                 self.kill_the_hung();
                 listened = Instant::now();
             }
-            self.replace_the_dead()?;
+            if let Some(removed) = self.replace_the_dead()? {
+                return Ok(Ended::Removed(removed));
+            }
         }
         look();
-        Ok(())
+        Ok(Ended::Finished)
+    }
+
+    /// What has been removed of the run's shared memory, as far as one look shows it.
+    fn inspect(&mut self) -> Option<PathBuf> {
+        let nodes = self.nodes.iter().filter_map(|node| node.running.as_ref()).map(Running::pid);
+        // This process too: it holds what all have in common.
+        let processes: Vec<Pid> = nodes.chain([getpid()]).collect();
+        self.inspection.removed(&processes)
+    }
+
+    /// The same, of all processes: before a node is given up that fails again and again.
+    fn inspect_all(&mut self) -> Option<PathBuf> {
+        (0..2 * self.nodes.len() + 2).find_map(|_| {
+            std::thread::sleep(Duration::from_millis(5));
+            self.inspect()
+        })
     }
 
     /// Sleeps until a process ends, the next restart is due, or time is up.
@@ -161,12 +201,17 @@ impl<'a> Nodes<'a> {
         }
     }
 
-    /// Starts nodes again that have ended, as their policies say.
-    fn replace_the_dead(&mut self) -> anyhow::Result<()> {
+    /// Starts nodes again that have ended, as their policies say; unless it is what has been removed of the run's shared memory
+    /// that they have ended of.
+    fn replace_the_dead(&mut self) -> anyhow::Result<Option<PathBuf>> {
         for index in 0..self.nodes.len() {
             let can_lead = self.nodes.iter_mut().map(|node| usize::from(node.can_lead() && node.is_running())).sum();
             let node = &mut self.nodes[index];
             if let Some(status) = node.reap(self.rendezvous)? {
+                if let Some(removed) = self.inspect() {
+                    return Ok(Some(removed));
+                }
+                let node = &mut self.nodes[index];
                 let message = format!("{} {}", node.role, describe(status));
                 self.last_death = Some(Instant::now());
                 self.rendezvous.remove_half_made();
@@ -184,6 +229,10 @@ impl<'a> Nodes<'a> {
                     log::warn!("{message}; it is started again");
                     node.restart_at = Some(Instant::now() + node.back_off());
                 } else if is_hopeless && !node.can_lead() || !node.is_spare(can_lead) {
+                    if is_own && let Some(removed) = self.inspect_all() {
+                        return Ok(Some(removed));
+                    }
+                    let node = &self.nodes[index];
                     let log = node.log_path(self.rendezvous);
                     let said = std::fs::read_to_string(&log).unwrap_or_default();
                     let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
@@ -192,6 +241,7 @@ impl<'a> Nodes<'a> {
                     log::warn!("{message}; the others go on without it");
                 }
             }
+            let node = &mut self.nodes[index];
             if node.restart_at.is_some_and(|at| Instant::now() >= at)
                 && let Err(error) = node.start(self.rendezvous)
             {
@@ -200,14 +250,31 @@ impl<'a> Nodes<'a> {
                 if node.failures >= FAILURES_MAX {
                     return Err(error);
                 }
-                log::warn!("{error:#}; it is tried again");
+                log::warn!("{}; it is tried again", with_causes(&error));
                 node.restart_at = Some(Instant::now() + node.back_off());
             }
         }
         if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
             self.rendezvous.remove_half_made();
         }
-        Ok(())
+        Ok(None)
+    }
+
+    /// Kills all nodes at once, and waits until they are gone: only then may others go on from what they have put down.
+    pub(super) fn kill(&mut self) -> anyhow::Result<()> {
+        for node in &mut self.nodes {
+            if let Some(running) = &mut node.running {
+                // One that has seen it first has ended by itself.
+                let is_killed = running.signal(Signal::KILL);
+                node.note(if is_killed { Incident::Killed } else { Incident::Exited });
+            }
+        }
+        self.wait_for_all();
+        let left = self.nodes.iter_mut().find_map(|node| node.is_running().then_some(node.role));
+        match left {
+            Some(role) => Err(anyhow!("{role} was killed and does not end")),
+            None => Ok(()),
+        }
     }
 
     /// Lets the nodes end by themselves if the run is over, asks those that do not, and kills those
@@ -238,8 +305,13 @@ impl<'a> Nodes<'a> {
         }
     }
 
-    pub(super) fn summaries(&self) -> Vec<NodeSummary> {
-        self.nodes.iter().map(|node| node.summary.clone()).collect()
+    pub(super) fn into_summaries(self) -> Vec<NodeSummary> {
+        self.nodes.into_iter().map(|node| node.summary).collect()
+    }
+
+    /// How often the lead has been taken, as of the newest look.
+    pub(super) fn leads(&self) -> u64 {
+        self.leads
     }
 }
 

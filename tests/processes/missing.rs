@@ -55,6 +55,16 @@ fn counts(run: &Run, key: &str) -> Vec<u64> {
     run.report()["nodes"].as_array().unwrap().iter().map(|node| node[key].as_u64().unwrap()).collect()
 }
 
+/// What `status` says of the run.
+fn status(run: &Run) -> serde_json::Value {
+    serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap()
+}
+
+/// Time since the last sign of life of a node, counted as `status` lists them, s.
+fn silent_s(status: &serde_json::Value, node: usize) -> f64 {
+    status["nodes"][node]["silent_s"].as_f64().unwrap()
+}
+
 fn has_moved(robots: &[RobotRecord]) -> bool {
     robots.windows(2).any(|pair| pair[0].position_m != pair[1].position_m)
 }
@@ -143,7 +153,7 @@ fn with_endless_patience_nobody_is_killed_for_hanging() {
         run.wait_for_ticks(10);
         let robot_1 = run.pid_of("robot-1", 1);
         signal(robot_1, Signal::STOP);
-        std::thread::sleep(Duration::from_secs(3));
+        run.wait_until("robot 1 is silent for longer than a hang takes", || silent_s(&status(&run), 3) > 3.0);
         signal(robot_1, Signal::CONT);
         let back = wait_for_more_ticks(&run, 20);
         interrupt(supervisor);
@@ -281,7 +291,8 @@ fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
             let mut stopped = nodes.clone();
             stopped.extend(is_supervisor_stopped.then(|| supervisor.pid()));
             stopped.iter().for_each(|pid| signal(*pid, Signal::STOP));
-            std::thread::sleep(Duration::from_millis(2_500));
+            let is_silent = |node| silent_s(&status(&run), node) > 2.5;
+            run.wait_until("everybody is silent for longer than the patience", || (0..ROLES.len()).all(is_silent));
             stopped.iter().for_each(|pid| signal(*pid, Signal::CONT));
             if is_lockstep {
                 supervisor.finish().succeeded();
@@ -311,8 +322,7 @@ fn a_deposed_fusion_that_stays_stopped_is_replaced() {
     assert_ne!(successor, leader);
     run.wait_until("the deposed is gone", || !is_alive(leader));
     assert_eq!(comm(successor), "rh-fusion");
-    let status: serde_json::Value =
-        serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap();
+    let status = status(&run);
     assert_eq!((&status["leader"], &status["leads"]), (&successor.as_raw_pid().into(), &2.into()), "{status}");
     wait_for_more_ticks(&run, 100);
     interrupt(supervisor);
@@ -347,14 +357,10 @@ fn status_tells_who_is_silent() {
     let run = Run::new();
     let supervisor = start(&run, "--clock realtime --patience forever");
     run.wait_for_ticks(5);
-    let status = || -> serde_json::Value {
-        serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap()
-    };
-    let silent_s = |status: &serde_json::Value, node: usize| status["nodes"][node]["silent_s"].as_f64().unwrap();
     let robot_0 = run.pid_of("robot-0", 1);
     signal(robot_0, Signal::STOP);
-    run.wait_until("robot 0 is silent", || silent_s(&status(), 2) > 1.0);
-    let now = status();
+    run.wait_until("robot 0 is silent", || silent_s(&status(&run), 2) > 1.0);
+    let now = status(&run);
     assert!(silent_s(&now, 2) > silent_s(&now, 3), "{now}");
     assert_eq!(now["nodes"][5]["name"], "run", "{now}");
     assert_eq!(now["leader"], run.pid_of("fusion", 1).as_raw_pid(), "{now}");

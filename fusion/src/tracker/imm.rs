@@ -7,6 +7,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::MotionModel;
+use rangehound_shared::record::Judged;
 use rangehound_shared::sealed::{self, SealError};
 
 use super::bank::{Bank, Hypothesis, Saved, mixture};
@@ -76,6 +77,11 @@ impl<const N: usize> Imm<N> {
         }
     }
 
+    /// Which of the models is the more probable.
+    fn likelier(&self) -> usize {
+        usize::from(self.modes[0].probability < self.modes[1].probability)
+    }
+
     /// Weighs the models by how well they foretold the ranges.
     fn weigh(&mut self) {
         let best = self.modes.iter().map(|mode| mode.bank.log_likelihood()).fold(f64::MIN, f64::max);
@@ -96,7 +102,15 @@ impl<const N: usize> Tracker for Imm<N> {
         self.interact(dt_s);
         let fits = [0, 1].map(|j| self.modes[j].bank.step(dt_s, readings));
         self.weigh();
-        if self.modes[0].probability >= self.modes[1].probability { fits[0] } else { fits[1] }
+        fits[self.likelier()]
+    }
+
+    fn judged(&self) -> &[Judged] {
+        self.modes[self.likelier()].bank.judged()
+    }
+
+    fn widen(&mut self, _factor: f64) {
+        // The banks start anew when rejections show that they are locked out.
     }
 
     fn state(&self) -> &[f64] {

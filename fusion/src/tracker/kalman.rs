@@ -1,13 +1,15 @@
 //! The tracker for a Gaussian prior: one extended Kalman filter.
 
 use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::matrix::Matrix;
 use rangehound_shared::motion::{MotionModel, Transition};
+use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::sealed::{self, SealError};
 
-use super::{Fit, Gate, Reading, Tracker};
-use crate::filter::{Estimate, RangeInformation};
+use super::{Fit, Gate, Reading, Tracker, judged_room, use_of};
+use crate::filter::{Estimate, Innovation, RangeInformation};
 
 /// One extended Kalman filter with a gate.
 #[derive(Debug, Clone)]
@@ -17,6 +19,9 @@ pub struct Kalman<const N: usize> {
     estimate: Estimate<N>,
     /// The transition of the last step: most runs have one step length for all ticks.
     transition: (f64, Transition<N>),
+    /// Of the last step's readings, in their order.
+    innovations: Vec<Innovation>,
+    judged: Vec<Judged>,
 }
 
 impl<const N: usize> Kalman<N> {
@@ -25,8 +30,22 @@ impl<const N: usize> Kalman<N> {
     pub fn new(motion: MotionModel, mean: &[f64], covariance: &Matrix, gate: Gate) -> Self {
         let x = nalgebra::SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
         let transition = (0.0, motion.transition(0.0));
-        Self { motion, gate, estimate: Estimate { x, p: covariance.to_static() }, transition }
+        let estimate = Estimate { x, p: covariance.to_static() };
+        Self { motion, gate, estimate, transition, innovations: Vec::with_capacity(ROBOTS_MAX), judged: judged_room() }
     }
+}
+
+/// The innovation of a reading. A sensor at another height than the target's says of places beneath it in second order
+/// what a range in the plane says in first, so there the second-order terms count; in the plane the filter is the paper's.
+fn innovation<const N: usize>(estimate: &Estimate<N>, reading: &Reading) -> Innovation {
+    let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
+    let mut range = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
+    if height_m != 0.0 {
+        let bend = estimate.bend(&range.line_of_sight, range_m - range.innovation_m);
+        range.innovation_m -= bend.mean_m;
+        range.noise_variance_m2 += bend.variance_m2;
+    }
+    range
 }
 
 impl<const N: usize> Tracker for Kalman<N> {
@@ -38,17 +57,40 @@ impl<const N: usize> Tracker for Kalman<N> {
         let position_covariance = predicted.position_covariance();
         let mut information = RangeInformation::default();
         let mut failed = RobotSet::default();
+        self.innovations.clear();
+        self.judged.clear();
         for reading in readings {
-            let range = predicted.innovation(reading.position_m, reading.range_m, reading.range_std_m);
-            if !self.gate.passes(range.normalised_square(&position_covariance)) {
-                failed.set(reading.robot, true);
-            } else if !reading.distrusted {
+            let range = innovation(&predicted, reading);
+            let normalised_square = range.normalised_square(&position_covariance);
+            let passed = self.gate.passes(normalised_square);
+            let used = use_of(reading, passed);
+            failed.set(reading.robot, self.gate.fails(normalised_square));
+            if used == RangeUse::Fused {
                 information.add(&range);
             }
+            self.innovations.push(range);
+            self.judged.push(Judged { used, normalised_square: Some(normalised_square) });
         }
-        let (estimate, nis) = if information.count > 0 { predicted.update(&information) } else { (predicted, 0.0) };
-        self.estimate = estimate;
-        Fit { nis, fused: information.count, rejected: readings.len() as u32 - information.count, failed }
+        let tested = readings.len() as u32;
+        let nis_all = if tested > 0 { predicted.nis(self.innovations.iter()) } else { 0.0 };
+        let nis = match information.count {
+            0 => 0.0,
+            count if count == tested => nis_all,
+            _ => {
+                let ranges = self.innovations.iter().zip(&self.judged);
+                predicted.nis(ranges.filter(|(_, judged)| judged.used == RangeUse::Fused).map(|(range, _)| range))
+            }
+        };
+        self.estimate = if information.count > 0 { predicted.update(&information) } else { predicted };
+        Fit { nis, fused: information.count, nis_all, tested, rejected: tested - information.count, failed }
+    }
+
+    fn judged(&self) -> &[Judged] {
+        &self.judged
+    }
+
+    fn widen(&mut self, factor: f64) {
+        self.estimate.p *= factor;
     }
 
     fn state(&self) -> &[f64] {

@@ -10,8 +10,10 @@ pub mod imm;
 pub mod kalman;
 
 use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::ROBOTS_MAX;
+use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{Prior, Scenario};
+use rangehound_shared::scenario::{Prior, Scenario, defaults};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::with_state_dim;
 use serde::{Deserialize, Serialize};
@@ -23,6 +25,8 @@ pub struct Reading {
     pub robot: usize,
     /// Where the robot was, m.
     pub position_m: Vector2<f64>,
+    /// Height of its sensor above the plane in which the target moves, m.
+    pub height_m: f64,
     /// What it measured, m.
     pub range_m: f64,
     /// Standard deviation of the measurement, m.
@@ -38,9 +42,13 @@ pub struct Fit {
     pub nis: f64,
     /// Ranges fused: the NIS's degrees of freedom.
     pub fused: u32,
+    /// Normalised innovation squared of all ranges, fused or not: of the tick's ranges jointly.
+    pub nis_all: f64,
+    /// Ranges in it, its degrees of freedom: all that anything predicted.
+    pub tested: u32,
     /// Ranges not fused: they failed the gate, or were only to be tested.
     pub rejected: u32,
-    /// Robots whose range failed the gate.
+    /// Robots whose range speaks against them: it failed the gate, or would have failed the default one where there is none.
     pub failed: RobotSet,
 }
 
@@ -49,6 +57,13 @@ pub struct Fit {
 pub trait Tracker: std::fmt::Debug + Send {
     /// Predicts over `dt_s` seconds, then updates with the readings, taken in order.
     fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit;
+
+    /// What the last step did with each of its readings, in their order.
+    fn judged(&self) -> &[Judged];
+
+    /// Takes the estimate to be this many times less certain, in variance: it may be lost. Trackers that find the target
+    /// again by themselves leave it at that.
+    fn widen(&mut self, factor: f64);
 
     /// The state, position first.
     fn state(&self) -> &[f64];
@@ -72,10 +87,24 @@ pub trait Tracker: std::fmt::Debug + Send {
     fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>);
 }
 
+/// Room for what a tracker says of a tick's readings: no step allocates.
+fn judged_room() -> Vec<Judged> {
+    Vec::with_capacity(ROBOTS_MAX)
+}
+
+/// What becomes of a reading that passed the gate or failed it.
+fn use_of(reading: &Reading, passed: bool) -> RangeUse {
+    match (reading.distrusted, passed) {
+        (true, _) => RangeUse::Distrusted,
+        (false, true) => RangeUse::Fused,
+        (false, false) => RangeUse::Rejected,
+    }
+}
+
 /// The tracker that a scenario asks for.
 #[must_use]
 pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
-    let motion = scenario.motion.clone();
+    let motion = scenario.filter_motion.clone();
     let gate = Gate::new(scenario.gate_sigma);
     with_state_dim!(motion.state_dim(), N => match &scenario.prior {
         Prior::Gaussian { mean, covariance } => {
@@ -89,18 +118,30 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gate {
     threshold: f64,
+    /// What counts as a failure when a robot is judged: the gate, or the default one where all ranges are fused.
+    failure_threshold: f64,
 }
 
 impl Gate {
     /// Passes a range whose innovation is within `sigma` of its standard deviations; `None` passes all.
     #[must_use]
     pub fn new(sigma: Option<f64>) -> Self {
-        Self { threshold: sigma.map_or(f64::INFINITY, |sigma| sigma * sigma) }
+        let square = |sigma: f64| sigma * sigma;
+        Self {
+            threshold: sigma.map_or(f64::INFINITY, square),
+            failure_threshold: square(sigma.unwrap_or(defaults::RECORDED_GATE_SIGMA)),
+        }
     }
 
     /// True if a range with this normalised innovation squared is to be fused.
     #[must_use]
     pub fn passes(self, normalised_square: f64) -> bool {
         normalised_square <= self.threshold
+    }
+
+    /// True if a range with this normalised innovation squared speaks against its robot.
+    #[must_use]
+    pub fn fails(self, normalised_square: f64) -> bool {
+        normalised_square > self.failure_threshold || normalised_square.is_nan()
     }
 }

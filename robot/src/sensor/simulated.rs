@@ -10,6 +10,7 @@ use super::RangeSensor;
 #[derive(Debug, Clone)]
 pub struct SimulatedSensor {
     std_m: f64,
+    told_std_m: f64,
     noise: Draws,
 }
 
@@ -17,14 +18,15 @@ impl SimulatedSensor {
     /// The sensor of a robot, by id; `None` if the scenario has no such robot.
     #[must_use]
     pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
-        let std_m = scenario.robots.get(robot)?.range_std_m;
-        Some(Self { std_m, noise: Draws::new(scenario.seed, Stream::RangeNoise { robot }) })
+        let spec = scenario.robots.get(robot)?;
+        let (std_m, told_std_m) = (spec.range_std_m, spec.told_std_m);
+        Some(Self { std_m, told_std_m, noise: Draws::new(scenario.seed, Stream::RangeNoise { robot }) })
     }
 }
 
 impl RangeSensor for SimulatedSensor {
     fn std_m(&self) -> f64 {
-        self.std_m
+        self.told_std_m
     }
 
     fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64> {
@@ -60,6 +62,18 @@ mod tests {
         assert_eq!(ranges, repeated);
         assert_eq!(a.measure(7, &entry(RangeKind::True)), ranges[6], "out of order too");
         assert_ne!(other.measure(7, &entry(RangeKind::True)), ranges[6]);
+    }
+
+    #[test]
+    fn the_filter_can_be_told_another_noise_than_the_true_one() {
+        let told = |text: &str| {
+            let file = ScenarioFile::parse(text, "test").unwrap();
+            let mut sensor =
+                SimulatedSensor::new(&Scenario::from_file(&file, "test", Path::new(".")).unwrap(), 0).unwrap();
+            (sensor.measure(1, &entry(RangeKind::True)), sensor.std_m())
+        };
+        let (measured, told_std_m) = told("[filter]\nrange_std_m = 0.25\n");
+        assert_eq!((measured, told_std_m), (told("").0, 0.25));
     }
 
     #[test]

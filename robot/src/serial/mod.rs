@@ -1,7 +1,7 @@
-//! A radio and a drive that speak lines of text, over a serial port or what stands in for one.
+//! A radio and a drive on serial ports, or on what stands in for them.
 //!
-//! The radio says a range a line, in m: `12.34`, or `A,12.34` where what stands before the last comma is a label that
-//! is not looked at. The drive is told a command a line: `heading_rad,speed_mps`.
+//! The radio prints ranges in one of the formats of [`rangehound_shared::radio`]; one anchor's range is this robot's. The
+//! drive is told a command a line: `heading_rad,speed_mps`.
 //!
 //! A port is a path. A device (`/dev/ttyUSB0`, a pseudo-terminal) takes commands as well as it gives ranges; anything
 //! else (a FIFO, a file) and `-`, standard input, give ranges only, and the commands go to standard output. A device is
@@ -10,7 +10,7 @@
 //! `robot/examples/serial_range.rs` makes a robot of the two.
 
 mod actuator;
-mod lines;
+mod choice;
 mod sensor;
 
 use std::fs::{File, OpenOptions};
@@ -22,7 +22,7 @@ use std::path::Path;
 use rustix::fs::OFlags;
 
 pub use actuator::SerialActuator;
-pub use lines::{LINE_LEN_MAX, read_ranges};
+pub use choice::Radio;
 pub use sensor::SerialSensor;
 
 /// The path that stands for standard input and output.

@@ -1,21 +1,23 @@
 //! A range sensor on a port, read in a thread of its own.
 
-use std::io::{BufReader, Read, Result};
+use std::io::{ErrorKind, Read, Result};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use rangehound_shared::message::WorldEntry;
+use rangehound_shared::radio::{Counts, Parser};
 use rangehound_shared::scenario::Calibration;
 
-use super::{lines, reader};
+use super::choice::Choice;
+use super::{Radio, reader};
 use crate::sensor::{RangeSensor, calibrated_m};
 
 /// The newest range that came over a port.
 ///
-/// Malformed lines are counted and told once, in the log, as is the end of the stream, after which there is no range
-/// any more. The thread that reads ends with the stream or the process.
+/// Refused lines are counted; the log says so of the first, the tenth, the hundredth and so on, and of the end of the
+/// stream, after which there is no range any more. The thread that reads ends with the stream or the process.
 #[derive(Debug)]
 pub struct SerialSensor {
     newest: Newest,
@@ -31,24 +33,34 @@ impl SerialSensor {
     /// `age_max`. A FIFO that nobody writes to yet is waited for by the thread.
     ///
     /// # Errors
-    /// The system's, if there is no such port or no thread can be started.
-    pub fn open(port: &Path, calibration: Calibration, std_m: f64, age_max: Duration) -> Result<Self> {
+    /// The system's, if there is no such port or no thread can be started; invalid input if the radio reports several
+    /// anchors and none of them is chosen.
+    pub fn open(port: &Path, radio: Radio, calibration: Calibration, std_m: f64, age_max: Duration) -> Result<Self> {
         if port != Path::new(super::STANDARD) {
             port.metadata()?;
         }
         let port = port.to_owned();
-        Self::start(move || reader(&port), calibration, std_m, age_max)
+        Self::start(move || reader(&port), radio, calibration, std_m, age_max)
     }
 
     fn start<R: Read>(
         open: impl FnOnce() -> Result<R> + Send + 'static,
+        radio: Radio,
         calibration: Calibration,
         std_m: f64,
         age_max: Duration,
     ) -> Result<Self> {
         let newest = Newest::default();
-        let sensor = Self { newest: Arc::clone(&newest), std_m, age_max };
-        thread::Builder::new().name("ranges".to_owned()).spawn(move || listen(open(), calibration, &newest))?;
+        let parser = Parser::listening(radio.format);
+        let mut listener = Listener {
+            sample: radio.format.sample(),
+            parser,
+            choice: radio.choice()?,
+            calibration,
+            newest: Arc::clone(&newest),
+        };
+        let sensor = Self { newest, std_m, age_max };
+        thread::Builder::new().name("ranges".to_owned()).spawn(move || listener.listen(open()))?;
         Ok(sensor)
     }
 }
@@ -64,26 +76,61 @@ impl RangeSensor for SerialSensor {
     }
 }
 
-/// Keeps the newest range of a stream until it ends.
-fn listen(stream: Result<impl Read>, calibration: Calibration, newest: &Newest) {
-    let (mut ranges, mut malformed) = (0_u64, 0_u64);
-    let read = stream.and_then(|stream| {
-        lines::read_ranges(BufReader::new(stream), |range_m| match range_m {
-            Some(range_m) => {
-                ranges += 1;
-                let range_m = calibrated_m(range_m, calibration);
-                *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((range_m, Instant::now()));
-            }
-            None => {
-                malformed += 1;
-                if malformed == 1 {
-                    log::warn!("port: expected lines like 12.34 or A,12.34, m; others are passed over and counted");
+/// Keeps the newest range of a stream.
+struct Listener {
+    sample: &'static str,
+    parser: Parser,
+    choice: Choice,
+    calibration: Calibration,
+    newest: Newest,
+}
+
+impl Listener {
+    /// Reads a stream until it ends.
+    fn listen(&mut self, stream: Result<impl Read>) {
+        let read = stream.and_then(|stream| self.read(stream));
+        let why = read.map_or_else(|error| format!(" ({error})"), |()| String::new());
+        let Counts { reports, refused, .. } = self.parser.counts();
+        log::warn!("port: ended{why} after {reports} reports and {refused} refused; there is no range any more");
+    }
+
+    fn read(&mut self, mut stream: impl Read) -> Result<()> {
+        let mut bytes = [0; 1024];
+        let mut told = 1;
+        loop {
+            let len = match stream.read(&mut bytes) {
+                Ok(0) => return Ok(()),
+                Ok(len) => len,
+                Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+            let Self { parser, choice, calibration, newest, .. } = self;
+            let mut first_refusal = None;
+            parser.push(&bytes[..len], |report| match report {
+                Ok(report) => {
+                    if let Some(range_m) = choice.range_m(&report) {
+                        let range_m = calibrated_m(range_m, *calibration);
+                        *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((range_m, Instant::now()));
+                    }
+                }
+                Err(refusal) => first_refusal = first_refusal.or(Some(refusal)),
+            });
+            let Counts { reports, refused, .. } = parser.counts();
+            if let Some(refusal) = first_refusal
+                && refused >= told
+            {
+                if told == 1 {
+                    let sample = self.sample;
+                    log::warn!("port: expected {sample}; others are passed over and counted (the first: {refusal})");
+                } else {
+                    log::warn!("port: {refused} lines or frames refused, {reports} taken");
+                }
+                while told <= refused {
+                    told *= 10;
                 }
             }
-        })
-    });
-    let why = read.map_or_else(|error| format!(" ({error})"), |()| String::new());
-    log::warn!("port: ended{why} after {ranges} ranges and {malformed} malformed lines; there is no range any more");
+        }
+    }
 }
 
 #[cfg(test)]
@@ -97,7 +144,7 @@ mod tests {
         let (stream, mut radio) = pipe().unwrap();
         radio.write_all(b"\n").unwrap();
         let calibration = Calibration { bias_m: 1.0, scale: 0.0 };
-        (radio, SerialSensor::start(move || Ok(stream), calibration, 0.1, age_max).unwrap())
+        (radio, SerialSensor::start(move || Ok(stream), Radio::default(), calibration, 0.1, age_max).unwrap())
     }
 
     /// The next range that the thread has read.
@@ -116,7 +163,7 @@ mod tests {
     fn a_range_is_calibrated_and_given_once() {
         let (mut radio, mut sensor) = sensor(LONG);
         assert_eq!(sensor.measure(1, &WorldEntry::default()), None);
-        for line in ["5\n", "A,7\n", "nonsense\n8\n"] {
+        for line in ["5\n", "A,7\n", "nonsense\nA,6,52\n8\n"] {
             radio.write_all(line.as_bytes()).unwrap();
             let expected_m = f64::from(line.trim().bytes().last().unwrap() - b'0') - 1.0;
             assert_eq!(next(&mut sensor), expected_m);
@@ -137,6 +184,7 @@ mod tests {
 
     #[test]
     fn a_port_that_is_not_there_is_refused() {
-        assert!(SerialSensor::open(Path::new("/dev/no such port"), Calibration::default(), 0.1, LONG).is_err());
+        let (port, radio) = (Path::new("/dev/no such port"), Radio::default());
+        assert!(SerialSensor::open(port, radio, Calibration::default(), 0.1, LONG).is_err());
     }
 }

@@ -137,7 +137,14 @@ impl Bus {
     pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
         let node = node(run, name)?;
         let senders = Rc::new(Senders::new(run.roster().clone()));
-        let bells_error = |error: BlockError| BusError { what: "bells".to_owned(), reason: error.to_string() };
+        let bells_error = |error: BlockError| {
+            let said = error.to_string();
+            // They are made before anybody can join.
+            let is_gone = said.contains("DoesNotExist");
+            let out_dir = run.description().out_dir.display();
+            let gone = format!("removed while the run went on: stop it, and go on with `rangehound resume {out_dir}`");
+            BusError { what: "bells".to_owned(), reason: if is_gone { format!("{gone} ({said})") } else { said } }
+        };
         let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
         let RunDescription { run_id, scenario, .. } = run.description();
         Ok(Self {

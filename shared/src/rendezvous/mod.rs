@@ -19,6 +19,7 @@
 
 mod name;
 mod place;
+mod presence;
 mod roster;
 
 use std::fs::{File, TryLockError};
@@ -40,6 +41,8 @@ use crate::signal::Termination;
 use crate::tick_log::TickLogWriter;
 pub use name::{RunName, RunNameError};
 use place::{Place, run_names};
+pub use presence::Inspection;
+use presence::Presence;
 pub use roster::{RoleHold, Roster, Succession};
 
 /// How often a joiner looks whether its run has been founded.
@@ -161,6 +164,9 @@ pub enum RendezvousError {
     /// The folder belongs to somebody else.
     #[error("{} belongs to another user: choose another --name", .0.display())]
     NotOurs(PathBuf),
+    /// Something else has the name of the folder.
+    #[error("{}: expected a folder or nothing, got something else: remove it, or choose another --name", .0.display())]
+    NoFolder(PathBuf),
     /// The description of the run cannot be used.
     #[error("{}: {reason}", .file.display())]
     Unusable {
@@ -196,6 +202,18 @@ pub enum RendezvousError {
         /// The run.
         name: RunName,
     },
+    /// Somebody has removed the run's shared memory.
+    #[error(
+        "run {name} has lost its shared memory: {} was removed while it went on, as systemd does at a user's last logout with RemoveIPC=yes: `rangehound resume {}` goes on from its checkpoints", .folder.display(), .out_dir.display()
+    )]
+    Removed {
+        /// The run.
+        name: RunName,
+        /// What has been removed.
+        folder: PathBuf,
+        /// Its run folder.
+        out_dir: PathBuf,
+    },
     /// A request to end came while waiting for the run.
     #[error("ended while waiting for the run")]
     Terminated,
@@ -207,6 +225,7 @@ pub struct Rendezvous {
     place: Place,
     roster: Roster,
     description: RunDescription,
+    presence: Presence,
     members: Option<File>,
 }
 
@@ -255,7 +274,7 @@ impl Rendezvous {
             .map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
         place.write("run", &sealed)?;
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        Ok(Self { roster: Roster::of(&place), place, description, members: Some(members) })
+        Ok(Self::member(place, description, members))
     }
 
     /// Joins the run of this name, waiting for it to be founded. `waiting` is called once if that is
@@ -309,7 +328,60 @@ impl Rendezvous {
             SealError::OtherBuild(build) => RendezvousError::OtherBuild { name: name.clone(), build },
             reason => RendezvousError::Unusable { file: place.path("run"), reason },
         })?;
-        Ok(Some(Self { roster: Roster::of(&place), place, description, members: Some(members) }))
+        Ok(Some(Self::member(place, description, members)))
+    }
+
+    fn member(place: Place, description: RunDescription, members: File) -> Self {
+        let (roster, presence) = (Roster::of(&place), Presence::of(&place));
+        Self { place, roster, description, presence, members: Some(members) }
+    }
+
+    /// Founds the run once more, after somebody has removed its shared memory: what is left of that is removed too, so that
+    /// whoever still holds some of it sees that it is over. Roles are counted on from what they had come to. All
+    /// nodes must have ended.
+    ///
+    /// # Errors
+    /// As [`Self::found`].
+    pub fn found_again(self, starts: &[(Role, u64)]) -> Result<Self, RendezvousError> {
+        let (name, description) = (self.name().clone(), self.description.clone());
+        {
+            // Where it cannot be locked, it has been removed.
+            let _door = self.place.enter(false);
+            self.place.remove();
+        }
+        drop(self);
+        let again = Self::found(&name, description)?;
+        for (role, starts) in starts {
+            again.roster.count_from(*role, *starts)?;
+        }
+        Ok(again)
+    }
+
+    /// Looks now and then whether the run's shared memory is still there; to be called in each round of a node's loop.
+    ///
+    /// # Errors
+    /// [`RendezvousError::Removed`].
+    pub fn look_for_removal(&self) -> Result<(), RendezvousError> {
+        if self.presence.holds() { Ok(()) } else { Err(self.removed()) }
+    }
+
+    /// True if somebody has removed the run's shared memory.
+    #[must_use]
+    pub fn is_removed(&self) -> bool {
+        !self.presence.holds_now()
+    }
+
+    /// Why a member of a run that was removed cannot go on.
+    #[must_use]
+    pub fn removed(&self) -> RendezvousError {
+        let out_dir = self.description.out_dir.clone();
+        RendezvousError::Removed { name: self.name().clone(), folder: self.place.dir().to_owned(), out_dir }
+    }
+
+    /// A thorough look at the run's shared memory, for a supervisor.
+    #[must_use]
+    pub fn inspection(&self) -> Inspection {
+        Inspection::of(&self.place)
     }
 
     /// Leaves the run and goes on looking: nobody who founds or resumes it waits for this process.
@@ -402,10 +474,11 @@ impl Rendezvous {
         self.place.write("finished", b"")
     }
 
-    /// True once the run has ended, or its folder is gone.
+    /// True once the run has ended. Its last member takes its folder along, so to one who only looks on it has ended too
+    /// where there is none; a member without it has lost it.
     #[must_use]
     pub fn is_finished(&self) -> bool {
-        self.place.path("finished").exists() || !self.place.path("run").exists()
+        self.place.path("finished").exists() || self.members.is_none() && !self.place.path("run").exists()
     }
 }
 
@@ -413,10 +486,14 @@ impl Drop for Rendezvous {
     /// Leaves; the last one out removes the run. Errors are not told: there is nobody to act on them,
     /// and the next founder tries again.
     fn drop(&mut self) {
-        let Ok(_door) = self.place.enter(false) else { return };
+        // Where somebody has removed the folder, some of the run's shared memory may be left: behind a door, so that it
+        // is not that of another founder of this name.
+        let is_folder_gone = self.members.is_some() && !self.place.dir().exists();
+        let Ok(_door) = self.place.enter(is_folder_gone) else { return };
         self.members = None;
-        let Ok(members) = self.place.open_existing("members") else { return };
-        if members.try_lock().is_ok() {
+        let members = self.place.open_existing("members");
+        let is_last = members.map_or(is_folder_gone, |members| members.try_lock().is_ok());
+        if is_last {
             self.place.remove();
         }
     }

@@ -16,6 +16,9 @@ use crate::resources::SHARED_MEMORY;
 const DOOR: Duration = Duration::from_secs(10);
 const DOOR_POLL: Duration = Duration::from_micros(200);
 
+/// Permissions of a run's folder.
+const MODE: u32 = 0o700;
+
 /// The files of one run.
 #[derive(Debug, Clone)]
 pub(super) struct Place {
@@ -36,6 +39,11 @@ impl Place {
     /// Starts the name of everything in shared memory that belongs to the run.
     pub(super) fn prefix(&self) -> &str {
         &self.prefix
+    }
+
+    /// The run's folder.
+    pub(super) fn dir(&self) -> &Path {
+        &self.dir
     }
 
     pub(super) fn path(&self, file: &str) -> PathBuf {
@@ -62,7 +70,7 @@ impl Place {
         let began = Instant::now();
         loop {
             if create {
-                let made = std::fs::DirBuilder::new().mode(0o700).create(&self.dir);
+                let made = std::fs::DirBuilder::new().mode(MODE).create(&self.dir);
                 if let Err(source) = made
                     && source.kind() != std::io::ErrorKind::AlreadyExists
                 {
@@ -92,11 +100,18 @@ impl Place {
 
     fn look_for_owner(&self) -> Result<(), RendezvousError> {
         let dir_error = |source| RendezvousError::Io { path: self.dir.clone(), source };
-        if std::fs::metadata(&self.dir).map_err(dir_error)?.uid() == rustix::process::getuid().as_raw() {
-            Ok(())
-        } else {
-            Err(RendezvousError::NotOurs(self.dir.clone()))
+        // Names there are anybody's to take: a link is not followed, as what lies in the folder is removed.
+        let found = std::fs::symlink_metadata(&self.dir).map_err(dir_error)?;
+        if found.uid() != rustix::process::getuid().as_raw() {
+            return Err(RendezvousError::NotOurs(self.dir.clone()));
         }
+        if !found.is_dir() {
+            return Err(RendezvousError::NoFolder(self.dir.clone()));
+        }
+        if found.permissions().mode() & 0o777 != MODE {
+            std::fs::set_permissions(&self.dir, Permissions::from_mode(MODE)).map_err(dir_error)?;
+        }
+        Ok(())
     }
 
     /// The last one out removes the folder, so a lock counts only if the door is still the one that the path names.

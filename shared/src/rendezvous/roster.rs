@@ -82,7 +82,7 @@ impl Roster {
         let (send, freed) = mpsc::channel();
         let place = self.place.clone();
         // Ends with the process if not before: a wait for a lock has no time limit.
-        std::thread::spawn(move || {
+        let waited = std::thread::Builder::new().spawn(move || {
             while let Ok(file) = place.open(&file_name(role)) {
                 if file.lock().is_ok() && is_current(&file) {
                     // If nobody waits for it any more, the file is closed and the lock is free again.
@@ -91,6 +91,9 @@ impl Roster {
                 }
             }
         });
+        if let Err(error) = waited {
+            log::warn!("cannot wait for the end of who holds {role}, only for its silence: {error}");
+        }
         Succession { freed }
     }
 
@@ -143,6 +146,16 @@ impl Roster {
         let incarnation = parse_entry(&text).map_or(0, |(starts, _)| starts) + 1;
         write_entry(&mut file, incarnation).map_err(io_error)?;
         Ok(RoleHold::new(role, file, incarnation))
+    }
+
+    /// Sets how often a role has been taken, in a run that was founded again: each holder has a greater incarnation
+    /// than all before it.
+    pub(super) fn count_from(&self, role: Role, starts: u64) -> Result<(), RendezvousError> {
+        if starts == 0 {
+            return Ok(());
+        }
+        let mut file = self.place.open(&file_name(role))?;
+        write_entry_of(&mut file, starts, 0).map_err(|source| self.place.io_error(&file_name(role), source))
     }
 
     fn entry(&self, role: Role) -> Option<(u64, i32)> {
@@ -260,10 +273,14 @@ fn parse_entry(text: &str) -> Option<(u64, i32)> {
 }
 
 fn write_entry(file: &mut File, incarnation: u64) -> std::io::Result<()> {
+    write_entry_of(file, incarnation, std::process::id())
+}
+
+fn write_entry_of(file: &mut File, incarnation: u64, pid: u32) -> std::io::Result<()> {
     file.rewind()?;
     // Padded, so that an overwrite never leaves digits of a longer number behind; at once, so that
     // nobody reads half of it.
-    file.write_all(format!("{incarnation:010} {:010}\n", std::process::id()).as_bytes())
+    file.write_all(format!("{incarnation:010} {pid:010}\n").as_bytes())
 }
 
 #[cfg(test)]

@@ -50,5 +50,5 @@ pub const STAND_OFF_SIGMA: f64 = 3.5;
 pub const RECORDED_RANGE_STD_M: f64 = 0.2;
 /// Spectral density of the target's acceleration in a recording, m^2/s^3.
 pub const RECORDED_ACCEL_PSD: f64 = 0.5;
-/// Gate of a recording, standard deviations of the innovation.
+/// Gate of a recording, and what robots are distrusted by where there is none: standard deviations of the innovation.
 pub const RECORDED_GATE_SIGMA: f64 = 4.0;

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::recording::SensorName;
+
 /// A scenario file, parsed but not yet checked; [`super::Scenario::from_file`] checks it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -28,7 +30,7 @@ pub struct ScenarioFile {
     pub robot: Option<Vec<RobotTable>>,
     /// How headings are chosen.
     pub planner: Option<PlannerTable>,
-    /// Which ranges the filter lets in.
+    /// Which ranges the filter lets in, and what it is told.
     pub filter: Option<FilterTable>,
     /// Recorded ranges in place of the simulation.
     pub recording: Option<RecordingTable>,
@@ -150,8 +152,36 @@ pub struct PlannerTable {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterTable {
-    /// A range is rejected when its innovation is more than this many standard deviations.
-    pub gate_sigma: Option<f64>,
+    /// A range is rejected when its innovation is more than this many standard deviations; `"none"` fuses all.
+    pub gate_sigma: Option<GateKey>,
+    /// Whether a robot whose ranges keep failing is distrusted; where there is a gate unless told otherwise.
+    pub distrust: Option<bool>,
+    /// Spectral density of the target's noise as the filter takes it; the target's own unless told otherwise.
+    pub noise_psd: Option<f64>,
+    /// Standard deviation of a range as robots tell it to the filter, m; their own unless told otherwise.
+    pub range_std_m: Option<f64>,
+}
+
+/// `filter.gate_sigma`: standard deviations or `"none"`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a number of standard deviations or \"none\"")]
+pub enum GateKey {
+    /// Standard deviations of the innovation.
+    Sigma(f64),
+    /// `"none"`.
+    Word(String),
+}
+
+impl std::str::FromStr for GateKey {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        if text == "none" {
+            return Ok(Self::Word(text.to_owned()));
+        }
+        text.parse().map(Self::Sigma).map_err(|_| "expected a number of standard deviations or none".to_owned())
+    }
 }
 
 /// `[recording]`.
@@ -171,15 +201,23 @@ pub struct RecordingTable {
 }
 
 /// One `[[recording.sensor]]`.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorTable {
-    /// The sensor's id in the recording.
-    pub id: u64,
+    /// What the recording calls the sensor: text, or a whole number.
+    pub id: SensorName,
     /// Its range standard deviation, m.
     pub range_std_m: Option<f64>,
     /// Its bias, m.
     pub bias_m: Option<f64>,
     /// Its scale error.
     pub scale: Option<f64>,
+}
+
+impl SensorTable {
+    /// A sensor that does not differ from the rest yet.
+    #[must_use]
+    pub fn new(id: SensorName) -> Self {
+        Self { id, range_std_m: None, bias_m: None, scale: None }
+    }
 }

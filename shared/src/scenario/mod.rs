@@ -42,8 +42,10 @@ pub struct Scenario {
     pub clock: Clock,
     /// How long a silent robot is waited for.
     pub patience: Patience,
-    /// How the target is taken to move.
+    /// How the target moves.
     pub motion: MotionModel,
+    /// How the filter takes the target to move: as it does, unless the scenario gives the filter another noise.
+    pub filter_motion: MotionModel,
     /// Where the ranges come from.
     pub source: Source,
     /// What fusion knows before the first range.
@@ -58,6 +60,8 @@ pub struct Scenario {
     /// deviations, that is when its chi-square statistic (one degree of freedom) is above the
     /// square. `None`: every range is fused, as in the paper.
     pub gate_sigma: Option<f64>,
+    /// Whether the ranges of a robot that keeps failing are tested only; against the default gate where there is none.
+    pub distrust: bool,
 }
 
 /// What starts the next tick.
@@ -119,6 +123,8 @@ pub struct RobotSpec {
     pub speed_mps: f64,
     /// Standard deviation of its range after calibration, m.
     pub range_std_m: f64,
+    /// The same as the robot tells it to the filter, m: the true one, unless the scenario gives the filter another.
+    pub told_std_m: f64,
     /// Its sensor's systematic error.
     pub calibration: Calibration,
 }
@@ -225,11 +231,14 @@ impl Scenario {
         let is_sound = |robot: &RobotSpec| {
             bounds::SPEED_MPS.contains(&robot.speed_mps)
                 && bounds::STD_M.contains(&robot.range_std_m)
+                && bounds::STD_M.contains(&robot.told_std_m)
                 && robot.start_m.iter().all(|value| value.is_finite())
                 && bounds::BIAS_M.contains(&robot.calibration.bias_m)
                 && bounds::SCALE.contains(&robot.calibration.scale)
         };
         self.motion.is_whole()
+            && self.filter_motion.is_whole()
+            && self.filter_motion.state_dim() == n
             && knows_its_start
             && knows_its_prior
             && (1..=ROBOTS_MAX).contains(&self.robots.len())

@@ -10,14 +10,14 @@ use super::bounds::{
     SCALE, SPEED_MPS, STATE, STD_M, TICKS_MAX, VARIANCE,
 };
 use super::{
-    Calibration, Clearance, Clock, CovarianceKey, MeanKey, PLANNERS, Patience, PatienceKey, PlannerSpec, PlannerTable,
-    Prior, PriorTable, RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario, ScenarioError, ScenarioFile,
-    Source, TargetTable, defaults,
+    Calibration, Clearance, Clock, CovarianceKey, FilterTable, GateKey, MeanKey, PLANNERS, Patience, PatienceKey,
+    PlannerSpec, PlannerTable, Prior, PriorTable, RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario,
+    ScenarioError, ScenarioFile, Source, TargetTable, defaults,
 };
 use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
 use crate::motion::MotionModel;
-use crate::recording::Recording;
+use crate::recording::{ReadOptions, Recording};
 use crate::rendezvous::RunName;
 use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
 
@@ -66,6 +66,7 @@ impl Checker<'_> {
         let dt_s = self.number("dt_s", raw.dt_s, defaults::DT_S, DT_S)?;
         let motion = self.motion(&raw.target.clone().unwrap_or_default(), raw.recording.is_some())?;
         let planner = raw.planner.clone().unwrap_or_default();
+        let gate_sigma = self.gate(raw)?;
         let mut scenario = Scenario {
             name,
             ticks: self.whole("ticks", raw.ticks, defaults::TICKS, 1..=TICKS_MAX)?,
@@ -73,13 +74,15 @@ impl Checker<'_> {
             seed,
             clock: self.clock(raw)?,
             patience: self.patience(raw.patience_s.as_ref())?,
+            filter_motion: motion.clone(),
             motion,
             source: Source::Simulated { target_start: Vec::new() },
             prior: Prior::FromRanges,
             robots: Vec::new(),
             planner: self.planner(&planner)?,
             clearance: self.clearance(&planner)?,
-            gate_sigma: self.gate(raw)?,
+            gate_sigma,
+            distrust: raw.filter.as_ref().and_then(|table| table.distrust).unwrap_or(gate_sigma.is_some()),
         };
         if let Some(recording) = &raw.recording {
             self.recorded(raw, recording, folder, &mut scenario)?;
@@ -89,8 +92,25 @@ impl Checker<'_> {
             scenario.prior = self.prior(&raw.prior.clone().unwrap_or_default(), &target_start, seed)?;
             scenario.source = Source::Simulated { target_start };
             scenario.robots = self.team(raw.robots.as_ref(), raw.robot.as_deref())?;
+            self.tell_filter(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;
         }
         Ok(scenario)
+    }
+
+    /// Gives the filter of a simulation another noise than the truth has.
+    fn tell_filter(&self, table: &FilterTable, scenario: &mut Scenario) -> Result<(), ScenarioError> {
+        if let Some(psd) = table.noise_psd {
+            let psd = self.number("filter.noise_psd", Some(psd), psd, NOISE_PSD)?;
+            let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
+                return Err(self.refuse("filter.noise_psd", "no spectral density beside target.qd", "one"));
+            };
+            *noise_psd = psd;
+        }
+        if let Some(std_m) = table.range_std_m {
+            let std_m = self.number("filter.range_std_m", Some(std_m), std_m, STD_M)?;
+            scenario.robots.iter_mut().for_each(|robot| robot.told_std_m = std_m);
+        }
+        Ok(())
     }
 
     fn recorded(
@@ -110,11 +130,20 @@ impl Checker<'_> {
         if let Some((key, _)) = simulated_only.iter().find(|(_, present)| *present) {
             return Err(self.refuse(key, "no such key beside [recording], whose ranges tell", "one"));
         }
+        let filter = raw.filter.as_ref();
+        for (key, instead, present) in [
+            ("filter.noise_psd", "target.noise_psd", filter.is_some_and(|filter| filter.noise_psd.is_some())),
+            ("filter.range_std_m", "recording.range_std_m", filter.is_some_and(|filter| filter.range_std_m.is_some())),
+        ] {
+            if present {
+                return Err(self.refuse(key, format!("{instead} in a scenario with [recording]"), "this key"));
+            }
+        }
         let Some(ranges) = &table.ranges else {
             return Err(self.refuse("recording.ranges", "the path of a CSV file of ranges", "nothing"));
         };
         let ranges = folder.join(ranges);
-        let recording = Recording::read(&ranges)?;
+        let (recording, _) = Recording::read(&ranges, &ReadOptions::default())?;
         let std_m = self.number("recording.range_std_m", table.range_std_m, defaults::RECORDED_RANGE_STD_M, STD_M)?;
         let bias_m = self.number("recording.bias_m", table.bias_m, 0.0, BIAS_M)?;
         let scale = self.number("recording.scale", table.scale, 0.0, SCALE)?;
@@ -122,26 +151,28 @@ impl Checker<'_> {
             .sensors()
             .iter()
             .map(|sensor| RobotSpec {
-                label: sensor.id.to_string(),
+                label: sensor.name.to_string(),
                 start_m: sensor.first_position_m,
                 speed_mps: 0.0,
                 range_std_m: std_m,
+                told_std_m: std_m,
                 calibration: Calibration { bias_m, scale },
             })
             .collect();
         let special = table.sensor.as_deref().unwrap_or_default();
         for (index, sensor) in special.iter().enumerate() {
             let key = |name: &str| format!("recording.sensor[{index}].{name}");
-            let Some(robot) = recording.sensors().iter().position(|known| known.id == sensor.id) else {
-                let known: Vec<String> = recording.sensors().iter().map(|known| known.id.to_string()).collect();
+            let Some(robot) = recording.sensors().iter().position(|known| known.name == sensor.id) else {
+                let known: Vec<String> = recording.sensors().iter().map(|known| known.name.to_string()).collect();
                 let expected = format!("a sensor of the recording ({})", known.join(", "));
-                return Err(self.refuse(&key("id"), expected, sensor.id));
+                return Err(self.refuse(&key("id"), expected, &sensor.id));
             };
             if special[..index].iter().any(|before| before.id == sensor.id) {
                 return Err(self.refuse(&key("id"), "each sensor once", format!("{} twice", sensor.id)));
             }
             let robot = &mut scenario.robots[robot];
             robot.range_std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
+            robot.told_std_m = robot.range_std_m;
             robot.calibration.bias_m = self.number(&key("bias_m"), sensor.bias_m, bias_m, BIAS_M)?;
             robot.calibration.scale = self.number(&key("scale"), sensor.scale, scale, SCALE)?;
         }
@@ -173,9 +204,15 @@ impl Checker<'_> {
 
     fn gate(&self, raw: &ScenarioFile) -> Result<Option<f64>, ScenarioError> {
         let default = raw.recording.as_ref().map(|_| defaults::RECORDED_GATE_SIGMA);
-        match raw.filter.as_ref().and_then(|table| table.gate_sigma).or(default) {
-            None => Ok(None),
-            Some(sigma) => self.number("filter.gate_sigma", Some(sigma), sigma, GATE_SIGMA).map(Some),
+        let key = "filter.gate_sigma";
+        match raw.filter.as_ref().and_then(|table| table.gate_sigma.as_ref()) {
+            None => Ok(default),
+            Some(GateKey::Word(word)) if word == "none" => Ok(None),
+            Some(GateKey::Word(word)) => {
+                let expected = format!("a number from {} to {} or \"none\"", GATE_SIGMA.start(), GATE_SIGMA.end());
+                Err(self.refuse(key, expected, quoted(word)))
+            }
+            Some(GateKey::Sigma(sigma)) => self.number(key, Some(*sigma), *sigma, GATE_SIGMA).map(Some),
         }
     }
 
@@ -292,6 +329,7 @@ impl Checker<'_> {
                     start_m: [centre_m[0] + radius_m * cos, centre_m[1] + radius_m * sin],
                     speed_mps,
                     range_std_m,
+                    told_std_m: range_std_m,
                     calibration: Calibration::default(),
                 }
             })
@@ -313,11 +351,13 @@ impl Checker<'_> {
             if slot.is_some() {
                 return Err(self.refuse(&key("id"), "each id once", format!("{id} twice")));
             }
+            let range_std_m = self.number(&key("range_std_m"), table.range_std_m, defaults::RANGE_STD_M, STD_M)?;
             *slot = Some(RobotSpec {
                 label: id.to_string(),
                 start_m: self.point(&key("start_m"), table.start_m)?,
                 speed_mps: self.number(&key("speed_mps"), table.speed_mps, defaults::SPEED_MPS, SPEED_MPS)?,
-                range_std_m: self.number(&key("range_std_m"), table.range_std_m, defaults::RANGE_STD_M, STD_M)?,
+                range_std_m,
+                told_std_m: range_std_m,
                 calibration: Calibration::default(),
             });
         }

@@ -84,9 +84,9 @@ fn wait_for(board: &Board, word: &AtomicU32, value: u32) -> anyhow::Result<()> {
 
 /// Has an eye on the exchange, in the background: gives it up, for all nodes, when this one is asked to end or nobody has
 /// been heard for so long.
-fn watch(board: Block<Board>, termination: &Termination, silence: Duration) {
+fn watch(board: Block<Board>, termination: &Termination, silence: Duration) -> std::io::Result<()> {
     let termination = termination.clone();
-    std::thread::spawn(move || {
+    let watched = std::thread::Builder::new().spawn(move || {
         let board: &Board = &board;
         let (mut heard, mut since) = ((0, 0), Instant::now());
         loop {
@@ -105,6 +105,7 @@ fn watch(board: Block<Board>, termination: &Termination, silence: Duration) {
             }
         }
     });
+    watched.map(drop)
 }
 
 pub(super) struct Centre {
@@ -114,7 +115,7 @@ pub(super) struct Centre {
 
 impl Centre {
     pub(super) fn open(run: &Rendezvous, termination: &Termination, silence: Duration) -> anyhow::Result<Self> {
-        watch(open(run)?, termination, silence);
+        watch(open(run)?, termination, silence)?;
         let robots = run.description().scenario.robots.len();
         Ok(Self { board: open(run)?, ranges: vec![Range::default(); robots] })
     }
@@ -155,7 +156,7 @@ pub(super) struct Robot {
 
 impl Robot {
     pub(super) fn open(run: &Rendezvous, termination: &Termination, silence: Duration) -> anyhow::Result<Self> {
-        watch(open(run)?, termination, silence);
+        watch(open(run)?, termination, silence)?;
         Ok(Self { board: open(run)?, robots: run.description().scenario.robots.len() as u64 })
     }
 }

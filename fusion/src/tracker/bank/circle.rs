@@ -1,4 +1,7 @@
 //! The likelihood of a range as a sum of Gaussians along its circle.
+//!
+//! A slant range `r` of a sensor at height `h` has the circle of radius `sqrt(r^2 - h^2)` in the target's plane, on which
+//! its noise is `r / radius` times as wide. Near the sensor's foot, where that is wider than the circle, it is a disc.
 
 use std::f64::consts::TAU;
 
@@ -17,6 +20,12 @@ const SPACING: f64 = 2.0;
 /// Least ratio of radial to tangential variance on a circle: far above the rounding of a determinant.
 const ASPECT_MIN: f64 = 1e-8;
 
+/// Mean of the absolute value of a standard normal.
+const HALF_NORMAL_MEAN: f64 = 0.797_884_560_802_865_4;
+
+/// A range shorter than the height by more of its standard deviations is taken as one shorter by so many.
+const DISC_SIGMA_MAX: f64 = 5.0;
+
 /// Gaussians along the circle of a range that sum up to its likelihood.
 pub(super) struct Circle {
     pub(super) count: usize,
@@ -29,6 +38,9 @@ pub(super) struct Circle {
 
 impl Circle {
     pub(super) fn of(reading: &Reading) -> Self {
+        if reading.height_m != 0.0 {
+            return Self::of_slant_range(reading);
+        }
         let Reading { range_m, range_std_m, .. } = *reading;
         let variance_m2 = range_std_m * range_std_m;
         if range_m < range_std_m {
@@ -45,5 +57,36 @@ impl Circle {
         let bend_m = tangential_variance_m2 / (2.0 * range_m);
         let radial_variance_m2 = (variance_m2 + bend_m * bend_m).max(ASPECT_MIN * tangential_variance_m2);
         Self { count, radius_m: range_m, radial_variance_m2, tangential_variance_m2, arc_m }
+    }
+
+    fn of_slant_range(reading: &Reading) -> Self {
+        let Reading { height_m, range_m, range_std_m, .. } = *reading;
+        // Not less than the height by more than its noise: what is known of the foot's neighbourhood is this.
+        let slant_m = range_m.max(height_m.abs());
+        // The square of the horizontal distance, and its standard deviation.
+        let square_m2 = (range_m - height_m) * (range_m + height_m);
+        let square_std_m2 = 2.0 * slant_m * range_std_m;
+        if square_m2 < 0.5 * square_std_m2 {
+            // A disc round the foot: half of the mean square of the distance each way, of a square that is Gaussian and
+            // not below zero; this form has its value at zero and its ends to either side.
+            let square_m2 = square_m2.max(-DISC_SIGMA_MAX * square_std_m2);
+            let spread_m2 = square_std_m2 * HALF_NORMAL_MEAN;
+            let mean_square_m2 = 0.5 * (square_m2 + square_m2.hypot(2.0 * spread_m2));
+            let variance_m2 = 0.5 * mean_square_m2;
+            let (radial_variance_m2, tangential_variance_m2) = (variance_m2, variance_m2);
+            return Self { count: 1, radius_m: 0.0, radial_variance_m2, tangential_variance_m2, arc_m: TAU * slant_m };
+        }
+        let radius_m = square_m2.sqrt();
+        let radial_std_m = range_std_m * slant_m / radius_m;
+        let spacing_m = SPACING * (2.0 * radius_m * radial_std_m * BEND_SPLIT).sqrt();
+        let count = ((TAU * radius_m / spacing_m).ceil() as usize).clamp(1, CIRCLE_MAX);
+        let along_m = TAU * radius_m / count as f64;
+        let tangential_variance_m2 = (along_m / SPACING) * (along_m / SPACING);
+        let bend_m = tangential_variance_m2 / (2.0 * radius_m);
+        let radial_variance_m2 =
+            (radial_std_m * radial_std_m + bend_m * bend_m).max(ASPECT_MIN * tangential_variance_m2);
+        // The likelihood has the slant range's circle as its integral over the plane.
+        let arc_m = TAU * slant_m / count as f64;
+        Self { count, radius_m, radial_variance_m2, tangential_variance_m2, arc_m }
     }
 }

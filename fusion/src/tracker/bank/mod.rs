@@ -17,9 +17,10 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Cholesky, SMatrix, SVector, Vector2};
 use rangehound_shared::motion::{MotionModel, Transition};
+use rangehound_shared::record::{Judged, RangeUse};
 use serde::{Deserialize, Serialize};
 
-use super::{Fit, Gate, Reading};
+use super::{Fit, Gate, Reading, judged_room, use_of};
 use crate::filter::{Estimate, Innovation, RangeInformation};
 use circle::{CIRCLE_MAX, Circle};
 use rejections::Rejections;
@@ -79,6 +80,8 @@ pub struct Bank<const N: usize> {
     rejections: Rejections,
     /// `ln p(z)` of the last step's ranges given all before.
     log_likelihood: f64,
+    /// Of the last step's readings, in their order.
+    judged: Vec<Judged>,
 }
 
 /// One Gaussian of the sum.
@@ -128,6 +131,7 @@ impl<const N: usize> Bank<N> {
             estimate: unknown(),
             rejections: Rejections::default(),
             log_likelihood: 0.0,
+            judged: judged_room(),
         }
     }
 
@@ -135,6 +139,7 @@ impl<const N: usize> Bank<N> {
     pub fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit {
         self.predict(dt_s);
         self.log_likelihood = 0.0;
+        self.judged.clear();
         let mut fit = Fit::default();
         for reading in readings {
             let reading = Reading { range_std_m: reading.range_std_m.max(RANGE_STD_MIN_M), ..*reading };
@@ -150,6 +155,29 @@ impl<const N: usize> Bank<N> {
             several => mixture(several),
         };
         fit
+    }
+
+    /// What the last step did with its readings, in their order.
+    pub(super) fn judged(&self) -> &[Judged] {
+        &self.judged
+    }
+
+    /// Notes what becomes of a reading, and how well the likeliest hypothesis that it may belong to foretold it.
+    fn judge(&mut self, reading: &Reading, passed: bool, normalised_square: Option<f64>, fit: &mut Fit) {
+        let used = use_of(reading, passed);
+        // A range of which the gate let most of the weight pass may still be far from the likeliest hypothesis.
+        let speaks_against = normalised_square.is_some_and(|square| self.gate.fails(square));
+        fit.failed.set(reading.robot, !passed || speaks_against);
+        if used == RangeUse::Fused {
+            fit.fused += 1;
+        } else {
+            fit.rejected += 1;
+        }
+        if let Some(square) = normalised_square {
+            fit.nis_all += square;
+            fit.tested += 1;
+        }
+        self.judged.push(Judged { used, normalised_square });
     }
 
     /// The one hypothesis that is left, if only one is.
@@ -183,28 +211,35 @@ impl<const N: usize> Bank<N> {
     }
 
     /// Tests a range against the gate. Where nothing is known, nothing speaks against it.
-    fn test(&self, reading: &Reading, fit: &mut Fit) {
-        let passes = |h: &&Hypothesis<N>| self.gate.passes(Sight::of(&h.estimate, reading).normalised_square);
-        let passed_weight: f64 = self.hypotheses.iter().filter(passes).map(|h| h.log_weight.exp()).sum();
+    fn test(&mut self, reading: &Reading, fit: &mut Fit) {
+        let (mut first, mut passing, mut passed_weight) = (None, None, 0.0);
+        for hypothesis in &self.hypotheses {
+            let square = Sight::of(&hypothesis.estimate, reading).normalised_square;
+            first = first.or(Some(square));
+            if self.gate.passes(square) {
+                passing = passing.or(Some(square));
+                passed_weight += hypothesis.log_weight.exp();
+            }
+        }
         let passed = self.hypotheses.is_empty() || passed_weight > 0.5;
-        fit.rejected += 1;
-        fit.failed.set(reading.robot, !passed);
+        self.judge(reading, passed, if passed { passing } else { first }, fit);
     }
 
     /// Weighs all hypotheses by a range and updates, branches or splits them.
     fn fuse(&mut self, reading: &Reading, fit: &mut Fit) {
         if self.hypotheses.is_empty() {
             self.start(reading, 1.0);
-            fit.fused += 1;
+            self.judge(reading, true, None, fit);
             return;
         }
-        let mut nis = None;
+        let (mut first, mut passing) = (None, None);
         let mut passed_weight = 0.0;
         for index in 0..self.hypotheses.len() {
             let Hypothesis { log_weight, estimate } = self.hypotheses[index];
             let sight = Sight::of(&estimate, reading);
+            first = first.or(Some(sight.normalised_square));
             if self.gate.passes(sight.normalised_square) {
-                nis = nis.or(Some(sight.normalised_square));
+                passing = passing.or(Some(sight.normalised_square));
                 passed_weight += log_weight.exp();
                 self.apply(index, reading, &sight);
             } else {
@@ -215,12 +250,9 @@ impl<const N: usize> Bank<N> {
         self.reduce();
         let passed = passed_weight > 0.5;
         if passed {
-            fit.fused += 1;
-            fit.nis += nis.unwrap_or_default();
-        } else {
-            fit.rejected += 1;
-            fit.failed.set(reading.robot, true);
+            fit.nis += passing.unwrap_or_default();
         }
+        self.judge(reading, passed, if passed { passing } else { first }, fit);
         self.rejections.add(reading, !passed);
         if self.rejections.show_lock_out() {
             self.start(reading, RESTART_WEIGHT);
@@ -242,7 +274,7 @@ impl<const N: usize> Bank<N> {
         }
         let mut information = RangeInformation::default();
         information.add(&sight.innovation);
-        let (mut updated, _) = estimate.update(&information);
+        let mut updated = estimate.update(&information);
         let hypothesis = &mut self.hypotheses[index];
         hypothesis.log_weight += log_likelihood.max(sight.log_outlier);
         if make_sound(&mut updated) {
@@ -296,7 +328,7 @@ impl<const N: usize> Bank<N> {
                 information.add(&Innovation { line_of_sight, innovation_m, noise_variance_m2 });
                 covariance += line_of_sight * line_of_sight.transpose() * noise_variance_m2;
             }
-            let (mut child, _) = estimate.update(&information);
+            let mut child = estimate.update(&information);
             if let Some(root) = Cholesky::new(covariance)
                 && make_sound(&mut child)
             {

@@ -15,7 +15,7 @@ const OUTLIER_SPREAD: f64 = 50.0;
 /// A range as a hypothesis sees it, to second order.
 pub(super) struct Sight {
     pub(super) innovation: Innovation,
-    /// How far the circle bends within the hypothesis's standard deviation, `e_t^T P_11 e_t / (2 d)`, m.
+    /// How far the circle bends within the hypothesis's standard deviation, `tr((I - e e^T) P_11) / (2 d)`, m.
     pub(super) bend_m: f64,
     /// `S`, m^2.
     pub(super) variance_m2: f64,
@@ -26,18 +26,26 @@ pub(super) struct Sight {
 }
 
 impl Sight {
-    /// With the second-order terms of `d(X)`: mean `d + bend`, variance `2 bend^2`.
+    /// With the second-order terms of `d(X)`: mean `d + bend`, variance `2 bend^2` in the plane, where only one
+    /// direction bends; [`Estimate::bend`] for a sensor at another height, round which all do.
     pub(super) fn of<const N: usize>(estimate: &Estimate<N>, reading: &Reading) -> Self {
-        let Reading { position_m, range_m, range_std_m, .. } = *reading;
-        let mut innovation = estimate.innovation(position_m, range_m, range_std_m);
+        let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
+        let mut innovation = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
         let covariance = estimate.position_covariance();
         let e = innovation.line_of_sight;
         let across_m2 = (covariance.trace() - e.dot(&(covariance * e))).max(0.0);
-        let distance_m = (estimate.position() - position_m).norm().min(range_m);
-        // A distance changes by no more than the position does.
-        let bend_m = (across_m2 / (2.0 * distance_m)).min(across_m2.sqrt());
+        let (bend_m, bend_variance_m2) = if height_m == 0.0 {
+            let distance_m = (estimate.position() - position_m).norm().min(range_m);
+            // A distance changes by no more than the position does.
+            let bend_m = (across_m2 / (2.0 * distance_m)).min(across_m2.sqrt());
+            (bend_m, 2.0 * bend_m * bend_m)
+        } else {
+            // No slant distance is less than the height.
+            let bend = estimate.bend(&e, (range_m - innovation.innovation_m).min(range_m).max(height_m.abs()));
+            (bend.mean_m, bend.variance_m2)
+        };
         innovation.innovation_m -= bend_m;
-        innovation.noise_variance_m2 += 2.0 * bend_m * bend_m;
+        innovation.noise_variance_m2 += bend_variance_m2;
         let variance_m2 = innovation.variance_m2(&covariance);
         let normalised_square = innovation.normalised_square(&covariance);
         // A range well within a wide estimate has the density r / across, less than 1 / sqrt(S).

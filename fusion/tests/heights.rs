@@ -1,0 +1,197 @@
+//! Anchors under a ceiling: the range is the slant one, and a filter that has it so is consistent, also straight beneath
+//! an anchor, where a range says next to nothing of the plane.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+use nalgebra::{SMatrix, SVector, Vector2};
+use rangehound_fusion::tracker::imm::Imm;
+use rangehound_fusion::tracker::kalman::Kalman;
+use rangehound_fusion::tracker::{Gate, Reading, Tracker};
+use rangehound_shared::draws::{Draws, Stream};
+use rangehound_shared::matrix::{Matrix, square_root};
+use rangehound_shared::motion::MotionModel;
+
+const DT_S: f64 = 0.1;
+const STD_M: f64 = 0.1;
+const NOISE_PSD: f64 = 0.05;
+const HEIGHT_M: f64 = 4.0;
+const ANCHORS_M: [[f64; 2]; 4] = [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]];
+
+/// How a filter does on one simulated walk.
+#[derive(Debug, Default, Clone, Copy)]
+struct Consistency {
+    nees: f64,
+    nis: f64,
+    ticks: f64,
+    ranges: f64,
+    squared_error_m2: f64,
+    squared_end_error_m2: f64,
+}
+
+impl Consistency {
+    fn anees(&self) -> f64 {
+        self.nees / (2.0 * self.ticks)
+    }
+
+    fn nis_mean(&self) -> f64 {
+        self.nis / self.ranges
+    }
+
+    fn rmse_m(&self) -> f64 {
+        (self.squared_error_m2 / self.ticks).sqrt()
+    }
+}
+
+fn motion() -> MotionModel {
+    MotionModel::IntegratorChain { order: 2, noise_psd: NOISE_PSD }
+}
+
+/// A target that moves as the model says, heard by these anchors in turn, or by all at each tick; figures of the ticks
+/// from `settled` on.
+fn walk(
+    tracker: &mut dyn Tracker,
+    seed: u64,
+    start: [f64; 4],
+    anchors_m: &[[f64; 2]],
+    told_height_m: f64,
+    settled: u64,
+    sum: &mut Consistency,
+) {
+    let transition = motion().transition::<4>(DT_S);
+    let root = square_root(&transition.process_noise);
+    let mut x = SVector::from(start);
+    let [mut moves, mut noises] = [0, 1].map(|robot| Draws::new(seed, Stream::RangeNoise { robot }));
+    for tick in 1..=300 {
+        let mut drawn = [0.0; 4];
+        moves.standard_normal(tick, &mut drawn);
+        x = transition.phi * x + root * SVector::from(drawn);
+        let target_m = Vector2::new(x[0], x[1]);
+        let mut noise = [0.0; 4];
+        noises.standard_normal(tick, &mut noise);
+        let readings: Vec<Reading> = anchors_m
+            .iter()
+            .enumerate()
+            .map(|(robot, anchor_m)| {
+                let position_m = Vector2::from(*anchor_m);
+                let range_m = (target_m - position_m).norm().hypot(HEIGHT_M) + STD_M * noise[robot];
+                Reading {
+                    robot,
+                    position_m,
+                    height_m: told_height_m,
+                    range_m,
+                    range_std_m: STD_M,
+                    ..Reading::default()
+                }
+            })
+            .collect();
+        let fit = tracker.step(if tick == 1 { 0.0 } else { DT_S }, &readings);
+        if tick < settled {
+            continue;
+        }
+        let error_m = Vector2::new(tracker.state()[0], tracker.state()[1]) - target_m;
+        let p = SMatrix::<f64, 4, 4>::from_column_slice(tracker.covariance()).fixed_view::<2, 2>(0, 0).into_owned();
+        sum.nees += error_m.dot(&(p.try_inverse().unwrap() * error_m));
+        sum.nis += fit.nis_all;
+        sum.ticks += 1.0;
+        sum.ranges += f64::from(fit.tested);
+        sum.squared_error_m2 += error_m.norm_squared();
+        sum.squared_end_error_m2 = error_m.norm_squared();
+    }
+}
+
+/// A filter that starts from the truth, as well as it is said to know it.
+fn kalman(seed: u64, start: [f64; 4], variance_m2: f64) -> Kalman<4> {
+    let mut drawn = [0.0; 4];
+    Draws::new(seed, Stream::PriorMean).standard_normal(0, &mut drawn);
+    let variances = [variance_m2, variance_m2, 0.1, 0.1];
+    let mean: Vec<f64> = (0..4).map(|i| start[i] + variances[i].sqrt() * drawn[i]).collect();
+    Kalman::new(motion(), &mean, &Matrix::from_diagonal(&variances), Gate::new(None))
+}
+
+fn over_seeds(seeds: u64, mut one: impl FnMut(u64, &mut Consistency)) -> Consistency {
+    let mut sum = Consistency::default();
+    (1..=seeds).for_each(|seed| one(seed, &mut sum));
+    sum
+}
+
+#[test]
+fn trilateration_from_anchors_four_metres_above_is_consistent() {
+    let start = [3.0, 3.0, 0.3, 0.1];
+    let with = |told_m: f64| {
+        over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, told_m, 1, sum))
+    };
+    let told = with(HEIGHT_M);
+    assert!((0.85..1.15).contains(&told.anees()) && (0.95..1.05).contains(&told.nis_mean()), "{told:?}");
+    // The same anchors taken to be in the plane: what this is for.
+    let untold = with(0.0);
+    assert!(untold.anees() > 10.0 && untold.rmse_m() > 3.0 * told.rmse_m(), "{untold:?}");
+}
+
+#[test]
+fn the_first_ranges_alone_tell_where_the_target_is_beneath_the_anchors() {
+    let start = [3.0, 3.0, 0.3, 0.1];
+    let sum = over_seeds(20, |seed, sum| {
+        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        walk(&mut imm, seed, start, &ANCHORS_M, HEIGHT_M, 20, sum);
+    });
+    // The calm model beside the true one makes it a little too sure.
+    assert!((0.7..1.5).contains(&sum.anees()) && sum.rmse_m() < 0.25, "{sum:?}");
+}
+
+/// At rest straight beneath an anchor that is alone: its ranges say that the target is near, and no more.
+#[test]
+fn a_target_straight_beneath_an_anchor_is_not_known_better_than_that() {
+    let start = [0.0, 0.0, 0.0, 0.0];
+    for seed in 1..=20 {
+        let mut sum = Consistency::default();
+        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        walk(&mut imm, seed, start, &ANCHORS_M[..1], HEIGHT_M, 1, &mut Consistency::default());
+        let mut early = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        let readings = [Reading { height_m: HEIGHT_M, range_m: HEIGHT_M, range_std_m: STD_M, ..Reading::default() }];
+        early.step(0.0, &readings);
+        // A range as long as the height: the place is the foot, give or take sqrt(2 h sigma).
+        let spread_m = early.covariance()[0].sqrt();
+        assert!((0.4..1.0).contains(&spread_m) && early.state()[..2].iter().all(|x| x.abs() < 1e-9), "{spread_m}");
+        // One that is shorter than the height is noise.
+        for range_m in [HEIGHT_M - STD_M, HEIGHT_M - 4.0 * STD_M, 0.1] {
+            let mut short = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+            short.step(0.0, &[Reading { range_m, ..readings[0] }]);
+            let short_m = short.covariance()[0].sqrt();
+            assert!(short_m > 0.1 && short_m < spread_m, "{range_m}: {short_m}");
+        }
+        // All anchors from there: they tell the place.
+        let mut all = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        walk(&mut all, seed, start, &ANCHORS_M, HEIGHT_M, 250, &mut sum);
+        assert!(sum.rmse_m() < 0.4, "{seed}: {sum:?}");
+    }
+}
+
+#[test]
+fn a_target_that_starts_beneath_an_anchor_is_followed_consistently() {
+    let start = [0.0, 0.0, 0.3, 0.2];
+    let sum =
+        over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, HEIGHT_M, 1, sum));
+    assert!((0.85..1.2).contains(&sum.anees()) && (0.9..1.1).contains(&sum.nis_mean()), "{sum:?}");
+    let from_ranges = over_seeds(20, |seed, sum| {
+        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        walk(&mut imm, seed, start, &ANCHORS_M, HEIGHT_M, 20, sum);
+    });
+    assert!((0.7..1.6).contains(&from_ranges.anees()) && from_ranges.rmse_m() < 0.3, "{from_ranges:?}");
+}
+
+/// Straight beneath the anchor the distance has no slope: the range is predicted, tested, and says nothing of the plane.
+#[test]
+fn the_information_of_a_range_falls_to_nothing_straight_beneath_the_anchor() {
+    let informs = |away_m: f64| {
+        let mean = [away_m, 0.0, 0.0, 0.0];
+        let mut kalman = Kalman::<4>::new(motion(), &mean, &Matrix::from_diagonal(&[0.01; 4]), Gate::new(None));
+        let range_m = away_m.hypot(HEIGHT_M);
+        let reading = Reading { height_m: HEIGHT_M, range_m, range_std_m: STD_M, ..Reading::default() };
+        kalman.step(0.0, &[reading]);
+        kalman.covariance()[0].recip() - 100.0
+    };
+    // The most, at a distance, is 1 / sigma^2.
+    let told = [0.0, 0.4, 2.0, 40.0].map(informs);
+    assert!(told[0].abs() < 1e-6 && told.is_sorted() && (0.9..1.0).contains(&(told[1] / 0.99)), "{told:?}");
+    assert!((told[3] / 100.0 - 1.0).abs() < 0.02, "{told:?}");
+}

@@ -1,0 +1,145 @@
+//! Which of the ranges on a port are this robot's.
+
+use std::io::{Error, ErrorKind, Result};
+
+use rangehound_shared::radio::{Format, Report};
+
+/// So many reports without the anchor are told of.
+const REPORTS_WITHOUT_MAX: u32 = 20;
+
+/// Most anchors that a message names.
+const NAMES_MAX: usize = 16;
+
+/// What a radio prints, and whose range in it is wanted.
+#[derive(Debug, Clone, Default)]
+pub struct Radio {
+    /// What it prints.
+    pub format: Format,
+    /// The anchor whose range is this robot's. Only a plain port needs none: it takes lines without a name, and those of
+    /// the first name that it sees.
+    pub anchor: Option<String>,
+    /// The tag whose range is this robot's [default: the first that is seen].
+    pub tag: Option<String>,
+}
+
+impl Radio {
+    pub(super) fn choice(self) -> Result<Choice> {
+        if self.format != Format::Plain && self.anchor.is_none() {
+            let why = format!("--format {}: expected --anchor ID, whose range is this robot's", self.format);
+            return Err(Error::new(ErrorKind::InvalidInput, why));
+        }
+        let is_given = self.anchor.is_some();
+        Ok(Choice { anchor: self.anchor, is_given, tag: self.tag, without: 0, heard: Vec::new(), has_told: [false; 3] })
+    }
+}
+
+/// Chooses one range of a report.
+#[derive(Debug)]
+pub(super) struct Choice {
+    anchor: Option<String>,
+    is_given: bool,
+    tag: Option<String>,
+    without: u32,
+    heard: Vec<String>,
+    /// Of a missing anchor, other names, other tags.
+    has_told: [bool; 3],
+}
+
+impl Choice {
+    /// This robot's range in a report, m.
+    pub(super) fn range_m(&mut self, report: &Report<'_>) -> Option<f64> {
+        if let Some(tag) = report.tag {
+            let wanted = self.tag.get_or_insert_with(|| tag.to_owned());
+            if wanted != tag {
+                if !std::mem::replace(&mut self.has_told[2], true) {
+                    log::warn!("port: takes the ranges of tag {wanted}, not those of {tag}; --tag ID chooses");
+                }
+                return None;
+            }
+        }
+        if !self.is_given {
+            return self.range_of_first_name_m(report);
+        }
+        let anchor = self.anchor.as_deref().unwrap_or_default();
+        let found = report.ranges.iter().find(|range| range.anchor.eq_ignore_ascii_case(anchor));
+        if found.is_some() {
+            self.has_told[0] = true;
+        } else if !self.has_told[0] {
+            self.note_missing(report);
+        }
+        found.map(|range| range.range_m)
+    }
+
+    /// A plain line's range, if it has no name or the first one.
+    fn range_of_first_name_m(&mut self, report: &Report<'_>) -> Option<f64> {
+        let range = report.ranges.first()?;
+        if range.anchor.is_empty() {
+            return Some(range.range_m);
+        }
+        let first = self.anchor.get_or_insert_with(|| range.anchor.clone());
+        if *first == range.anchor {
+            return Some(range.range_m);
+        }
+        if !std::mem::replace(&mut self.has_told[1], true) {
+            log::warn!("port: takes the ranges of {first:?}, not those of {:?}; --anchor ID chooses", range.anchor);
+        }
+        None
+    }
+
+    fn note_missing(&mut self, report: &Report<'_>) {
+        for range in report.ranges {
+            if self.heard.len() < NAMES_MAX && !self.heard.contains(&range.anchor) {
+                self.heard.push(range.anchor.clone());
+            }
+        }
+        self.without += 1;
+        if self.without == REPORTS_WITHOUT_MAX {
+            self.has_told[0] = true;
+            let anchor = self.anchor.as_deref().unwrap_or_default();
+            let heard = if self.heard.is_empty() { "none".to_owned() } else { self.heard.join(", ") };
+            log::warn!("port: anchor {anchor:?} is not among those that are heard: {heard}");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rangehound_shared::radio::Parser;
+
+    fn chosen(radio: Radio, text: &str) -> Vec<Option<f64>> {
+        let mut parser = Parser::new(radio.format);
+        let (mut choice, mut ranges) = (radio.choice().unwrap(), Vec::new());
+        parser.push(text.as_bytes(), |report| ranges.push(choice.range_m(&report.unwrap())));
+        ranges
+    }
+
+    fn radio(format: Format, anchor: &str) -> Radio {
+        Radio { format, anchor: Some(anchor.to_owned()), tag: None }
+    }
+
+    #[test]
+    fn the_anchors_range_is_taken_and_never_the_quality() {
+        let lines = "DIST,2,AN0,022E,7.94,8.03,0.00,3.44,AN1,15BA,0.00,8.03,0.00,6.71,POS,6.95,5.37,-1.97,52\n\
+                     DIST,1,AN0,022E,7.94,8.03,0.00,3.40,POS,6.95,5.37,-1.97,53\nDIST,0\n";
+        assert_eq!(chosen(radio(Format::Dwm1001, "15ba"), lines), [Some(6.71), None, None]);
+        assert_eq!(chosen(radio(Format::Dwm1001, "022E"), lines), [Some(3.44), Some(3.4), None]);
+    }
+
+    #[test]
+    fn ranges_of_others_are_not_mixed_in() {
+        assert_eq!(chosen(Radio::default(), "A,5\nB,7\n6\nA,8\n"), [Some(5.0), None, Some(6.0), Some(8.0)]);
+        assert_eq!(chosen(radio(Format::Plain, "B"), "A,5\nB,7\n6\n"), [None, Some(7.0), None]);
+        let line = |tag| format!("AT+RANGE=tid:{tag},mask:01,seq:1,range:(92),ancid:(3)\n");
+        let lines = [line(4), line(5), line(4)].concat();
+        assert_eq!(chosen(radio(Format::Mauwb, "3"), &lines), [Some(0.92), None, Some(0.92)]);
+        let other = Radio { tag: Some("5".to_owned()), ..radio(Format::Mauwb, "3") };
+        assert_eq!(chosen(other, &lines), [None, Some(0.92), None]);
+    }
+
+    #[test]
+    fn a_radio_with_several_anchors_needs_to_be_told_which() {
+        let error = Radio { format: Format::Dwm1001, ..Radio::default() }.choice().unwrap_err();
+        assert!(error.to_string().contains("--anchor ID"), "{error}");
+    }
+}

@@ -1,0 +1,112 @@
+//! Where sensors stand, from a file of its own.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use super::columns::{ColumnMap, Role};
+use super::layout::{Column, Finder};
+use super::names::Kind;
+use super::table::{Row, Table};
+use super::{RecordingError, SensorName};
+use crate::ROBOTS_MAX;
+
+/// Most anchors of a site: a log may be of a part of them.
+const ANCHORS_MAX: usize = 64 * ROBOTS_MAX;
+
+/// Largest coordinate, m: as in recordings.
+const COORDINATE_MAX_M: f64 = 1e8;
+
+/// The anchors of a site: `sensor_id,x_m,y_m[,z_m]`, in any of the forms that a recording may have.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Anchors {
+    file: PathBuf,
+    by_name: BTreeMap<SensorName, Anchor>,
+}
+
+/// Where one anchor stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Anchor {
+    /// Its place, m.
+    pub position_m: [f64; 2],
+    /// Its height, m; `None` where the file has none.
+    pub height_m: Option<f64>,
+}
+
+impl Anchors {
+    /// Reads an anchors file. Of the columns told, it takes `x`, `y` and `z`, and `sensor` if it has that one.
+    ///
+    /// # Errors
+    /// [`RecordingError`] for the first thing that is wrong.
+    pub fn read(path: &Path, columns: &ColumnMap) -> Result<Self, RecordingError> {
+        let file = std::fs::File::open(path).map_err(|error| RecordingError::unreadable(path, &error))?;
+        Self::parse(file, path, columns)
+    }
+
+    /// Parses an anchors file from a reader; `path` names it in errors.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn parse(input: impl Read, path: &Path, columns: &ColumnMap) -> Result<Self, RecordingError> {
+        let knows = |name: &str| Kind::Anchors.knows(name) || columns.names(name);
+        let mut table = Table::open(input, path, false, &knows)?;
+        let mut finder = Finder::new(Kind::Anchors, &table, columns);
+        let sensor = finder.text(Role::Sensor, &table)?;
+        let (x, y, z) =
+            (finder.number(Role::X, &table)?, finder.number(Role::Y, &table)?, finder.number(Role::Z, &table)?);
+        let Some(sensor) = sensor else { return Err(finder.missing(&[Role::Sensor], &table, "")) };
+        let (Some(x), Some(y)) = (x, y) else {
+            return Err(finder.missing(&[Role::X, Role::Y], &table, ":UNIT"));
+        };
+        finder.finish(&table)?;
+        let mut by_name = BTreeMap::new();
+        while let Some(row) = table.next()? {
+            if let Row::Bad(complaint) = row {
+                return Err(table.row_error(complaint));
+            }
+            let name = std::str::from_utf8(table.field(sensor)).ok().and_then(|text| text.parse::<SensorName>().ok());
+            let Some(name) = name else {
+                let expected = super::name::SensorNameError.to_string();
+                return Err(table.row_error(table.complaint(sensor, expected)));
+            };
+            let height_m = match z {
+                Some(z) if !table.field(z.index).is_empty() => Some(coordinate_m(&mut table, z)?),
+                _ => None,
+            };
+            let position_m = [coordinate_m(&mut table, x)?, coordinate_m(&mut table, y)?];
+            let anchor = Anchor { position_m, height_m };
+            if by_name.insert(name, anchor).is_some_and(|before| before != anchor) {
+                return Err(table.row_error(table.complaint(sensor, "each anchor at one place")));
+            }
+            if by_name.len() > ANCHORS_MAX {
+                return Err(table.error(format!("it has more than {ANCHORS_MAX} anchors")));
+            }
+        }
+        if by_name.is_empty() {
+            return Err(table.error("expected a row for each anchor, there is none"));
+        }
+        Ok(Self { file: path.to_owned(), by_name })
+    }
+
+    /// Where an anchor stands.
+    #[must_use]
+    pub fn get(&self, name: &SensorName) -> Option<Anchor> {
+        self.by_name.get(name).copied()
+    }
+
+    /// The anchors by name.
+    pub fn iter(&self) -> impl Iterator<Item = (&SensorName, &Anchor)> {
+        self.by_name.iter()
+    }
+
+    /// The file that they were read from.
+    #[must_use]
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+}
+
+fn coordinate_m<R: Read>(table: &mut Table<R>, column: Column) -> Result<f64, RecordingError> {
+    let value = table.number(column.index, column.unit).filter(|value| value.abs() <= COORDINATE_MAX_M);
+    value.ok_or_else(|| table.row_error(table.complaint(column.index, "a finite number within +-1e8")))
+}

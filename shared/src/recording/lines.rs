@@ -1,0 +1,72 @@
+//! Lines of a text file of any length, none of them longer than it may be.
+
+use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Result};
+
+/// Longest line, bytes.
+const LINE_LEN_MAX: usize = 1 << 16;
+
+/// Most lines of a file.
+const LINES_MAX: u64 = 20_000_000;
+
+/// The lines of a reader, which is read once from start to end: it may be a pipe.
+pub(super) struct Lines<R> {
+    input: BufReader<R>,
+    number: u64,
+}
+
+impl<R: Read> Lines<R> {
+    pub(super) fn new(input: R) -> Self {
+        Self { input: BufReader::with_capacity(1 << 16, input), number: 0 }
+    }
+
+    /// Number of the line that was read last, from 1.
+    pub(super) fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// Reads the next line without its end; false at the end of the file.
+    pub(super) fn read(&mut self, line: &mut Vec<u8>) -> Result<bool> {
+        line.clear();
+        self.number += 1;
+        if self.input.by_ref().take(LINE_LEN_MAX as u64 + 1).read_until(b'\n', line)? == 0 {
+            return Ok(false);
+        }
+        if line.len() > LINE_LEN_MAX {
+            return Err(refuse(format!("line {} has more than {LINE_LEN_MAX} bytes", self.number)));
+        }
+        if self.number > LINES_MAX {
+            return Err(refuse(format!("it has more than {LINES_MAX} lines")));
+        }
+        if self.number == 1 {
+            look_at_start(line)?;
+        }
+        if line.last() == Some(&b'\n') {
+            line.pop();
+        }
+        if line.last() == Some(&b'\r') {
+            line.pop();
+        }
+        Ok(true)
+    }
+}
+
+/// Takes off a byte order mark, and names files that are no text in UTF-8.
+fn look_at_start(line: &mut Vec<u8>) -> Result<()> {
+    match line.as_slice() {
+        [0xEF, 0xBB, 0xBF, ..] => {
+            line.drain(..3);
+            Ok(())
+        }
+        [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] => {
+            Err(refuse("it is text in UTF-16: convert it, as by `iconv -f UTF-16 -t UTF-8`".to_owned()))
+        }
+        [0x1F, 0x8B, ..] => {
+            Err(refuse("it is compressed by gzip: unpack it, or give `zcat FILE` as a pipe".to_owned()))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn refuse(reason: String) -> Error {
+    Error::new(ErrorKind::InvalidData, reason)
+}

@@ -1,0 +1,73 @@
+//! Tracks from elsewhere, such as the true one: `time_s,x_m,y_m` in any of the forms that a recording may have.
+
+use std::io::Read;
+use std::path::Path;
+
+use super::RecordingError;
+use super::columns::{ColumnMap, Role};
+use super::layout::Finder;
+use super::names::Kind;
+use super::stamp;
+use super::table::{Row, Table};
+use super::unit::Unit;
+
+/// Most rows.
+const ROWS_MAX: usize = 10_000_000;
+
+/// Largest number.
+const NUMBER_MAX: f64 = 1e11;
+
+/// A place and when the target was there, s and m.
+pub type TrackPoint = (f64, [f64; 2]);
+
+/// Reads a track, in order of time.
+///
+/// # Errors
+/// [`RecordingError`] for the first thing that is wrong.
+pub fn read_track(path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
+    let file = std::fs::File::open(path).map_err(|error| RecordingError::unreadable(path, &error))?;
+    parse_track(file, path)
+}
+
+/// Parses a track from a reader; `path` names it in errors.
+///
+/// # Errors
+/// As [`read_track`].
+pub fn parse_track(input: impl Read, path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
+    let map = ColumnMap::default();
+    let mut table = Table::open(input, path, false, &|name| Kind::Track.knows(name))?;
+    let mut finder = Finder::new(Kind::Track, &table, &map);
+    let mut column =
+        |role| finder.number(role, &table)?.ok_or_else(|| finder.missing(&[Role::Time, Role::X, Role::Y], &table, ""));
+    let columns = [column(Role::Time)?, column(Role::X)?, column(Role::Y)?];
+    finder.finish(&table)?;
+    let mut points: Vec<TrackPoint> = Vec::new();
+    while let Some(row) = table.next()? {
+        if let Row::Bad(complaint) = row {
+            return Err(table.row_error(complaint));
+        }
+        let mut numbers = [0.0; 3];
+        for (number, column) in numbers.iter_mut().zip(columns) {
+            let value = match column.unit {
+                Unit::Iso => stamp::seconds(table.field(column.index)),
+                unit => table.number(column.index, unit),
+            };
+            *number = value
+                .filter(|value| value.abs() <= NUMBER_MAX)
+                .ok_or_else(|| table.row_error(table.complaint(column.index, "a finite number within +-1e11")))?;
+        }
+        let [time_s, x_m, y_m] = numbers;
+        if let Some((before_s, _)) = points.last().filter(|(before_s, _)| time_s < *before_s) {
+            let expected = format!("a time not before the row above ({before_s})");
+            return Err(table.row_error(table.complaint(columns[0].index, expected)));
+        }
+        if points.len() == ROWS_MAX {
+            return Err(table.error(format!("it has more than {ROWS_MAX} rows")));
+        }
+        points.push((time_s, [x_m, y_m]));
+    }
+    if points.len() < 2 {
+        return Err(table.error("expected two rows at least"));
+    }
+    Ok(points)
+}

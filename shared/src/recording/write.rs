@@ -1,0 +1,70 @@
+//! A recording as CSV in our own form, which is read back the same to the last bit.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+use std::io::Write;
+
+use super::{RecordedRange, Recording, SensorName};
+
+/// Bytes that are written at once.
+const CHUNK: usize = 1 << 16;
+
+/// Writes a recording.
+pub(super) fn write_csv(recording: &Recording, mut out: impl Write) -> std::io::Result<()> {
+    let has_heights = recording.has_heights();
+    let height = if has_heights { "sensor_z_m," } else { "" };
+    let mut text = format!("time_s,sensor_id,sensor_x_m,sensor_y_m,{height}range_m\n");
+    // Few sensors move, and formatting numbers is what takes the time.
+    let mut places: Vec<PlaceText> = recording.sensors.iter().map(|sensor| PlaceText::new(&sensor.name)).collect();
+    let mut time = String::new();
+    for index in 0..recording.len() {
+        let Some((time_s, readings)) = recording.instant(index) else { break };
+        time.clear();
+        // Shortest decimals that read back, and never an exponent. Text in memory takes all that is written.
+        let _ = write!(time, "{time_s},");
+        for reading in readings {
+            text.push_str(&time);
+            text.push_str(places[reading.sensor].at(reading, has_heights));
+            let _ = writeln!(text, "{}", reading.range_m);
+        }
+        if text.len() >= CHUNK {
+            out.write_all(text.as_bytes())?;
+            text.clear();
+        }
+    }
+    out.write_all(text.as_bytes())?;
+    out.flush()
+}
+
+/// The fields that say which sensor and where, as they were written last.
+struct PlaceText {
+    name: String,
+    written: Option<([f64; 2], Option<f64>)>,
+    text: String,
+}
+
+impl PlaceText {
+    fn new(name: &SensorName) -> Self {
+        Self { name: as_field(name.as_str()).into_owned(), written: None, text: String::new() }
+    }
+
+    fn at(&mut self, reading: &RecordedRange, has_heights: bool) -> &str {
+        let place = (reading.position_m, reading.height_m);
+        if self.written != Some(place) {
+            let ([x_m, y_m], height_m) = place;
+            self.text.clear();
+            let _ = write!(self.text, "{},{x_m},{y_m},", self.name);
+            if has_heights {
+                let _ = height_m.map_or(Ok(()), |z_m| write!(self.text, "{z_m}"));
+                self.text.push(',');
+            }
+            self.written = Some(place);
+        }
+        &self.text
+    }
+}
+
+/// A name as a field, in quotes where it needs them.
+fn as_field(name: &str) -> Cow<'_, str> {
+    if name.contains(['"', ',']) { format!("\"{}\"", name.replace('"', "\"\"")).into() } else { name.into() }
+}

@@ -1,0 +1,147 @@
+//! Whether a run's files in shared memory are still there.
+//!
+//! Whoever may write to `/dev/shm` can remove them under a run: systemd does at a user's last logout (`RemoveIPC=yes`).
+//! Processes keep what they have open and mapped, but nobody new can join, and no role can be passed on.
+
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::Duration;
+
+use rustix::process::Pid;
+
+use super::place::Place;
+use crate::clock::monotonic_ns;
+use crate::resources::SHARED_MEMORY;
+
+/// How often a member looks whether the run is still there.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Processes whose open files are examined in one look: the cost of a look has a bound, whatever the team.
+const PROCESSES_PER_LOOK: usize = 4;
+
+/// Files that every member needs for as long as the run goes on.
+const FOUNDATION: [&str; 4] = ["door", "members", "run", "iceoryx2.toml"];
+
+/// What the kernel puts after the name of a file that has been removed.
+const REMOVED: &str = " (deleted)";
+
+/// A file, and the inode that it had.
+#[derive(Debug)]
+struct Known {
+    path: PathBuf,
+    inode: Option<u64>,
+}
+
+impl Known {
+    fn of(path: PathBuf) -> Self {
+        Self { inode: inode(&path), path }
+    }
+
+    fn is_there(&self) -> bool {
+        self.inode.is_some() && inode(&self.path) == self.inode
+    }
+}
+
+fn inode(path: &Path) -> Option<u64> {
+    std::fs::metadata(path).map(|file| file.ino()).ok()
+}
+
+/// One member's cheap look: at one file, now and then. No memory is allocated for it.
+#[derive(Debug)]
+pub(super) struct Presence {
+    run: Known,
+    looked_ns: AtomicU64,
+}
+
+impl Presence {
+    pub(super) fn of(place: &Place) -> Self {
+        Self { run: Known::of(place.path("run")), looked_ns: AtomicU64::new(monotonic_ns()) }
+    }
+
+    /// False once the run's folder has been removed or replaced, as of the newest look.
+    pub(super) fn holds(&self) -> bool {
+        let now_ns = monotonic_ns();
+        if now_ns.saturating_sub(self.looked_ns.load(Relaxed)) < LOOK.as_nanos() as u64 {
+            return true;
+        }
+        self.looked_ns.store(now_ns, Relaxed);
+        self.holds_now()
+    }
+
+    /// The same, looked at now.
+    pub(super) fn holds_now(&self) -> bool {
+        self.run.is_there()
+    }
+}
+
+/// A supervisor's thorough look: at the run's folder, and at what its processes hold open in shared memory.
+#[derive(Debug)]
+pub struct Inspection {
+    place: Place,
+    foundation: [Known; FOUNDATION.len()],
+    /// Removed files that a process held open at the look before: it may have been about to close them.
+    suspects: Vec<(Pid, PathBuf)>,
+    next: usize,
+}
+
+impl Inspection {
+    pub(super) fn of(place: &Place) -> Self {
+        let foundation = FOUNDATION.map(|file| Known::of(place.path(file)));
+        Self { place: place.clone(), foundation, suspects: Vec::new(), next: 0 }
+    }
+
+    /// A file that somebody else has removed, if there is one that the run cannot do without. Of the processes,
+    /// which are the run's own, some are examined at each look.
+    pub fn removed(&mut self, processes: &[Pid]) -> Option<PathBuf> {
+        if let Some(gone) = self.foundation.iter().find(|known| !known.is_there()) {
+            return Some(gone.path.clone());
+        }
+        let count = processes.len().min(PROCESSES_PER_LOOK);
+        let examined: Vec<Pid> = (0..count).map(|n| processes[(self.next + n) % processes.len()]).collect();
+        if !self.suspects.iter().any(|(pid, _)| examined.contains(pid)) {
+            // Whoever is suspected is examined again at the next look.
+            self.next = (self.next + count) % processes.len().max(1);
+        }
+        let removed: Vec<(Pid, PathBuf)> =
+            examined.iter().flat_map(|pid| self.removed_under(*pid).map(|path| (*pid, path))).collect();
+        let sure = removed.iter().find(|suspect| self.suspects.contains(suspect)).map(|(_, path)| path.clone());
+        if !removed.is_empty() {
+            self.next = processes.iter().position(|pid| *pid == removed[0].0).unwrap_or(0);
+        }
+        self.suspects = removed;
+        sure
+    }
+
+    /// The files of this run that a process holds open, that it needs, and that have lost their names.
+    fn removed_under(&self, pid: Pid) -> impl Iterator<Item = PathBuf> {
+        let files = std::fs::read_dir(format!("/proc/{}/fd", pid.as_raw_pid())).into_iter().flatten().flatten();
+        files.filter_map(|entry| {
+            let target = std::fs::read_link(entry.path()).ok()?;
+            let path = PathBuf::from(target.to_str()?.strip_suffix(REMOVED)?);
+            let is_writable =
+                || entry.path().symlink_metadata().is_ok_and(|link| link.permissions().mode() & 0o200 != 0);
+            (self.is_ours(&path) && self.is_needed(&path, is_writable)).then_some(path)
+        })
+    }
+
+    fn is_ours(&self, path: &Path) -> bool {
+        let segments = Path::new(SHARED_MEMORY).join(self.place.prefix());
+        path.as_os_str().as_encoded_bytes().starts_with(segments.as_os_str().as_encoded_bytes())
+            || path.starts_with(self.place.dir())
+    }
+
+    /// False for what legitimately loses its name while a process holds it open.
+    fn is_needed(&self, path: &Path, is_writable: impl Fn() -> bool) -> bool {
+        match path.extension().and_then(|extension| extension.to_str()) {
+            // A way from one node to another goes when either does, and a new one is made for whoever comes. A node's
+            // details go when a dead node is cleaned up, and whoever lists the nodes may hold them open then.
+            Some("connection" | "partial" | "details") => false,
+            // Whoever reads a dead node's messages holds them open for a while: only its writer needs the name.
+            Some("data") => is_writable(),
+            // Of one who has been deposed: another file has the name.
+            Some("role") => !path.exists(),
+            _ => true,
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! Shared memory that somebody removes under a run, as systemd does at a user's last logout: the run goes on from its
+//! checkpoints in fresh shared memory, and what it estimates is the same to the bit.
+
+use std::path::PathBuf;
+
+use rustix::process::Signal;
+
+use crate::support::{Process, Run, digest_in_process, is_alive, signal};
+
+const WORDS: &str = "--ticks 40000 --patience forever";
+const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
+
+/// What lies in shared memory of the run: its folder, and the segments beside it.
+fn files(run: &Run) -> Vec<PathBuf> {
+    let prefix = run.shared_memory_prefix();
+    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
+    entries.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect()
+}
+
+/// Removes all of it.
+fn remove_all(run: &Run) {
+    let segments = files(run);
+    std::fs::remove_dir_all(run.shared_folder()).unwrap();
+    for file in segments {
+        // The supervisor may be faster.
+        let _ = std::fs::remove_file(file);
+    }
+}
+
+fn removals_told(supervisor: &Process) -> usize {
+    supervisor.stderr().lines().filter(|line| line.contains("was removed from outside")).count()
+}
+
+/// Waits until the nodes have been started once more, in order of [`ROLES`], and have come so much further.
+fn wait_for_next(run: &Run, starts: u64) {
+    for role in ROLES {
+        run.pid_of(role, starts);
+    }
+    let done = run.last_world().map_or(0, |(done, _)| done);
+    run.wait_for_ticks(done + 200);
+}
+
+#[test]
+fn a_run_goes_on_however_often_its_shared_memory_is_removed() {
+    let run = Run::new();
+    let supervisor = run.lockstep(&format!("{WORDS} --record --standby 1"));
+    run.wait_for_ticks(200);
+    for removals in 1..=3 {
+        let sim = run.pid_of("sim", removals);
+        remove_all(&run);
+        run.wait_until("the removal is told", || removals_told(&supervisor) as u64 == removals);
+        assert!(!is_alive(sim), "another one goes on in its place");
+        // A greater incarnation than before: the count goes on.
+        run.pid_of("sim", removals + 1);
+        run.pid_of("robot-2", removals + 1);
+        let done = run.last_world().map_or(0, |(done, _)| done);
+        run.wait_for_ticks(done + 200);
+    }
+    supervisor.finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(WORDS));
+    let report = run.report();
+    let sim = &report["nodes"][0];
+    assert_eq!(sim["starts"], 4, "{report}");
+    assert_eq!(sim["kills"].as_u64().unwrap() + sim["exits"].as_u64().unwrap(), 3, "{report}");
+    let replayed = run.start(&["replay", "out/run.mcap", "--json"]).finish().succeeded();
+    assert!(replayed.stdout.contains("\"bit-identical\"") && replayed.stdout.contains("40000"), "{replayed:#?}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
+    let words = "--ticks 60000 --patience forever";
+    let expected = digest_in_process(words);
+    for part in [
+        "folder",
+        "segments",
+        "run",
+        "members",
+        "door",
+        "iceoryx2.toml",
+        "sim.role",
+        "bells.dyn",
+        ".dynamic",
+        ".data",
+        ".connection",
+        "nodes",
+        "services",
+    ] {
+        let run = Run::new();
+        let supervisor = run.lockstep(words);
+        run.wait_for_ticks(200);
+        let segments = files(&run);
+        let of_folder = run.shared_folder().join(part);
+        match part {
+            "folder" => std::fs::remove_dir_all(run.shared_folder()).unwrap(),
+            "segments" => segments.iter().for_each(|file| std::fs::remove_file(file).unwrap()),
+            "nodes" | "services" => std::fs::remove_dir_all(of_folder).unwrap(),
+            _ if of_folder.exists() => std::fs::remove_file(of_folder).unwrap(),
+            ending => {
+                let found = segments.iter().find(|file| file.to_string_lossy().ends_with(ending));
+                std::fs::remove_file(found.unwrap_or_else(|| panic!("{ending} in {segments:?}"))).unwrap();
+            }
+        }
+        // Whoever comes anew makes its own connections.
+        if part != ".connection" {
+            run.wait_until(&format!("the removal of {part} is told"), || removals_told(&supervisor) == 1);
+            wait_for_next(&run, 2);
+        }
+        signal(run.pid_of("fusion", if part == ".connection" { 1 } else { 2 }), Signal::KILL);
+        signal(run.pid_of("robot-1", if part == ".connection" { 1 } else { 2 }), Signal::KILL);
+        supervisor.finish().succeeded();
+        assert_eq!(run.digest(), expected, "{part}");
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
+fn in_real_time_a_run_goes_on_too_and_so_do_a_watch_and_the_page() {
+    let run = Run::new();
+    let supervisor = run.command("run --clock realtime --ticks 60 --live");
+    let watch = run.node("watch --json");
+    run.wait_for_ticks(5);
+    let address = |supervisor: &Process| -> Vec<String> {
+        supervisor.stderr().lines().filter_map(|line| line.strip_prefix("live: ")).map(str::to_owned).collect()
+    };
+    run.wait_until("the page and the watch are there", || address(&supervisor).len() == 1 && watch.has_joined());
+    remove_all(&run);
+    run.wait_until("the page is there again", || address(&supervisor).len() == 2);
+    assert_eq!(address(&supervisor)[0], address(&supervisor)[1]);
+    supervisor.finish().succeeded();
+    assert_eq!(run.report()["ticks"], 60);
+    let watched = watch.finish().succeeded();
+    assert!(watched.stdout.contains("\"ticks\":60"), "{watched:#?}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn nodes_without_a_supervisor_end_with_the_cause_and_resume_goes_on() {
+    let run = Run::new();
+    let sim = run.command(&format!("sim --clock lockstep {WORDS}"));
+    let nodes =
+        ["fusion", "fusion --standby", "robot --id 0", "robot --id 1", "robot --id 2"].map(|words| run.node(words));
+    run.wait_for_ticks(200);
+    remove_all(&run);
+    for node in nodes.into_iter().chain([sim]) {
+        let outcome = node.finish();
+        assert_eq!(outcome.code, Some(1), "{outcome:#?}");
+        let [complaint] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
+        assert!(complaint.contains("has lost its shared memory") && complaint.contains("RemoveIPC"), "{complaint}");
+        assert!(complaint.contains("rangehound resume") && !outcome.stderr.contains("deposed"), "{outcome:#?}");
+    }
+    run.start(&["resume", "out", "--name", &run.name, "--no-record"]).finish().succeeded();
+    assert_eq!(run.digest(), digest_in_process(WORDS));
+    run.assert_nothing_left();
+}
+
+#[test]
+fn without_its_checkpoints_the_run_ends_with_the_cause() {
+    let run = Run::new();
+    let supervisor = run.lockstep("--ticks 100000000 --patience forever");
+    run.wait_for_ticks(200);
+    // Stopped, so that it makes no checkpoint anew.
+    signal(run.pid_of("fusion", 1), Signal::STOP);
+    for file in ["out/sim.checkpoint", "out/fusion.checkpoint"] {
+        std::fs::remove_file(run.path(file)).unwrap();
+    }
+    remove_all(&run);
+    let outcome = supervisor.finish();
+    assert_eq!(outcome.code, Some(1), "{outcome:#?}");
+    let [complaint] = outcome.complaints()[..] else { panic!("{outcome:#?}") };
+    assert!(complaint.contains("was removed from outside") && complaint.contains("left no state"), "{complaint}");
+    run.assert_nothing_left();
+}
