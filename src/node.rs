@@ -8,7 +8,7 @@ use std::process;
 use rangehound_fusion::run::FusionError;
 use rangehound_robot::run::RobotError;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunDescription, RunName};
-use rangehound_shared::scenario::{Scenario, ScenarioFile};
+use rangehound_shared::scenario::{Scenario, ScenarioFile, Source};
 use rangehound_shared::signal::Termination;
 use rangehound_sim::run::SimError;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
@@ -36,7 +36,7 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
     rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         SimError::Rendezvous(error) => input_or_running(error),
-        error @ (SimError::Checkpoint(_) | SimError::Sealed(_)) => Failure::input(error),
+        error @ (SimError::Checkpoint(_) | SimError::Sealed(_) | SimError::Recording(_)) => Failure::input(error),
         other => Failure::from(other),
     })
 }
@@ -86,8 +86,8 @@ fn found(args: &SimArgs) -> Result<(Rendezvous, Option<Claim>), Failure> {
         return Ok((living, folder));
     }
     let name = &experiment.name;
-    let rendezvous = Rendezvous::found(name, experiment.description.clone()).map_err(input_or_running)?;
-    let folder = tables::prepare_folder(&experiment, &[])?;
+    let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
+    let folder = tables::prepare_folder(&experiment)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::tell(format!(
         "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
@@ -111,7 +111,12 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
         return Err(refuse("--out", &format_args!("its folder in {}", living.out_dir.display())));
     }
     let other = &"another scenario";
-    let scenario = |given: &Scenario| Scenario { name: String::new(), ..given.clone() };
+    // The run's copy of a recording says less of how it was read.
+    let same_recording = |given: &Source| matches!((given, &living.scenario.source), (Source::Recorded(a), Source::Recorded(b)) if a.digest == b.digest);
+    let scenario = |given: &Scenario| {
+        let source = if same_recording(&given.source) { &living.scenario.source } else { &given.source };
+        Scenario { name: String::new(), source: source.clone(), ..given.clone() }
+    };
     if let Some(file) = &args.scenario {
         let is_same = scenario(&asked.description.scenario) == scenario(&living.scenario);
         return if is_same { Ok(()) } else { Err(refuse(&file.display().to_string(), other)) };

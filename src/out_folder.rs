@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 
 use rangehound_shared::checkpoint::{self, Checkpoint};
 use rangehound_shared::rendezvous::Role;
+use rangehound_shared::scenario::COPY;
 use rustix::fs::OFlags;
 
 use crate::failure::Failure;
@@ -170,7 +171,7 @@ pub fn claim_again(folder: &Path) -> Result<Claim, Refusal> {
     }
     // What the nodes go on with is told by the run's number in it.
     let goes_on = |name: &str| name.ends_with(".ticks") || name.ends_with(".checkpoint");
-    let kept = [tables::DESCRIPTION, run_mcap::SCENARIO, tables::RECORDING];
+    let kept = [tables::DESCRIPTION, run_mcap::SCENARIO, COPY];
     for name in entries(folder).filter(|name| kind_of_result(name)) {
         if !goes_on(&name) && !kept.contains(&name.as_str()) && !name.starts_with(run_mcap::FILE_NAME) {
             claim.refuse_stranger(&folder.join(&name))?;

@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `scenario.toml` | the scenario as it was run, command line included |
+//! | `recording.csv` | of a recorded run: the recording as it was read, which the simulator plays |
 //! | `report.json` | see [`crate::report`] |
 //! | `estimate.csv` | the track: a row for each tick |
 //! | `report.html`, `picture.svg` | see [`crate::page`], [`crate::picture`] |
@@ -24,7 +25,7 @@ use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord, estimate_log, world_log};
 use rangehound_shared::recording::{RecordingError, TrackPoint, parse_track, read_track};
 use rangehound_shared::rendezvous::{Role, RunDescription};
-use rangehound_shared::scenario::Source;
+use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
 
 use crate::curves::Curves;
@@ -45,31 +46,35 @@ const ESTIMATES: &str = "estimate.csv";
 pub(crate) const ESTIMATE_LOG: &str = "estimate.ticks";
 pub(crate) const WORLD_LOG: &str = "world.ticks";
 
-/// A copy of the recording that is tracked.
-pub(crate) const RECORDING: &str = "recording.csv";
-
 /// Files of a run folder, but for those that have a module of their own.
 pub(crate) const FILE_NAMES: [&str; 8] =
-    [run_mcap::SCENARIO, DESCRIPTION, ESTIMATES, "ranges.csv", "truth.csv", RECORDING, ESTIMATE_LOG, WORLD_LOG];
+    [run_mcap::SCENARIO, DESCRIPTION, ESTIMATES, "ranges.csv", "truth.csv", COPY, ESTIMATE_LOG, WORLD_LOG];
 
 /// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
 const LONG: u64 = 1_000_000;
 
-/// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario. `inputs` are what is
-/// read besides the experiment's own files.
+/// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario.
 ///
 /// # Errors
 /// [`Failure::Input`] if the folder cannot be used.
-pub fn prepare_folder(experiment: &Experiment, inputs: &[&Path]) -> Result<Claim, Failure> {
+pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
     let out_dir = &experiment.description.out_dir;
-    let inputs: Vec<&Path> = experiment.inputs().chain(inputs.iter().copied()).collect();
-    let claim = out_folder::claim(out_dir, Kind::Run, &inputs)?;
+    let claim = out_folder::claim(out_dir, Kind::Run, &experiment.inputs())?;
     claim.clear()?;
-    let text = experiment.scenario_file.to_toml()?;
-    let sealed = sealed::seal(&experiment.description)?;
-    whole_file::write(&out_dir.join(run_mcap::SCENARIO), text)
-        .and_then(|()| whole_file::write_for_owner(&out_dir.join(DESCRIPTION), sealed))
-        .map_err(|error| Failure::input(format!("--out: expected a folder that can be written: {error}")))?;
+    let written = || {
+        if let Source::Recorded(ranges) = &experiment.description.scenario.source
+            && let Some(recording) = ranges.already_read()
+        {
+            let mut copy = WholeFile::create(&out_dir.join(COPY))?;
+            recording.write_csv(&mut copy)?;
+            copy.finish()?;
+        }
+        whole_file::write(&out_dir.join(run_mcap::SCENARIO), experiment.scenario_file.to_toml()?)?;
+        whole_file::write_for_owner(&out_dir.join(DESCRIPTION), sealed::seal(&experiment.description_for_nodes())?)
+    };
+    written().map_err(|error: anyhow::Error| {
+        Failure::input(format!("--out: expected a folder that can be written: {error}"))
+    })?;
     for log in [ESTIMATE_LOG, WORLD_LOG] {
         claim.make_growing(log)?;
     }

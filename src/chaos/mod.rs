@@ -7,8 +7,6 @@ mod campaign;
 mod faults;
 mod outcome;
 
-use std::path::Path;
-
 use rangehound_shared::rendezvous::living_runs;
 use rangehound_shared::scenario::{Clock, PatienceKey, Scenario, Source};
 use rangehound_shared::signal::Termination;
@@ -37,8 +35,7 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
         return Err(Failure::input(format!("--name: expected a free name, run {name} goes on")));
     }
     let termination = Termination::listen()?;
-    let inputs: Vec<&Path> = experiment.inputs().collect();
-    let claim = out_folder::claim(&description.out_dir, Kind::Chaos, &inputs)?;
+    let claim = out_folder::claim(&description.out_dir, Kind::Chaos, &experiment.inputs())?;
     claim.clear()?;
     let mut campaign = Campaign::new(&experiment, faults, args, &termination);
     let mut outcome = Outcome::new(&description.scenario, args);

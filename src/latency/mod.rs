@@ -134,7 +134,9 @@ fn experiment(args: &LatencyArgs) -> Result<Experiment, Failure> {
         // Others that start at the same time have other numbers.
         None => format!("latency-{}", std::process::id()).parse().map_err(Failure::input)?,
     };
-    let checked = |given| Experiment::from_given(given, Some(&name), Naming::Exact, Some(Path::new(OUT)));
+    let checked = |given| {
+        Experiment::from_given(given, Some(&name), Naming::Exact, Some(args.out.as_deref().unwrap_or(Path::new(OUT))))
+    };
     let mut experiment = checked(given.clone())?;
     if args.ticks.is_none() {
         let scenario = &experiment.description.scenario;
