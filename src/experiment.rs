@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use rangehound_fusion::planner;
 use rangehound_shared::recording::{ReadOptions, Recording};
-use rangehound_shared::rendezvous::{RunDescription, RunName, living_runs};
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, RunDescription, RunName, living_runs};
 use rangehound_shared::scenario::{
     FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
     defaults,
@@ -12,6 +12,8 @@ use rangehound_shared::scenario::{
 
 use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};
 use crate::failure::{self, Failure};
+use crate::node::input_or_running;
+use crate::out_folder::NUMBERS_END;
 
 /// The default scenario file, as `rangehound scenario` prints it.
 pub const DEFAULT_SCENARIO: &str = include_str!("../scenarios/paper.toml");
@@ -39,6 +41,26 @@ pub struct Experiment {
     pub scenario_file: ScenarioFile,
     /// Files that were read to make it. Nothing may be written over them.
     inputs: Vec<PathBuf>,
+    /// How it goes on to another name, if the user has left that to this program.
+    numbered: Option<Numbered>,
+}
+
+/// What numbered names are made of.
+#[derive(Debug)]
+struct Numbered {
+    wanted: String,
+    /// The folder made for this one name; `None` if the user has chosen one.
+    folder: Option<Reserved>,
+}
+
+/// A folder made so that no other process takes its name. It goes again if nothing has come into it.
+#[derive(Debug)]
+pub struct Reserved(PathBuf);
+
+impl Drop for Reserved {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir(&self.0);
+    }
 }
 
 impl Experiment {
@@ -47,10 +69,7 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
-        let given = Given::from_args(args)?;
-        let mut experiment = Self::from_given(given, args.name.as_ref(), naming, args.out.as_deref())?;
-        experiment.inputs.extend(args.scenario.clone());
-        Ok(experiment)
+        Self::from_given(Given::from_args(args)?, args.name.as_ref(), naming, args.out.as_deref())
     }
 
     /// The experiment of a scenario file as it was given.
@@ -63,8 +82,10 @@ impl Experiment {
         naming: Naming,
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
-        let Given { file, file_name, folder } = given;
-        Self::check(file, &file_name, &folder, name, naming, out)
+        let Given { file, file_name, folder, path } = given;
+        let mut experiment = Self::check(file, &file_name, &folder, name, naming, out)?;
+        experiment.inputs.extend(path);
+        Ok(experiment)
     }
 
     /// The experiment of `track`.
@@ -157,15 +178,47 @@ impl Experiment {
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
             .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
-        let name = match (name, naming) {
-            (Some(name), _) => name.clone(),
-            (None, Naming::Exact) => scenario.name.parse().map_err(|error| Failure::input(format!("name: {error}")))?,
-            (None, Naming::Numbered) => free_name(&scenario.name, out.is_some())?,
+        let folder = std::path::absolute(out.unwrap_or(Path::new(RUNS)));
+        in_utf8("--out", &folder.map_err(|error| Failure::input(format!("--out: {error}")))?)?;
+        let (name, numbered) = match (name, naming) {
+            (Some(name), _) => (name.clone(), None),
+            (None, Naming::Exact) => {
+                (scenario.name.parse().map_err(|error| Failure::input(format!("name: {error}")))?, None)
+            }
+            (None, Naming::Numbered) => {
+                let wanted = scenario.name.clone();
+                let (name, folder) = free_name(&wanted, out.is_some())?;
+                (name, Some(Numbered { wanted, folder }))
+            }
         };
         let out = out.map_or_else(|| Path::new(RUNS).join(name.to_string()), Path::to_owned);
         let out_dir = std::path::absolute(&out).map_err(|error| Failure::input(format!("--out: {error}")))?;
-        in_utf8("--out", &out_dir)?;
-        Ok(Self { name, description: RunDescription::new(scenario, out_dir), scenario_file: file, inputs })
+        let description = RunDescription::new(scenario, out_dir);
+        Ok(Self { name, description, scenario_file: file, inputs, numbered })
+    }
+
+    /// Founds its run. Where the user gave no name and another process has just taken this one, the next is taken.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn found(&mut self) -> Result<Rendezvous, Failure> {
+        loop {
+            let description = self.description_for_nodes();
+            let Some(Numbered { wanted, folder }) = &mut self.numbered else {
+                return Rendezvous::found(&self.name, description).map_err(input_or_running);
+            };
+            match Rendezvous::found_if_free(&self.name, description) {
+                Err(RendezvousError::Taken { .. }) => {
+                    let (name, reserved) = free_name(wanted, folder.is_none())?;
+                    if let Some(reserved) = reserved {
+                        self.description.out_dir = std::path::absolute(&reserved.0)?;
+                        *folder = Some(reserved);
+                    }
+                    self.name = name;
+                }
+                founded => return founded.map_err(input_or_running),
+            }
+        }
     }
 }
 
@@ -209,6 +262,8 @@ pub struct Given {
     pub file_name: String,
     /// What paths in it are relative to.
     pub folder: PathBuf,
+    /// The file, if it was read from one.
+    pub path: Option<PathBuf>,
 }
 
 impl Given {
@@ -222,12 +277,14 @@ impl Given {
                 file: ScenarioFile::read(path).map_err(Failure::input)?,
                 file_name: path.display().to_string(),
                 folder: path.parent().unwrap_or(Path::new("")).to_owned(),
+                path: Some(path.clone()),
             },
             None => Self {
                 file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
                 // Of the default nothing can be wrong but what the command line puts over it.
                 file_name: "command line".to_owned(),
                 folder: PathBuf::new(),
+                path: None,
             },
         };
         override_with(&mut given.file, args)?;
@@ -236,7 +293,7 @@ impl Given {
 }
 
 /// Puts the command line's values over the file's.
-fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), Failure> {
+pub(crate) fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), Failure> {
     if args.robots.is_some() {
         if file.robot.is_some() || file.recording.is_some() {
             return Err(Failure::input(
@@ -295,13 +352,25 @@ fn name_after(ranges: &Path) -> String {
 }
 
 /// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder
-/// is given) has a folder.
-pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<RunName, Failure> {
+/// is given) has a folder. That folder is made at once: of all who look at the same time only one can.
+pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<(RunName, Option<Reserved>), Failure> {
     let living = living_runs();
     let short: String = wanted.chars().take(19).collect();
-    let candidates = std::iter::once(wanted.to_owned()).chain((2..10_000).map(|n| format!("{short}-{n}")));
-    let mut names = candidates.filter_map(|name| name.parse::<RunName>().ok());
-    let free =
-        |name: &RunName| !living.contains(name) && (folder_given || !Path::new(RUNS).join(name.to_string()).exists());
-    names.find(free).ok_or_else(|| Failure::input("--name: expected a name, as all numbered ones are taken"))
+    let candidates = std::iter::once(wanted.to_owned()).chain((2..NUMBERS_END).map(|n| format!("{short}-{n}")));
+    for name in candidates.filter_map(|name| name.parse::<RunName>().ok()).filter(|name| !living.contains(name)) {
+        if folder_given {
+            return Ok((name, None));
+        }
+        let folder = Path::new(RUNS).join(name.to_string());
+        let made = std::fs::create_dir_all(RUNS).and_then(|()| std::fs::create_dir(&folder));
+        match made {
+            Ok(()) => return Ok((name, Some(Reserved(folder)))),
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists && folder.symlink_metadata().is_ok() => {}
+            Err(error) => {
+                let problem = format!("expected a folder that can be written, {} is not: {error}", folder.display());
+                return Err(Failure::input(format!("--out: {problem}")));
+            }
+        }
+    }
+    Err(Failure::input("--name: expected a name, as all numbered ones are taken"))
 }

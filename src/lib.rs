@@ -35,6 +35,7 @@
 //! | [`chart`], [`field`], [`ellipse`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`least_trace`] | how well the target can be known at the next tick, whatever the headings |
 //! | [`shell`] | completions and manual pages |
+//! | [`out_folder`] | where results may go, and what may be replaced there |
 //! | [`whole_file`] | files that are there as a whole or not at all |
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |
@@ -56,6 +57,7 @@ pub mod latency;
 pub mod least_trace;
 pub mod live;
 pub mod node;
+pub mod out_folder;
 pub mod over_time;
 pub mod page;
 pub mod percentiles;

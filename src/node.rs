@@ -1,20 +1,23 @@
 //! One node: what `sim`, `fusion` and `robot` run, started by hand or by `run`.
 
 use std::ffi::CStr;
-use std::fs::File;
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process;
 
 use rangehound_fusion::run::FusionError;
 use rangehound_robot::run::RobotError;
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunName};
+use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunDescription, RunName};
+use rangehound_shared::scenario::{Scenario, ScenarioFile, Source};
 use rangehound_shared::signal::Termination;
 use rangehound_sim::run::SimError;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::cli::{Command, ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
-use crate::experiment::{Experiment, Naming};
+use crate::experiment::{Experiment, Naming, override_with};
 use crate::failure::{self, Failure};
+use crate::out_folder::Claim;
+use crate::run_mcap::SCENARIO;
 use crate::tables;
 
 /// Of who looks on.
@@ -73,9 +76,10 @@ pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
 
 /// The simulator started by hand founds the run; started again after a kill, it goes back to it. With the claim on the
 /// run folder.
-fn found(args: &SimArgs) -> Result<(Rendezvous, Option<File>), Failure> {
+fn found(args: &SimArgs) -> Result<(Rendezvous, Option<Claim>), Failure> {
     let experiment = Experiment::from_run(&args.experiment, Naming::Exact)?;
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
+        refuse_other_experiment(&args.experiment, &experiment, living.description())?;
         failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
         // Its supervisor may have the folder, if there is one.
         let folder = tables::look_for_writable(living.description()).ok();
@@ -91,6 +95,66 @@ fn found(args: &SimArgs) -> Result<(Rendezvous, Option<File>), Failure> {
         robots - 1
     ));
     Ok((rendezvous, Some(folder)))
+}
+
+/// Refuses flags that say another experiment than the one that goes on: they would be without effect.
+fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &RunDescription) -> Result<(), Failure> {
+    let name = &asked.name;
+    let refuse = |flag: &str, is: &dyn std::fmt::Display| {
+        Failure::input(format!(
+            "{flag}: run {name} goes on already, with {is}: leave the flag out to take the simulator's place, or choose another \
+             --name"
+        ))
+    };
+    let real = |folder: &Path| folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    if args.out.is_some() && real(&asked.description.out_dir) != real(&living.out_dir) {
+        return Err(refuse("--out", &format_args!("its folder in {}", living.out_dir.display())));
+    }
+    let other = &"another scenario";
+    // The run's copy of a recording says less of how it was read.
+    let same_recording = |given: &Source| matches!((given, &living.scenario.source), (Source::Recorded(a), Source::Recorded(b)) if a.digest == b.digest);
+    let scenario = |given: &Scenario| {
+        let source = if same_recording(&given.source) { &living.scenario.source } else { &given.source };
+        Scenario { name: String::new(), source: source.clone(), ..given.clone() }
+    };
+    if let Some(file) = &args.scenario {
+        let is_same = scenario(&asked.description.scenario) == scenario(&living.scenario);
+        return if is_same { Ok(()) } else { Err(refuse(&file.display().to_string(), other)) };
+    }
+    let own_file = living.out_dir.join(SCENARIO);
+    for (flag, alone) in one_by_one(args) {
+        // The run's own scenario, with this one flag over it.
+        let with_flag = ScenarioFile::read(&own_file).map_err(Failure::input).and_then(|mut file| {
+            override_with(&mut file, &alone)?;
+            Scenario::from_file(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)
+        });
+        if with_flag.is_ok_and(|with_flag| scenario(&with_flag) == scenario(&living.scenario)) {
+            continue;
+        }
+        return Err(match flag {
+            "--seed" => refuse(flag, &format_args!("seed {}", living.scenario.seed)),
+            "--ticks" => refuse(flag, &format_args!("{} ticks", living.scenario.ticks)),
+            "--robots" => refuse(flag, &format_args!("{} robots", living.scenario.robots.len())),
+            flag => refuse(flag, other),
+        });
+    }
+    Ok(())
+}
+
+/// The flags that change the experiment, each without the others.
+fn one_by_one(args: &ExperimentArgs) -> Vec<(&'static str, ExperimentArgs)> {
+    let none = ExperimentArgs::default;
+    let ExperimentArgs { robots, ticks, seed, clock, planner, stand_off, patience, .. } = args;
+    let each = [
+        ("--robots", robots.is_some(), ExperimentArgs { robots: *robots, ..none() }),
+        ("--ticks", ticks.is_some(), ExperimentArgs { ticks: *ticks, ..none() }),
+        ("--seed", seed.is_some(), ExperimentArgs { seed: *seed, ..none() }),
+        ("--clock", clock.is_some(), ExperimentArgs { clock: *clock, ..none() }),
+        ("--planner", planner.is_some(), ExperimentArgs { planner: planner.clone(), ..none() }),
+        ("--stand-off", stand_off.is_some(), ExperimentArgs { stand_off: *stand_off, ..none() }),
+        ("--patience", patience.is_some(), ExperimentArgs { patience: patience.clone(), ..none() }),
+    ];
+    each.into_iter().filter(|(_, is_given, _)| *is_given).map(|(flag, _, alone)| (flag, alone)).collect()
 }
 
 /// Joins a run, telling the user if it must wait.

@@ -15,8 +15,9 @@ use serde::Serialize;
 use crate::cli::RecordArgs;
 use crate::failure::{self, Failure};
 use crate::frame::{Frames, UNSETTLED_TICKS};
+use crate::out_folder;
 use crate::run_mcap::FILE_NAME;
-use crate::run_mcap::file::{RunFile, unusable};
+use crate::run_mcap::file::{Poorer, RunFile, unusable};
 use crate::run_mcap::write::Written;
 use crate::watch::{self, LOOK, Progress};
 use crate::{node, tables};
@@ -35,6 +36,8 @@ pub fn record(args: &RecordArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     if let Some(folder) = &args.folder {
         let description = tables::read_description(folder)?;
+        // A run that goes on writes the recording in its folder itself.
+        let _alone = args.out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
         let recorded = record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination)?;
         return recorded.print(args.json);
     }
@@ -236,7 +239,10 @@ impl<'a> Recorder<'a> {
             file.discard();
             log::warn!("{} is not there: the run has left no logs", path.display());
         } else {
-            file.finish().map_err(unwritable)?;
+            file.finish().map_err(|error| match error.downcast::<Poorer>() {
+                Ok(poorer) => Failure::input(poorer),
+                Err(error) => unwritable(error),
+            })?;
         }
         Ok(Recorded {
             file: last.map(|_| tables::from_here(&path).display().to_string()),

@@ -1,18 +1,24 @@
 //! What a shell wants to know of the tool: completions and manual pages, made of what the command line is read with.
 
 use std::collections::BTreeSet;
-use std::io::IsTerminal;
+use std::fs::File;
+use std::io::{IsTerminal, Write};
 use std::path::Path;
 
 use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
+use rangehound_shared::bounded;
 use rangehound_shared::rendezvous::{Rendezvous, living_runs};
 
 use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 use crate::failure::{self, Failure};
 use crate::watch;
+use crate::whole_file::{PARTIAL, rename_to_free, with_ending};
+
+/// Longest manual page that is looked at.
+const PAGE_LEN_MAX: usize = 1 << 20;
 
 /// On a terminal, which shows no page as it is written.
 const HOW_TO_READ: &str = "\
@@ -78,11 +84,38 @@ pub fn man(args: &ManArgs) -> Result<(), Failure> {
     };
     std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))?;
     let of_each = command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set());
-    for command in of_each.chain([&command]) {
+    let of_each = of_each.chain([&command]).map(|command| {
         let file = folder.join(Man::new(command.clone()).get_filename());
-        std::fs::write(&file, page(command)?).map_err(|error| not_writable(&file, &error))?;
+        Ok::<_, Failure>((file, page(command)?))
+    });
+    let pages = of_each.collect::<Result<Vec<_>, _>>()?;
+    if let Some((file, _)) = pages.iter().find(|(file, _)| file.symlink_metadata().is_ok() && !is_page(file)) {
+        let problem = "expected a free name or a page that rangehound made: choose another folder, or move it away";
+        return Err(Failure::input(format!("DIR: {}: {problem}", file.display())));
+    }
+    for (file, page) in pages {
+        write_page(&file, &page).map_err(|error| not_writable(&file, &error))?;
     }
     failure::print(format!("manual pages in {}\n", folder.display()))
+}
+
+/// True if the file is a manual page that this program has made, of whatever version.
+fn is_page(file: &Path) -> bool {
+    let is_file = file.symlink_metadata().is_ok_and(|file| file.is_file());
+    let text = if is_file { bounded::read(file, PAGE_LEN_MAX).unwrap_or_default() } else { Vec::new() };
+    let text = String::from_utf8_lossy(&text);
+    let title = text.lines().take(8).find(|line| line.starts_with(".TH "));
+    title.is_some_and(|title| title.starts_with(".TH rangehound") && title.contains("rangehound "))
+}
+
+/// Writes a page beside its place, and gives it its name: what had that before may have other names, and keeps its content.
+fn write_page(file: &Path, page: &[u8]) -> std::io::Result<()> {
+    let partial = with_ending(file, &format!(".{}{PARTIAL}", std::process::id()));
+    let mut out = File::create_new(&partial)?;
+    let named = out
+        .write_all(page)
+        .and_then(|()| if is_page(file) { std::fs::rename(&partial, file) } else { rename_to_free(&partial, file) });
+    named.inspect_err(|_| drop(std::fs::remove_file(&partial)))
 }
 
 fn not_writable(path: &Path, error: &std::io::Error) -> Failure {

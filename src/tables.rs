@@ -14,9 +14,7 @@
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
-use std::fs::{File, TryLockError};
 use std::io::{Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use nalgebra::Vector2;
@@ -33,75 +31,53 @@ use rangehound_shared::sealed;
 use crate::curves::Curves;
 use crate::experiment::{Experiment, in_utf8};
 use crate::failure::{self, Failure};
+use crate::out_folder::{self, Claim, Kind};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
-use crate::whole_file::{PARTIAL, WholeFile};
+use crate::whole_file::{self, WholeFile};
 use crate::{page, picture, run_mcap, terminal};
 
 /// What the run is, for `resume`.
-const DESCRIPTION: &str = "run.sealed";
+pub(crate) const DESCRIPTION: &str = "run.sealed";
 
 /// The track.
 const ESTIMATES: &str = "estimate.csv";
 
+/// What the nodes put down at each tick.
+pub(crate) const ESTIMATE_LOG: &str = "estimate.ticks";
+pub(crate) const WORLD_LOG: &str = "world.ticks";
+
+/// Files of a run folder, but for those that have a module of their own.
+pub(crate) const FILE_NAMES: [&str; 8] =
+    [run_mcap::SCENARIO, DESCRIPTION, ESTIMATES, "ranges.csv", "truth.csv", COPY, ESTIMATE_LOG, WORLD_LOG];
+
 /// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
 const LONG: u64 = 1_000_000;
-
-/// Claims a run folder for as long as what is returned lives: two runs in one folder would destroy each other.
-///
-/// # Errors
-/// [`Failure::Input`] if a run goes on in it.
-fn claim_folder(out_dir: &Path) -> Result<File, Failure> {
-    let folder = File::open(out_dir).map_err(|error| not_writable(out_dir, &error))?;
-    match folder.try_lock() {
-        Err(TryLockError::WouldBlock) => Err(Failure::input(format!(
-            "--out: expected a folder of its own, a run goes on in {}: choose another, or stop that run",
-            out_dir.display()
-        ))),
-        // A file system without locks has room for runs all the same.
-        Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
-    }
-}
 
 /// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario.
 ///
 /// # Errors
 /// [`Failure::Input`] if the folder cannot be used.
-pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
+pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
     let out_dir = &experiment.description.out_dir;
-    make_folder(&out_dir.join("logs"))?;
-    let claim = claim_folder(out_dir)?;
-    for log in std::fs::read_dir(out_dir.join("logs")).into_iter().flatten().flatten() {
-        let _ = std::fs::remove_file(log.path());
-    }
-    let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
-    let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, run_mcap::FILE_NAME];
-    let tables = [COPY, ESTIMATES, "ranges.csv", "truth.csv"];
-    let stale: Vec<&str> = results.into_iter().chain(tables).chain(checkpoints.iter().map(String::as_str)).collect();
-    // With what a kill has left of their making.
-    let is_what_is_left = |rest: &str| rest.is_empty() || rest.ends_with(PARTIAL);
-    for file in std::fs::read_dir(out_dir).into_iter().flatten().flatten() {
-        let name = file.file_name();
-        let name = name.to_string_lossy();
-        if stale.iter().any(|stale| name.strip_prefix(stale).is_some_and(is_what_is_left)) {
-            let _ = std::fs::remove_file(file.path());
+    let claim = out_folder::claim(out_dir, Kind::Run, &experiment.inputs())?;
+    claim.clear()?;
+    let written = || {
+        if let Source::Recorded(ranges) = &experiment.description.scenario.source
+            && let Some(recording) = ranges.already_read()
+        {
+            let mut copy = WholeFile::create(&out_dir.join(COPY))?;
+            recording.write_csv(&mut copy)?;
+            copy.finish()?;
         }
-    }
-    if let Source::Recorded(ranges) = &experiment.description.scenario.source
-        && let Some(recording) = ranges.already_read()
-    {
-        let mut copy = WholeFile::create(&out_dir.join(COPY))?;
-        recording.write_csv(&mut copy).map_err(|error| not_writable(out_dir, &error))?;
-        copy.finish()?;
-    }
-    let text = experiment.scenario_file.to_toml()?;
-    let sealed = sealed::seal(&experiment.description_for_nodes())?;
-    let write_for_owner = || {
-        let path = out_dir.join(DESCRIPTION);
-        File::options().write(true).create(true).truncate(true).mode(0o600).open(path)?.write_all(&sealed)
+        whole_file::write(&out_dir.join(run_mcap::SCENARIO), experiment.scenario_file.to_toml()?)?;
+        whole_file::write_for_owner(&out_dir.join(DESCRIPTION), sealed::seal(&experiment.description_for_nodes())?)
     };
-    std::fs::write(out_dir.join("scenario.toml"), text)
-        .and_then(|()| write_for_owner())
-        .map_err(|error| not_writable(out_dir, &error))?;
+    written().map_err(|error: anyhow::Error| {
+        Failure::input(format!("--out: expected a folder that can be written: {error}"))
+    })?;
+    for log in [ESTIMATE_LOG, WORLD_LOG] {
+        claim.make_growing(log)?;
+    }
     Ok(claim)
 }
 
@@ -126,17 +102,27 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
 ///
 /// # Errors
 /// [`Failure::Input`] with the first file that cannot be written.
-pub fn look_for_writable(description: &RunDescription) -> Result<File, Failure> {
-    let out_dir = &description.out_dir;
-    let claim = claim_folder(out_dir)?;
+pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure> {
+    let RunDescription { out_dir, run_id, scenario } = description;
+    let claim = out_folder::claim_again(out_dir)?;
     let checkpoints = [Role::Sim, Role::Fusion].map(|role| out_dir.join(checkpoint::file_name(role)));
-    for path in [estimate_log(out_dir), world_log(out_dir)].into_iter().chain(checkpoints) {
-        let opened = std::fs::OpenOptions::new().append(true).open(&path);
+    let logs = [estimate_log(out_dir), world_log(out_dir)];
+    for path in logs.iter().chain(&checkpoints) {
+        let opened = std::fs::OpenOptions::new().append(true).open(path);
         if let Err(error) = opened
             && error.kind() != std::io::ErrorKind::NotFound
         {
             return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
         }
+    }
+    // A node would begin another run's log anew.
+    let has_content = |log: &Path| std::fs::metadata(log).is_ok_and(|log| log.len() > 0);
+    let [estimates, worlds] = &logs;
+    if has_content(estimates) {
+        EstimateRecord::reader(out_dir, *run_id, scenario).map_err(Failure::input)?;
+    }
+    if has_content(worlds) {
+        WorldRecord::reader(out_dir, *run_id, scenario).map_err(Failure::input)?;
     }
     Ok(claim)
 }
@@ -163,19 +149,9 @@ pub fn report_and_tables(
     keep: &Keep,
     nodes: Vec<NodeSummary>,
 ) -> Result<Report, Failure> {
-    let &Keep { ranges, ref truth, json, strict } = keep;
+    let &Keep { ranges, ref truth, strict, .. } = keep;
     let truth = truth.as_ref();
-    let scenario = &description.scenario;
-    if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
-        failure::tell("the run is over, its report is made");
-    }
-    let report = report::from_logs(description, truth, nodes)?;
-    let printed = if json {
-        failure::print_json(&report)
-    } else {
-        let folder = terminal::field("run folder", from_here(&description.out_dir).display());
-        failure::print(format!("{report}\n{folder}\n"))
-    };
+    let (report, printed) = make_report(description, keep, nodes)?;
     let written = report::write(&report, &description.out_dir);
     let table = write_estimate_csv(description);
     let recorded = if ranges { write_recording(description) } else { Ok(()) };
@@ -188,6 +164,37 @@ pub fn report_and_tables(
         return Err(Failure::Running(anyhow::anyhow!("the result is not sound, and --strict was given")));
     }
     Ok(report)
+}
+
+/// Prints the report of a run that another process writes down.
+///
+/// # Errors
+/// [`Failure::Running`] if a log cannot be read, or standard output not written.
+pub fn print_report(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<Report, Failure> {
+    let (report, printed) = make_report(description, keep, nodes)?;
+    printed.map(|()| report)
+}
+
+/// A run's report, and whether it could be printed.
+fn make_report(
+    description: &RunDescription,
+    keep: &Keep,
+    nodes: Vec<NodeSummary>,
+) -> anyhow::Result<(Report, Result<(), Failure>)> {
+    let &Keep { ref truth, json, .. } = keep;
+    let truth = truth.as_ref();
+    let scenario = &description.scenario;
+    if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
+        failure::tell("the run is over, its report is made");
+    }
+    let report = report::from_logs(description, truth, nodes)?;
+    let printed = if json {
+        failure::print_json(&report)
+    } else {
+        let folder = terminal::field("run folder", from_here(&description.out_dir).display());
+        failure::print(format!("{report}\n{folder}\n"))
+    };
+    Ok((report, printed))
 }
 
 /// A path as one would type it here.
@@ -205,18 +212,6 @@ pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>
     let curves = Curves::read(description, truth)?;
     picture::draw(&curves, &description.out_dir)?;
     page::write(report, &curves, &description.out_dir)
-}
-
-/// Makes a folder for results, unless it is there.
-///
-/// # Errors
-/// [`Failure::Input`] if it cannot be made.
-pub fn make_folder(folder: &Path) -> Result<(), Failure> {
-    std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))
-}
-
-fn not_writable(folder: &Path, error: &std::io::Error) -> Failure {
-    Failure::input(format!("--out: expected a folder that can be written, {} is not: {error}", folder.display()))
 }
 
 /// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes

@@ -11,6 +11,7 @@
 //! | `comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
 //! | `hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
+//! | `kept` | nothing of the user's is replaced or removed; one writer of each result |
 //! | `intake` | how a recording gets into a run: pipes, its copy in the run folder, names, a known start |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `latency` | the system beside its references: who is counted, what is left |
@@ -34,6 +35,7 @@ mod drivers;
 mod golden;
 mod hostile;
 mod intake;
+mod kept;
 mod latency;
 mod licences;
 mod live;

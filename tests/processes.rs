@@ -167,7 +167,7 @@ fn the_run_folder_holds_what_was_agreed_on_and_a_recording_that_can_be_tracked()
         let entries = std::fs::read_dir(run.path(folder)).unwrap().flatten();
         entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
     };
-    let files = "estimate.csv estimate.ticks fusion.checkpoint logs picture.svg ranges.csv report.html report.json run.sealed scenario.toml \
+    let files = ".rangehound estimate.csv estimate.ticks fusion.checkpoint logs picture.svg ranges.csv report.html report.json run.sealed scenario.toml \
          sim.checkpoint truth.csv world.ticks";
     assert!(listing("out").iter().map(String::as_str).eq(words(files)), "{:?}", listing("out"));
     let logs = "fusion.log robot-0.log robot-1.log robot-2.log sim.log";

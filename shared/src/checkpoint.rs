@@ -182,6 +182,18 @@ impl Checkpoint {
         Ok((checkpoint, newest.map(|slot| slot.state)))
     }
 
+    /// True if the file is a checkpoint, of whatever run and version, or empty.
+    #[must_use]
+    pub fn is_one(path: &Path) -> bool {
+        let is_file = path.symlink_metadata().is_ok_and(|file| file.is_file());
+        let Some(file) = is_file.then(|| File::open(path).ok()).flatten() else { return false };
+        let begins_sealed = |index| {
+            let mut magic = [0; sealed::MAGIC.len()];
+            file.read_exact_at(&mut magic, slot_start(index) + LEN_BYTES as u64).is_ok() && magic == sealed::MAGIC
+        };
+        file.metadata().is_ok_and(|file| file.len() == 0) || begins_sealed(0) || begins_sealed(1)
+    }
+
     /// Removes the file, if it is still the one that has the name.
     fn remove(&self) {
         let inode = |file: std::fs::Metadata| file.ino();

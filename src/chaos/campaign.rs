@@ -1,6 +1,5 @@
 //! The live part of a campaign: runs that are started, hurt, and waited for.
 
-use std::fs::File;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -21,14 +20,18 @@ use crate::experiment::Experiment;
 use crate::failure::{self, Failure};
 use crate::in_process;
 use crate::node::input_or_running;
+use crate::out_folder;
 use crate::remote::{Status, process_in, signal};
 use crate::report::{self, Report};
 use crate::watch::Progress;
+use crate::whole_file;
 
 const POLL: Duration = Duration::from_millis(1);
 
-/// What a run says, in its folder.
-const LOG: &str = "run.log";
+/// Where what a run says goes, beside its folder.
+fn log(out_dir: &Path) -> PathBuf {
+    out_dir.with_extension("log")
+}
 
 /// A run that has not completed a tick for so long after the last fault is called hung.
 const HUNG: Duration = Duration::from_secs(30);
@@ -221,10 +224,8 @@ struct Run {
 
 impl Run {
     fn start(experiment: &Experiment, seed: u64, standbys: usize, out_dir: &Path) -> anyhow::Result<Self> {
-        std::fs::create_dir_all(out_dir).with_context(|| out_dir.display().to_string())?;
-        let _ = std::fs::remove_file(out_dir.join(LOG));
-        let scenario = out_dir.join("asked.toml");
-        std::fs::write(&scenario, experiment.scenario_file.to_toml()?)?;
+        let scenario = out_dir.with_extension("toml");
+        whole_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
         let name = experiment.name.clone();
         let mut run = Command::new(std::env::current_exe().context("where this program is")?);
         run.arg("run").arg(&scenario).args(["--seed", &seed.to_string(), "--out"]).arg(out_dir);
@@ -233,7 +234,7 @@ impl Run {
     }
 
     fn spawn(mut command: Command, name: &RunName, standbys: usize, out_dir: &Path) -> anyhow::Result<Child> {
-        let output = File::options().create(true).append(true).open(out_dir.join(LOG))?;
+        let output = out_folder::append(&log(out_dir))?;
         command
             .args(["--no-record", "--name", &name.to_string(), "--standby", &standbys.to_string()])
             // What it says is quoted.
@@ -296,7 +297,7 @@ impl Run {
     }
 
     fn last_words(&self) -> String {
-        let text = std::fs::read_to_string(self.out_dir.join(LOG)).unwrap_or_default();
+        let text = std::fs::read_to_string(log(&self.out_dir)).unwrap_or_default();
         let complaint = text.lines().rev().find(|line| line.starts_with("rangehound: "));
         complaint.or(text.lines().last()).unwrap_or_default().trim_start_matches("rangehound: ").to_owned()
     }
@@ -540,7 +541,9 @@ fn tally(description: &RunDescription) -> anyhow::Result<Tally> {
 /// The same run left alone, composed in this process.
 fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
     let out_dir = description.out_dir.join("alone");
-    std::fs::create_dir_all(&out_dir).with_context(|| out_dir.display().to_string())?;
+    let claim =
+        out_folder::claim(&out_dir, out_folder::Kind::Run, &[]).map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
+    claim.clear().map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
     let alone = RunDescription { out_dir, ..description.clone() };
     in_process::run(&alone, |_| {})?;
     tally(&alone)

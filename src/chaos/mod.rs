@@ -7,32 +7,36 @@ mod campaign;
 mod faults;
 mod outcome;
 
-use rangehound_shared::rendezvous::{RunName, living_runs};
+use rangehound_shared::rendezvous::living_runs;
 use rangehound_shared::scenario::{Clock, PatienceKey, Scenario, Source};
 use rangehound_shared::signal::Termination;
 
 use crate::cli::{ChaosArgs, ClockArg, ExperimentArgs};
-use crate::experiment::{Experiment, Naming, free_name};
+use crate::experiment::{Experiment, Naming, Reserved, free_name};
 use crate::failure::{self, Failure};
-use crate::{tables, terminal};
+use crate::out_folder::{self, Kind};
+use crate::terminal;
 use campaign::Campaign;
 use faults::Faults;
 use outcome::Outcome;
+
+/// File name of the outcome in the output folder.
+pub const FILE_NAME: &str = outcome::FILE_NAME;
 
 /// `rangehound chaos`.
 ///
 /// # Errors
 /// [`Failure`], a broken promise among them.
 pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
-    let experiment = experiment(args)?;
+    let (experiment, _reserved) = experiment(args)?;
     let Experiment { name, description, .. } = &experiment;
     let faults = Faults::new(args, description.scenario.robots.len())?;
     if living_runs().contains(name) {
         return Err(Failure::input(format!("--name: expected a free name, run {name} goes on")));
     }
     let termination = Termination::listen()?;
-    tables::make_folder(&description.out_dir)?;
-    let _ = std::fs::remove_file(description.out_dir.join(outcome::FILE_NAME));
+    let claim = out_folder::claim(&description.out_dir, Kind::Chaos, &experiment.inputs())?;
+    claim.clear()?;
     let mut campaign = Campaign::new(&experiment, faults, args, &termination);
     let mut outcome = Outcome::new(&description.scenario, args);
     while campaign.goes_on() {
@@ -58,15 +62,15 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
 }
 
 /// The run to be hurt: in lock step it waits for everybody, so that its digest must not change.
-fn experiment(args: &ChaosArgs) -> Result<Experiment, Failure> {
+fn experiment(args: &ChaosArgs) -> Result<(Experiment, Option<Reserved>), Failure> {
     let given = &args.experiment;
     let clock = given.clock.unwrap_or(ClockArg::Lockstep);
     let forever = PatienceKey::Word("forever".to_owned());
     if given.patience.as_ref().is_some_and(|patience| *patience != forever) {
         return Err(Failure::input("--patience: expected forever, as going on without a node changes the digest"));
     }
-    let name: RunName = match &given.name {
-        Some(name) => name.clone(),
+    let (name, reserved) = match &given.name {
+        Some(name) => (name.clone(), None),
         None => free_name("chaos", given.out.is_some())?,
     };
     let wanted = |ticks| ExperimentArgs {
@@ -83,12 +87,13 @@ fn experiment(args: &ChaosArgs) -> Result<Experiment, Failure> {
     };
     let experiment = Experiment::from_run(&wanted(given.ticks), Naming::Exact)?;
     let scenario = &experiment.description.scenario;
-    match (given.ticks, &scenario.source) {
+    let experiment = match (given.ticks, &scenario.source) {
         (None, Source::Simulated { .. }) => {
-            Experiment::from_run(&wanted(Some(enough_ticks(scenario, args))), Naming::Exact)
+            Experiment::from_run(&wanted(Some(enough_ticks(scenario, args))), Naming::Exact)?
         }
-        _ => Ok(experiment),
-    }
+        _ => experiment,
+    };
+    Ok((experiment, reserved))
 }
 
 /// Ticks of one run: seconds in lock step, until the faults are in and got over in real time.

@@ -71,8 +71,9 @@ pub struct CompareArgs {
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub threads: Option<u64>,
     /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
-    #[arg(long, value_name = "DIR", default_value = "runs/compare")]
-    pub out: PathBuf,
+    /// [default: runs/compare, numbered if another comparison goes on in it]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Print the figures as one line of JSON, with the keys of compare.json
     #[arg(long)]
     pub json: bool,
@@ -120,12 +121,13 @@ pub struct LatencyArgs {
     /// How often each is measured, in turns
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 5)]
     pub rounds: u64,
-    /// Name of the runs [default: latency, numbered if taken]
+    /// Name of the runs [default: latency and the number of this process]
     #[arg(long)]
     pub name: Option<RunName>,
     /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
-    #[arg(long, value_name = "DIR", default_value = "runs/latency")]
-    pub out: PathBuf,
+    /// [default: runs/latency, numbered if another measurement goes on in it]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Print the figures as one line of JSON, with the keys of latency.json
     #[arg(long)]
     pub json: bool,

@@ -14,6 +14,7 @@ pub mod planning_time;
 pub mod statistics;
 pub mod summary;
 
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_fusion::planner;
@@ -22,14 +23,18 @@ use rangehound_shared::scenario::{PLANNERS, Scenario};
 use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::experiment::Given;
 use crate::failure::{self, Failure};
+use crate::out_folder::{Kind, claim_or_number};
 use crate::watch::Progress;
-use crate::{tables, whole_file};
+use crate::whole_file;
 
 use monte_carlo::Trials;
 use summary::{Comparison, Summary};
 
 /// File name of the figures in the output folder.
 pub const FILE_NAME: &str = "compare.json";
+
+/// Where they go unless told otherwise.
+const OUT: &str = "runs/compare";
 
 /// Ticks of all runs together: what is kept of them then takes two gigabytes.
 const TICKS_MAX: u64 = 30_000_000;
@@ -42,7 +47,9 @@ const THREADS_MAX: u64 = 1_024;
 /// [`Failure`].
 pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
     let (trials, scenarios) = checked(args)?;
-    tables::make_folder(&args.out)?;
+    let inputs: Vec<&Path> = args.scenario.iter().chain(&args.scenario_flag).map(PathBuf::as_path).collect();
+    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Compare, &inputs)?;
+    let out = claim.path();
     let began = Instant::now();
     let results = {
         let mut progress = Progress::new("run", trials.count());
@@ -66,12 +73,12 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
         planners: summaries.map(|(name, trials)| Summary::new(name, trials, first.ticks)).collect(),
         planning_time: scenarios.iter().map(planning_time::measure).collect(),
     };
-    whole_file::write(&args.out.join(FILE_NAME), serde_json::to_string_pretty(&comparison)? + "\n")?;
-    pictures::draw(&comparison, &scenarios, &args.out)?;
+    whole_file::write(&out.join(FILE_NAME), serde_json::to_string_pretty(&comparison)? + "\n")?;
+    pictures::draw(&comparison, &scenarios, out)?;
     if args.json {
         return failure::print_json(&comparison);
     }
-    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", args.out.display()))
+    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
 }
 
 /// What is to be run, and each planner's first scenario.

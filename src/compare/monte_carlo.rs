@@ -74,7 +74,7 @@ impl Trials {
     /// # Errors
     /// [`ScenarioError`] for the first thing that is wrong with it.
     pub fn scenario(&self, planner: &str, run: u64) -> Result<Scenario, ScenarioError> {
-        let Given { file, file_name, folder } = &self.given;
+        let Given { file, file_name, folder, .. } = &self.given;
         let mut file = file.clone();
         file.seed = Some(self.first_seed.wrapping_add(run));
         file.planner.get_or_insert_with(PlannerTable::default).name = Some(planner.to_owned());

@@ -16,20 +16,28 @@ pub mod reference;
 mod samples;
 mod system;
 
+use std::path::{Path, PathBuf};
+
 use hdrhistogram::Histogram;
 use rangehound_shared::rendezvous::RunName;
 use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
 use rangehound_shared::signal::Termination;
 
 use crate::cli::{ClockArg, ExperimentArgs, LatencyArgs};
-use crate::experiment::{Experiment, Given, Naming, free_name};
+use crate::experiment::{Experiment, Given, Naming};
 use crate::failure::{self, Failure};
 use crate::hops::HopSummary;
-use crate::tables;
+use crate::out_folder::{self, Kind, claim_or_number};
 use crate::watch::Progress;
 use outcome::{Contender, Each, Outcome};
 use reference::Reference;
 use samples::Waits;
+
+/// Files in the output folder.
+pub(crate) const FILE_NAMES: [&str; 2] = [outcome::FILE_NAME, picture::FILE_NAME];
+
+/// Where they go unless told otherwise.
+const OUT: &str = "runs/latency";
 
 /// Ticks of a round in lock step: seconds.
 const TICKS: u64 = 5_000;
@@ -47,18 +55,18 @@ const RANGES_MAX: u64 = 20_000_000;
 /// # Errors
 /// [`Failure`].
 pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
-    let experiment = experiment(args)?;
-    let Experiment { description, .. } = &experiment;
+    let mut experiment = experiment(args)?;
     let termination = Termination::listen()?;
     // Whatever is started here inherits it.
     args.pin.apply().map_err(Failure::input)?;
+    let inputs: Vec<&Path> = args.scenario.iter().map(PathBuf::as_path).collect();
+    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Latency, &inputs)?;
+    experiment.description.out_dir = std::path::absolute(claim.path())?;
+    let Experiment { description, .. } = &experiment;
     let folder = &description.out_dir;
-    tables::make_folder(folder)?;
-    for stale in [outcome::FILE_NAME, picture::FILE_NAME] {
-        let _ = std::fs::remove_file(folder.join(stale));
-    }
+    claim.clear()?;
     for stale in (1..).map(|round| system::folder(folder, round)).take_while(|stale| stale.exists()) {
-        let _ = std::fs::remove_dir_all(stale);
+        out_folder::remove(&stale);
     }
     let mut outcome = Outcome::new(&description.scenario, &args.pin)?;
     let mut progress = Progress::new("measurement", args.rounds * Contender::ALL.len() as u64);
@@ -123,9 +131,12 @@ fn experiment(args: &LatencyArgs) -> Result<Experiment, Failure> {
     }
     let name: RunName = match &args.name {
         Some(name) => name.clone(),
-        None => free_name("latency", true)?,
+        // Others that start at the same time have other numbers.
+        None => format!("latency-{}", std::process::id()).parse().map_err(Failure::input)?,
     };
-    let checked = |given| Experiment::from_given(given, Some(&name), Naming::Exact, Some(&args.out));
+    let checked = |given| {
+        Experiment::from_given(given, Some(&name), Naming::Exact, Some(args.out.as_deref().unwrap_or(Path::new(OUT))))
+    };
     let mut experiment = checked(given.clone())?;
     if args.ticks.is_none() {
         let scenario = &experiment.description.scenario;

@@ -1,6 +1,5 @@
 //! Runs of the system, as a user starts them, and the stamps that they leave.
 
-use std::fs::File;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -17,16 +16,13 @@ use crate::experiment::Experiment;
 use crate::failure::Failure;
 use crate::hops::HopSummary;
 use crate::node::this_program;
-use crate::{report, tables};
+use crate::{out_folder, report, tables, whole_file};
 
 /// How often the run is looked at: seldom, for it is being measured.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// How long a run may take to end when it is asked to.
 const ENDING: Duration = Duration::from_secs(30);
-
-/// What the run says, in its folder.
-const LOG: &str = "run.log";
 
 /// Where the run of a round goes.
 pub(super) fn folder(out_dir: &Path, round: u64) -> PathBuf {
@@ -42,10 +38,9 @@ pub(super) fn run(
     folder: &Path,
     termination: &Termination,
 ) -> Result<RunDescription, Failure> {
-    tables::make_folder(folder)?;
-    let scenario = folder.join("asked.toml");
-    std::fs::write(&scenario, experiment.scenario_file.to_toml()?).with_context(|| scenario.display().to_string())?;
-    let log = File::create(folder.join(LOG)).with_context(|| folder.display().to_string())?;
+    let (scenario, log_path) = (folder.with_extension("toml"), folder.with_extension("log"));
+    whole_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
+    let log = out_folder::append(&log_path).with_context(|| log_path.display().to_string())?;
     let mut child = this_program()
         .arg("run")
         .arg(&scenario)
@@ -81,7 +76,7 @@ pub(super) fn run(
         std::thread::sleep(LOOK);
     };
     if !status.success() {
-        let said = std::fs::read_to_string(folder.join(LOG)).unwrap_or_default();
+        let said = std::fs::read_to_string(&log_path).unwrap_or_default();
         let said = said.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
         let is_input = status.code() == Some(2);
         return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });

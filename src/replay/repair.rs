@@ -8,11 +8,11 @@ use serde::Serialize;
 
 use crate::cli::ReplayArgs;
 use crate::failure::{self, Failure};
-use crate::run_mcap::file::{RunFile, partial, unusable};
+use crate::run_mcap::file::{RunFile, unusable};
 use crate::run_mcap::read::{FrameReader, ReadError};
 use crate::run_mcap::write::Written;
 use crate::watch::Progress;
-use crate::whole_file::with_ending;
+use crate::whole_file::{PARTIAL, with_ending};
 
 /// What there was to save; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
@@ -39,12 +39,12 @@ pub(super) fn repair(
 ) -> Result<(), Failure> {
     let path = &args.file;
     let out = args.out.clone().unwrap_or_else(|| whole_name(path));
-    if out.exists() {
+    if out.symlink_metadata().is_ok() {
         return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
     }
     let description = reader.description().map_err(|error| refuse(&error))?.clone();
     // What is repaired may be all that there is of the run: it keeps its name until there is more.
-    let in_making = with_ending(&out, ".repairing");
+    let in_making = with_ending(&out, &format!(".{}{PARTIAL}", std::process::id()));
     let file = RunFile::begin_as(&in_making, &out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
     let copied = copy(&mut reader, file, description.scenario.ticks);
     if !matches!(copied, Ok((Some(_), _))) {
@@ -56,9 +56,6 @@ pub(super) fn repair(
             why.map_or_else(|| Failure::input(format!("{}: holds no tick", path.display())), |why| refuse(&why))
         );
     };
-    if *path == partial(&out) {
-        let _ = std::fs::remove_file(path);
-    }
     let (file, whole) = (path.display().to_string(), out.display().to_string());
     let ticks_of_run = description.scenario.ticks;
     if args.json {

@@ -6,8 +6,10 @@
 //! | [`topics`] | what travelled, message by message, from and to a [`Frame`](crate::frame::Frame) |
 //! | [`scene`] | the same as people see it, in the well-known messages of Foxglove |
 //! | [`write`](mod@write), [`file`](mod@file) | frames into a file |
+//! | [`count`] | how many ticks a file holds |
 //! | [`read`] | frames out of a file, which may be damaged or somebody else's |
 
+pub mod count;
 pub mod file;
 pub mod messages;
 pub mod read;

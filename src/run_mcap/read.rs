@@ -252,10 +252,10 @@ impl Run {
 }
 
 /// The fields of a record one after the other. The library's own parser takes as much memory as a damaged length says.
-struct Fields<'a>(&'a [u8]);
+pub(super) struct Fields<'a>(pub(super) &'a [u8]);
 
 impl<'a> Fields<'a> {
-    fn take(&mut self, len: usize) -> Option<&'a [u8]> {
+    pub(super) fn take(&mut self, len: usize) -> Option<&'a [u8]> {
         let (taken, rest) = self.0.split_at_checked(len)?;
         self.0 = rest;
         Some(taken)
@@ -280,7 +280,7 @@ impl<'a> Fields<'a> {
     }
 
     /// Id and topic.
-    fn channel(mut self) -> Option<(u16, &'a [u8])> {
+    pub(super) fn channel(mut self) -> Option<(u16, &'a [u8])> {
         let id = self.u16()?;
         self.u16()?;
         Some((id, self.string()?))

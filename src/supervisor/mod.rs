@@ -8,16 +8,15 @@ mod removal;
 pub mod restart;
 mod silence;
 
-use std::fs::File;
-
 use anyhow::anyhow;
-use rangehound_shared::rendezvous::{Rendezvous, RunDescription, RunName};
+use rangehound_shared::rendezvous::Rendezvous;
 use rangehound_shared::signal::Termination;
 
 use crate::cli::{RecordingArgs, ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};
 use crate::failure::Failure;
 use crate::node::{end_with, input_or_running};
+use crate::out_folder::{self, Claim};
 use crate::tables::{self, Keep};
 use crate::watch::Progress;
 use crate::{in_process, live, recorder};
@@ -39,8 +38,9 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
-    let experiment = Experiment::from_track(args)?;
+    // Before a folder is made for the name.
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
+    let experiment = Experiment::from_track(args)?;
     let keep = Keep { ranges: false, truth, json: args.json, strict: args.input.strict };
     execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
 }
@@ -55,20 +55,23 @@ pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
-    let look = || tables::look_for_writable(&description);
+    let found = || {
+        let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
+        Ok((rendezvous, tables::look_for_writable(&description)?))
+    };
     let keep = Keep { json: args.json, ..Keep::default() };
-    supervise(&name, &description, &args.supervision, &args.recording, &keep, look)
+    supervise(&args.supervision, &args.recording, &keep, found)
 }
 
 fn execute(
-    experiment: Experiment,
+    mut experiment: Experiment,
     in_process: bool,
     supervision: &SupervisionArgs,
     recording: &RecordingArgs,
     keep: &Keep,
 ) -> Result<(), Failure> {
-    let Experiment { name, description, .. } = &experiment;
     if in_process {
+        let description = &experiment.description;
         let _folder = tables::prepare_folder(&experiment)?;
         let mut progress = Progress::new("tick", description.scenario.ticks);
         in_process::run(description, |tick| {
@@ -80,34 +83,36 @@ fn execute(
         if !recording.no_record {
             recorder::record_logs(description, None, recording.limit.bytes(), &Termination::listen()?)?;
         }
-        tables::report_and_tables(description, keep, Vec::new())?;
-        return Ok(());
+        let reported = tables::report_and_tables(description, keep, Vec::new());
+        out_folder::seal(&description.out_dir);
+        return reported.map(drop);
     }
-    let name = name.clone();
-    let description = experiment.description_for_nodes();
     // What has been read is let go of once its copy is written.
-    supervise(&name, &description, supervision, recording, keep, move || tables::prepare_folder(&experiment))
+    supervise(supervision, recording, keep, move || {
+        // Only who has the name may touch the folder.
+        let rendezvous = experiment.found()?;
+        let folder = tables::prepare_folder(&experiment)?;
+        Ok((rendezvous, folder))
+    })
 }
 
-/// Starts the processes of a run, sees to them until it ends, and reports.
+/// Founds a run in its folder, starts its processes, sees to them until it ends, and reports.
 fn supervise(
-    name: &RunName,
-    description: &RunDescription,
     supervision: &SupervisionArgs,
     recording: &RecordingArgs,
     keep: &Keep,
-    prepare_folder: impl FnOnce() -> Result<File, Failure>,
+    found: impl FnOnce() -> Result<(Rendezvous, Claim), Failure>,
 ) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     supervision.pin.apply().map_err(Failure::input)?;
     if let Some(Some(port)) = supervision.show.live {
         live::look_for(port)?;
     }
-    // Only who has the name may touch the folder.
-    let rendezvous = Rendezvous::found(name, description.clone()).map_err(input_or_running)?;
-    let _folder = prepare_folder()?;
+    let (rendezvous, _folder) = found()?;
+    let description = &rendezvous.description().clone();
     let (summaries, outcome) = go_on_until_the_end(rendezvous, supervision, recording, &termination)?;
     let reported = tables::report_and_tables(description, keep, summaries);
+    out_folder::seal(&description.out_dir);
     // Why the run ended early comes first.
     outcome?;
     let ticks = reported?.ticks;

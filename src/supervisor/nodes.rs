@@ -1,6 +1,5 @@
 //! The processes of a run: started, watched, started again, ended.
 
-use std::fs::File;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::PathBuf;
@@ -21,6 +20,7 @@ use super::silence::{self, Silence};
 use crate::cli::SupervisionArgs;
 use crate::failure::{Failure, with_causes};
 use crate::node::{command_line, this_program};
+use crate::out_folder;
 use crate::report::{Incident, NodeSummary};
 use crate::watch;
 
@@ -334,7 +334,7 @@ impl Node {
 
     fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
         let log_path = self.log_path(rendezvous);
-        let log = File::options().create(true).append(true).open(&log_path);
+        let log = out_folder::append(&log_path);
         // Where no log can be kept, the user sees what the node says.
         let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
         // Where others can lead, one that was started as fusion stands by too: another may lead when it comes.

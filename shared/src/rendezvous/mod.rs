@@ -238,6 +238,18 @@ impl Rendezvous {
     /// # Errors
     /// [`RendezvousError::Taken`] if a run of this name lives; others if the system refuses.
     pub fn found(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+        Self::found_within(DYING, name, description)
+    }
+
+    /// The same, for whom another name would do: nobody's death is waited for.
+    ///
+    /// # Errors
+    /// As [`Self::found`].
+    pub fn found_if_free(name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+        Self::found_within(Duration::ZERO, name, description)
+    }
+
+    fn found_within(patience: Duration, name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
         let robots = description.scenario.robots.len();
         resources::provide_files(robots)?;
         resources::look_for_shared_memory()?;
@@ -250,7 +262,7 @@ impl Rendezvous {
             let members = place.open("members")?;
             match members.try_lock() {
                 Ok(()) => break (door, members),
-                Err(TryLockError::WouldBlock) if began.elapsed() < DYING => continue_orphans(&place),
+                Err(TryLockError::WouldBlock) if began.elapsed() < patience => continue_orphans(&place),
                 Err(TryLockError::WouldBlock) => return Err(RendezvousError::Taken { name: name.clone() }),
                 Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
             }

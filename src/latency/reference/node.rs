@@ -66,6 +66,9 @@ fn be_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
         command[DUE] = due_ns;
         link.answer(&command)?;
     }
+    // A robot that has not met this publisher yet would not get its last command if it were gone. The parent closes the input
+    // once it has heard all robots.
+    let _ = std::io::stdin().read(&mut [0]);
     Ok(())
 }
 

@@ -21,6 +21,7 @@ use crate::experiment::Experiment;
 use crate::failure::Failure;
 use crate::latency::samples::Exchange;
 use crate::node::{input_or_running, this_program};
+use crate::out_folder;
 
 /// From the word to start to the start, so that all have it.
 const LEAD: Duration = Duration::from_millis(20);
@@ -44,7 +45,7 @@ pub(in crate::latency) fn measure(
         futex::create(&run)?;
     }
     let scenario = &experiment.description.scenario;
-    let said = File::create(log).with_context(|| log.display().to_string())?;
+    let said = out_folder::append(log).with_context(|| log.display().to_string())?;
     let mut team = Team { nodes: Vec::new(), log: log.to_owned() };
     for role in std::iter::once(Role::Fusion).chain((0..scenario.robots.len()).map(Role::Robot)) {
         team.nodes.push(Node::start(reference, role, &run, said.try_clone()?, termination)?);
