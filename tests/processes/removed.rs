@@ -20,7 +20,16 @@ fn files(run: &Run) -> Vec<PathBuf> {
 /// Removes all of it.
 fn remove_all(run: &Run) {
     let segments = files(run);
-    std::fs::remove_dir_all(run.shared_folder()).unwrap();
+    // A node may be making a file in it.
+    let mut result = Ok(());
+    for _ in 0..10 {
+        result = std::fs::remove_dir_all(run.shared_folder());
+        if result.is_ok() {
+            break;
+        }
+    }
+    // The supervisor may be faster.
+    assert!(result.is_ok() || !run.shared_folder().join("sim.role").exists(), "{result:?}");
     for file in segments {
         // The supervisor may be faster.
         let _ = std::fs::remove_file(file);
