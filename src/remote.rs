@@ -1,13 +1,12 @@
 //! A run, seen and acted on from another terminal: what `status` tells; `kill`, `restart`, `stop`.
 
-use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::record::WorldRecord;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunName, living_runs};
-use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+use rangehound_shared::rendezvous::{Holder, Process, Rendezvous, Role, RunName, living_runs};
+use rustix::process::{Pid, Signal};
 use serde::Serialize;
 use serde_json::json;
 
@@ -26,6 +25,9 @@ const HUNG: Duration = Duration::from_secs(1);
 
 /// Note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
 pub(crate) const ENDING: &str = "ending";
+
+/// State of a node that lives where it cannot be looked at: in another PID namespace.
+pub(crate) const ELSEWHERE: &str = "elsewhere";
 
 /// A run as it is at the moment.
 #[derive(Debug, Serialize)]
@@ -50,7 +52,7 @@ pub(crate) struct Status {
 #[derive(Debug, Serialize)]
 pub(crate) struct NodeStatus {
     pub(crate) name: String,
-    /// `running`, `stopped` (by a signal), `hung` (gives no sign of life) or `gone`.
+    /// `running`, `stopped` (by a signal), `hung` (gives no sign of life), `gone`, or `elsewhere` (in another PID namespace).
     pub(crate) state: &'static str,
     pub(crate) pid: Option<i32>,
     pub(crate) starts: u64,
@@ -80,7 +82,7 @@ pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
 /// [`Failure`].
 pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
     let run = join(&args.run)?;
-    if run.roster().holder(Role::Supervisor).is_none() {
+    if !run.roster().is_held(Role::Supervisor) {
         let problem = format!("expected a run with a supervisor, {} was started by hand", run.name());
         return Err(Failure::input(format!("restart: {problem}: kill the node, and start it again")));
     }
@@ -114,14 +116,23 @@ pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
     let run = join(args)?;
     let name = run.name().clone();
     let robots = run.description().scenario.robots.len();
-    if run.roster().holder(Role::Supervisor).is_some() {
+    if run.roster().is_held(Role::Supervisor) {
         signal(&run, Role::Supervisor, Signal::TERM)?;
     } else {
         let standbys = (1..=STANDBYS_MAX).map(Role::Standby);
-        for role in watch::roles(robots).chain(standbys).filter(|role| run.roster().is_held(*role)) {
-            signal(&run, role, Signal::TERM)?;
-            // One that is stopped hears it only when it runs; one that has ended by now needs nothing.
-            let _ = signal(&run, role, Signal::CONT);
+        let mut processes = Vec::new();
+        // All or none: half a team is no run that has ended.
+        for role in watch::roles(robots).chain(standbys) {
+            match run.roster().process(role) {
+                Holder::Here(process) => processes.push(process),
+                Holder::Nobody => {}
+                Holder::Elsewhere => return Err(elsewhere(&run, role)),
+            }
+        }
+        for process in processes {
+            // One that has ended by now needs nothing; one that is stopped hears it only when it runs.
+            let _ = process.signal(Signal::TERM);
+            let _ = process.signal(Signal::CONT);
         }
     }
     // Its members leave one by one; this one must not be the last that keeps it.
@@ -161,26 +172,33 @@ fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
 
 /// Sends a signal to the process in a role.
 pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
-    let (pid, process) = process_in(run, role)?;
-    pidfd_send_signal(&process, signal).map_err(|_| gone(run, role))?;
-    Ok(pid)
+    let process = process_in(run, role)?;
+    process.signal(signal).map_err(|_| gone(run, role))?;
+    Ok(process.pid())
 }
 
-/// The process in a role, held so that it is never mistaken for another that may get its pid.
-pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<(Pid, OwnedFd), Failure> {
+/// The process in a role, as the kernel tells it.
+pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failure> {
     if let Role::Robot(id) = role
         && id >= run.description().scenario.robots.len()
     {
         let last = run.description().scenario.robots.len() - 1;
         return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
     }
-    let pid = run.roster().holder(role).ok_or_else(|| gone(run, role))?;
-    let process = pidfd_open(pid, PidfdFlags::empty()).map_err(|_| gone(run, role))?;
-    // Still the holder: so what was opened is it.
-    if run.roster().holder(role) != Some(pid) {
-        return Err(gone(run, role));
+    match run.roster().process(role) {
+        Holder::Here(process) => Ok(process),
+        Holder::Nobody => Err(gone(run, role)),
+        Holder::Elsewhere => Err(elsewhere(run, role)),
     }
-    Ok((pid, process))
+}
+
+/// Its number here, if it has one, is another process's.
+fn elsewhere(run: &Rendezvous, role: Role) -> Failure {
+    let what = if role == Role::Supervisor { "the supervisor".to_owned() } else { role.to_string() };
+    Failure::input(format!(
+        "{what} of run {} runs in another PID namespace (container), or /proc here does not show it: run this command there",
+        run.name()
+    ))
 }
 
 fn gone(run: &Rendezvous, role: Role) -> Failure {
@@ -190,7 +208,7 @@ fn gone(run: &Rendezvous, role: Role) -> Failure {
 impl Status {
     /// True while there is any process that the run is made of.
     pub(crate) fn has_processes(&self) -> bool {
-        self.nodes.iter().any(|node| node.pid.is_some())
+        self.nodes.iter().any(|node| node.pid.is_some() || node.state == ELSEWHERE)
     }
 
     pub(crate) fn of(run: &Rendezvous) -> Self {
@@ -220,12 +238,16 @@ impl Status {
 
 impl NodeStatus {
     fn of(run: &Rendezvous, role: Role) -> Self {
-        let pid = run.roster().holder(role).map(Pid::as_raw_pid);
-        let told = pid.and_then(|pid| std::fs::read_to_string(format!("/proc/{pid}/status")).ok()).unwrap_or_default();
+        let holder = run.roster().process(role);
+        let (pid, told) = match &holder {
+            Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.told("status")),
+            Holder::Nobody | Holder::Elsewhere => (None, String::new()),
+        };
         let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
-        let silent = run.roster().last_sign(role).filter(|_| pid.is_some());
+        let silent = run.roster().last_sign(role).filter(|_| !matches!(holder, Holder::Nobody));
         let silent = silent.map(|sign| SystemTime::now().duration_since(sign).unwrap_or_default());
         let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
+            _ if matches!(holder, Holder::Elsewhere) => ELSEWHERE,
             (None, _) | (_, Some('Z' | 'X') | None) => "gone",
             (_, Some('T' | 't')) => "stopped",
             _ if silent.is_some_and(|silent| silent >= HUNG) => "hung",

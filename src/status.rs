@@ -10,11 +10,12 @@ use rangehound_shared::signal::Termination;
 use crate::cli::StatusArgs;
 use crate::failure::{self, Failure};
 use crate::node::input_or_running;
-use crate::remote::{NodeStatus, Status, run_named};
+use crate::remote::{ELSEWHERE, NodeStatus, Status, run_named};
 use crate::terminal::{self, BAD, DOUBTFUL, GOOD, TITLE, field, wrapped};
 
 /// All states, who needs somebody first.
-const STATES: [(&str, Style); 4] = [("gone", BAD), ("hung", DOUBTFUL), ("stopped", DOUBTFUL), ("running", GOOD)];
+const STATES: [(&str, Style); 5] =
+    [("gone", BAD), ("hung", DOUBTFUL), ("stopped", DOUBTFUL), (ELSEWHERE, DOUBTFUL), ("running", GOOD)];
 
 /// Robots in one state that are still shown one by one.
 const ROBOTS_MAX: usize = 16;
@@ -79,6 +80,10 @@ impl Status {
         let what = match leader {
             _ if self.is_finishing() => field("finishing", "its nodes end, and its recording and report are written"),
             Some(pid) => field("fusion", format!("process {pid} leads, the lead number {leads}; {standbys} stand by")),
+            None if self.nodes.iter().any(|node| node.name == "fusion" && node.state == ELSEWHERE) => field(
+                "fusion",
+                format!("a process in another PID namespace leads, the lead number {leads}; {standbys} stand by"),
+            ),
             None => field("fusion", format!("{BAD}nobody leads{BAD:#}; {standbys} stand by")),
         };
         let heads = ["node", "state", "pid", "starts", "silent", "memory"].map(str::to_owned);
@@ -96,6 +101,9 @@ impl Status {
         }
         if rows.iter().any(|(_, row)| matches!(row, Row::Robots(_))) {
             out.push_str("\n\nRobots on one line: longest silence, memory of all. --all shows each.");
+        }
+        if rows.iter().any(|(_, row)| row.cells()[1] == ELSEWHERE) {
+            out.push_str("\n\nelsewhere: in another PID namespace (container), where this command shows and ends it.");
         }
         out
     }
@@ -158,7 +166,7 @@ impl Row<'_> {
 
 /// A row of the table; the style is the state's, or of all heads.
 fn line(style: Style, [name, state, pid, starts, silent, memory]: &[String; 6]) -> String {
-    format!("{name:<12} {style}{state:<8}{style:#} {pid:>8} {starts:>7} {silent:>10} {memory:>10}")
+    format!("{name:<12} {style}{state:<9}{style:#} {pid:>8} {starts:>7} {silent:>10} {memory:>10}")
 }
 
 /// Which robots, neighbours together: `robot-0 to 4, 7`.

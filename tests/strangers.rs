@@ -217,3 +217,64 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
         run.assert_nothing_left();
     }
 }
+
+/// A command line that runs the rest in a PID namespace of its own, as in a container.
+const NAMESPACE: &str = "exec unshare --pid --fork --kill-child";
+
+/// Fails where this user may not make PID namespaces: a test that does nothing would say that all is well.
+fn look_for_namespaces() {
+    let probe = Command::new("unshare").args(["--pid", "--fork", "true"]).output();
+    assert!(probe.is_ok_and(|output| output.status.success()), "needs `unshare --pid`: run this test as root");
+}
+
+#[test]
+fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
+    look_for_namespaces();
+    let run = Run::new();
+    let in_container = format!("{NAMESPACE} --mount-proc sh -c '\"$@\" & wait' sh \"$@\"");
+    let sim = run.command_by(&in_container, "sim --ticks 100000000");
+    run.wait_until("the run is founded", || run.shared_folder().join("run").exists());
+    let named = |words: &'static str| words.split(' ').chain(["--name", run.name.as_str()]).collect::<Vec<&str>>();
+    let robot = run.start_by(&in_container, &named("robot --id 1"));
+    run.wait_until("the robot is there", || run.is_held("robot-1") && run.starts("robot-1") == 1);
+
+    // From outside the process behind the number is seen, as the kernel tells it.
+    let status = run.start(&named("status --json")).finish().succeeded();
+    let status: serde_json::Value = serde_json::from_str(&status.stdout).unwrap();
+    let node = status["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "robot-1").unwrap().clone();
+    assert_eq!(node["state"], "running", "{node}");
+    let pid = rustix::process::Pid::from_raw(node["pid"].as_i64().unwrap() as i32).unwrap();
+    assert_eq!(crate::support::comm(pid), "rh-robot-1");
+
+    // In a third namespace strangers have the first numbers.
+    let script = format!(
+        "{NAMESPACE} --mount-proc sh -c 'for i in 1 2 3 4 5 6 7 8; do sleep 100 & done; \"$@\"; code=$?; \
+         kill -0 $(seq 2 9) || echo strangers died; exit $code' sh \"$@\""
+    );
+    for words in ["kill robot-1", "kill sim", "stop"] {
+        let outcome = run.start_by(&script, &named(words)).finish();
+        assert_one_line(&outcome, 2, &["another PID namespace", "run this command there", &run.name]);
+        assert!(!outcome.stdout.contains("strangers died"), "{outcome:#?}");
+    }
+    let seen = run.start_by(&script, &named("status")).finish().succeeded().stdout;
+    let line = seen.lines().find(|line| line.starts_with("robot-1")).unwrap();
+    assert!(line.contains("elsewhere") && seen.contains("container"), "{seen}");
+    assert!(run.is_held("robot-1") && run.is_held("sim"));
+
+    run.start(&named("kill robot-1")).finish().succeeded();
+    run.wait_until("the robot is gone", || !run.is_held("robot-1"));
+    run.start(&named("stop")).finish().succeeded();
+    robot.finish();
+    sim.finish();
+    run.assert_nothing_left();
+}
+
+/// Its own number is not the one that `/proc` gives it.
+#[test]
+fn a_run_without_a_proc_of_its_own_gets_to_its_end() {
+    look_for_namespaces();
+    let run = Run::new();
+    run.command_by(&format!("{NAMESPACE} \"$@\""), "run --clock lockstep --ticks 40").finish().succeeded();
+    assert_eq!(run.report()["ticks"], 40);
+    assert_eq!(run.digest(), crate::support::digest_in_process("--ticks 40"));
+}

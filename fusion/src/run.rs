@@ -326,6 +326,8 @@ impl<'a> Fusion<'a> {
         self.centre.plan();
         let planned_ns = monotonic_ns();
         let tally = self.intake.close(tick, filtered_ns);
+        // A deposed one writes nothing that its successor could read.
+        self.require_lead()?;
         let centre = self.centre.saved()?;
         let saved = Saved { centre, intake: Cow::Borrowed(self.intake.record()), tally };
         Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
@@ -367,10 +369,13 @@ impl<'a> Fusion<'a> {
             log::warn!("most sensors no longer fail together: takes their ranges to be as noisy as told again");
         }
         for id in now.iter().filter(|id| !before.contains(*id)) {
-            log::warn!("robot {id} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate");
+            log::warn!(
+                "{} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate",
+                self.scenario.name_of(id)
+            );
         }
         for id in before.iter().filter(|id| !now.contains(*id)) {
-            log::warn!("robot {id} is trusted again: its last {RECENT} ranges passed the gate");
+            log::warn!("{} is trusted again: its last {RECENT} ranges passed the gate", self.scenario.name_of(id));
         }
     }
 

@@ -68,9 +68,10 @@ impl Calls {
     }
 }
 
-/// One sleeper's words.
+/// One sleeper's words, on a cache line of their own, so that rings for one do not disturb another.
 #[derive(Debug, Default, ZeroCopySend)]
 #[repr(C)]
+#[repr(align(64))]
 struct Words {
     /// Counts rings; the word that the kernel compares.
     rings: AtomicU32,
@@ -82,9 +83,9 @@ struct Words {
     expected: AtomicU32,
     /// Answers to the newest tick: its number, from 1, above, their count in the lowest bits.
     answers: AtomicU64,
-    /// To a cache line's length, so that rings for one do not disturb another.
-    _padding: [u64; 2],
 }
+
+const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && size_of::<Board>() == 3 * 64);
 
 const COUNT_BITS: u32 = 16;
 
@@ -302,6 +303,15 @@ mod tests {
             scope.spawn(move || play(prefix, Sleeper::Sim, Sleeper::Fusion, false));
             scope.spawn(move || play(prefix, Sleeper::Fusion, Sleeper::Sim, true));
         });
+    }
+
+    #[test]
+    fn each_sleepers_words_have_a_cache_line_of_their_own() {
+        let run = run("bells-lines");
+        let bells = Bells::open(run.shared_memory_prefix()).unwrap();
+        for sleeper in [Sleeper::Sim, Sleeper::Fusion, Sleeper::Robots] {
+            assert_eq!(std::ptr::from_ref(bells.words(sleeper)).addr() % 64, 0, "{sleeper:?}");
+        }
     }
 
     #[test]

@@ -4,6 +4,9 @@
 //! number; the newest whole one counts. A kill in mid-write costs the slot that was being written, whose
 //! state nobody has seen yet: a node writes before it publishes what depends on it.
 //!
+//! Safe against kills, not against power loss: what was written is in the kernel's hands (no `fsync`), which keeps it when
+//! a process ends, and not when the machine does.
+//!
 //! Who deposes a forerunner that may yet wake up goes on in a new file that takes the old one's name:
 //! whatever the forerunner still writes goes to a file that has none.
 
@@ -53,6 +56,14 @@ pub enum CheckpointError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// The state cannot be written down.
+    #[error("{}: {reason}", .file.display())]
+    Unencodable {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        reason: SealError,
+    },
     /// The state is larger than a slot.
     #[error("{}: a state of {len} bytes, expected at most {}", .file.display(), SLOT_LEN - LEN_BYTES)]
     TooLarge {
@@ -100,8 +111,16 @@ impl Checkpoint {
                     // Nobody is deposed while it is done, so that no successor's file is replaced.
                     let moved = rendezvous.while_current(hold, || checkpoint.move_to_new_file(&partial));
                     let _ = std::fs::remove_file(&partial);
-                    if let Some(Err(error)) = moved {
-                        log::warn!("shares its checkpoint with the one it deposed: {error}");
+                    match moved {
+                        Ok(Some(Ok(()))) => {}
+                        Ok(Some(Err(error))) => log::warn!("shares its checkpoint with the one it deposed: {error}"),
+                        // Deposed itself: the file is its successor's.
+                        Ok(None) => return Ok((None, state)),
+                        Err(error) => {
+                            log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+                            checkpoint.remove();
+                            return Ok((None, state));
+                        }
                     }
                 }
                 Ok((Some(checkpoint), state))
@@ -194,8 +213,12 @@ impl Checkpoint {
         self.bytes.extend([0; LEN_BYTES]);
         let sealed = sealed::seal_into(&Slot { run_id: self.run_id, sequence, state }, &mut self.bytes);
         let len = self.bytes.len() - LEN_BYTES;
-        if sealed.is_err() || self.bytes.len() > SLOT_LEN {
-            return Err(CheckpointError::TooLarge { file: self.path.clone(), len });
+        match sealed {
+            Ok(()) if self.bytes.len() <= SLOT_LEN => {}
+            Ok(()) | Err(SealError::TooLarge(_)) => {
+                return Err(CheckpointError::TooLarge { file: self.path.clone(), len });
+            }
+            Err(reason) => return Err(CheckpointError::Unencodable { file: self.path.clone(), reason }),
         }
         self.bytes[..LEN_BYTES].copy_from_slice(&(len as u32).to_le_bytes());
         self.file

@@ -23,7 +23,7 @@ pub const FILE_LEN_MAX: usize = HEADER_LEN + VALUE_LEN_MAX;
 /// Most bytes a sealed value may take: bounds what a damaged length can make the reader allocate.
 const VALUE_LEN_MAX: usize = 1 << 24;
 
-/// Why a sealed value cannot be opened.
+/// Why a value cannot be sealed, or a sealed one not be opened.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum SealError {
     /// Too short or without the magic number.
@@ -35,9 +35,15 @@ pub enum SealError {
     /// The checksum does not match.
     #[error("damaged: its checksum does not match")]
     Damaged,
-    /// Whole, but not a value of the expected kind, or one too large to seal.
+    /// Whole, but not a value of the expected kind.
     #[error("holds no value of the expected kind")]
     Malformed,
+    /// A value that takes more bytes than a reader would take.
+    #[error("a value of {0} bytes, expected at most {VALUE_LEN_MAX}")]
+    TooLarge(usize),
+    /// A value that cannot be written down.
+    #[error("cannot be written down: {0}")]
+    Unencodable(String),
 }
 
 fn config() -> impl bincode::config::Config {
@@ -47,7 +53,7 @@ fn config() -> impl bincode::config::Config {
 /// The sealed bytes of a value.
 ///
 /// # Errors
-/// [`SealError::Malformed`] if the value cannot be encoded.
+/// [`SealError::Unencodable`], [`SealError::TooLarge`].
 pub fn seal(value: &impl Serialize) -> Result<Vec<u8>, SealError> {
     let mut bytes = Vec::new();
     seal_into(value, &mut bytes)?;
@@ -57,7 +63,7 @@ pub fn seal(value: &impl Serialize) -> Result<Vec<u8>, SealError> {
 /// [`seal`] to the end of a buffer, which it grows only if it must.
 ///
 /// # Errors
-/// [`SealError::Malformed`] if the value cannot be encoded.
+/// [`SealError::Unencodable`], [`SealError::TooLarge`].
 pub fn seal_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), SealError> {
     let start = bytes.len();
     bytes.extend(MAGIC);
@@ -83,9 +89,16 @@ fn checksum(head: &[u8], body: &[u8]) -> u64 {
 /// sealed.
 ///
 /// # Errors
-/// [`SealError::Malformed`] if the value cannot be encoded.
+/// [`SealError::Unencodable`], [`SealError::TooLarge`].
 pub fn encode_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), SealError> {
-    bincode::serde::encode_into_std_write(value, bytes, config()).map(drop).map_err(|_| SealError::Malformed)
+    let start = bytes.len();
+    bincode::serde::encode_into_std_write(value, bytes, config())
+        .map_err(|error| SealError::Unencodable(error.to_string()))?;
+    // The limit of the configuration is looked at only by who decodes.
+    match bytes.len() - start {
+        len if len > VALUE_LEN_MAX => Err(SealError::TooLarge(len)),
+        _ => Ok(()),
+    }
 }
 
 /// The value that [`encode_into`] wrote.
@@ -152,6 +165,20 @@ mod tests {
         let error = open::<u64>(&bytes).unwrap_err().to_string();
         let this = format!("this is {PROGRAM} (protocol {PROTOCOL})");
         assert_eq!(error, format!("written by rangehound 12.3.4-beta.5 (protocol {}); {this}", PROTOCOL + 1));
+    }
+
+    #[test]
+    fn what_cannot_be_sealed_is_told_with_its_cause() {
+        let large = vec![0_u8; VALUE_LEN_MAX];
+        assert!(matches!(seal(&large), Err(SealError::TooLarge(len)) if len > VALUE_LEN_MAX));
+        struct Broken;
+        impl Serialize for Broken {
+            fn serialize<S: serde::Serializer>(&self, _: S) -> Result<S::Ok, S::Error> {
+                Err(serde::ser::Error::custom("has no end"))
+            }
+        }
+        let error = seal(&Broken).unwrap_err();
+        assert!(matches!(&error, SealError::Unencodable(cause) if cause.contains("has no end")), "{error}");
     }
 
     #[test]

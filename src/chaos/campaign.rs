@@ -1,7 +1,6 @@
 //! The live part of a campaign: runs that are started, hurt, and waited for.
 
 use std::fs::File;
-use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -10,10 +9,10 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use rangehound_fusion::run::STANDBYS_MAX;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
+use rangehound_shared::rendezvous::{Process, Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
 use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogReader;
-use rustix::process::{Pid, Signal, kill_process, pidfd_send_signal};
+use rustix::process::{Pid, Signal, kill_process};
 
 use super::faults::{Fault, Faults, Kind};
 use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
@@ -320,7 +319,7 @@ struct Live<'a> {
     last_fault: Instant,
     ticks: Ticks<'a>,
     /// Who is to be continued, and when.
-    stopped: Vec<(Instant, OwnedFd)>,
+    stopped: Vec<(Instant, Process)>,
     storms: Vec<Storm>,
     recovering: Vec<Recovering>,
 }
@@ -403,8 +402,8 @@ impl<'a> Live<'a> {
 
     /// Stops a node for a while: the process, which may have lost its role when it is to go on.
     fn stop(&mut self, role: Role, duration: Duration) -> bool {
-        let Ok((_, process)) = process_in(self.run, role) else { return false };
-        let is_stopped = pidfd_send_signal(&process, Signal::STOP).is_ok();
+        let Ok(process) = process_in(self.run, role) else { return false };
+        let is_stopped = process.signal(Signal::STOP).is_ok();
         self.stopped.push((Instant::now() + duration, process));
         is_stopped
     }
@@ -428,7 +427,7 @@ impl<'a> Live<'a> {
         self.stopped.retain(|(due, process)| {
             let is_due = now >= *due;
             if is_due {
-                let _ = pidfd_send_signal(process, Signal::CONT);
+                let _ = process.signal(Signal::CONT);
             }
             !is_due
         });
@@ -462,7 +461,7 @@ impl<'a> Live<'a> {
 
     fn continue_all(&mut self) {
         for (_, process) in self.stopped.drain(..) {
-            let _ = pidfd_send_signal(process, Signal::CONT);
+            let _ = process.signal(Signal::CONT);
         }
     }
 }
@@ -547,7 +546,8 @@ fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
     tally(&alone)
 }
 
-/// Living processes of this program that go by this run's name, but for this one.
+/// Living processes of this program in this PID namespace that go by this run's name, but for this one. Another container may
+/// have a run of the same name.
 fn processes_of(name: &RunName) -> Vec<i32> {
     let program = std::env::current_exe().ok();
     let name = name.to_string();
@@ -556,11 +556,17 @@ fn processes_of(name: &RunName) -> Vec<i32> {
         let mut arguments = arguments.split(|byte| *byte == 0);
         arguments.any(|argument| argument == b"--name") && arguments.next() == Some(name.as_bytes())
     };
-    std::fs::read_dir("/proc")
+    let namespace = |process: &str| std::fs::read_link(format!("/proc/{process}/ns/pid")).ok();
+    let here = namespace("self");
+    // Where `/proc` is of another namespace, its numbers are not those that signals go by.
+    let is_own = std::fs::read_link("/proc/self").is_ok_and(|me| me.as_os_str() == &*std::process::id().to_string());
+    let processes = is_own.then(|| std::fs::read_dir("/proc").ok()).flatten();
+    processes
         .into_iter()
         .flatten()
         .flatten()
         .filter_map(|entry| entry.file_name().to_str()?.parse::<i32>().ok())
+        .filter(|pid| here.is_some() && namespace(&pid.to_string()) == here)
         .filter(|pid| Some(*pid) != i32::try_from(std::process::id()).ok())
         .filter(|pid| std::fs::read_link(format!("/proc/{pid}/exe")).ok() == program)
         .filter(is_of_run)

@@ -48,7 +48,7 @@ impl Action {
             Self::Kill => Signal::KILL,
             Self::Stop => Signal::STOP,
             Self::Continue => Signal::CONT,
-            Self::Restart if run.roster().holder(Role::Supervisor).is_none() => {
+            Self::Restart if !run.roster().is_held(Role::Supervisor) => {
                 return Err(Refused::NotNow(format!("nobody would start {role} again: it was started by hand")));
             }
             Self::Restart => Signal::TERM,

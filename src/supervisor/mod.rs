@@ -41,7 +41,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     let experiment = Experiment::from_track(args)?;
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
-    let keep = Keep { ranges: false, truth, json: args.json, strict: false };
+    let keep = Keep { ranges: false, truth, json: args.json, strict: args.input.strict };
     execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
 }
 
@@ -83,7 +83,10 @@ fn execute(
         tables::report_and_tables(description, keep, Vec::new())?;
         return Ok(());
     }
-    supervise(name, description, supervision, recording, keep, || tables::prepare_folder(&experiment))
+    let name = name.clone();
+    let description = experiment.description_for_nodes();
+    // What has been read is let go of once its copy is written.
+    supervise(&name, &description, supervision, recording, keep, move || tables::prepare_folder(&experiment))
 }
 
 /// Starts the processes of a run, sees to them until it ends, and reports.

@@ -17,6 +17,7 @@
 //! last member to leave removes the folder and the shared memory; where the last one was killed, the
 //! next founder of any run does.
 
+mod holder;
 mod name;
 mod place;
 mod presence;
@@ -26,7 +27,7 @@ use std::fs::{File, TryLockError};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -39,6 +40,7 @@ use crate::scenario::Scenario;
 use crate::sealed::{self, SealError};
 use crate::signal::Termination;
 use crate::tick_log::TickLogWriter;
+pub use holder::{Holder, Process};
 pub use name::{RunName, RunNameError};
 use place::{Place, run_names};
 pub use presence::Inspection;
@@ -149,14 +151,14 @@ pub enum RendezvousError {
         name: RunName,
     },
     /// The role is taken by a process that lives.
-    #[error("{role} of run {name} is already there, as process {pid}")]
+    #[error("{role} of run {name} is already there, {holder}")]
     RoleTaken {
         /// The role.
         role: Role,
         /// The run.
         name: RunName,
-        /// Who holds it, as far as it could write its pid.
-        pid: String,
+        /// Who holds it, as far as that can be told from here.
+        holder: String,
     },
     /// The system has too little of something.
     #[error(transparent)]
@@ -435,9 +437,12 @@ impl Rendezvous {
     }
 
     /// Does something while nobody can be deposed, if this holder has not been. `None` if it has.
-    pub fn while_current<T>(&self, hold: &RoleHold, action: impl FnOnce() -> T) -> Option<T> {
-        let _door = self.place.enter(false).ok()?;
-        hold.is_current().then(action)
+    ///
+    /// # Errors
+    /// If that cannot be told, as the door cannot be locked: nothing was done.
+    pub fn while_current<T>(&self, hold: &RoleHold, action: impl FnOnce() -> T) -> Result<Option<T>, RendezvousError> {
+        let _door = self.place.enter(false)?;
+        Ok(hold.is_current().then(action))
     }
 
     /// Leaves a note for others of this user in the run's folder, which goes with the run.
@@ -513,17 +518,13 @@ pub fn files_of(name: &RunName) -> Vec<PathBuf> {
 /// Continues the nodes that were stopped when their supervisor was killed: what the kernel asked of them then,
 /// to end, waits until they run.
 fn continue_orphans(place: &Place) {
-    for pid in Roster::of(place).last_holders() {
-        let proc = |file: &str| std::fs::read_to_string(format!("/proc/{pid}/{file}")).unwrap_or_default();
-        let (status, command) = (proc("status"), proc("cmdline"));
+    for process in Roster::of(place).processes() {
+        let (status, command) = (process.told("status"), process.told("cmdline"));
         let field = |name: &str| status.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
         let mut words = command.split('\0').skip_while(|word| *word != "--end-with").skip(1);
         let is_orphan = words.next().is_some_and(|parent| field("PPid:") != Some(parent));
-        if is_orphan
-            && field("State:").is_some_and(|state| state.starts_with('T'))
-            && let Some(pid) = Pid::from_raw(pid)
-        {
-            let _ = kill_process(pid, Signal::CONT);
+        if is_orphan && field("State:").is_some_and(|state| state.starts_with('T')) {
+            let _ = process.signal(Signal::CONT);
         }
     }
 }

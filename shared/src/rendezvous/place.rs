@@ -217,9 +217,10 @@ impl Place {
 
 /// True if another process that this user can see holds the file open. This one only waits for it.
 fn is_open_elsewhere(path: &Path) -> bool {
-    let me = std::process::id().to_string();
+    // `/proc` may be of another PID namespace than this process.
+    let me = std::fs::read_link("/proc/self").unwrap_or_default();
     let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-    let processes = processes.filter(|process| process.file_name() != *me);
+    let processes = processes.filter(|process| process.file_name() != me.as_os_str());
     let files =
         processes.flat_map(|process| std::fs::read_dir(process.path().join("fd")).into_iter().flatten().flatten());
     files.into_iter().any(|file| std::fs::read_link(file.path()).is_ok_and(|target| target == path))

@@ -16,6 +16,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use rustix::process::Pid;
 
+use super::holder::{self, Holder, Process};
 use super::place::Place;
 use super::{RendezvousError, Role};
 
@@ -62,14 +63,24 @@ impl Roster {
         loop {
             let file = self.place.open(&file_name(role))?;
             match file.try_lock() {
-                Ok(()) if is_current(&file) => return self.sign_up(role, file),
-                Ok(()) => {}
+                Ok(()) => {
+                    // Behind the door nobody is deposed: what is seen of the file then stays so.
+                    let _door = self.place.enter(false)?;
+                    if is_current(&file) {
+                        return self.sign_up(role, file);
+                    }
+                }
                 Err(TryLockError::WouldBlock) if began.elapsed() < GLANCE => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 Err(TryLockError::WouldBlock) => {
-                    let pid = self.entry(role).map_or("unknown".to_owned(), |(_, pid)| pid.to_string());
-                    return Err(RendezvousError::RoleTaken { role, name: self.place.name.clone(), pid });
+                    let holder = match self.process(role) {
+                        Holder::Here(process) => format!("as process {}", process.pid().as_raw_pid()),
+                        Holder::Elsewhere => "in another PID namespace (container)".to_owned(),
+                        // It has let go just now.
+                        Holder::Nobody => "about to end".to_owned(),
+                    };
+                    return Err(RendezvousError::RoleTaken { role, name: self.place.name.clone(), holder });
                 }
                 Err(TryLockError::Error(source)) => return Err(self.place.io_error(&file_name(role), source)),
             }
@@ -100,7 +111,8 @@ impl Roster {
         Succession { freed }
     }
 
-    /// Takes a role, within the time, from a holder that ends.
+    /// Takes a role, within the time, from a holder that ends. `None` also if that holder was deposed meanwhile: the lock
+    /// that was waited for then counts for nothing.
     ///
     /// # Errors
     /// If the role's file cannot be written.
@@ -111,7 +123,10 @@ impl Roster {
         at_most: Duration,
     ) -> Result<Option<RoleHold>, RendezvousError> {
         match succession.freed.recv_timeout(at_most) {
-            Ok(file) => self.sign_up(role, file).map(Some),
+            Ok(file) => {
+                let _door = self.place.enter(false)?;
+                if is_current(&file) { self.sign_up(role, file).map(Some) } else { Ok(None) }
+            }
             Err(RecvTimeoutError::Timeout) => Ok(None),
             Err(RecvTimeoutError::Disconnected) => {
                 std::thread::sleep(at_most);
@@ -136,18 +151,18 @@ impl Roster {
         file.lock().map_err(io_error)?;
         let incarnation = self.starts(role) + 1;
         // Signed before it has the name: nobody sees a role that is not counted.
-        write_entry(&mut file, incarnation).map_err(io_error)?;
+        self.write_entry(role, &mut file, incarnation)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
         Ok(Some(RoleHold { by_force: true, ..RoleHold::new(role, file, incarnation) }))
     }
 
-    /// Counts a start of the role and puts this process down in its file, whose lock it has.
+    /// Counts a start of the role and puts this process down in its file, whose lock it has. The caller holds the door.
     fn sign_up(&self, role: Role, mut file: File) -> Result<RoleHold, RendezvousError> {
         let io_error = |source| self.place.io_error(&file_name(role), source);
         let mut text = String::new();
         file.read_to_string(&mut text).map_err(io_error)?;
         let incarnation = parse_entry(&text).map_or(0, |(starts, _)| starts) + 1;
-        write_entry(&mut file, incarnation).map_err(io_error)?;
+        self.write_entry(role, &mut file, incarnation)?;
         Ok(RoleHold::new(role, file, incarnation))
     }
 
@@ -174,11 +189,16 @@ impl Roster {
         }
     }
 
-    /// The processes that took any role last, alive or not.
-    pub(super) fn last_holders(&self) -> Vec<i32> {
+    /// The living processes that hold any role and can be reached from here.
+    pub(super) fn processes(&self) -> Vec<Process> {
         let files = std::fs::read_dir(self.place.path("")).into_iter().flatten().flatten().map(|file| file.path());
         let roles = files.filter(|path| path.extension().is_some_and(|extension| extension == "role"));
-        roles.filter_map(|path| Some(parse_entry(&std::fs::read_to_string(path).ok()?)?.1)).collect()
+        roles
+            .filter_map(|path| {
+                let hint = std::fs::read_to_string(&path).ok().and_then(|text| Pid::from_raw(parse_entry(&text)?.1));
+                Process::holding(&File::open(path).ok()?, hint)
+            })
+            .collect()
     }
 
     /// Which file has the role's name: another one after somebody was deposed.
@@ -192,7 +212,20 @@ impl Roster {
     /// # Errors
     /// If that cannot be told now.
     pub fn is_last_holder(&self, role: Role, pid: Pid) -> std::io::Result<bool> {
-        Ok(self.read_entry(role)?.is_some_and(|(_, holder)| holder == pid.as_raw_pid()))
+        let Some((starts, holder)) = self.read_entry(role)? else { return Ok(false) };
+        // Where `/proc` is of another namespace than the holder, its messages bear its number there.
+        let other = || std::fs::read_to_string(self.place.path(&number_file_name(role))).ok();
+        Ok(holder == pid.as_raw_pid()
+            || other().and_then(|text| parse_entry(&text)) == Some((starts, pid.as_raw_pid())))
+    }
+
+    /// Puts down who holds the role.
+    fn write_entry(&self, role: Role, file: &mut File, incarnation: u64) -> Result<(), RendezvousError> {
+        if let Some(number) = holder::own_number_in_proc().filter(|number| *number != std::process::id().cast_signed())
+        {
+            self.place.write(&number_file_name(role), format!("{incarnation} {number}").as_bytes())?;
+        }
+        write_entry(file, incarnation).map_err(|source| self.place.io_error(&file_name(role), source))
     }
 
     /// How often a role has been taken in this run.
@@ -207,11 +240,30 @@ impl Roster {
         Pid::from_raw(self.entry(role)?.1)
     }
 
-    /// The living process that holds this role.
+    /// The living process that holds this role, if it can be reached from here.
     #[must_use]
     pub fn holder(&self, role: Role) -> Option<Pid> {
-        let pid = self.last_holder(role)?;
-        self.is_held(role).then_some(pid)
+        match self.process(role) {
+            Holder::Here(process) => Some(process.pid()),
+            Holder::Nobody | Holder::Elsewhere => None,
+        }
+    }
+
+    /// Who holds this role, as the kernel tells it: never who has the number that stands in the file.
+    #[must_use]
+    pub fn process(&self, role: Role) -> Holder {
+        // Twice: one may have come between two looks.
+        for _ in 0..2 {
+            let file = File::open(self.place.path(&file_name(role)));
+            let process = file.ok().and_then(|file| Process::holding(&file, self.last_holder(role)));
+            if let Some(process) = process {
+                return Holder::Here(process);
+            }
+            if !self.is_held(role) {
+                return Holder::Nobody;
+            }
+        }
+        Holder::Elsewhere
     }
 
     /// True while a living process holds this role.
@@ -262,6 +314,11 @@ impl RoleHold {
 
 fn file_name(role: Role) -> String {
     format!("{role}.role")
+}
+
+/// The holder's number as iceoryx2 knows it, if it has another one there.
+fn number_file_name(role: Role) -> String {
+    format!("{role}.number")
 }
 
 /// True while the locked file has a name.
@@ -331,8 +388,8 @@ mod tests {
         let new = roster.depose(Role::Fusion, silence).unwrap().unwrap();
         assert!(new.is_current() && new.by_force && !old.is_current() && !old.by_force);
         assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
-        assert_eq!(run.while_current(&new, || 7), Some(7));
-        assert_eq!(run.while_current(&old, || 7), None);
+        assert_eq!(run.while_current(&new, || 7).unwrap(), Some(7));
+        assert_eq!(run.while_current(&old, || 7).unwrap(), None);
         // Neither its signs nor its end are the role's any more.
         let silence = roster.last_sign(Role::Fusion);
         std::thread::sleep(2 * SIGN);
@@ -341,5 +398,40 @@ mod tests {
         drop(old);
         assert!(roster.is_held(Role::Fusion));
         assert!(matches!(roster.take(Role::Fusion), Err(RendezvousError::RoleTaken { .. })));
+    }
+
+    /// Its lock is had by one that waited while another deposes it: one of the two leads, not both.
+    #[test]
+    fn a_holder_that_ends_while_it_is_deposed_has_one_successor() {
+        let run = run("roster-race");
+        let roster = run.roster();
+        let first = roster.take(Role::Fusion).unwrap();
+        let silence = roster.last_sign(Role::Fusion).unwrap();
+        let succession = roster.succeed(Role::Fusion);
+        drop(first);
+        // The one that waits has the lock, and has not signed.
+        while !roster.is_held(Role::Fusion) {
+            std::thread::yield_now();
+        }
+        let deposer = roster.depose(Role::Fusion, silence).unwrap().unwrap();
+        let late = roster.take_in_succession(Role::Fusion, &succession, Duration::from_secs(1)).unwrap();
+        assert!(late.is_none(), "{late:?}");
+        assert!(deposer.is_current() && deposer.incarnation == 2 && roster.starts(Role::Fusion) == 2);
+    }
+
+    #[test]
+    fn a_number_that_is_a_strangers_leads_to_nobody() {
+        let run = run("roster-stranger");
+        let roster = run.roster();
+        let hold = roster.take(Role::Robot(0)).unwrap();
+        let mut stranger = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        // As a process of another namespace would have put down its number, which is another's here.
+        let path = run.place.path(&file_name(Role::Robot(0)));
+        std::fs::write(path, format!("{:010} {:010}\n", 1, stranger.id())).unwrap();
+        assert_eq!(roster.holder(Role::Robot(0)), Some(rustix::process::getpid()), "who has the lock");
+        drop(hold);
+        assert!(matches!(roster.process(Role::Robot(0)), Holder::Nobody));
+        stranger.kill().unwrap();
+        stranger.wait().unwrap();
     }
 }

@@ -32,7 +32,7 @@ export class Processes {
     this.nodes = status.nodes;
     this.hasSupervisor = status.nodes.some((node) => node.name === SUPERVISOR && node.pid != null);
     const standbys = status.standbys ? `, ${status.standbys} standing by` : "";
-    this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? "nobody leads" : `fusion leads as ${status.leader}${standbys}`;
+    this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? (status.nodes.some((node) => node.name === "fusion" && node.state === "elsewhere") ? `fusion leads from another PID namespace${standbys}` : "nobody leads") : `fusion leads as ${status.leader}${standbys}`;
     const names = new Set(this.nodes.map((node) => node.name));
     for (const [name, row] of this.rows) {
       if (!names.has(name)) {

@@ -1,0 +1,125 @@
+//! The process that holds a lock, as the kernel tells it.
+//!
+//! A number in a file is no identity: it may be of another PID namespace (containers that share `/dev/shm`), or have
+//! passed to another process. Here a number is only a hint. What it leads to is opened first (pidfd) and then seen to
+//! hold the lock, so nothing is ever done to a stranger.
+
+use std::fs::File;
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::os::unix::fs::MetadataExt;
+
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+
+/// Who holds a role.
+#[derive(Debug)]
+pub enum Holder {
+    /// No living process.
+    Nobody,
+    /// This one.
+    Here(Process),
+    /// One that cannot be reached from here: of another PID namespace, or `/proc` does not tell.
+    Elsewhere,
+}
+
+/// A process, held so that it is never mistaken for another that may get its number.
+#[derive(Debug)]
+pub struct Process {
+    pid: Pid,
+    /// Its number in the namespace of `/proc`, which need not be this process's.
+    proc_pid: i32,
+    fd: OwnedFd,
+}
+
+impl Process {
+    /// The living process that holds an exclusive lock on this file. `hint` may be its number.
+    pub(super) fn holding(file: &File, hint: Option<Pid>) -> Option<Self> {
+        let metadata = file.metadata().ok()?;
+        let lock = (metadata.dev(), metadata.ino());
+        let hinted = hint.and_then(Self::open).filter(|process| process.holds(lock));
+        hinted.or_else(|| Self::open(number_here(locked_by(metadata.ino())?)?).filter(|process| process.holds(lock)))
+    }
+
+    fn open(pid: Pid) -> Option<Self> {
+        let fd = pidfd_open(pid, PidfdFlags::empty()).ok()?;
+        Some(Self { pid, proc_pid: number_in_proc(&fd)?, fd })
+    }
+
+    /// Its number in this process's namespace.
+    #[must_use]
+    pub fn pid(&self) -> Pid {
+        self.pid
+    }
+
+    /// Sends it a signal.
+    ///
+    /// # Errors
+    /// If it has ended.
+    pub fn signal(&self, signal: Signal) -> std::io::Result<()> {
+        Ok(pidfd_send_signal(&self.fd, signal)?)
+    }
+
+    /// A file about it in `/proc`; nothing if it has ended.
+    #[must_use]
+    pub fn told(&self, file: &str) -> String {
+        let text = std::fs::read_to_string(format!("/proc/{}/{file}", self.proc_pid)).unwrap_or_default();
+        // Alive after the look: so the number was its own.
+        if number_in_proc(&self.fd) == Some(self.proc_pid) { text } else { String::new() }
+    }
+
+    fn holds(&self, (dev, ino): (u64, u64)) -> bool {
+        let folder = format!("/proc/{}", self.proc_pid);
+        let holds = std::fs::read_dir(format!("{folder}/fd")).into_iter().flatten().flatten().any(|fd| {
+            std::fs::metadata(fd.path()).is_ok_and(|file| (file.dev(), file.ino()) == (dev, ino))
+                && std::fs::read_to_string(format!("{folder}/fdinfo/{}", fd.file_name().display()))
+                    .is_ok_and(|info| info.lines().any(is_exclusive_lock))
+        });
+        holds && number_in_proc(&self.fd) == Some(self.proc_pid)
+    }
+}
+
+/// `lock: 1: FLOCK  ADVISORY  WRITE 417 00:19:1033 0 EOF`.
+fn is_exclusive_lock(line: &str) -> bool {
+    let mut words = line.split_whitespace();
+    words.next() == Some("lock:") && words.any(|word| word == "FLOCK") && words.any(|word| word == "WRITE")
+}
+
+/// The number that `/proc` gives a process; `None` once it has ended, or if it is not of the namespace of `/proc`.
+fn number_in_proc(process: &OwnedFd) -> Option<i32> {
+    let info = std::fs::read_to_string(format!("/proc/self/fdinfo/{}", process.as_raw_fd())).ok()?;
+    field(&info, "Pid:")?.parse().ok().filter(|number| *number > 0)
+}
+
+/// The number, in the namespace of `/proc`, of the process with an exclusive lock on the file of this inode. Only a hint:
+/// inodes of two file systems may have one number.
+fn locked_by(ino: u64) -> Option<i32> {
+    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+    let numbers = locks.lines().filter_map(|line| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        // Who waits for a lock has an arrow in its line, and is none of these.
+        let [_, "FLOCK", _, "WRITE", pid, file, ..] = words[..] else { return None };
+        let is_it = file.rsplit_once(':').is_some_and(|(_, inode)| inode.parse() == Ok(ino));
+        pid.parse().ok().filter(|pid| is_it && *pid > 0)
+    });
+    // What several file systems have cannot be told apart; the caller would look at one of them only.
+    numbers.last()
+}
+
+/// The number in this process's namespace of one that `/proc` knows by this number.
+fn number_here(proc_pid: i32) -> Option<Pid> {
+    let depth = |process: &str| -> Option<Vec<i32>> {
+        let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+        Some(field(&status, "NSpid:")?.split_whitespace().filter_map(|number| number.parse().ok()).collect())
+    };
+    let here = depth("self")?.len().checked_sub(1)?;
+    Pid::from_raw(*depth(&proc_pid.to_string())?.get(here)?)
+}
+
+/// This process's number in the namespace of `/proc`: what iceoryx2 puts into the ids of its nodes.
+pub(super) fn own_number_in_proc() -> Option<i32> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    field(&status, "NSpid:")?.split_whitespace().next()?.parse().ok()
+}
+
+fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+    text.lines().find_map(|line| line.strip_prefix(name)).map(str::trim)
+}
