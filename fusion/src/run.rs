@@ -167,6 +167,9 @@ impl<'a> Fusion<'a> {
         let mut silent_looks = 0;
         while !termination.requested() && !self.rendezvous.is_finished() {
             if let Some(hold) = roster.take_in_succession(Role::Fusion, &succession, STANDBY_LOOK)? {
+                if self.rendezvous.is_removed() {
+                    return Err(self.rendezvous.removed().into());
+                }
                 return Ok(Some(hold));
             }
             standby.sign();
@@ -182,9 +185,11 @@ impl<'a> Fusion<'a> {
                 log::warn!("fusion gave no sign of life for {:?}: deposed it", STANDBY_LOOK * silent_looks_max);
                 return Ok(Some(hold));
             }
-            if roster.file_of(Role::Fusion) != file {
+            // None where somebody is about to remove the run: no lead is founded in what is left of it.
+            let named = roster.file_of(Role::Fusion);
+            if named.is_some() && named != file {
                 // The lock that is waited for is that of a deposed one.
-                file = roster.file_of(Role::Fusion);
+                file = named;
                 succession = roster.succeed(Role::Fusion);
             }
         }

@@ -94,12 +94,15 @@ impl Roster {
         let place = self.place.clone();
         // Ends with the process if not before: a wait for a lock has no time limit.
         let waited = std::thread::Builder::new().spawn(move || {
-            while let Ok(file) = place.open(&file_name(role)) {
+            let mut next = place.open(&file_name(role));
+            while let Ok(file) = next {
                 if file.lock().is_ok() && is_current(&file) {
                     // If nobody waits for it any more, the file is closed and the lock is free again.
                     let _ = send.send(file);
                     return;
                 }
+                // Not made anew: who was deposed has left another; where there is none, somebody removes the run.
+                next = place.open_existing(&file_name(role));
             }
         });
         if let Err(error) = waited {
