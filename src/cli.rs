@@ -7,10 +7,12 @@
 //! | `look` | what looks at runs, or acts on them |
 //! | `study` | what measures and compares |
 //! | `shell` | what a shell asks for |
+//! | `input` | how a recording is read |
 //! | `values` | values as they are written behind flags |
 //! | `examples` | what `--help` and the manual add to each command |
 
 mod examples;
+mod input;
 mod look;
 mod node;
 mod run;
@@ -22,6 +24,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::terminal;
+pub use input::InputArgs;
 pub use look::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 pub use run::{

@@ -83,8 +83,7 @@ impl Curves {
     /// # Errors
     /// If a log cannot be read, or holds numbers that cannot be drawn.
     pub fn read(description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<Self> {
-        let robots = description.scenario.robots.len();
-        let mut curves = Self { paths: Paths::of_team(robots), ..Self::default() };
+        let mut curves = Self { paths: Paths::of_team(&description.scenario), ..Self::default() };
         let thinning = Thinning::of(&description.scenario);
         curves.read_estimates(description, thinning, truth)?;
         curves.read_worlds(description, thinning)?;

@@ -6,10 +6,11 @@ use rangehound_fusion::planner;
 use rangehound_shared::rendezvous::{RunDescription, RunName, living_runs};
 use rangehound_shared::scenario::{
     FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
+    defaults,
 };
 
-use crate::cli::{ClockArg, ExperimentArgs, PerSensor, TrackArgs};
-use crate::failure::Failure;
+use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};
+use crate::failure::{self, Failure};
 
 /// The default scenario file, as `rangehound scenario` prints it.
 pub const DEFAULT_SCENARIO: &str = include_str!("../scenarios/paper.toml");
@@ -33,8 +34,10 @@ pub struct Experiment {
     pub name: RunName,
     /// What its nodes must know.
     pub description: RunDescription,
-    /// The scenario file that leads here again, overrides included.
+    /// The scenario file that leads here again, overrides included: for the run folder, beside the recording's copy.
     pub scenario_file: ScenarioFile,
+    /// Files that were read to make it. Nothing may be written over them.
+    inputs: Vec<PathBuf>,
 }
 
 impl Experiment {
@@ -43,7 +46,10 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
-        Self::from_given(Given::from_args(args)?, args.name.as_ref(), naming, args.out.as_deref())
+        let given = Given::from_args(args)?;
+        let mut experiment = Self::from_given(given, args.name.as_ref(), naming, args.out.as_deref())?;
+        experiment.inputs.extend(args.scenario.clone());
+        Ok(experiment)
     }
 
     /// The experiment of a scenario file as it was given.
@@ -69,7 +75,7 @@ impl Experiment {
         let mut recording = RecordingTable {
             ranges: Some(ranges.to_owned()),
             range_std_m: args.range_std,
-            ..RecordingTable::default()
+            ..recording_table(&args.input)?
         };
         let mut sensors: Vec<SensorTable> = Vec::new();
         apply(&args.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
@@ -87,7 +93,39 @@ impl Experiment {
             ..ScenarioFile::default()
         };
         let (name, out) = (args.name.as_ref(), args.out.as_deref());
-        Self::check(file, "command line", Path::new(""), name, Naming::Numbered, out)
+        let mut experiment = Self::check(file, "command line", Path::new(""), name, Naming::Numbered, out)?;
+        experiment.inputs.extend(args.truth.clone());
+        let assumed = [
+            (args.range_std.is_none(), format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M)),
+            (
+                args.accel_psd.is_none(),
+                format!("an acceleration psd of {} m^2/s^3 (--accel-psd)", defaults::RECORDED_ACCEL_PSD),
+            ),
+        ];
+        let assumed: Vec<String> = assumed.into_iter().filter(|(is, _)| *is).map(|(_, what)| what).collect();
+        if !assumed.is_empty() {
+            failure::tell(format!(
+                "track: assumes {}: give what is known, or find it by `rangehound calibrate`",
+                assumed.join(" and ")
+            ));
+        }
+        Ok(experiment)
+    }
+
+    /// Files that were read to make it: scenario, recording, anchors, true track.
+    #[must_use]
+    pub fn inputs(&self) -> Vec<&Path> {
+        self.inputs.iter().map(PathBuf::as_path).collect()
+    }
+
+    /// The description for those who read the recording's copy: without what has been read.
+    #[must_use]
+    pub fn description_for_nodes(&self) -> RunDescription {
+        let mut description = self.description.clone();
+        if let Source::Recorded(ranges) = &mut description.scenario.source {
+            ranges.forget();
+        }
+        description
     }
 
     fn check(
@@ -99,9 +137,15 @@ impl Experiment {
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
         let scenario = Scenario::from_file(&file, file_name, folder).map_err(Failure::input)?;
-        if let (Some(recording), Source::Recorded { ranges }) = (&mut file.recording, &scenario.source) {
-            // The copy in the run folder must find it too.
-            recording.ranges = Some(in_utf8("ranges", &std::path::absolute(ranges)?)?.to_owned());
+        let mut inputs = Vec::new();
+        if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
+            inputs.extend(recording.inputs(folder));
+            let (rows, sensors) = (ranges.summary.rows, scenario.robots.len());
+            failure::tell(format!("recording: {rows} ranges of {sensors} sensors; read as {}", ranges.summary.read_as));
+            for line in ranges.summary.lines() {
+                failure::tell(format!("recording: {line}"));
+            }
+            file.recording = Some(recording.of_copy());
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
             .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
@@ -113,8 +157,29 @@ impl Experiment {
         let out = out.map_or_else(|| Path::new(RUNS).join(name.to_string()), Path::to_owned);
         let out_dir = std::path::absolute(&out).map_err(|error| Failure::input(format!("--out: {error}")))?;
         in_utf8("--out", &out_dir)?;
-        Ok(Self { name, description: RunDescription::new(scenario, out_dir), scenario_file: file })
+        Ok(Self { name, description: RunDescription::new(scenario, out_dir), scenario_file: file, inputs })
     }
+}
+
+/// What the command line says of a recording's form, as a scenario says it.
+///
+/// # Errors
+/// [`Failure::Input`] for a path that is not UTF-8.
+pub fn recording_table(args: &InputArgs) -> Result<RecordingTable, Failure> {
+    let anchors = args.anchors.as_deref().map(|path| in_utf8("--anchors", path)).transpose()?;
+    Ok(RecordingTable {
+        columns: args.columns.clone(),
+        anchors: anchors.map(str::to_owned),
+        target: args.target.clone(),
+        format: args.format.clone(),
+        rate_hz: args.rate,
+        stamp_unit: args.stamp_unit.clone(),
+        strict: args.strict.then_some(true),
+        target_height_m: args.target_height,
+        start_m: args.start,
+        start_std_m: args.start_std,
+        ..RecordingTable::default()
+    })
 }
 
 /// A path as text, which is how the files of a run and its processes tell it each other.

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{Matrix2, Vector2};
 use plotters::prelude::*;
+use rangehound_shared::scenario::Scenario;
 
 use crate::chart::{self, Area, Drawn, ESTIMATE, KeyEntry, Plane, TARGET};
 use crate::ellipse::Ellipse;
@@ -19,10 +20,10 @@ const FEW_ROBOTS: usize = 10;
 
 /// What the colours are, for a key above one field or several.
 #[must_use]
-pub fn key(robots: usize) -> Vec<KeyEntry> {
+pub fn key(robots: &[String]) -> Vec<KeyEntry> {
     let bodies = [("target".to_owned(), TARGET), ("estimate, 3 sigma".to_owned(), ESTIMATE)];
-    let named = if robots <= FEW_ROBOTS { robots } else { 0 };
-    let robots = (0..named).map(|id| (format!("robot {id}"), chart::robot_colour(id)));
+    let named = if robots.len() <= FEW_ROBOTS { robots } else { &[] };
+    let robots = named.iter().enumerate().map(|(id, name)| (name.clone(), chart::robot_colour(id)));
     bodies.into_iter().chain(robots).map(|(name, colour)| (name, colour.stroke_width(6))).collect()
 }
 
@@ -37,6 +38,8 @@ pub struct Paths {
     pub truths_m: Vec<Option<Vector2<f64>>>,
     /// A path for each robot.
     pub robots_m: Vec<Vec<Vector2<f64>>>,
+    /// What people call each robot.
+    pub names: Vec<String>,
 }
 
 /// A square part of the field: the same scale in both directions.
@@ -80,10 +83,12 @@ impl Square {
 }
 
 impl Paths {
-    /// No path yet of a team of this size.
+    /// No path yet of a scenario's team.
     #[must_use]
-    pub fn of_team(robots: usize) -> Self {
-        Self { robots_m: vec![Vec::new(); robots], ..Self::default() }
+    pub fn of_team(scenario: &Scenario) -> Self {
+        let robots = scenario.robots.len();
+        let names = (0..robots).map(|robot| scenario.name_of(robot)).collect();
+        Self { robots_m: vec![Vec::new(); robots], names, ..Self::default() }
     }
 
     /// Where target and robots were.
@@ -94,7 +99,7 @@ impl Paths {
     /// Size of a picture of this width by [`Self::draw_whole`], px.
     #[must_use]
     pub fn whole_size(&self, width: u32) -> (u32, u32) {
-        (width, width + chart::key_height(width, &key(self.robots_m.len())))
+        (width, width + chart::key_height(width, &key(&self.names)))
     }
 
     /// Draws all of the field under a key.
@@ -102,7 +107,7 @@ impl Paths {
     /// # Errors
     /// The backend's.
     pub fn draw_whole(&self, area: &Area<'_>) -> Drawn {
-        let below = chart::draw_key(area, &key(self.robots_m.len()))?;
+        let below = chart::draw_key(area, &key(&self.names))?;
         self.draw(&below, Square::around(self.estimates_m.iter().chain(self.bodies())), None)
     }
 

@@ -3,6 +3,8 @@
 //! The same estimates to the bit as a lock-step run of the same scenario: what the processes add is
 //! only transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
 
+use std::path::Path;
+
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::planner::{PlannerError, Vector};
@@ -12,9 +14,9 @@ use rangehound_robot::sensor::{RangeSensor, Sensor};
 use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::message::Drive;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::recording::RecordingError;
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::Scenario;
+use rangehound_sim::playback::PlaybackError;
 use rangehound_sim::{World, world_of};
 
 /// Runs a scenario to its end in this process and puts every tick down as the nodes would.
@@ -23,7 +25,7 @@ use rangehound_sim::{World, world_of};
 /// If the team cannot be put together, the estimate diverges, or a log cannot be written.
 pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow::Result<()> {
     let RunDescription { run_id, scenario, out_dir } = description;
-    let mut team = Team::new(scenario)?;
+    let mut team = Team::of_run(scenario, out_dir)?;
     let mut estimates = EstimateRecord::writer(out_dir, *run_id, scenario)?;
     let mut worlds = WorldRecord::writer(out_dir, *run_id, scenario)?;
     for tick in 0..=scenario.ticks {
@@ -53,9 +55,9 @@ pub struct Team {
 /// Why a team cannot be put together.
 #[derive(Debug, thiserror::Error)]
 pub enum TeamError {
-    /// Its recording cannot be read.
+    /// Its recording cannot be played.
     #[error(transparent)]
-    Recording(#[from] RecordingError),
+    Recording(#[from] PlaybackError),
     /// Its planner cannot serve it.
     #[error(transparent)]
     Planner(#[from] PlannerError),
@@ -67,11 +69,19 @@ impl Team {
     /// # Errors
     /// [`TeamError`].
     pub fn new(scenario: &Scenario) -> Result<Self, TeamError> {
+        Self::of_run(scenario, Path::new(""))
+    }
+
+    /// The same; a recording that this process has not read is read from the run folder.
+    ///
+    /// # Errors
+    /// [`TeamError`].
+    pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
         let robots = (0..scenario.robots.len())
             .filter_map(|id| Some((Sensor::new(scenario, id)?, Controller::new(scenario.robots[id].speed_mps))))
             .collect();
         Ok(Self {
-            world: world_of(scenario)?,
+            world: world_of(scenario, run_folder)?,
             centre: Centre::new(scenario)?,
             robots,
             reports: vec![None; scenario.robots.len()],

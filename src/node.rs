@@ -33,7 +33,7 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
     rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         SimError::Rendezvous(error) => input_or_running(error),
-        error @ (SimError::Checkpoint(_) | SimError::Sealed(_)) => Failure::input(error),
+        error @ (SimError::Checkpoint(_) | SimError::Sealed(_) | SimError::Recording(_)) => Failure::input(error),
         other => Failure::from(other),
     })
 }
@@ -82,7 +82,7 @@ fn found(args: &SimArgs) -> Result<(Rendezvous, Option<File>), Failure> {
         return Ok((living, folder));
     }
     let name = &experiment.name;
-    let rendezvous = Rendezvous::found(name, experiment.description.clone()).map_err(input_or_running)?;
+    let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
     let folder = tables::prepare_folder(&experiment)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::tell(format!(

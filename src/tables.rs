@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `scenario.toml` | the scenario as it was run, command line included |
+//! | `recording.csv` | of a recorded run: the recording as it was read, which the simulator plays |
 //! | `report.json` | see [`crate::report`] |
 //! | `estimate.csv` | the track: a row for each tick |
 //! | `report.html`, `picture.svg` | see [`crate::page`], [`crate::picture`] |
@@ -26,7 +27,7 @@ use rangehound_shared::message::{RangeKind, WorldEntry};
 use rangehound_shared::record::{EstimateRecord, WorldRecord, estimate_log, world_log};
 use rangehound_shared::recording::{RecordingError, TrackPoint, parse_track, read_track};
 use rangehound_shared::rendezvous::{Role, RunDescription};
-use rangehound_shared::scenario::Source;
+use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
 
 use crate::curves::Curves;
@@ -74,7 +75,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
     }
     let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
     let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, run_mcap::FILE_NAME];
-    let tables = [ESTIMATES, "ranges.csv", "truth.csv"];
+    let tables = [COPY, ESTIMATES, "ranges.csv", "truth.csv"];
     let stale: Vec<&str> = results.into_iter().chain(tables).chain(checkpoints.iter().map(String::as_str)).collect();
     // With what a kill has left of their making.
     let is_what_is_left = |rest: &str| rest.is_empty() || rest.ends_with(PARTIAL);
@@ -85,8 +86,15 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<File, Failure> {
             let _ = std::fs::remove_file(file.path());
         }
     }
+    if let Source::Recorded(ranges) = &experiment.description.scenario.source
+        && let Some(recording) = ranges.already_read()
+    {
+        let mut copy = WholeFile::create(&out_dir.join(COPY))?;
+        recording.write_csv(&mut copy).map_err(|error| not_writable(out_dir, &error))?;
+        copy.finish()?;
+    }
     let text = experiment.scenario_file.to_toml()?;
-    let sealed = sealed::seal(&experiment.description)?;
+    let sealed = sealed::seal(&experiment.description_for_nodes())?;
     let write_for_owner = || {
         let path = out_dir.join(DESCRIPTION);
         File::options().write(true).create(true).truncate(true).mode(0o600).open(path)?.write_all(&sealed)

@@ -195,7 +195,7 @@ fn hostile_recordings() {
         recording.write_csv(&mut copy).unwrap();
         let (again, _) = Recording::parse(&copy[..], Path::new("copy.csv"), &ReadOptions::default()).unwrap();
         assert_eq!(again, recording);
-        let mut world = Playback::new(recording);
+        let mut world = Playback::new(recording.into(), None);
         for _ in 0..20 {
             world.advance(&[]);
             let numbers = world.entries().iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
@@ -374,7 +374,7 @@ fn hostile_run_descriptions() {
                 for id in 0..scenario.robots.len() {
                     assert!(Sensor::new(&scenario, id).is_some());
                 }
-                let _ = world_of(&scenario).map(|mut world| world.advance(&[]));
+                let _ = world_of(&scenario, Path::new("")).map(|mut world| world.advance(&[]));
                 let _ = Centre::new(&scenario);
                 Verdict::Taken
             }
@@ -431,7 +431,7 @@ fn hostile_states() {
         team.advance();
     }
     let saved_world = |scenario: &Scenario, steps: usize| {
-        let mut world = world_of(scenario).unwrap();
+        let mut world = world_of(scenario, Path::new("")).unwrap();
         (0..steps).for_each(|_| world.advance(&[]));
         let mut bytes = Vec::new();
         world.save(&mut bytes).unwrap();
@@ -439,7 +439,7 @@ fn hostile_states() {
     };
     let documents = [saved_world(&simulated, 3), saved_world(&recorded, 3)];
     let [fresh_simulated, fresh_recorded] =
-        [&simulated, &recorded].map(|scenario| RefCell::new(world_of(scenario).unwrap()));
+        [&simulated, &recorded].map(|scenario| RefCell::new(world_of(scenario, Path::new("")).unwrap()));
     attack_parser("simulator's states", 1.0, &documents, |bytes| {
         let mut verdict = refused("no such state");
         for fresh in [&fresh_simulated, &fresh_recorded] {
@@ -680,7 +680,7 @@ fn hostile_messages() {
     let sensor = RefCell::new(Sensor::new(&scenario, 0).unwrap());
     attack("messages", 1.0, |dice, _| {
         let mut controller = Controller::new(limit_mps);
-        let mut world = world_of(&scenario).unwrap();
+        let mut world = world_of(&scenario, Path::new("")).unwrap();
         for _ in 0..4 {
             let command = Command { heading_rad: dice.number(), speed_mps: dice.number() };
             let (given, asked) = (dice.word(), dice.word());

@@ -11,6 +11,7 @@
 //! | `comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
 //! | `hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
+//! | `intake` | how a recording gets into a run: pipes, its copy in the run folder, names, a known start |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `latency` | the system beside its references: who is counted, what is left |
 //! | `live` | the live page: who is let in, what its buttons do, and in a real browser |
@@ -32,6 +33,7 @@ mod distrust;
 mod drivers;
 mod golden;
 mod hostile;
+mod intake;
 mod latency;
 mod licences;
 mod live;

@@ -29,7 +29,7 @@ impl Case {
                 range_std_m: Some(self.range_std_m),
                 bias_m: Some(self.bias_m),
                 scale: Some(self.scale),
-                sensor: None,
+                ..RecordingTable::default()
             }),
             target: Some(TargetTable { noise_psd: Some(self.accel_psd), ..TargetTable::default() }),
             ..ScenarioFile::default()

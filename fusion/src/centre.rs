@@ -624,4 +624,99 @@ mod tests {
         }
         assert_eq!((distrusted.first(), distrusted.last()), (Some(&24), Some(&66)), "{distrusted:?}");
     }
+
+    /// What the last plan was posed with: each member's `lambda`.
+    fn lambdas(centre: &Centre) -> Vec<f64> {
+        centre.problem().arms().iter().map(|arm| arm.lambda).collect()
+    }
+
+    #[test]
+    fn the_plan_takes_the_standard_deviation_that_the_last_message_reported() {
+        let mut centre = of("[prior]\nmean = \"start\"\n");
+        tick(&mut centre, &team(0));
+        assert_eq!(lambdas(&centre), [1.0; 3], "before any range, what the scenario says");
+        let mut reports = team(1);
+        if let Some(Report { range_m: Some((_, std_m)), .. }) = &mut reports[1] {
+            *std_m = 4.0;
+        }
+        tick(&mut centre, &reports);
+        assert_eq!(lambdas(&centre), [1.0, 1.0 / 16.0, 1.0]);
+        // Who is not heard is planned with what it said last, after a kill too.
+        let mut after = of("[prior]\nmean = \"start\"\n");
+        after.restore(centre.saved().unwrap()).unwrap();
+        let [a, _, c] = team(2);
+        tick(&mut after, &[a, None, c]);
+        assert_eq!(lambdas(&after), [1.0, 1.0 / 16.0, 1.0]);
+        let late = Report { range_m: Some((20.0, 2.0)), ..report(2, 1, 0.0).unwrap() };
+        after.take_late(2, 1, late);
+        after.plan();
+        assert_eq!(lambdas(&after), [1.0, 0.25, 1.0]);
+    }
+
+    #[test]
+    fn a_distrusted_robot_is_planned_for_without_information_and_still_led() {
+        let mut centre = of("[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n");
+        for k in 0..40 {
+            let reports = [0, 1, 2, 3].map(|id| report(k, id, if id == 2 && k > 20 { 12.0 } else { 0.0 }));
+            tick(&mut centre, &reports);
+        }
+        assert!(centre.distrusted().iter().eq([2]));
+        assert_eq!(lambdas(&centre), [1.0, 1.0, 0.0, 1.0]);
+        // The certificate is that of the problem of the other three.
+        let plan = centre.last_plan();
+        assert!(plan.is_certified(centre.problem()) && plan.lower_bound <= plan.objective);
+        let trusted = [0, 1, 3].map(|id| (centre.problem().arms()[id].lambda, plan.directions[id]));
+        let prior = centre.problem().sum(&plan.directions)
+            + trusted.iter().fold(Vector::default(), |sum, (lambda, u)| sum + *u * -*lambda);
+        assert!((prior.norm() - (centre.problem().lambda_sum() - 3.0)).abs() < 1e-9, "{prior:?}");
+        // It is led to where its range would tell most beside theirs.
+        let sum = centre.problem().sum(&plan.directions);
+        let best = centre.problem().arms()[2].nearest(-sum, plan.directions[2]);
+        assert!((plan.directions[2] - best).norm() < 1e-6 && centre.commands()[2].speed_mps > 0.0);
+        // All measure as before: what was planned is what comes, but for the target's move.
+        assert!(centre.estimate().rejected == 1 && centre.estimate().tested == 4);
+    }
+
+    /// Three robots of which all read five times as noisy as they say: nobody is blamed, and the estimate keeps to it.
+    #[test]
+    fn noise_that_all_have_is_nobodys_fault() {
+        let text = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
+        let mut centre = of(text);
+        let mut widened = 0;
+        for k in 0..200 {
+            let reports = [0, 1, 2, 3].map(|id| report(k, id, 6.0 * (12.9 * k as f64 + 4.1 * id as f64).sin()));
+            tick(&mut centre, &reports);
+            widened += u64::from(centre.estimate().noise_scale > 1.0);
+            if k > 60 {
+                assert!(centre.distrusted().is_empty() && centre.noise_scale() > 1.0, "tick {k}");
+            }
+            // A kill in the middle of it changes nothing.
+            if k == 100 {
+                let mut after = of(text);
+                after.restore(centre.saved().unwrap()).unwrap();
+                assert_eq!(bits(&mut after), bits(&mut centre));
+                centre = after;
+            }
+        }
+        assert!(widened > 130, "{widened}");
+    }
+
+    /// A target that is elsewhere all at once: the filter is widened and finds it again.
+    #[test]
+    fn a_lost_estimate_is_widened_until_it_finds_the_target() {
+        let mut centre = of("[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n");
+        let jumped = |k: u64| Vector::new(if k < 40 { 0.0 } else { 15.0 }, 0.0);
+        for k in 0..120 {
+            let reports = [0, 1, 2, 3].map(|id| {
+                let report = report(k, id, 0.0).unwrap();
+                let target = Vector::new(-0.8 * k as f64, 0.4 * k as f64) + jumped(k);
+                let range_m = (target + report.position_m * -1.0).norm();
+                Some(Report { range_m: report.range_m.map(|_| (range_m, 1.0)), ..report })
+            });
+            tick(&mut centre, &reports);
+        }
+        let truth = Vector::new(-0.8 * 119.0, 0.4 * 119.0) + jumped(119);
+        let error_m = (Vector::new(centre.state()[0], centre.state()[1]) + truth * -1.0).norm();
+        assert!(error_m < 2.0 && centre.distrusted().is_empty(), "{error_m}");
+    }
 }

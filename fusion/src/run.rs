@@ -364,10 +364,13 @@ impl<'a> Fusion<'a> {
             log::warn!("most sensors no longer fail together: takes their ranges to be as noisy as told again");
         }
         for id in now.iter().filter(|id| !before.contains(*id)) {
-            log::warn!("robot {id} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate");
+            log::warn!(
+                "{} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate",
+                self.scenario.name_of(id)
+            );
         }
         for id in before.iter().filter(|id| !now.contains(*id)) {
-            log::warn!("robot {id} is trusted again: its last {RECENT} ranges passed the gate");
+            log::warn!("{} is trusted again: its last {RECENT} ranges passed the gate", self.scenario.name_of(id));
         }
     }
 

@@ -31,7 +31,7 @@ const LOG_NARROW: f64 = 0.7;
 const LOG_MAX: f64 = 14.0;
 const LOG_MIN: f64 = -1.0;
 
-/// Ranges of a sensor before its noise counts, and ranges of the team, in multiples of its size, after which a sensor that
+/// Ranges of a sensor before its noise is followed, and ranges of the team, in multiples of its size, after which a sensor that
 /// was not heard counts no more.
 const RANGES_MIN: u32 = 8;
 const RECENT_ROUNDS: u64 = 8;
@@ -184,7 +184,12 @@ impl Trust {
             self.ranges += 1;
             let Noise { log, ranges, .. } = self.noises[id];
             // Squares are of the noise as it is taken at present.
-            let step = if square > CHI_SQUARE_MEDIAN { LOG_STEP } else { -LOG_STEP };
+            let step = match square > CHI_SQUARE_MEDIAN {
+                // The start tells of what was not known, not of the noise.
+                _ if ranges < RANGES_MIN => 0.0,
+                true => LOG_STEP,
+                false => -LOG_STEP,
+            };
             let log = (log + step).clamp(LOG_MIN, LOG_MAX);
             self.noises[id] = Noise { log, ranges: ranges.saturating_add(1), last: self.ranges };
         }
@@ -229,6 +234,40 @@ mod tests {
         assert_eq!(after(&mut trust, 1, &[2]), [2]);
         assert_eq!(after(&mut trust, 7, &[]), [2], "the count starts anew");
         assert_eq!(after(&mut trust, 1, &[]), []);
+    }
+
+    /// Ranges of a team of 4 that is all heard, with the same squares at each tick, failing a gate of 4 sigma.
+    fn noisy(trust: &mut Trust, ticks: usize, squares: [f64; 4]) -> f64 {
+        let mut failed = RobotSet::default();
+        squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
+        (0..ticks).map(|_| trust.judge((0..4).map(|id| (id, Some(squares[id]))), &failed)).fold(1.0, f64::max)
+    }
+
+    #[test]
+    fn where_most_fail_together_nobody_is_distrusted_and_all_are_noisier() {
+        let mut trust = trust(4);
+        noisy(&mut trust, 40, [0.4, 0.4, 30.0, 0.4]);
+        assert!(trust.distrusted().iter().eq([2]) && trust.noise_scale() == 1.0, "one of four is to blame");
+        let lost = noisy(&mut trust, 40, [9.0, 9.0, 30.0, 9.0]);
+        assert!(trust.distrusted().is_empty() && trust.noise_scale() > 2.2 && lost == 1.0, "{trust:?}");
+        // As long as it is so, and no longer.
+        noisy(&mut trust, 60, [0.4; 4]);
+        assert_eq!((trust.noise_scale(), trust.distrusted().is_empty()), (1.0, true));
+    }
+
+    #[test]
+    fn where_nearly_all_fail_however_noisy_they_are_taken_to_be_the_estimate_may_be_lost() {
+        let mut trust = trust(4);
+        assert_eq!(noisy(&mut trust, 60, [900.0; 4]), 900.0);
+        assert!(trust.distrusted().is_empty());
+    }
+
+    #[test]
+    fn without_the_switch_nothing_is_widened_and_nobody_distrusted() {
+        let mut trust = Trust::new(4, Policy { distrusts: false, widens: false });
+        assert_eq!(noisy(&mut trust, 60, [900.0, 900.0, 900.0, 0.4]), 1.0);
+        noisy(&mut trust, 60, [0.4, 0.4, 30.0, 0.4]);
+        assert!(trust.distrusted().is_empty() && trust.noise_scale() == 1.0);
     }
 
     #[test]

@@ -23,23 +23,25 @@ pub mod run;
 pub mod simulation;
 pub mod world;
 
-use rangehound_shared::recording::RecordingError;
+use std::path::Path;
+
 use rangehound_shared::scenario::{Scenario, Source};
 use rangehound_shared::with_state_dim;
 
-use playback::Playback;
+use playback::{Playback, PlaybackError};
 use simulation::Simulation;
 pub use world::World;
 
-/// The world of a scenario at tick 0.
+/// The world of a scenario at tick 0. A recording that this process has not read itself is read from the copy in the run
+/// folder.
 ///
 /// # Errors
-/// [`RecordingError`] if the recording that the scenario names cannot be read (again).
-pub fn world_of(scenario: &Scenario) -> Result<Box<dyn World>, RecordingError> {
+/// [`PlaybackError`] if that copy cannot be read, or is not what it was.
+pub fn world_of(scenario: &Scenario, run_folder: &Path) -> Result<Box<dyn World>, PlaybackError> {
     Ok(match &scenario.source {
         Source::Simulated { target_start } => {
             with_state_dim!(target_start.len(), N => Box::new(Simulation::<N>::new(scenario, target_start)))
         }
-        Source::Recorded { ranges } => Box::new(Playback::read(ranges)?),
+        Source::Recorded(ranges) => Box::new(Playback::open(ranges, run_folder)?),
     })
 }

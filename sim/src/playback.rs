@@ -1,35 +1,59 @@
 //! The recorded world: sensors where they were, ranges as they were measured.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
-use rangehound_shared::recording::{ReadOptions, Recording, RecordingError};
+use rangehound_shared::recording::{ReadOptions, RecordedRange, Recording, RecordingError};
+use rangehound_shared::scenario::{COPY, RecordedRanges};
 use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_sound};
 
+/// Why a recording cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum PlaybackError {
+    /// The run folder's copy cannot be read.
+    #[error("the run's own copy of its recording cannot be read: {0}")]
+    Unreadable(#[from] RecordingError),
+    /// The run folder's copy says something else than when the run began.
+    #[error(
+        "{}: it has changed since the run began: expected the copy that the run made of its recording; start a new run",
+        .0.display()
+    )]
+    Changed(PathBuf),
+}
+
 /// A recording, one instant a tick from tick 1 on. As in a simulation, tick 0 carries no range.
 #[derive(Debug, Clone)]
 pub struct Playback {
-    recording: Recording,
+    recording: Arc<Recording>,
+    target_height_m: Option<f64>,
     next_instant: usize,
     time_s: f64,
     entries: Vec<WorldEntry>,
 }
 
 impl Playback {
-    /// Reads a recording.
+    /// Plays what this process has read already, or else the copy in the run folder, if it still is what was read.
     ///
     /// # Errors
-    /// [`RecordingError`].
-    pub fn read(ranges: &Path) -> Result<Self, RecordingError> {
-        let (recording, _) = Recording::read(ranges, &ReadOptions::default())?;
-        Ok(Self::new(recording))
+    /// [`PlaybackError`].
+    pub fn open(ranges: &RecordedRanges, run_folder: &Path) -> Result<Self, PlaybackError> {
+        if let Some(recording) = ranges.already_read() {
+            return Ok(Self::new(recording, ranges.target_height_m));
+        }
+        let path = run_folder.join(COPY);
+        let (recording, _) = Recording::read(&path, &ReadOptions::default())?;
+        if recording.digest() != ranges.digest {
+            return Err(PlaybackError::Changed(path));
+        }
+        Ok(Self::new(Arc::new(recording), ranges.target_height_m))
     }
 
-    /// Plays a recording from its start.
+    /// Plays a recording from its start. With the target's height, sensors stand as much higher as the recording says.
     #[must_use]
-    pub fn new(recording: Recording) -> Self {
+    pub fn new(recording: Arc<Recording>, target_height_m: Option<f64>) -> Self {
         let entries = recording
             .sensors()
             .iter()
@@ -40,7 +64,7 @@ impl Playback {
             })
             .collect();
         let time_s = recording.instant(0).map_or(0.0, |(time_s, _)| time_s);
-        Self { recording, next_instant: 0, time_s, entries }
+        Self { recording, target_height_m, next_instant: 0, time_s, entries }
     }
 }
 
@@ -65,13 +89,12 @@ impl World for Playback {
         if let Some((time_s, readings)) = self.recording.instant(self.next_instant) {
             self.time_s = time_s;
             for reading in readings {
-                self.entries[reading.sensor] = WorldEntry {
-                    x_m: reading.position_m[0],
-                    y_m: reading.position_m[1],
-                    range_m: reading.range_m,
-                    range_kind: RangeKind::Measured.to_bits(),
-                    ..WorldEntry::default()
-                };
+                let &RecordedRange { sensor, position_m: [x_m, y_m], height_m, range_m } = reading;
+                // Without the target's height, ranges are taken as level.
+                let height_m =
+                    height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
+                let range_kind = RangeKind::Measured.to_bits();
+                self.entries[sensor] = WorldEntry { x_m, y_m, range_m, range_kind, height_m };
             }
             self.next_instant += 1;
         }
@@ -100,7 +123,7 @@ mod tests {
     fn every_range_is_played_once_at_its_time_and_place() {
         let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n5,1,0,0,3\n6,2,1,1,4\n6,1,0,2,5\n";
         let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
-        let mut world = Playback::new(recording);
+        let mut world = Playback::new(Arc::new(recording), None);
         let heard = |world: &Playback| -> Vec<(f64, f64, f64)> {
             let measured = |entry: &&WorldEntry| entry.range_kind == RangeKind::Measured.to_bits();
             world.entries().iter().filter(measured).map(|e| (e.x_m, e.y_m, e.range_m)).collect()

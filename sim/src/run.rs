@@ -9,7 +9,6 @@ use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::clock::{Standstill, monotonic_ns, until};
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
-use rangehound_shared::recording::RecordingError;
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_shared::sealed::SealError;
@@ -17,6 +16,7 @@ use rangehound_shared::signal::Termination;
 use rangehound_shared::tick_log::TickLogWriter;
 use serde::{Deserialize, Serialize};
 
+use crate::playback::PlaybackError;
 use crate::{World, world_of};
 
 /// After this long without all answers the tick is sent again: mends whatever was lost.
@@ -41,9 +41,9 @@ pub enum SimError {
     /// The same, found later.
     #[error("the checkpoint {0}")]
     Sealed(#[from] SealError),
-    /// The recording cannot be read.
+    /// The recording cannot be played.
     #[error(transparent)]
-    Recording(#[from] RecordingError),
+    Recording(#[from] PlaybackError),
 }
 
 /// Runs the simulator of a run until its last tick or until asked to end.
@@ -108,7 +108,7 @@ impl<'a> Sim<'a> {
             rendezvous,
             hold,
             scenario,
-            world: world_of(scenario)?,
+            world: world_of(scenario, &description.out_dir)?,
             tick: 0,
             drives: vec![None; robots],
             silent: vec![false; robots],
@@ -221,7 +221,11 @@ impl<'a> Sim<'a> {
         {
             for (id, (silent, drive)) in self.silent.iter_mut().zip(&self.drives).enumerate() {
                 if drive.is_none() && !*silent {
-                    log::warn!("tick {}: goes on without robot {id}, silent for {limit:?}", self.tick);
+                    log::warn!(
+                        "tick {}: goes on without {}, silent for {limit:?}",
+                        self.tick,
+                        self.scenario.name_of(id)
+                    );
                     *silent = true;
                 }
             }

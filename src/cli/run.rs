@@ -7,6 +7,7 @@ use rangehound_shared::rendezvous::RunName;
 use rangehound_shared::scenario::{GateKey, PatienceKey};
 
 use super::ParentArgs;
+use super::input::InputArgs;
 use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, port, standbys, whole};
 use crate::pin::Pin;
 use crate::supervisor::restart::Rule;
@@ -87,8 +88,11 @@ pub struct RunArgs {
 /// `track`.
 #[derive(Debug, Args)]
 pub struct TrackArgs {
-    /// Recorded ranges: CSV with time_s,sensor_id,sensor_x_m,sensor_y_m,range_m
+    /// Recorded ranges: a table with a row for each range, a pipe, or - for standard input
     pub ranges: PathBuf,
+    /// How they are read
+    #[command(flatten)]
+    pub input: InputArgs,
     /// Standard deviation of a range, m
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub range_std: Option<f64>,

@@ -77,6 +77,11 @@ pub(super) fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "expected a number".to_owned())
 }
 
+pub(super) fn place(text: &str) -> Result<[f64; 2], String> {
+    let coordinates = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    coordinates.ok_or_else(|| "expected two numbers X,Y".to_owned())
+}
+
 pub(super) fn gate(text: &str) -> Result<GateKey, String> {
     text.parse()
 }

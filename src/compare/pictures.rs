@@ -97,7 +97,7 @@ fn times_s(comparison: &Comparison) -> Range<f64> {
 /// The first ticks of one run.
 fn paths_of(scenario: &Scenario) -> anyhow::Result<Paths> {
     let mut team = Team::new(scenario)?;
-    let mut paths = Paths::of_team(scenario.robots.len());
+    let mut paths = Paths::of_team(scenario);
     for _ in 0..=scenario.ticks.min(PATH_TICKS) {
         if team.tick().is_err() {
             break;
@@ -129,7 +129,7 @@ fn paths_size(paths: &[Paths]) -> (u32, u32) {
 }
 
 fn paths_key(paths: &[Paths]) -> Vec<KeyEntry> {
-    field::key(paths.first().map_or(0, |paths| paths.robots_m.len()))
+    field::key(paths.first().map_or(&[], |paths| &paths.names))
 }
 
 /// Fig. 4 of the paper: the same run of each planner from above.

@@ -118,6 +118,8 @@ impl Scene {
             "clock": scenario.clock.name(),
             "planner": scenario.planner.name(),
             "robots": robots,
+            // What people call them: the names of a recording's sensors.
+            "labels": scenario.robots.iter().map(|robot| &robot.label).collect::<Vec<_>>(),
             "ticks": scenario.ticks,
             "dt_s": scenario.dt_s,
             "trail_max": trail_max,

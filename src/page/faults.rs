@@ -165,9 +165,9 @@ fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> anyhow::Re
         let time_s = curves.time_s_at(at_ns).unwrap_or_default();
         (format!("{time_s:.2} s"), format!("{} {incident}", escaped(node)))
     });
-    let distrusted = report.distrusted.iter().map(|Distrust { robot, from_tick, to_tick }| {
+    let distrusted = report.distrusted.iter().map(|Distrust { robot, sensor, from_tick, to_tick }| {
         let until = to_tick.map_or("the end".to_owned(), |tick| tick.to_string());
-        (format!("tick {from_tick} to {until}"), format!("robot {robot} distrusted"))
+        (format!("tick {from_tick} to {until}"), format!("{} distrusted", escaped(&report.name_of(*robot, sensor))))
     });
     let mut lines = incidents.chain(distrusted);
     let told: Vec<(String, String)> = lines.by_ref().take(LINES_MAX).collect();

@@ -70,7 +70,13 @@ pub fn from_logs(
         tally.add_estimate(tick, &estimate, truth_m);
     }
     worlds.at(u64::MAX, &mut tally)?;
-    let recording = matches!(scenario.source, Source::Recorded { .. }).then(RecordingEvidence::default);
+    let recording = match &scenario.source {
+        Source::Recorded(ranges) => Some(RecordingEvidence {
+            doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),
+            has_unused_heights: ranges.has_heights && ranges.target_height_m.is_none(),
+        }),
+        Source::Simulated { .. } => None,
+    };
     let background = Background { truth: overlap.map(Overlap::evidence), recording };
     Ok(tally.report(scenario, background, nodes))
 }

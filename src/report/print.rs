@@ -74,6 +74,12 @@ impl std::fmt::Display for HeadingSummary {
 const SENSOR_LINES_MAX: usize = 5;
 
 impl Report {
+    /// What people call a robot, or the sensor of a recording.
+    #[must_use]
+    pub fn name_of(&self, robot: usize, sensor: &str) -> String {
+        if self.recording.is_some() { format!("sensor {sensor}") } else { format!("robot {robot}") }
+    }
+
     /// The sensors of which most was not fused, if there are any, and whether the gate was widened.
     fn fmt_doubtful_sensors(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let lost = |sensor: &SensorSummary| sensor.rejected + sensor.distrusted;
@@ -104,9 +110,9 @@ impl Report {
             );
             writeln!(f, "{}", field_in(DOUBTFUL, "refused", causes))?;
         }
-        for Distrust { robot, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
+        for Distrust { robot, sensor, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
             let until = to_tick.map_or("the end".to_owned(), |tick| format!("tick {tick}"));
-            let time = format!("robot {robot} from tick {from_tick} to {until}");
+            let time = format!("{} from tick {from_tick} to {until}", self.name_of(*robot, sensor));
             writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", time))?;
         }
         if let Some(more) = distrusted.len().checked_sub(DISTRUST_LINES_MAX).filter(|more| *more > 0) {

@@ -3,6 +3,7 @@
 use hdrhistogram::Histogram;
 use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{Heading, RobotRecord};
+use rangehound_shared::recording::ReadSummary;
 use serde::Serialize;
 
 use super::verdict::Verdict;
@@ -50,6 +51,8 @@ pub struct Report {
     pub sensors: Vec<SensorSummary>,
     /// Range messages that fusion refused, by cause.
     pub refused: RefusalSummary,
+    /// What was read of the recording, and what was not; null for a simulated run.
+    pub recording: Option<ReadSummary>,
     /// When robots were distrusted.
     pub distrusted: Vec<Distrust>,
     /// What the robots drove by.
@@ -130,10 +133,12 @@ pub struct RefusalSummary {
 }
 
 /// Ticks at which a robot's ranges were not fused because they kept failing the gate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Distrust {
     /// The robot.
     pub robot: usize,
+    /// What its sensor is called: its name in the recording, or the robot's id.
+    pub sensor: String,
     /// The tick after whose range it was distrusted.
     pub from_tick: u64,
     /// The tick after whose range it was trusted again; null if it never was.

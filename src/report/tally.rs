@@ -7,7 +7,7 @@ use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Estimate, Stages};
 use rangehound_shared::record::{Exchange, RangeUse, RobotRecord};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::{Scenario, Source};
 
 use super::consistency::{Consistency, ConsistencySummary};
 use super::verdict::{Evidence, RecordingEvidence, SensorEvidence, TruthEvidence, Verdict};
@@ -142,7 +142,12 @@ impl Tally {
             }
         }
         if !begun.is_empty() {
-            self.distrusted.extend(begun.iter().map(|robot| Distrust { robot, from_tick: tick, to_tick: None }));
+            self.distrusted.extend(begun.iter().map(|robot| Distrust {
+                robot,
+                sensor: robot.to_string(),
+                from_tick: tick,
+                to_tick: None,
+            }));
         }
     }
 
@@ -241,6 +246,15 @@ impl Tally {
     /// The report.
     #[must_use]
     pub fn report(mut self, scenario: &Scenario, background: Background, nodes: Vec<NodeSummary>) -> Report {
+        for distrust in &mut self.distrusted {
+            if let Some(robot) = scenario.robots.get(distrust.robot) {
+                distrust.sensor.clone_from(&robot.label);
+            }
+        }
+        let recording = match &scenario.source {
+            Source::Recorded(ranges) => Some(ranges.summary.clone()),
+            Source::Simulated { .. } => None,
+        };
         let verdict = Verdict::of(&self.evidence(scenario, background));
         let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
         let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
@@ -272,6 +286,7 @@ impl Tally {
                 .map(|(robot, sensor)| sensor.summary(&robot.label))
                 .collect(),
             refused: self.refused,
+            recording,
             distrusted: self.distrusted,
             headings: self.headings,
             latency_us: LatencySummary::of(&self.latency_ns),
@@ -405,7 +420,7 @@ mod tests {
             let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
             tally.add_estimate(tick as u64, &estimate, None);
         }
-        let distrust = |robot, from_tick, to_tick| Distrust { robot, from_tick, to_tick };
+        let distrust = |robot, from_tick, to_tick| Distrust { robot, sensor: robot.to_string(), from_tick, to_tick };
         assert_eq!(tally.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
     }
 

@@ -215,6 +215,7 @@ fn words_about(description: &RunDescription) -> BTreeMap<String, String> {
         ("clock", scenario.clock.name().to_owned()),
         ("planner", scenario.planner.name().to_owned()),
         ("robots", scenario.robots.len().to_string()),
+        ("names", (0..scenario.robots.len()).map(|id| scenario.name_of(id)).collect::<Vec<_>>().join(", ")),
         ("ticks", scenario.ticks.to_string()),
         ("dt_s", scenario.dt_s.to_string()),
     ];

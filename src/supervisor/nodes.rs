@@ -13,7 +13,7 @@ use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
 use rangehound_shared::signal::Termination;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::{Pid, PidfdFlags, Signal, getpid, kill_process, pidfd_open};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
 use super::cleaner::Cleaner;
 use super::restart::{Policies, Policy};
@@ -147,18 +147,12 @@ impl<'a> Nodes<'a> {
 
     /// What has been removed of the run's shared memory, as far as one look shows it.
     fn inspect(&mut self) -> Option<PathBuf> {
-        let nodes = self.nodes.iter().filter_map(|node| node.running.as_ref()).map(Running::pid);
-        // This process too: it holds what all have in common.
-        let processes: Vec<Pid> = nodes.chain([getpid()]).collect();
-        self.inspection.removed(&processes)
+        let nodes = self.pids();
+        self.inspection.removed(&nodes)
     }
 
-    /// The same, of all processes: before a node is given up that fails again and again.
-    fn inspect_all(&mut self) -> Option<PathBuf> {
-        (0..2 * self.nodes.len() + 2).find_map(|_| {
-            std::thread::sleep(Duration::from_millis(5));
-            self.inspect()
-        })
+    fn pids(&self) -> Vec<Pid> {
+        self.nodes.iter().filter_map(|node| node.running.as_ref()).map(Running::pid).collect()
     }
 
     /// Sleeps until a process ends, the next restart is due, or time is up.
@@ -229,7 +223,9 @@ impl<'a> Nodes<'a> {
                     log::warn!("{message}; it is started again");
                     node.restart_at = Some(Instant::now() + node.back_off());
                 } else if is_hopeless && !node.can_lead() || !node.is_spare(can_lead) {
-                    if is_own && let Some(removed) = self.inspect_all() {
+                    let nodes = self.pids();
+                    // Before one is given up that fails again and again.
+                    if is_own && let Some(removed) = self.inspection.removed_of_any(&nodes) {
                         return Ok(Some(removed));
                     }
                     let node = &self.nodes[index];

@@ -69,8 +69,7 @@ fn a_run_goes_on_however_often_its_shared_memory_is_removed() {
 
 #[test]
 fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
-    let words = "--ticks 60000 --patience forever";
-    let expected = digest_in_process(words);
+    let expected = digest_in_process(WORDS);
     for part in [
         "folder",
         "segments",
@@ -87,7 +86,7 @@ fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
         "services",
     ] {
         let run = Run::new();
-        let supervisor = run.lockstep(words);
+        let supervisor = run.lockstep(WORDS);
         run.wait_for_ticks(200);
         let segments = files(&run);
         let of_folder = run.shared_folder().join(part);

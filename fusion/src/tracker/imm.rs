@@ -53,6 +53,14 @@ impl<const N: usize> Imm<N> {
         Self { motion: motion.clone(), modes, estimate }
     }
 
+    /// The same tracker, but it knows where the target is.
+    #[must_use]
+    pub fn starting_from(mut self, estimate: Estimate<N>) -> Self {
+        self.modes.iter_mut().for_each(|mode| mode.bank.begin_with(estimate));
+        self.estimate = estimate;
+        self
+    }
+
     /// Predicts the models' probabilities over a step, and gives each what both know, weighed by how
     /// probably the target came to it from the other. Before both have settled there is no one
     /// Gaussian to give.

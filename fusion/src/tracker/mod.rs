@@ -9,14 +9,16 @@ pub mod bank;
 pub mod imm;
 pub mod kalman;
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, SVector, Vector2};
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{Prior, Scenario, defaults};
+use rangehound_shared::scenario::{Prior, Scenario, Source, defaults};
 use rangehound_shared::sealed::SealError;
 use rangehound_shared::with_state_dim;
 use serde::{Deserialize, Serialize};
+
+use crate::filter::Estimate;
 
 /// One range, as fused: calibrated, with the place it was measured from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -107,6 +109,11 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
     let motion = scenario.filter_motion.clone();
     let gate = Gate::new(scenario.gate_sigma);
     with_state_dim!(motion.state_dim(), N => match &scenario.prior {
+        // A recording whose start is known is tracked as others are, once they have found the target.
+        Prior::Gaussian { mean, covariance } if matches!(scenario.source, Source::Recorded(_)) => {
+            let x = SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
+            Box::new(imm::Imm::<N>::new(&motion, gate).starting_from(Estimate { x, p: covariance.to_static() }))
+        }
         Prior::Gaussian { mean, covariance } => {
             Box::new(kalman::Kalman::<N>::new(motion, mean, covariance, gate))
         }

@@ -190,39 +190,42 @@ impl Numbers {
                 _ => {}
             }
         }
-        if mark.is_some() {
-            if self.mark.is_some() && self.mark != mark {
-                return None;
-            }
-            self.mark = mark;
+        if mark.is_some() && self.mark.is_some() && self.mark != mark {
+            return None;
         }
-        let shift = unit.power_of_ten();
-        if mark != Some(b',') && shift == 0 {
-            return finite(std::str::from_utf8(field).ok()?.parse().ok()?);
-        }
-        let mut text = [0_u8; Self::LEN_MAX];
-        let room = text.get_mut(..field.len())?;
-        room.copy_from_slice(field);
-        if mark == Some(b',') {
-            *room.iter_mut().find(|byte| **byte == b',')? = b'.';
-        }
-        if shift == 0 {
-            return finite(std::str::from_utf8(room).ok()?.parse().ok()?);
-        }
-        if has_exponent {
-            let value: f64 = std::str::from_utf8(room).ok()?.parse().ok()?;
-            return finite(value / 10_f64.powi(-shift));
-        }
-        let exponent: &[u8] = match shift {
-            -2 => b"e-2",
-            -3 => b"e-3",
-            -6 => b"e-6",
-            _ => b"e-9",
-        };
-        let end = field.len() + exponent.len();
-        text.get_mut(field.len()..end)?.copy_from_slice(exponent);
-        finite(std::str::from_utf8(&text[..end]).ok()?.parse().ok()?)
+        let value = parse(field, mark == Some(b','), has_exponent, unit.power_of_ten())?;
+        // What is no number says nothing of the file's numbers.
+        self.mark = self.mark.or(mark);
+        Some(value)
     }
+}
+
+fn parse(field: &[u8], has_comma: bool, has_exponent: bool, shift: i32) -> Option<f64> {
+    if !has_comma && shift == 0 {
+        return finite(std::str::from_utf8(field).ok()?.parse().ok()?);
+    }
+    let mut text = [0_u8; Numbers::LEN_MAX];
+    let room = text.get_mut(..field.len())?;
+    room.copy_from_slice(field);
+    if has_comma {
+        *room.iter_mut().find(|byte| **byte == b',')? = b'.';
+    }
+    if shift == 0 {
+        return finite(std::str::from_utf8(room).ok()?.parse().ok()?);
+    }
+    if has_exponent {
+        let value: f64 = std::str::from_utf8(room).ok()?.parse().ok()?;
+        return finite(value / 10_f64.powi(-shift));
+    }
+    let exponent: &[u8] = match shift {
+        -2 => b"e-2",
+        -3 => b"e-3",
+        -6 => b"e-6",
+        _ => b"e-9",
+    };
+    let end = field.len() + exponent.len();
+    text.get_mut(field.len()..end)?.copy_from_slice(exponent);
+    finite(std::str::from_utf8(&text[..end]).ok()?.parse().ok()?)
 }
 
 /// Minus zero is zero: equal numbers are to be equal to the last bit.
@@ -271,6 +274,7 @@ mod tests {
     fn a_file_has_one_decimal_mark() {
         let mut numbers = Numbers::default();
         assert_eq!(numbers.read(b"7", Unit::Metre), Some(7.0));
+        assert_eq!(numbers.read(b"n.a.", Unit::Metre), None);
         assert_eq!(numbers.read(b"2,5", Unit::Metre), Some(2.5));
         assert_eq!(numbers.read(b"2.5", Unit::Metre), None);
         assert!(numbers.has_decimal_commas());

@@ -40,7 +40,7 @@ impl<'a> Finder<'a> {
     }
 
     /// The index of the column that has a role: the one that the user tells, or the one whose name says so.
-    pub(super) fn index<R: Read>(&mut self, role: Role, table: &Table<R>) -> Result<Option<usize>, RecordingError> {
+    pub(super) fn index<R: Read>(&self, role: Role, table: &Table<R>) -> Result<Option<usize>, RecordingError> {
         if let Some(told) = self.map.get(role) {
             let found = self.told_index(&told.column);
             return match found {

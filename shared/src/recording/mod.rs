@@ -4,6 +4,7 @@
 //!
 //! | part | what it does |
 //! |---|---|
+//! | `input` | a file, a pipe or standard input |
 //! | `lines` | lines of at most so many bytes; byte order marks |
 //! | `dialect` | comments, fields, quotes, decimal marks |
 //! | `table` | finds header and separator, gives rows as long as the header |
@@ -18,8 +19,10 @@ mod anchors;
 mod checks;
 mod columns;
 mod dialect;
+mod digest;
 mod error;
 mod gathering;
+mod input;
 mod layout;
 mod lines;
 
@@ -38,6 +41,7 @@ mod write;
 
 pub use anchors::{Anchor, Anchors};
 pub use columns::{ColumnMap, ColumnMapError};
+pub use digest::RecordingDigest;
 pub use error::{Complaint, Problem, RecordingError};
 pub use name::SensorName;
 pub use options::ReadOptions;
@@ -85,14 +89,14 @@ struct Instant {
 }
 
 impl Recording {
-    /// Reads and checks a log.
+    /// Reads and checks a log: a file, a pipe, or standard input if the path is `-`.
     ///
     /// # Errors
     /// [`RecordingError`] for the first thing that is wrong with the file. A row that is bad by itself is passed over
     /// and counted, unless most are, or the options are strict.
     pub fn read(path: &Path, options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
-        let file = std::fs::File::open(path).map_err(|error| RecordingError::unreadable(path, &error))?;
-        Self::parse(file, path, options)
+        let input::Input { reader, name } = input::open(path)?;
+        Self::parse(reader, &name, options)
     }
 
     /// Parses a log from a reader, which may be a pipe; `path` names it in errors.
@@ -112,6 +116,12 @@ impl Recording {
     /// If it cannot be written.
     pub fn write_csv(&self, out: impl Write) -> std::io::Result<()> {
         write::write_csv(self, out)
+    }
+
+    /// Tells this recording from every other, by all that it says.
+    #[must_use]
+    pub fn digest(&self) -> RecordingDigest {
+        digest::digest(self)
     }
 
     /// Whether any range has its sensor's height.

@@ -84,7 +84,7 @@ const TIME: [&str; 12] = [
     "rostime",
     "timeutc",
     "headerstamp",
-    "fieldheaderstamp",
+    "unixtimestamp",
 ];
 const TIME_LIKELY: [&str; 6] = ["t", "ts", "utc", "date", "elapsed", "elapsedtime"];
 
@@ -113,7 +113,7 @@ const SENSOR: [&str; 21] = [
 ];
 const SENSOR_LIKELY: [&str; 9] = ["id", "name", "mac", "macaddress", "addr", "address", "ap", "device", "deviceid"];
 
-const RANGE: [&str; 11] = [
+const RANGE: [&str; 10] = [
     "range",
     "distance",
     "dist",
@@ -124,16 +124,14 @@ const RANGE: [&str; 11] = [
     "uwbrange",
     "uwbdistance",
     "rangemeasured",
-    "fieldrange",
 ];
 const RANGE_LIKELY: [&str; 4] = ["d", "r", "measurement", "ranging"];
 
 const TARGET: [&str; 8] = ["target", "targetid", "targetname", "tag", "tagid", "tagname", "mobile", "mobileid"];
 
-const AXES: [&str; 10] =
-    ["sensor*", "anchor*", "beacon*", "station*", "node*", "a*", "sensorpos*", "anchorpos*", "*sensor", "*anchor"];
-const TARGET_AXES: [&str; 8] =
-    ["truth*", "true*", "target*", "tag*", "gt*", "groundtruth*", "poseposition*", "fieldposeposition*"];
+const AXES: [&str; 9] =
+    ["sensor*", "anchor*", "beacon*", "station*", "node*", "sensorpos*", "anchorpos*", "*sensor", "*anchor"];
+const TARGET_AXES: [&str; 7] = ["truth*", "true*", "target*", "tag*", "gt*", "groundtruth*", "poseposition*"];
 
 /// A column's name, taken apart.
 #[derive(Debug, PartialEq, Eq)]
@@ -150,7 +148,9 @@ impl Name {
     /// Takes a name apart: `Dist (mm)`, `dist[mm]`, `dist_mm`, `dist.mm`.
     pub(super) fn read(column: &str) -> Self {
         let lower = column.trim().to_lowercase();
-        let (base, unit) = split_unit(&lower);
+        // As exports of ROS topics have it.
+        let lower = lower.strip_prefix("field.").unwrap_or(&lower);
+        let (base, unit) = split_unit(lower);
         // What stands in no name of ours makes a name unknown, rather than vanish from it.
         let key = base.chars().filter(|c| !is_joint(*c)).collect();
         let words = base.split(is_joint).filter(|word| !word.is_empty()).map(str::to_owned).collect();

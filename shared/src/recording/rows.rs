@@ -141,7 +141,9 @@ fn wide_columns<R: Read>(
         }
         return Ok(Vec::new());
     };
-    if !is_told && finder.index(Role::Range, table)?.is_some() && finder.index(Role::Sensor, table)?.is_some() {
+    // Where more than one may be meant, that is asked once the log is known not to be a wide one.
+    let has = |role| finder.index(role, table).is_ok_and(|index| index.is_some());
+    if !is_told && has(Role::Range) && has(Role::Sensor) {
         return Ok(Vec::new());
     }
     let found = wide::anchor_columns(finder, table, anchors, columns)?;

@@ -6,7 +6,7 @@
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Pid;
 
@@ -17,8 +17,11 @@ use crate::resources::SHARED_MEMORY;
 /// How often a member looks whether the run is still there.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Processes whose open files are examined in one look: the cost of a look has a bound, whatever the team.
-const PROCESSES_PER_LOOK: usize = 4;
+/// Nodes whose open files are examined in one look: the cost of a look has a bound, whatever the team.
+const NODES_PER_LOOK: usize = 4;
+
+/// A node that still holds a removed file open after this long needs it: nobody takes so long to close one.
+const SURE: Duration = Duration::from_millis(250);
 
 /// Files that every member needs for as long as the run goes on.
 const FOUNDATION: [&str; 4] = ["door", "members", "run", "iceoryx2.toml"];
@@ -75,42 +78,63 @@ impl Presence {
     }
 }
 
-/// A supervisor's thorough look: at the run's folder, and at what its processes hold open in shared memory.
+/// A supervisor's thorough look: at what all have in common, and at what each node holds open in shared memory.
 #[derive(Debug)]
 pub struct Inspection {
     place: Place,
-    foundation: [Known; FOUNDATION.len()],
-    /// Removed files that a process held open at the look before: it may have been about to close them.
-    suspects: Vec<(Pid, PathBuf)>,
+    common: Vec<Known>,
+    /// Removed files that a node holds open, since when: it may be about to close them.
+    suspects: Vec<(Pid, PathBuf, Instant)>,
     next: usize,
 }
 
 impl Inspection {
     pub(super) fn of(place: &Place) -> Self {
-        let foundation = FOUNDATION.map(|file| Known::of(place.path(file)));
-        Self { place: place.clone(), foundation, suspects: Vec::new(), next: 0 }
+        let bells = place.files().into_iter().filter(|path| path.to_string_lossy().ends_with("_bells.dyn"));
+        let common = FOUNDATION.map(|file| place.path(file)).into_iter().chain(bells).map(Known::of).collect();
+        Self { place: place.clone(), common, suspects: Vec::new(), next: 0 }
     }
 
-    /// A file that somebody else has removed, if there is one that the run cannot do without. Of the processes,
-    /// which are the run's own, some are examined at each look.
-    pub fn removed(&mut self, processes: &[Pid]) -> Option<PathBuf> {
-        if let Some(gone) = self.foundation.iter().find(|known| !known.is_there()) {
+    /// A file that somebody else has removed, if there is one that the run cannot do without. Some of the nodes are
+    /// examined at each look; not who cleans up after the dead, and so holds open what is about to go.
+    pub fn removed(&mut self, nodes: &[Pid]) -> Option<PathBuf> {
+        if let Some(gone) = self.common.iter().find(|known| !known.is_there()) {
             return Some(gone.path.clone());
         }
-        let count = processes.len().min(PROCESSES_PER_LOOK);
-        let examined: Vec<Pid> = (0..count).map(|n| processes[(self.next + n) % processes.len()]).collect();
-        if !self.suspects.iter().any(|(pid, _)| examined.contains(pid)) {
-            // Whoever is suspected is examined again at the next look.
-            self.next = (self.next + count) % processes.len().max(1);
+        let suspected = self.suspects.first().and_then(|(pid, ..)| nodes.iter().position(|node| node == pid));
+        // Who is suspected is examined again at the next look.
+        let first = suspected.unwrap_or(self.next);
+        let examined: Vec<Pid> =
+            nodes.iter().cycle().skip(first).take(nodes.len().min(NODES_PER_LOOK)).copied().collect();
+        self.next = (first + examined.len()) % nodes.len().max(1);
+        let now = Instant::now();
+        let mut found = Vec::new();
+        for pid in examined {
+            for path in self.removed_under(pid) {
+                let before = self.suspects.iter().find(|(of, what, _)| *of == pid && *what == path);
+                found.push((pid, path.clone(), before.map_or(now, |(_, _, since)| *since)));
+            }
         }
-        let removed: Vec<(Pid, PathBuf)> =
-            examined.iter().flat_map(|pid| self.removed_under(*pid).map(|path| (*pid, path))).collect();
-        let sure = removed.iter().find(|suspect| self.suspects.contains(suspect)).map(|(_, path)| path.clone());
-        if !removed.is_empty() {
-            self.next = processes.iter().position(|pid| *pid == removed[0].0).unwrap_or(0);
+        self.suspects = found;
+        let sure = self.suspects.iter().find(|(_, _, since)| since.elapsed() >= SURE);
+        sure.map(|(_, path, _)| path.clone())
+    }
+
+    /// The same of all nodes, for as long as it takes to be sure.
+    pub fn removed_of_any(&mut self, nodes: &[Pid]) -> Option<PathBuf> {
+        self.next = 0;
+        for _ in 0..=nodes.len() / NODES_PER_LOOK {
+            if let Some(removed) = self.removed(nodes) {
+                return Some(removed);
+            }
+            if !self.suspects.is_empty() {
+                std::thread::sleep(SURE);
+                if let Some(removed) = self.removed(nodes) {
+                    return Some(removed);
+                }
+            }
         }
-        self.suspects = removed;
-        sure
+        None
     }
 
     /// The files of this run that a process holds open, that it needs, and that have lost their names.
@@ -133,10 +157,14 @@ impl Inspection {
 
     /// False for what legitimately loses its name while a process holds it open.
     fn is_needed(&self, path: &Path, is_writable: impl Fn() -> bool) -> bool {
+        let nodes = self.place.path("nodes");
+        if path.starts_with(&nodes) {
+            // A node that starts looks at the others, and holds files of the dead open when those are cleaned up.
+            return !nodes.exists();
+        }
         match path.extension().and_then(|extension| extension.to_str()) {
-            // A way from one node to another goes when either does, and a new one is made for whoever comes. A node's
-            // details go when a dead node is cleaned up, and whoever lists the nodes may hold them open then.
-            Some("connection" | "partial" | "details") => false,
+            // A way from one node to another goes when either does, and a new one is made for whoever comes.
+            Some("connection" | "partial") => false,
             // Whoever reads a dead node's messages holds them open for a while: only its writer needs the name.
             Some("data") => is_writable(),
             // Of one who has been deposed: another file has the name.

@@ -32,3 +32,5 @@ pub const SCALE: RangeInclusive<f64> = -0.9..=10.0;
 pub const CLEARANCE: RangeInclusive<f64> = 0.0..=1e6;
 /// Most time steps of a run.
 pub const TICKS_MAX: u64 = 1_000_000_000;
+/// Standard deviation of a known start, m.
+pub const START_STD_M: RangeInclusive<f64> = 1e-3..=1e5;

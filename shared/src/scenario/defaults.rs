@@ -52,3 +52,7 @@ pub const RECORDED_RANGE_STD_M: f64 = 0.2;
 pub const RECORDED_ACCEL_PSD: f64 = 0.5;
 /// Gate of a recording, and what robots are distrusted by where there is none: standard deviations of the innovation.
 pub const RECORDED_GATE_SIGMA: f64 = 4.0;
+/// Standard deviation of a start that is given without one, m: a tape measure and a careful hand.
+pub const RECORDED_START_STD_M: f64 = 0.5;
+/// The target's velocity at a known start is what its noise drives up in this time, s.
+pub const RECORDED_START_S: f64 = 10.0;

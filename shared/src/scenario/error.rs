@@ -38,6 +38,16 @@ pub enum ScenarioError {
         /// What stood there.
         got: String,
     },
+    /// A value that says, by itself, why it makes no sense.
+    #[error("{file}: {key}: {problem}")]
+    Unfit {
+        /// The file.
+        file: String,
+        /// Dotted path of the key.
+        key: String,
+        /// What was expected and what came.
+        problem: String,
+    },
     /// The recording that the scenario names is unusable.
     #[error(transparent)]
     Recording(#[from] crate::recording::RecordingError),

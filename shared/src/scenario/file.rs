@@ -188,8 +188,28 @@ impl std::str::FromStr for GateKey {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingTable {
-    /// CSV file of the ranges, relative to the scenario file.
+    /// The ranges: a file, relative to the scenario file, a pipe, or `-` for standard input.
     pub ranges: Option<String>,
+    /// Which column is what, and in which unit: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
+    pub columns: Option<String>,
+    /// Where the sensors stand, relative to the scenario file: `sensor_id,x_m,y_m[,z_m]`.
+    pub anchors: Option<String>,
+    /// The one target to read, of a log of several.
+    pub target: Option<String>,
+    /// What the radio prints, if the file is a log of its port.
+    pub format: Option<String>,
+    /// Reports a second of such a log, if it has no stamps.
+    pub rate_hz: Option<f64>,
+    /// The unit of such a log's stamps: `"s"`, `"ms"`, `"us"` or `"ns"`.
+    pub stamp_unit: Option<String>,
+    /// Refuse the file at its first bad row.
+    pub strict: Option<bool>,
+    /// Height of the target in the recording's frame, m: ranges are then slant ones.
+    pub target_height_m: Option<f64>,
+    /// Where the target is at the first range, `[x, y]` in m, if that is known.
+    pub start_m: Option<[f64; 2]>,
+    /// Standard deviation of each coordinate of that, m.
+    pub start_std_m: Option<f64>,
     /// Standard deviation of a range, m.
     pub range_std_m: Option<f64>,
     /// Bias B of all sensors in `measured = (1 + S) true + B`, m.

@@ -7,17 +7,19 @@ pub mod bounds;
 pub mod defaults;
 mod error;
 mod file;
+mod recorded;
 #[cfg(test)]
 mod tests;
 mod validate;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
 pub use error::ScenarioError;
 pub use file::*;
+pub use recorded::{COPY, RecordedRanges};
 
 use crate::ROBOTS_MAX;
 use crate::bounded;
@@ -91,11 +93,8 @@ pub enum Source {
         /// Its true state at tick 0.
         target_start: Vec<f64>,
     },
-    /// A file of recorded ranges.
-    Recorded {
-        /// The CSV file.
-        ranges: PathBuf,
-    },
+    /// Recorded ranges.
+    Recorded(RecordedRanges),
 }
 
 /// What fusion knows before the first range.
@@ -213,6 +212,15 @@ impl Clock {
 }
 
 impl Scenario {
+    /// What people call a robot: `robot 0`, or `sensor NAME` by its name in the recording.
+    #[must_use]
+    pub fn name_of(&self, id: usize) -> String {
+        match (&self.source, self.robots.get(id)) {
+            (Source::Recorded(_), Some(robot)) => format!("sensor {}", robot.label),
+            _ => format!("robot {id}"),
+        }
+    }
+
     /// True if all sizes go together and numbers that others divide by or clamp to are in their bounds: of a
     /// scenario from a file of another hand, that nothing that works with it will panic.
     #[must_use]

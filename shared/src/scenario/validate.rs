@@ -7,17 +7,17 @@ use std::time::Duration;
 
 use super::bounds::{
     BIAS_M, CLEARANCE, COORDINATE, DT_S, GATE_SIGMA, MATRIX_ENTRY, NOISE_PSD, PATIENCE_S, RELATIVE_EIGENVALUE_MIN,
-    SCALE, SPEED_MPS, STATE, STD_M, TICKS_MAX, VARIANCE,
+    SCALE, SPEED_MPS, START_STD_M, STATE, STD_M, TICKS_MAX, VARIANCE,
 };
 use super::{
     Calibration, Clearance, Clock, CovarianceKey, FilterTable, GateKey, MeanKey, PLANNERS, Patience, PatienceKey,
-    PlannerSpec, PlannerTable, Prior, PriorTable, RecordingTable, RobotSpec, RobotTable, RobotsTable, Scenario,
-    ScenarioError, ScenarioFile, Source, TargetTable, defaults,
+    PlannerSpec, PlannerTable, Prior, PriorTable, RecordedRanges, RecordingTable, RobotSpec, RobotTable, RobotsTable,
+    Scenario, ScenarioError, ScenarioFile, Source, TargetTable, defaults,
 };
 use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
 use crate::motion::MotionModel;
-use crate::recording::{ReadOptions, Recording};
+use crate::recording::Recording;
 use crate::rendezvous::RunName;
 use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
 
@@ -139,11 +139,15 @@ impl Checker<'_> {
                 return Err(self.refuse(key, format!("{instead} in a scenario with [recording]"), "this key"));
             }
         }
-        let Some(ranges) = &table.ranges else {
-            return Err(self.refuse("recording.ranges", "the path of a CSV file of ranges", "nothing"));
-        };
-        let ranges = folder.join(ranges);
-        let (recording, _) = Recording::read(&ranges, &ReadOptions::default())?;
+        // What can be refused without reading comes first: reading may take long, and a pipe can be read once.
+        let height = |height_m| self.number("recording.target_height_m", Some(height_m), height_m, COORDINATE);
+        let target_height_m = table.target_height_m.map(height).transpose()?;
+        let prior = self.known_start(table, &scenario.motion)?;
+        let (recording, summary) = table.read(self.file, folder)?;
+        if target_height_m.is_some() {
+            self.look_for_heights(&recording)?;
+        }
+        scenario.prior = prior;
         let std_m = self.number("recording.range_std_m", table.range_std_m, defaults::RECORDED_RANGE_STD_M, STD_M)?;
         let bias_m = self.number("recording.bias_m", table.bias_m, 0.0, BIAS_M)?;
         let scale = self.number("recording.scale", table.scale, 0.0, SCALE)?;
@@ -177,8 +181,48 @@ impl Checker<'_> {
             robot.calibration.scale = self.number(&key("scale"), sensor.scale, scale, SCALE)?;
         }
         scenario.ticks = raw.ticks.map_or(u64::MAX, |_| scenario.ticks).min(recording.len() as u64);
-        scenario.source = Source::Recorded { ranges };
+        scenario.source = Source::Recorded(RecordedRanges::new(recording, summary, target_height_m));
         Ok(())
+    }
+
+    /// What is known before the first range: the start that is given, or nothing.
+    fn known_start(&self, table: &RecordingTable, motion: &MotionModel) -> Result<Prior, ScenarioError> {
+        let Some(start_m) = table.start_m else {
+            return match table.start_std_m {
+                None => Ok(Prior::FromRanges),
+                Some(_) => Err(self.refuse("recording.start_m", "a place [x, y] beside start_std_m", "nothing")),
+            };
+        };
+        self.point("recording.start_m", Some(start_m))?;
+        let std_m =
+            self.number("recording.start_std_m", table.start_std_m, defaults::RECORDED_START_STD_M, START_STD_M)?;
+        let n = motion.state_dim();
+        // As wide as the start from ranges has it: what the noise drives up in a manoeuvre's time, a walk at the least.
+        let noise_psd = match motion {
+            MotionModel::IntegratorChain { noise_psd, .. } => *noise_psd,
+            MotionModel::Custom { .. } => 0.0,
+        };
+        let rate_variance = (noise_psd * defaults::RECORDED_START_S).max(1.0);
+        // Position first, then its rates of change.
+        let variance = |i: usize| if i < 2 { std_m * std_m } else { rate_variance };
+        Ok(Prior::Gaussian {
+            mean: (0..n).map(|i| start_m.get(i).copied().unwrap_or(0.0)).collect(),
+            covariance: Matrix::from_diagonal(&(0..n).map(variance).collect::<Vec<f64>>()),
+        })
+    }
+
+    /// A height of the target needs one of every sensor.
+    fn look_for_heights(&self, recording: &Recording) -> Result<(), ScenarioError> {
+        let mut readings = (0..recording.len()).filter_map(|index| recording.instant(index)).flat_map(|(_, of)| of);
+        match readings.find(|reading| reading.height_m.is_none()) {
+            None => Ok(()),
+            Some(reading) => {
+                let name = recording.sensors().get(reading.sensor).map_or("?", |sensor| sensor.name.as_str());
+                let expected = "the height of every sensor beside it (a column sensor_z_m, or z_m in the anchors file)";
+                let got = format!("none for sensor {name}");
+                Err(self.refuse("recording.target_height_m", expected, got))
+            }
+        }
     }
 
     fn clock(&self, raw: &ScenarioFile) -> Result<Clock, ScenarioError> {

@@ -207,7 +207,7 @@ export class Field {
         context.stroke();
         context.setLineDash([]);
       }
-      const name = [few ? id : null, down, robot.is_distrusted ? "distrusted" : null].filter((part) => part != null && part !== "").join(" ");
+      const name = [few ? (this.about.labels?.[id] ?? id) : null, down, robot.is_distrusted ? "distrusted" : null].filter((part) => part != null && part !== "").join(" ");
       if (name !== "") {
         context.fillStyle = down || robot.is_distrusted ? colour("--bad") : colour("--text");
         context.fillText(name, px + size + 3, py + size + 5);

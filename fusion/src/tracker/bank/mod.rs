@@ -101,6 +101,13 @@ pub(super) struct Saved<'a, const N: usize> {
 }
 
 impl<const N: usize> Bank<N> {
+    /// Begins with this, rather than with nothing.
+    pub(super) fn begin_with(&mut self, estimate: Estimate<N>) {
+        self.hypotheses.clear();
+        self.hypotheses.push(Hypothesis { log_weight: 0.0, estimate });
+        self.estimate = estimate;
+    }
+
     /// What [`Self::restore`] needs to go on from here.
     pub(super) fn saved(&self) -> Saved<'_, N> {
         let Self { ref hypotheses, estimate, rejections, log_likelihood, .. } = *self;

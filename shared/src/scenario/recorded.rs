@@ -1,0 +1,158 @@
+//! A recording as the source of a run's ranges: what the user says of it, and what binds a run to what was read.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::{RecordingTable, ScenarioError};
+use crate::radio::Format;
+use crate::recording::{Anchors, ColumnMap, PortLog, ReadOptions, ReadSummary, Recording, RecordingDigest};
+
+/// The run folder's copy of the recording.
+pub const COPY: &str = "recording.csv";
+
+/// Recorded ranges as the source of a run. The user's file is read once, when the scenario is made; the nodes read the
+/// copy in the run folder, and only if it still is what was read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RecordedRanges {
+    /// Tells what was read from anything else.
+    pub digest: RecordingDigest,
+    /// What the reader found beside the ranges.
+    pub summary: ReadSummary,
+    /// True if a sensor's height in the recording is not 0.
+    pub has_heights: bool,
+    /// Height of the target in the recording's frame, m; `None` if ranges are taken as level.
+    pub target_height_m: Option<f64>,
+    /// What was read, in the process that read it.
+    #[serde(skip)]
+    pub(crate) read: AlreadyRead,
+}
+
+/// A recording that need not be read again. It is not part of what a scenario says.
+#[derive(Clone, Default)]
+pub(crate) struct AlreadyRead(Option<Arc<Recording>>);
+
+impl std::fmt::Debug for AlreadyRead {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("AlreadyRead")
+    }
+}
+
+impl PartialEq for AlreadyRead {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl RecordedRanges {
+    pub(super) fn new(recording: Recording, summary: ReadSummary, target_height_m: Option<f64>) -> Self {
+        let heights = (0..recording.len()).filter_map(|index| recording.instant(index));
+        let has_heights = recording.has_heights()
+            && heights.flat_map(|(_, readings)| readings).any(|reading| reading.height_m.is_some_and(|z_m| z_m != 0.0));
+        let digest = recording.digest();
+        Self { digest, summary, has_heights, target_height_m, read: AlreadyRead(Some(Arc::new(recording))) }
+    }
+
+    /// What was read, if it was this process that read it and has not let go of it.
+    #[must_use]
+    pub fn already_read(&self) -> Option<Arc<Recording>> {
+        self.read.0.clone()
+    }
+
+    /// Lets go of what was read.
+    pub fn forget(&mut self) {
+        self.read.0 = None;
+    }
+}
+
+impl RecordingTable {
+    /// How the recording is to be read, with its anchors. Paths are relative to `folder`; `file` names the scenario in
+    /// errors.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn read_options(&self, file: &str, folder: &Path) -> Result<ReadOptions, ScenarioError> {
+        let refuse = |key: &str, problem: String| ScenarioError::Unfit {
+            file: file.to_owned(),
+            key: format!("recording.{key}"),
+            problem,
+        };
+        let columns = match &self.columns {
+            None => ColumnMap::default(),
+            Some(text) => text.parse().map_err(|error| refuse("columns", format!("{error}")))?,
+        };
+        let format: Option<Format> = match &self.format {
+            None => None,
+            Some(text) => Some(text.parse().map_err(|error| refuse("format", format!("{error}")))?),
+        };
+        let stamp_unit = match &self.stamp_unit {
+            None => None,
+            Some(text) => Some(text.parse().map_err(|error| refuse("stamp_unit", format!("{error}")))?),
+        };
+        let of_port = [("rate_hz", self.rate_hz.is_some()), ("stamp_unit", stamp_unit.is_some())];
+        if let (None, Some((key, _))) = (format, of_port.iter().find(|(_, present)| *present)) {
+            return Err(refuse(key, "expected a format beside it, as it is of a log of a radio's port".to_owned()));
+        }
+        if let Some(rate_hz) = self.rate_hz.filter(|rate_hz| !(1e-3..=1e6).contains(rate_hz)) {
+            return Err(refuse("rate_hz", format!("expected a number from 0.001 to 1000000, got {rate_hz}")));
+        }
+        let anchors = match &self.anchors {
+            None => None,
+            Some(path) => Some(Anchors::read(&folder.join(path), &columns)?),
+        };
+        Ok(ReadOptions {
+            strict: self.strict.unwrap_or(false),
+            columns,
+            anchors,
+            target: self.target.clone(),
+            port: format.map(|format| PortLog { format, rate_hz: self.rate_hz, stamp_unit }),
+        })
+    }
+
+    /// Reads the recording that the table names: a file, a pipe, or `-` for standard input.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn read(&self, file: &str, folder: &Path) -> Result<(Recording, ReadSummary), ScenarioError> {
+        let Some(ranges) = self.ranges_path(folder) else {
+            return Err(ScenarioError::Senseless {
+                file: file.to_owned(),
+                key: "recording.ranges".to_owned(),
+                expected: "the path of a file of ranges".to_owned(),
+                got: "nothing".to_owned(),
+            });
+        };
+        let options = self.read_options(file, folder)?;
+        Ok(Recording::read(&ranges, &options)?)
+    }
+
+    /// Where the recording is; `-` is standard input.
+    #[must_use]
+    pub fn ranges_path(&self, folder: &Path) -> Option<PathBuf> {
+        let ranges = self.ranges.as_deref()?;
+        Some(if ranges == "-" { PathBuf::from(ranges) } else { folder.join(ranges) })
+    }
+
+    /// Files that are read beside the scenario itself.
+    pub fn inputs(&self, folder: &Path) -> impl Iterator<Item = PathBuf> {
+        let ranges = self.ranges_path(folder).filter(|path| path != Path::new("-"));
+        ranges.into_iter().chain(self.anchors.as_ref().map(|anchors| folder.join(anchors)))
+    }
+
+    /// The table for the run folder's copy of the recording: what was said of the original's form is done with.
+    #[must_use]
+    pub fn of_copy(self) -> Self {
+        Self {
+            ranges: Some(COPY.to_owned()),
+            columns: None,
+            anchors: None,
+            target: None,
+            format: None,
+            rate_hz: None,
+            stamp_unit: None,
+            strict: None,
+            ..self
+        }
+    }
+}
