@@ -36,7 +36,8 @@ impl Process {
         let metadata = file.metadata().ok()?;
         let lock = (metadata.dev(), metadata.ino());
         let hinted = hint.and_then(Self::open).filter(|process| process.holds(lock));
-        hinted.or_else(|| Self::open(number_here(locked_by(metadata.ino())?)?).filter(|process| process.holds(lock)))
+        let locking = || locked_by(metadata.ino()).into_iter().filter_map(|number| Self::open(number_here(number)?));
+        hinted.or_else(|| locking().find(|process| process.holds(lock)))
     }
 
     fn open(pid: Pid) -> Option<Self> {
@@ -89,10 +90,10 @@ fn number_in_proc(process: &OwnedFd) -> Option<i32> {
     field(&info, "Pid:")?.parse().ok().filter(|number| *number > 0)
 }
 
-/// The number, in the namespace of `/proc`, of the process with an exclusive lock on the file of this inode. Only a hint:
-/// inodes of two file systems may have one number.
-fn locked_by(ino: u64) -> Option<i32> {
-    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+/// The numbers, in the namespace of `/proc`, of processes with an exclusive lock on a file of this inode number, which
+/// files of several file systems may have.
+fn locked_by(ino: u64) -> Vec<i32> {
+    let locks = std::fs::read_to_string("/proc/locks").unwrap_or_default();
     let numbers = locks.lines().filter_map(|line| {
         let words: Vec<&str> = line.split_whitespace().collect();
         // Who waits for a lock has an arrow in its line, and is none of these.
@@ -100,8 +101,7 @@ fn locked_by(ino: u64) -> Option<i32> {
         let is_it = file.rsplit_once(':').is_some_and(|(_, inode)| inode.parse() == Ok(ino));
         pid.parse().ok().filter(|pid| is_it && *pid > 0)
     });
-    // What several file systems have cannot be told apart; the caller would look at one of them only.
-    numbers.last()
+    numbers.collect()
 }
 
 /// The number in this process's namespace of one that `/proc` knows by this number.
