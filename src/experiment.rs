@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use rangehound_fusion::planner;
-use rangehound_shared::recording::{ReadOptions, Recording};
+use rangehound_shared::recording::{ReadSummary, Recording};
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, RunDescription, RunName, living_runs};
 use rangehound_shared::scenario::{
     FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
@@ -17,6 +17,9 @@ use crate::out_folder::NUMBERS_END;
 
 /// The default scenario file, as `rangehound scenario` prints it.
 pub const DEFAULT_SCENARIO: &str = include_str!("../scenarios/paper.toml");
+
+/// What complaints about flags name in place of a scenario file.
+const COMMAND_LINE: &str = "command line";
 
 /// Where run folders go unless told otherwise.
 const RUNS: &str = "runs";
@@ -83,7 +86,7 @@ impl Experiment {
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
         let Given { file, file_name, folder, path } = given;
-        let mut experiment = Self::check(file, &file_name, &folder, name, naming, out)?;
+        let mut experiment = Self::check(file, &file_name, &folder, None, name, naming, out)?;
         experiment.inputs.extend(path);
         Ok(experiment)
     }
@@ -93,10 +96,10 @@ impl Experiment {
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_track(args: &TrackArgs) -> Result<Self, Failure> {
-        let ranges = in_utf8("RANGES.csv", &args.ranges)?;
         let mut recording = RecordingTable {
-            ranges: Some(ranges.to_owned()),
             range_std_m: args.range_std,
+            start_m: args.start,
+            start_std_m: args.start_std,
             ..recording_table(&args.input)?
         };
         let mut sensors: Vec<SensorTable> = Vec::new();
@@ -104,14 +107,14 @@ impl Experiment {
         apply(&args.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
         recording.sensor = Some(sensors);
         let mut accel_psd = args.accel_psd;
+        let read = recording.read(COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
         if let Some(path) = &args.calibration {
             let calibration = crate::calibrate::file::read(path)?;
-            let (read, _) = Recording::read(&args.ranges, &ReadOptions::default()).map_err(Failure::input)?;
-            let known: Vec<String> = read.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
+            let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
             crate::calibrate::file::merge(&calibration, &known, &mut recording, &mut accel_psd);
         }
         let file = ScenarioFile {
-            name: Some(name_after(&args.ranges)),
+            name: Some(name_after(&args.input.ranges)),
             recording: Some(recording),
             target: Some(TargetTable { noise_psd: accel_psd, ..TargetTable::default() }),
             filter: Some(FilterTable {
@@ -122,12 +125,16 @@ impl Experiment {
             ..ScenarioFile::default()
         };
         let (name, out) = (args.name.as_ref(), args.out.as_deref());
-        let mut experiment = Self::check(file, "command line", Path::new(""), name, Naming::Numbered, out)?;
+        let mut experiment = Self::check(file, COMMAND_LINE, Path::new(""), Some(read), name, Naming::Numbered, out)?;
+        experiment.inputs.extend(args.calibration.clone());
         experiment.inputs.extend(args.truth.clone());
         let assumed = [
-            (args.range_std.is_none(), format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M)),
             (
-                args.accel_psd.is_none(),
+                args.range_std.is_none() && args.calibration.is_none(),
+                format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M),
+            ),
+            (
+                args.accel_psd.is_none() && args.calibration.is_none(),
                 format!("an acceleration psd of {} m^2/s^3 (--accel-psd)", defaults::RECORDED_ACCEL_PSD),
             ),
         ];
@@ -161,11 +168,16 @@ impl Experiment {
         mut file: ScenarioFile,
         file_name: &str,
         folder: &Path,
+        read: Option<(Recording, ReadSummary)>,
         name: Option<&RunName>,
         naming: Naming,
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
-        let scenario = Scenario::from_file(&file, file_name, folder).map_err(Failure::input)?;
+        let scenario = match read {
+            Some(read) => Scenario::from_recording(&file, file_name, folder, read),
+            None => Scenario::from_file(&file, file_name, folder),
+        };
+        let scenario = scenario.map_err(Failure::input)?;
         let mut inputs = Vec::new();
         if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
             inputs.extend(recording.inputs(folder));
@@ -229,6 +241,7 @@ impl Experiment {
 pub fn recording_table(args: &InputArgs) -> Result<RecordingTable, Failure> {
     let anchors = args.anchors.as_deref().map(|path| in_utf8("--anchors", path)).transpose()?;
     Ok(RecordingTable {
+        ranges: Some(in_utf8("RANGES", &args.ranges)?.to_owned()),
         columns: args.columns.clone(),
         anchors: anchors.map(str::to_owned),
         target: args.target.clone(),
@@ -237,8 +250,6 @@ pub fn recording_table(args: &InputArgs) -> Result<RecordingTable, Failure> {
         stamp_unit: args.stamp_unit.clone(),
         strict: args.strict.then_some(true),
         target_height_m: args.target_height,
-        start_m: args.start,
-        start_std_m: args.start_std,
         ..RecordingTable::default()
     })
 }

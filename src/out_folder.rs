@@ -18,7 +18,7 @@ use rustix::fs::OFlags;
 
 use crate::failure::Failure;
 use crate::whole_file::PARTIAL;
-use crate::{chaos, compare, latency, page, picture, report, run_mcap, tables};
+use crate::{calibrate, chaos, compare, latency, page, picture, report, run_mcap, tables};
 pub use ledger::{MARK, is_ours, note_finished, note_growing};
 
 /// The folder of the nodes' logs in a run folder.
@@ -34,6 +34,8 @@ pub enum Kind {
     Run,
     /// The figures and pictures of a comparison.
     Compare,
+    /// The findings of a calibration.
+    Calibrate,
     /// The figures of a latency measurement, and the folders of its runs.
     Latency,
     /// The outcome of a campaign of faults, and the folders of its runs.
@@ -45,6 +47,7 @@ impl Kind {
         match self {
             Self::Run => "run",
             Self::Compare => "compare",
+            Self::Calibrate => "calibrate",
             Self::Latency => "latency",
             Self::Chaos => "chaos",
         }
@@ -60,6 +63,7 @@ impl Kind {
                 let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, run_mcap::FILE_NAME];
                 results.contains(&name) || tables::FILE_NAMES.contains(&name) || checkpoints.iter().any(|it| it == name)
             }
+            Self::Calibrate => name == calibrate::file::FILE_NAME || name == calibrate::picture::FILE_NAME,
             Self::Compare => name == compare::FILE_NAME || compare::pictures::FILE_NAMES.contains(&name),
             Self::Latency => {
                 latency::FILE_NAMES.contains(&name)

@@ -19,26 +19,43 @@ pub mod smoother;
 pub mod verdict;
 
 use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 
-use rangehound_shared::recording::{ReadOptions, Recording};
+use rangehound_shared::recording::Recording;
 
 use crate::cli::CalibrateArgs;
+use crate::experiment::recording_table;
 use crate::failure::{self, Failure};
+use crate::out_folder::{Kind, claim_or_number};
 use crate::report::Truth;
 use crate::watch::Progress;
 use crate::{tables, terminal, whole_file};
 use model::{Model, Problem, Reading};
 use verdict::{Findings, Measured};
 
+/// Where the findings go unless told otherwise.
+const OUT: &str = "runs/calibrate";
+
 /// `rangehound calibrate`.
 ///
 /// # Errors
 /// [`Failure`]; also if nothing could be told.
 pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
-    let (recording, _) = Recording::read(&args.ranges, &ReadOptions::default()).map_err(Failure::input)?;
+    let table = recording_table(&args.input)?;
+    let (recording, summary) = table.read("command line", Path::new("")).map_err(Failure::input)?;
+    if table.target_height_m.is_some() && !recording.has_heights() {
+        let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
+        return Err(Failure::input(format!("--target-height: {problem}")));
+    }
+    summary.lines().iter().for_each(|line| failure::tell(format_args!("recording: {line}")));
+    let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
+    inputs.extend(args.truth.clone());
+    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Calibrate, &inputs)?;
+    let out = claim.path();
     let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
     let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
-    let readings = readings(&recording);
+    let readings = readings(&recording, args.input.target_height);
     let problem = Problem::new(&readings, names.len());
     if problem.thinned > 0 {
         let used = problem.observations.len();
@@ -49,15 +66,14 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         None => from_ranges(&readings, &problem),
     };
     let found = findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && findings.accel_psd.is_some();
-    tables::make_folder(&args.out)?;
     if found {
-        whole_file::write(&args.out.join(file::FILE_NAME), file::text(&findings, &names))?;
-        picture::draw(&points, &names, &args.out)?;
+        whole_file::write(&out.join(file::FILE_NAME), file::text(&findings, &names))?;
+        picture::draw(&points, &names, out)?;
     }
     if args.json {
         failure::print_json(&serde_json::json!({ "determined": found, "sensor_ids": names, "findings": findings }))?;
     } else {
-        failure::print(report(&findings, &names, args, found))?;
+        failure::print(report(&findings, &names, args, out, found))?;
     }
     if found {
         return Ok(());
@@ -66,13 +82,14 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot tell {why}")))
 }
 
-fn readings(recording: &Recording) -> Vec<Reading> {
+fn readings(recording: &Recording, target_height_m: Option<f64>) -> Vec<Reading> {
     let instants = (0..recording.len()).filter_map(|index| recording.instant(index));
     let of_instant = |(time_s, ranges): (f64, &[rangehound_shared::recording::RecordedRange])| {
         let reading = |range: &rangehound_shared::recording::RecordedRange| Reading {
             time_s,
             sensor: range.sensor,
             position_m: range.position_m,
+            height_m: target_height_m.zip(range.height_m).map_or(0.0, |(target_m, sensor_m)| sensor_m - target_m),
             range_m: range.range_m,
         };
         ranges.iter().map(reading).collect::<Vec<_>>()
@@ -107,7 +124,7 @@ fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Find
     let mut beside = Vec::new();
     for reading in readings {
         if let Some(at) = truth.at(reading.time_s) {
-            let distance = (at[0] - reading.position_m[0]).hypot(at[1] - reading.position_m[1]);
+            let distance = reading.distance_m([at[0], at[1]]);
             pairs[reading.sensor].push((distance, reading.range_m - distance));
             beside.push((reading, at));
         }
@@ -142,9 +159,9 @@ fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Find
     (findings, points)
 }
 
-fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, found: bool) -> String {
+fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Path, found: bool) -> String {
     let title = terminal::TITLE;
-    let mut text = format!("{title}calibration of {}{title:#}\n", args.ranges.display());
+    let mut text = format!("{title}calibration of {}{title:#}\n", args.input.ranges.display());
     let cell = |measured: Option<Measured>| {
         measured.map_or("not told".to_owned(), |m| format!("{:.4} ± {:.4}", m.value, m.half_width))
     };
@@ -160,11 +177,11 @@ fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, found: bo
         let _ = writeln!(text, "cannot tell {line}");
     }
     if found {
-        let path = args.out.join(file::FILE_NAME);
-        let ranges = args.ranges.display();
+        let path = out.join(file::FILE_NAME);
+        let ranges = args.input.ranges.display();
         let _ = writeln!(text, "\nuse it:\n  rangehound track {ranges} --calibration {}", path.display());
         let _ = writeln!(text, "or as flags:\n  {}", flags(findings, names));
-        let _ = writeln!(text, "residuals over range in {}", args.out.join(picture::FILE_NAME).display());
+        let _ = writeln!(text, "residuals over range in {}", out.join(picture::FILE_NAME).display());
     }
     text
 }

@@ -9,8 +9,24 @@ pub struct Reading {
     pub sensor: usize,
     /// Where the sensor was, m.
     pub position_m: [f64; 2],
+    /// Height of the sensor above the target, m.
+    pub height_m: f64,
     /// What it measured, m.
     pub range_m: f64,
+}
+
+impl Reading {
+    /// Distance from a place of the target, m.
+    #[must_use]
+    pub fn distance_m(&self, place_m: [f64; 2]) -> f64 {
+        (place_m[0] - self.position_m[0]).hypot(place_m[1] - self.position_m[1]).hypot(self.height_m)
+    }
+
+    /// Distance on the plane that the range means, m.
+    #[must_use]
+    pub fn level_range_m(&self) -> f64 {
+        (self.range_m.powi(2) - self.height_m.powi(2)).max(0.0).sqrt()
+    }
 }
 
 /// A reading at a knot of the path.

@@ -51,8 +51,7 @@ fn rough_path(problem: &Problem) -> Vec<[f64; 4]> {
 }
 
 fn miss(reading: &Reading, place: [f64; 2]) -> f64 {
-    let distance = (place[0] - reading.position_m[0]).hypot(place[1] - reading.position_m[1]);
-    (reading.range_m - distance).abs()
+    (reading.range_m - reading.distance_m(place)).abs()
 }
 
 /// Where two circles cross, or come nearest.
@@ -62,8 +61,9 @@ fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
     if a.sensor == b.sensor || apart < 1e-9 {
         return [None, None];
     }
-    let along = (a.range_m.powi(2) - b.range_m.powi(2) + apart * apart) / (2.0 * apart);
-    let across = (a.range_m.powi(2) - along * along).max(0.0).sqrt();
+    let (a_m, b_m) = (a.level_range_m(), b.level_range_m());
+    let along = (a_m.powi(2) - b_m.powi(2) + apart * apart) / (2.0 * apart);
+    let across = (a_m.powi(2) - along * along).max(0.0).sqrt();
     let (ux, uy) = (dx / apart, dy / apart);
     let at = |side: f64| {
         Some([a.position_m[0] + along * ux - side * across * uy, a.position_m[1] + along * uy + side * across * ux])

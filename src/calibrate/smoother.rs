@@ -52,7 +52,7 @@ fn residual(problem: &Problem, model: Model, estimate: &Estimate, index: usize) 
     let state = &estimate.states[observation.knot];
     let dx = state[0] + observation.after_s * state[2] - observation.reading.position_m[0];
     let dy = state[1] + observation.after_s * state[3] - observation.reading.position_m[1];
-    let distance = dx.hypot(dy).max(1e-6 * problem.span_m);
+    let distance = dx.hypot(dy).hypot(observation.reading.height_m).max(1e-6 * problem.span_m);
     let bias = model.bias_index(sensor).map_or(0.0, |at| estimate.errors[at]);
     let scale = model.scale_index(sensor, problem.sensors).map_or(0.0, |at| estimate.errors[at]);
     let left = observation.reading.range_m - bias - (1.0 + scale) * distance;

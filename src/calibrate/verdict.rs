@@ -237,7 +237,7 @@ mod tests {
                 let distance = (x - position_m[0]).hypot(y - position_m[1]);
                 let normal = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
                 let range_m = (1.0 + scale) * distance + biases_m[sensor] + std_m * normal;
-                Reading { time_s, sensor, position_m, range_m }
+                Reading { time_s, sensor, position_m, height_m: 0.0, range_m }
             })
             .collect()
     }

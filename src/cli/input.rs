@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::values::{number, place};
+use super::values::number;
 
 /// What the user says of a recording.
 #[derive(Debug, Clone, Default, Args)]
 pub struct InputArgs {
+    /// Recorded ranges: a table with a row for each range, a pipe, or - for standard input
+    pub ranges: PathBuf,
     /// Which column is what, and in which unit, as in time=stamp_ns:ns,sensor=anchor_id,range=dist:mm; keys are time, sensor,
     /// range, x, y, z and target
     #[arg(long, value_name = "SPEC")]
@@ -31,12 +33,6 @@ pub struct InputArgs {
     /// Unit of the stamps of such a log, if they are whole numbers: s, ms, us or ns
     #[arg(long, value_name = "UNIT")]
     pub stamp_unit: Option<String>,
-    /// Where the target is at the first range, m
-    #[arg(long, value_name = "X,Y", value_parser = place, allow_hyphen_values = true)]
-    pub start: Option<[f64; 2]>,
-    /// Standard deviation of each coordinate of --start, m [default: 0.5]
-    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true, requires = "start")]
-    pub start_std: Option<f64>,
     /// Refuse the file at its first bad row, and exit with 1 if the report's verdict is that the result is not sound
     #[arg(long)]
     pub strict: bool,

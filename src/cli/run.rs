@@ -8,7 +8,7 @@ use rangehound_shared::scenario::{GateKey, PatienceKey};
 
 use super::ParentArgs;
 use super::input::InputArgs;
-use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, port, standbys, whole};
+use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole};
 use crate::pin::Pin;
 use crate::supervisor::restart::Rule;
 
@@ -88,11 +88,15 @@ pub struct RunArgs {
 /// `track`.
 #[derive(Debug, Args)]
 pub struct TrackArgs {
-    /// Recorded ranges: a table with a row for each range, a pipe, or - for standard input
-    pub ranges: PathBuf,
-    /// How they are read
+    /// What is read, and how
     #[command(flatten)]
     pub input: InputArgs,
+    /// Where the target is at the first range, m
+    #[arg(long, value_name = "X,Y", value_parser = place, allow_hyphen_values = true)]
+    pub start: Option<[f64; 2]>,
+    /// Standard deviation of each coordinate of --start, m [default: 0.5]
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true, requires = "start")]
+    pub start_std: Option<f64>,
     /// Standard deviation of a range, m
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub range_std: Option<f64>,

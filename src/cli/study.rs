@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use rangehound_shared::rendezvous::RunName;
 
 use super::values::{PlannerName, number, standbys, whole};
-use super::{ClockArg, ExperimentArgs};
+use super::{ClockArg, ExperimentArgs, InputArgs};
 use crate::pin::Pin;
 
 /// `plan`.
@@ -82,14 +82,15 @@ pub struct CompareArgs {
 /// `calibrate`.
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
-    /// Recorded ranges: CSV with time_s,sensor_id,sensor_x_m,sensor_y_m,range_m
-    pub ranges: PathBuf,
+    /// What is read, and how
+    #[command(flatten)]
+    pub input: InputArgs,
     /// True track to compare the ranges with: CSV with time_s,x_m,y_m [default: from the ranges alone]
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
-    /// Folder for calibration.toml and residuals.svg; those of an earlier calibration are replaced
-    #[arg(long, value_name = "DIR", default_value = "runs/calibrate")]
-    pub out: PathBuf,
+    /// Folder for calibration.toml and residuals.svg [default: runs/calibrate]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Print the findings as one line of JSON
     #[arg(long)]
     pub json: bool,

@@ -17,7 +17,7 @@ use super::{
 use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
 use crate::motion::MotionModel;
-use crate::recording::Recording;
+use crate::recording::{ReadSummary, Recording};
 use crate::rendezvous::RunName;
 use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
 
@@ -27,7 +27,20 @@ impl Scenario {
     /// # Errors
     /// [`ScenarioError`] for the first thing that is wrong.
     pub fn from_file(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Self, ScenarioError> {
-        Checker { file }.scenario(raw, folder)
+        Checker { file }.scenario(raw, folder, None)
+    }
+
+    /// The same of a recording that has been read already, as [`RecordingTable::read`] does.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_recording(
+        raw: &ScenarioFile,
+        file: &str,
+        folder: &Path,
+        read: (Recording, ReadSummary),
+    ) -> Result<Self, ScenarioError> {
+        Checker { file }.scenario(raw, folder, Some(read))
     }
 }
 
@@ -57,7 +70,12 @@ struct Checker<'a> {
 }
 
 impl Checker<'_> {
-    fn scenario(&self, raw: &ScenarioFile, folder: &Path) -> Result<Scenario, ScenarioError> {
+    fn scenario(
+        &self,
+        raw: &ScenarioFile,
+        folder: &Path,
+        read: Option<(Recording, ReadSummary)>,
+    ) -> Result<Scenario, ScenarioError> {
         let name = raw.name.clone().unwrap_or_else(|| defaults::NAME.to_owned());
         if let Err(problem) = name.parse::<RunName>() {
             return Err(self.refuse("name", problem.expected(), name));
@@ -85,7 +103,7 @@ impl Checker<'_> {
             distrust: raw.filter.as_ref().and_then(|table| table.distrust).unwrap_or(gate_sigma.is_some()),
         };
         if let Some(recording) = &raw.recording {
-            self.recorded(raw, recording, folder, &mut scenario)?;
+            self.recorded(raw, recording, folder, read, &mut scenario)?;
         } else {
             let n = scenario.motion.state_dim();
             let target_start = self.target_start(raw.target.as_ref().and_then(|table| table.start.as_ref()), n)?;
@@ -118,6 +136,7 @@ impl Checker<'_> {
         raw: &ScenarioFile,
         table: &RecordingTable,
         folder: &Path,
+        read: Option<(Recording, ReadSummary)>,
         scenario: &mut Scenario,
     ) -> Result<(), ScenarioError> {
         let simulated_only = [
@@ -143,7 +162,10 @@ impl Checker<'_> {
         let height = |height_m| self.number("recording.target_height_m", Some(height_m), height_m, COORDINATE);
         let target_height_m = table.target_height_m.map(height).transpose()?;
         let prior = self.known_start(table, &scenario.motion)?;
-        let (recording, summary) = table.read(self.file, folder)?;
+        let (recording, summary) = match read {
+            Some(read) => read,
+            None => table.read(self.file, folder)?,
+        };
         if target_height_m.is_some() {
             self.look_for_heights(&recording)?;
         }
