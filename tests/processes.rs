@@ -112,7 +112,7 @@ fn the_report_has_the_keys_that_were_agreed_on() {
         run.lockstep(words_of_run).finish().succeeded();
         let report = run.report();
         let top = "scenario seed clock planner robots ticks wall_s ticks_per_s digest position_rmse_m anees \
-                   nis_mean nis_all_mean gate_widened position_trace_m2 ranges sensors headings refused distrusted latency_us hops_us nodes";
+                   nis_mean nis_all_mean gate_widened position_trace_m2 ranges sensors headings refused distrusted latency_us hops_us nodes recording verdict";
         assert_eq!(keys(&report), words(top));
         assert_eq!(keys(&report["position_trace_m2"]), words("final median"));
         assert_eq!(keys(&report["ranges"]), words("published fused rejected late fused_late missing"));

@@ -260,7 +260,6 @@ fn a_path_that_is_not_utf_8_is_refused_by_name_before_anything_is_made() {
         ("--out \"$(printf 'a\\377')\"", "chaos --faults 1"),
         ("--out \"$(printf 'a\\377')\"", "latency --ticks 100"),
         ("--out out \"$(printf 'a\\377/r.csv')\"", "track"),
-        ("--out out \"$(printf 'a\\377/replay.toml')\"", "run"),
         ("\"$(printf 'a\\377')\"", "resume"),
     ] {
         let args: Vec<&str> = words.split(' ').collect();

@@ -238,7 +238,7 @@ impl Run {
         };
         let left = names("rh");
         // The prefix of shared memory follows from the name alone, and a founder writes it down.
-        let founder = self.command("sim --ticks 1");
+        let founder = self.node("sim --ticks 1 --out of-founder");
         let prefix = self.shared_memory_prefix();
         let left: Vec<&String> = left.iter().filter(|name| name.starts_with(&prefix)).collect();
         assert!(left.is_empty(), "{left:?}");
