@@ -49,6 +49,7 @@ pub struct Cli {
 
 /// The commands.
 #[derive(Debug, Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "one for each process")]
 pub enum Command {
     /// Start simulator, fusion centre and robots, watch them, report
     Run(RunArgs),

@@ -15,6 +15,7 @@ pub mod model;
 pub mod picture;
 pub mod regression;
 pub mod search;
+#[allow(clippy::needless_range_loop, reason = "matrices by row and column, as in the equations")]
 pub mod smoother;
 pub mod verdict;
 

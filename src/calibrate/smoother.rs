@@ -377,7 +377,7 @@ fn inverted_any(mut a: Vec<Vec<f64>>) -> Option<(Vec<Vec<f64>>, f64)> {
         for j in 0..=i {
             let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
             if i == j {
-                if !(sum > 0.0) {
+                if sum.is_nan() || sum <= 0.0 {
                     return None;
                 }
                 a[i][i] = sum.sqrt();

@@ -43,7 +43,7 @@ impl Entry {
             name: name.to_owned(),
             inode: file.ino(),
             born_ns: born.map_or(0, |born| born.as_nanos()),
-            finished: is_finished.then(|| (file.len(), changed_ns)),
+            finished: is_finished.then_some((file.len(), changed_ns)),
         }
     }
 

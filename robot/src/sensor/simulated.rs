@@ -25,6 +25,7 @@ impl SimulatedSensor {
 }
 
 impl RangeSensor for SimulatedSensor {
+    #[allow(clippy::misnamed_getters, reason = "the filter is told another noise than the sensor has")]
     fn std_m(&self) -> f64 {
         self.told_std_m
     }
