@@ -36,6 +36,10 @@ const LOG_MIN: f64 = -1.0;
 const RANGES_MIN: u32 = 8;
 const RECENT_ROUNDS: u64 = 8;
 
+/// Sensors that must be heard before most of them can be said to fail together. Of three, one that is wrong may draw the
+/// estimate along so that all seem to fail.
+const TOGETHER_MIN: usize = 4;
+
 /// Most that an estimate is made less certain at once, in variance.
 const LOST_MAX: f64 = 1e6;
 
@@ -194,10 +198,17 @@ impl Trust {
             self.noises[id] = Noise { log, ranges: ranges.saturating_add(1), last: self.ranges };
         }
         let oldest = self.ranges.saturating_sub(RECENT_ROUNDS * self.noises.len() as u64);
-        let counts = |noise: &&Noise| noise.ranges >= RANGES_MIN && noise.last >= oldest;
+        let distrusted = self.distrusted;
+        let counts = |(_, noise): &(usize, &Noise)| noise.ranges >= RANGES_MIN && noise.last >= oldest;
+        let heard = || self.noises.iter().enumerate().filter(counts);
         self.scratch.clear();
-        self.scratch.extend(self.noises.iter().filter(counts).map(|noise| noise.log));
-        let Some(last) = self.scratch.len().checked_sub(1) else { return };
+        if heard().count() >= TOGETHER_MIN {
+            self.scratch.extend(heard().filter(|(id, _)| !distrusted.contains(*id)).map(|(_, noise)| noise.log));
+        }
+        let Some(last) = self.scratch.len().checked_sub(1) else {
+            self.widened_log = None;
+            return;
+        };
         // The lower one of a pair: alone or in a pair nobody can tell who is wrong.
         let median = *self.scratch.select_nth_unstable_by(last / 2, f64::total_cmp).1;
         self.scratch.clear();
