@@ -59,7 +59,7 @@ pub struct Policy {
 /// is the filter that is wrong, or nobody can tell.
 ///
 /// Beside that, the noise of each sensor is followed by the median of its normalised innovations squared, which outliers
-/// do not move far. Where the median sensor is worse by [`LOG_WIDENED`] than it is told to be, most fail together: by a
+/// do not move far. Where the median sensor is much worse than it is told to be, most fail together: by a
 /// common bias, by noise that is larger than told, or because the estimate is lost. Then nobody is distrusted, and all
 /// ranges are taken to be as noisy as they are, until that is over.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

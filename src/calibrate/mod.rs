@@ -7,7 +7,7 @@
 //! | [`search`] | from ranges alone to all models' fits |
 //! | [`verdict`] | which model is believed, and what the data cannot tell |
 //! | [`regression`] | errors against a known track |
-//! | [`file`] | `calibration.toml` |
+//! | [`mod@file`] | `calibration.toml` |
 //! | [`picture`] | residuals over range |
 
 pub mod file;

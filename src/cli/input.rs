@@ -15,7 +15,7 @@ pub struct InputArgs {
     /// range, x, y, z and target
     #[arg(long, value_name = "SPEC")]
     pub columns: Option<String>,
-    /// Where the sensors stand: CSV with sensor_id,x_m,y_m[,z_m], for logs that do not say
+    /// Where the sensors stand: a table with the columns sensor_id, x_m, y_m and perhaps z_m, for logs that do not say
     #[arg(long, value_name = "FILE")]
     pub anchors: Option<PathBuf>,
     /// Height of the target in the frame of the sensors' heights, m: ranges are then slant ones
