@@ -359,7 +359,8 @@ fn name_after(ranges: &Path) -> String {
     let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());
     let best = if stem == "ranges" { folder.unwrap_or(stem) } else { stem };
     let name: String = best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
-    if name.is_empty() { "track".to_owned() } else { name }
+    // Standard input has no name.
+    if name.contains(|c: char| c.is_ascii_alphanumeric()) { name } else { "track".to_owned() }
 }
 
 /// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder

@@ -2,6 +2,7 @@
 //!
 //! | module | what it is for |
 //! |---|---|
+//! | `believed` | what is believed of a recording: verdicts, and what `calibrate` finds |
 //! | `paper` | the paper's experiment, many seeds in one process: do the figures come out |
 //! | `distrust` | robots whose sensors fail, many seeds in one process: the right one is named |
 //! | `drivers` | a robot whose sensor and drive are on a port: the example, fed through a FIFO |
@@ -27,6 +28,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
 
+mod believed;
 mod chaos;
 mod command_line;
 mod comparison;

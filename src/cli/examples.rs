@@ -126,7 +126,7 @@ Examples:
   rangehound plan problems.jsonl > answers.jsonl
   rangehound plan --planner adaptive < problems.jsonl";
 
-const RESUME: &str = "Example, after a power cut or a kill of everything:
+const RESUME: &str = "Example, after a kill of everything:
   rangehound resume runs/demo --name demo";
 
 const STATUS: &str = "A node is running, stopped (by a signal), hung (no sign of life for a second)
