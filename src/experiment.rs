@@ -19,7 +19,7 @@ use crate::out_folder::NUMBERS_END;
 pub const DEFAULT_SCENARIO: &str = include_str!("../scenarios/paper.toml");
 
 /// What complaints about flags name in place of a scenario file.
-const COMMAND_LINE: &str = "command line";
+pub(crate) const COMMAND_LINE: &str = "command line";
 
 /// Where run folders go unless told otherwise.
 const RUNS: &str = "runs";
@@ -293,7 +293,7 @@ impl Given {
             None => Self {
                 file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
                 // Of the default nothing can be wrong but what the command line puts over it.
-                file_name: "command line".to_owned(),
+                file_name: COMMAND_LINE.to_owned(),
                 folder: PathBuf::new(),
                 path: None,
             },

@@ -7,8 +7,8 @@ use rangehound_shared::recording::SensorName;
 use rangehound_shared::scenario::{RecordingTable, SensorTable};
 use serde::Deserialize;
 
-use super::model::median;
 use super::verdict::{Findings, Measured};
+use crate::compare::statistics::median;
 use crate::failure::{self, Failure};
 
 /// Its name in the output folder.

@@ -25,7 +25,8 @@ use std::path::{Path, PathBuf};
 use rangehound_shared::recording::Recording;
 
 use crate::cli::CalibrateArgs;
-use crate::experiment::recording_table;
+use crate::compare::statistics::median;
+use crate::experiment::{COMMAND_LINE, recording_table};
 use crate::failure::{self, Failure};
 use crate::out_folder::{Kind, claim_or_number};
 use crate::report::Truth;
@@ -43,7 +44,7 @@ const OUT: &str = "runs/calibrate";
 /// [`Failure`]; also if nothing could be told.
 pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     let table = recording_table(&args.input)?;
-    let (recording, summary) = table.read("command line", Path::new("")).map_err(Failure::input)?;
+    let (recording, summary) = table.read(COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
     if table.target_height_m.is_some() && !recording.has_heights() {
         let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
         return Err(Failure::input(format!("--target-height: {problem}")));
@@ -190,7 +191,7 @@ fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Pat
 /// The same for `track` as flags, with one noise for all.
 fn flags(findings: &Findings, names: &[String]) -> String {
     let mut stds: Vec<f64> = findings.sensors.iter().filter_map(|s| s.range_std_m.map(|m| m.value)).collect();
-    let mut text = model::median(&mut stds).map_or(String::new(), |std| format!("--range-std {std:.4}"));
+    let mut text = median(&mut stds).map_or(String::new(), |std| format!("--range-std {std:.4}"));
     if let Some(psd) = findings.accel_psd {
         let _ = write!(text, " --accel-psd {psd:.6}");
     }

@@ -1,5 +1,7 @@
 //! What is estimated: the readings by knots of the target's path, and which error each model gives a sensor.
 
+use crate::compare::statistics::median;
+
 /// One range, as the calibration sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
@@ -162,10 +164,4 @@ fn count(sharing: Sharing, sensors: usize) -> usize {
         Sharing::Common => 1,
         Sharing::Each => sensors,
     }
-}
-
-/// The median; the values are reordered.
-pub fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -1,5 +1,7 @@
 //! Errors of each sensor against a known track, by robust regression.
 
+use crate::compare::statistics::median;
+
 use super::verdict::{Findings, Measured, correlation};
 
 /// Standard deviations between the ends of a 95 % interval and its middle.
@@ -57,9 +59,9 @@ struct Line {
 /// A line, or a level, under Student noise; and what is left.
 fn fit(pairs: &Pairs, sloped: bool) -> (Line, Vec<f64>) {
     let mut level: Vec<f64> = pairs.iter().map(|pair| pair.1).collect();
-    let middle = super::model::median(&mut level).unwrap_or(0.0);
+    let middle = median(&mut level).unwrap_or(0.0);
     let mut off: Vec<f64> = pairs.iter().map(|pair| (pair.1 - middle).abs()).collect();
-    let mut sigma = (1.5 * super::model::median(&mut off).unwrap_or(1.0)).max(1e-9);
+    let mut sigma = (1.5 * median(&mut off).unwrap_or(1.0)).max(1e-9);
     let (mut a, mut b) = (middle, 0.0);
     let mut variances = [0.0, f64::INFINITY];
     for _ in 0..50 {

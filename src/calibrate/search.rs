@@ -1,7 +1,8 @@
 //! From ranges alone to the model that fits: a rough path, then the path, noise and errors of each model.
 
-use super::model::{Model, Problem, Reading, median};
+use super::model::{Model, Problem, Reading};
 use super::smoother::{Estimate, Solution, settle, update_sigmas};
+use crate::compare::statistics::median;
 
 /// What one model makes of the data.
 #[derive(Debug, Clone)]

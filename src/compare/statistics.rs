@@ -24,6 +24,13 @@ pub fn percentile(ascending: &[f64], quantile: f64) -> f64 {
     if low == high { low } else { low + (high - low) * (rank - below as f64) }
 }
 
+/// The upper median of values in any order, which are reordered; `None` of nothing.
+#[must_use]
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 /// Mean of the values that are numbers; NaN of nothing.
 #[must_use]
 pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {

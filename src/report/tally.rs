@@ -15,6 +15,7 @@ use super::{
     Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
     TraceSummary,
 };
+use crate::compare::statistics::median;
 use crate::hops::Hops;
 use crate::percentiles;
 
@@ -235,10 +236,10 @@ impl Tally {
             nis_capped,
             anees: self.nees.summary(),
             truth,
-            position_std_m: median(&mut traces_m2).max(0.0).sqrt(),
+            position_std_m: median(&mut traces_m2).unwrap_or(0.0).max(0.0).sqrt(),
             median_range_m: self.ranges_mm.value_at_quantile(0.5) as f64 / 1e3,
             widened_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
-            range_std_m: median(&mut stds_m),
+            range_std_m: median(&mut stds_m).unwrap_or(0.0),
             recording,
         }
     }
@@ -305,12 +306,6 @@ pub struct Background {
     pub truth: Option<TruthEvidence>,
     /// The recording.
     pub recording: Option<RecordingEvidence>,
-}
-
-/// The median; 0 of nothing.
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// The 2 x 2 block of the position.
