@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
-use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::record::WorldRecord;
 use rangehound_shared::rendezvous::{Holder, Process, Rendezvous, Role, RunName, living_runs};
 use rustix::process::{Pid, Signal};

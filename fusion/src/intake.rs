@@ -1,10 +1,10 @@
-//! Which messages count, pure: robots' ranges in, the present tick's reports out.
+//! Which messages count, pure: robots' messages in, what each is to the present tick out.
 //!
 //! Messages come from processes that may be broken or hostile. What cannot be true is refused and counted by
 //! [`Refusal`]; what says again what was said is a repeat; what is of a tick that is over is late. Nothing here grows
 //! with the number of messages, and no robot can hold up a tick by what it says.
 
-use std::time::Duration;
+use std::cmp::Ordering;
 
 use rangehound_shared::clock::range_deadline_ns;
 use rangehound_shared::message::{Header, Range, Refusal};
@@ -67,6 +67,19 @@ pub struct LateReport {
     pub judged: Option<Judged>,
 }
 
+/// What an admitted message is to the tick that is being gathered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Admitted {
+    /// A report of that tick: for [`Intake::gather`].
+    Now(Report),
+    /// A report of a tick that is over: for [`Centre::take_late`], and what became of it for [`Intake::gather_late`].
+    Late(Report),
+    /// What was said before.
+    Repeat,
+    /// Of a later tick: the ticks before it are over.
+    Ahead,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct RobotRecord {
     /// Ticks in a row at which it said nothing.
@@ -111,8 +124,6 @@ pub struct Intake {
     last_range_ns: u64,
     tally: Tally,
     late: Vec<LateReport>,
-    ahead: Option<u64>,
-    repeat_asked: bool,
 }
 
 impl Intake {
@@ -142,8 +153,6 @@ impl Intake {
             last_range_ns: 0,
             tally: Tally::default(),
             late: Vec::new(),
-            ahead: None,
-            repeat_asked: false,
         }
     }
 
@@ -166,19 +175,26 @@ impl Intake {
         fits
     }
 
-    /// Takes a message that came at `now_ns`, monotonic. Late ones go to the centre at once.
-    pub fn take(&mut self, centre: &mut Centre, header: &Header, message: &[Range], now_ns: u64) {
-        if let Err(refusal) = self.admit(centre, header, message, now_ns) {
-            self.refuse(refusal, 1);
-        }
-    }
-
     /// Counts messages that were refused.
     pub fn refuse(&mut self, refusal: Refusal, count: u64) {
         self.tally.refused[refusal as usize] += count;
     }
 
-    fn admit(&mut self, centre: &mut Centre, header: &Header, message: &[Range], now_ns: u64) -> Result<(), Refusal> {
+    /// Judges a message that came at `now_ns`, monotonic. A report is the caller's to deliver.
+    ///
+    /// # Errors
+    /// The [`Refusal`] of a message that counts for nothing; it is counted.
+    pub fn admit(
+        &mut self,
+        centre: &Centre,
+        header: &Header,
+        message: &[Range],
+        now_ns: u64,
+    ) -> Result<Admitted, Refusal> {
+        self.judge(centre, header, message, now_ns).inspect_err(|refusal| self.refuse(*refusal, 1))
+    }
+
+    fn judge(&mut self, centre: &Centre, header: &Header, message: &[Range], now_ns: u64) -> Result<Admitted, Refusal> {
         let [range] = message else { return Err(Refusal::Malformed) };
         let id = usize::try_from(range.robot).ok().filter(|id| *id < self.reports.len()).ok_or(Refusal::OutOfRange)?;
         let (tick, next) = (header.tick, centre.next_tick());
@@ -196,25 +212,41 @@ impl Intake {
         }
         self.record.robots[id].misses = 0;
         let age = next.wrapping_sub(tick + 1);
-        if tick < next {
-            self.repeat_asked |= age == 0;
-        }
         let is_repeat = said.is_some() || tick < next && age < 64 && self.record.robots[id].heard >> age & 1 == 1;
         if is_repeat {
-            return Ok(());
+            return Ok(Admitted::Repeat);
         }
         self.follow(id, tick, report.position_m)?;
-        if tick > next {
-            self.ahead = self.ahead.max(Some(tick));
-        } else if tick == next {
-            self.reports[id] = Some(report);
-            self.began_ns.push(range.tick_began_ns.min(now_ns));
-            self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
-            self.times_s.push(header.valid_at_s);
-        } else {
-            self.take_late(centre, tick, age, id, report);
+        Ok(match tick.cmp(&next) {
+            Ordering::Greater => Admitted::Ahead,
+            Ordering::Equal => Admitted::Now(report),
+            Ordering::Less => Admitted::Late(report),
+        })
+    }
+
+    /// Takes a report of the present tick, from the message that brought it.
+    pub fn gather(&mut self, header: &Header, range: &Range, report: Report, now_ns: u64) {
+        let Some(slot) = self.reports.get_mut(range.robot as usize) else { return };
+        *slot = Some(report);
+        self.began_ns.push(range.tick_began_ns.min(now_ns));
+        self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
+        self.times_s.push(header.valid_at_s);
+    }
+
+    /// Takes note of a report of a tick that is over, and of what became of it.
+    pub fn gather_late(&mut self, next: u64, late: LateReport, outcome: Late) {
+        let age = next.wrapping_sub(late.tick + 1);
+        if let Some(record) = self.record.robots.get_mut(late.robot).filter(|_| age < 64) {
+            record.heard |= 1 << age;
         }
-        Ok(())
+        self.tally.late += u64::from(late.report.range_m.is_some());
+        match outcome {
+            Late::Fused => self.tally.fused_late += 1,
+            Late::Rejected => self.tally.rejected_late += 1,
+            Late::NoRange => {}
+            Late::Missed => return,
+        }
+        self.late.push(late);
     }
 
     /// What a message says, if its numbers make sense.
@@ -278,31 +310,6 @@ impl Intake {
         Ok(())
     }
 
-    /// Takes a report of a tick that is over, `age` ticks before the last.
-    fn take_late(&mut self, centre: &mut Centre, tick: u64, age: u64, id: usize, report: Report) {
-        if age < 64 {
-            self.record.robots[id].heard |= 1 << age;
-        }
-        self.tally.late += u64::from(report.range_m.is_some());
-        match centre.take_late(tick, id, report) {
-            Late::Fused => self.tally.fused_late += 1,
-            Late::Rejected => self.tally.rejected_late += 1,
-            Late::NoRange => {}
-            Late::Missed => return,
-        }
-        self.late.push(LateReport { tick, robot: id, report, judged: centre.judged_at(tick, id) });
-    }
-
-    /// The newest tick that a robot is ahead at, once: the ticks before it are over.
-    pub fn take_ahead(&mut self) -> Option<u64> {
-        self.ahead.take()
-    }
-
-    /// True, once, if a robot said again what it said at the last tick: it has missed its heading.
-    pub fn take_repeat_asked(&mut self) -> bool {
-        std::mem::take(&mut self.repeat_asked)
-    }
-
     /// When the last report of the present tick was sent, as its robot says, monotonic ns; 0 without any.
     #[must_use]
     pub fn last_range_ns(&self) -> u64 {
@@ -344,8 +351,8 @@ impl Intake {
     }
 
     /// Time for which this process stood still is nobody's silence.
-    pub fn forgive(&mut self, stood_still: Duration) {
-        self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(stood_still.as_nanos() as u64));
+    pub fn forgive(&mut self, suspended_ns: u64) {
+        self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(suspended_ns));
     }
 
     /// How many robots the present tick waits for.
@@ -414,6 +421,7 @@ fn median<T: Copy>(values: &mut [T], order: impl Fn(&T, &T) -> std::cmp::Orderin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::leader::Leader;
     use rangehound_shared::scenario::ScenarioFile;
     use std::path::Path;
 
@@ -421,8 +429,7 @@ mod tests {
 
     /// A team of three at (15, 0) and its fusion centre; ticks pass as the clock of the test says.
     struct Team {
-        intake: Intake,
-        centre: Centre,
+        leader: Leader,
         now_ns: u64,
     }
 
@@ -431,26 +438,34 @@ mod tests {
             let text = format!("clock = \"{clock}\"\nticks = 100\n");
             let file = ScenarioFile::parse(&text, "test").unwrap();
             let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
-            let centre = Centre::new(&scenario).unwrap().keeping_the_past();
-            let mut team = Self { intake: Intake::new(&scenario), centre, now_ns: 1_000 * DT_NS };
+            let mut team = Self { leader: Leader::new(&scenario).unwrap(), now_ns: 1_000 * DT_NS };
             team.tick(&[0, 1, 2]);
             team
         }
 
         fn next(&self) -> u64 {
-            self.centre.next_tick()
+            self.leader.centre.next_tick()
         }
 
         fn say(&mut self, tick: u64, range: Range) {
             let header = Header { tick, valid_at_s: tick as f64 * 0.1, ..Header::default() };
-            self.intake.take(&mut self.centre, &header, &[range], self.now_ns);
+            self.leader.on_range(&header, &[range], self.now_ns);
         }
 
+        /// The tick that is being gathered, with what has come of it.
         fn process(&mut self) -> Tally {
-            let (next, time_s) = (self.next(), self.intake.time_s(&self.centre));
-            self.centre.update(time_s, self.intake.reports()).unwrap();
-            self.centre.plan();
-            self.intake.close(next, self.now_ns)
+            self.leader.over_before = self.leader.over_before.max(self.next() + 1);
+            while self.leader.next_action(self.now_ns).unwrap().is_some() {}
+            self.leader.tally
+        }
+
+        fn asks_repeat(&mut self) -> bool {
+            std::mem::take(&mut self.leader.repeat_asked)
+        }
+
+        /// The tick that others are ahead at.
+        fn ahead(&self) -> Option<u64> {
+            Some(self.leader.over_before).filter(|tick| *tick > self.next())
         }
 
         /// A tick at which these robots say what is sound.
@@ -503,16 +518,16 @@ mod tests {
                 team.say(1, nonsense);
             }
             let header = Header { tick: 1, valid_at_s: 0.1, ..Header::default() };
-            let Team { intake, centre, now_ns, .. } = &mut team;
-            intake.take(centre, &header, &[], *now_ns);
-            intake.take(centre, &header, &[ok, ok], *now_ns);
-            intake.take(centre, &Header { valid_at_s: f64::NAN, ..header }, &[ok], *now_ns);
-            intake.take(centre, &Header { valid_at_s: 0.2, ..header }, &[ok], *now_ns);
-            intake.refuse(Refusal::Impostor, 1);
+            let Team { leader, now_ns } = &mut team;
+            leader.on_range(&header, &[], *now_ns);
+            leader.on_range(&header, &[ok, ok], *now_ns);
+            leader.on_range(&Header { valid_at_s: f64::NAN, ..header }, &[ok], *now_ns);
+            leader.on_range(&Header { valid_at_s: 0.2, ..header }, &[ok], *now_ns);
+            leader.refuse_impostors(1);
             let tally = team.tick(&[0, 2]);
             let expected = [(Refusal::Impostor, 1), (Refusal::OutOfRange, 2), (Refusal::Malformed, 14)];
             assert_eq!(refused(&tally), expected, "{clock}");
-            let estimate = team.centre.estimate();
+            let estimate = team.leader.centre.estimate();
             assert_eq!((estimate.fused, estimate.missing), (2, 1), "{clock}");
         }
     }
@@ -523,7 +538,7 @@ mod tests {
         let mut team = Team::new("lockstep");
         team.say(1, Range { range_m: -2.5, ..sound(1, 1) });
         assert_eq!(team.tick(&[0, 2]), Tally::default());
-        assert_eq!(team.centre.estimate().fused, 3);
+        assert_eq!(team.leader.centre.estimate().fused, 3);
     }
 
     #[test]
@@ -533,14 +548,14 @@ mod tests {
         team.say(1, first);
         team.say(1, first);
         team.say(1, Range { range_m: 99.0, ..first });
-        assert_eq!(team.intake.reports()[1].unwrap().range_m, Some((15.0, 1.0)));
+        assert_eq!(team.leader.intake.reports()[1].unwrap().range_m, Some((15.0, 1.0)));
         assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Contradiction, 1)]);
-        assert!(!team.intake.take_repeat_asked());
+        assert!(!team.asks_repeat());
         // The same of a tick that is over: a repeat asks for the heading, another word is refused.
         team.say(1, first);
-        assert!(team.intake.take_repeat_asked());
+        assert!(team.asks_repeat());
         team.say(1, Range { x_m: 15.5, ..first });
-        assert!(!team.intake.take_repeat_asked());
+        assert!(!team.asks_repeat());
         let tally = team.tick(&[0, 1, 2]);
         assert_eq!((refused(&tally), tally.late), (vec![(Refusal::Contradiction, 1)], 0));
     }
@@ -553,11 +568,11 @@ mod tests {
         for tick in 1..5 {
             team.say(tick, away(tick));
             assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Jump, 1)], "tick {tick}");
-            assert_eq!(team.centre.estimate().missing, 1);
+            assert_eq!(team.leader.centre.estimate().missing, 1);
         }
         team.say(5, away(5));
         assert_eq!(team.tick(&[0, 2]), Tally::default());
-        assert_eq!(team.centre.estimate().fused, 3);
+        assert_eq!(team.leader.centre.estimate().fused, 3);
     }
 
     #[test]
@@ -567,7 +582,7 @@ mod tests {
         for tick in [2, 3, 50, 101, u64::MAX] {
             team.say(tick, sound(1, 1));
         }
-        assert_eq!(team.intake.take_ahead(), None);
+        assert_eq!(team.ahead(), None);
         let tally = team.tick(&[0, 1, 2]);
         assert_eq!(tally.refused[Refusal::Future as usize] + tally.refused[Refusal::Malformed as usize], 5);
         assert!(tally.refused[Refusal::Future as usize] >= 4, "{tally:?}");
@@ -583,15 +598,16 @@ mod tests {
         for elapsed in [0, 7] {
             team.now_ns += elapsed * DT_NS;
             let newest = newest(&team);
+            let before = team.ahead();
             team.say(newest + 1, sound(newest + 1, 1));
-            assert_eq!(team.intake.take_ahead(), None);
+            assert_eq!(team.ahead(), before);
             team.say(newest, sound(newest, 1));
-            assert_eq!(team.intake.take_ahead(), Some(newest));
+            assert_eq!(team.ahead(), Some(newest));
         }
         // The run has no tick after its last, however long it takes.
         team.now_ns += 1_000 * DT_NS;
         team.say(101, sound(101, 1));
-        assert_eq!(team.intake.take_ahead(), None);
+        assert_eq!(team.ahead(), Some(14));
     }
 
     /// One robot that is as far ahead as it may be, over and over: fusion stays within reach of the others.
@@ -602,17 +618,11 @@ mod tests {
             for ahead in (tick..tick + 10).rev() {
                 team.say(ahead, sound(ahead, 2));
             }
-            if let Some(ahead) = team.intake.take_ahead() {
-                while team.next() < ahead {
-                    team.process();
-                }
-            }
+            while team.leader.next_action(team.now_ns).unwrap().is_some() {}
             for robot in [0, 1] {
                 team.say(tick, sound(tick, robot));
             }
-            if team.intake.is_ready(team.next(), team.now_ns + DT_NS * 6 / 10) {
-                team.process();
-            }
+            while team.leader.next_action(team.now_ns + DT_NS * 6 / 10).unwrap().is_some() {}
             assert!(team.next() <= tick + 1 + AHEAD_TICKS_MAX, "tick {tick}: at {}", team.next());
             team.now_ns += DT_NS;
         }
@@ -625,13 +635,13 @@ mod tests {
             for tick in 1..4 {
                 team.say(tick, sound(tick, 0));
                 team.say(tick, sound(tick, 2));
-                assert!(!team.intake.is_ready(tick, team.now_ns), "{clock}: robot 1 is waited for");
+                assert!(!team.leader.intake.is_ready(tick, team.now_ns), "{clock}: robot 1 is waited for");
                 team.say(tick, Range { range_std_m: f64::NAN, ..sound(tick, 1) });
-                assert!(team.intake.is_ready(tick, team.now_ns), "{clock}");
+                assert!(team.leader.intake.is_ready(tick, team.now_ns), "{clock}");
                 // What makes sense after all still counts.
                 team.say(tick, sound(tick, 1));
                 team.tick(&[]);
-                assert_eq!(team.centre.estimate().fused, 3);
+                assert_eq!(team.leader.centre.estimate().fused, 3);
             }
         }
     }
@@ -643,7 +653,7 @@ mod tests {
             let mut team = Team::new("realtime");
             team.tick(&[0, 1, 2]);
             team.say(2, Range { tick_began_ns: lie_ns, ..sound(2, 1) });
-            let deadline_ns = team.intake.deadline_ns(2).unwrap();
+            let deadline_ns = team.leader.intake.deadline_ns(2).unwrap();
             assert_eq!(deadline_ns, team.now_ns + DT_NS / 2);
         }
     }
@@ -670,12 +680,12 @@ mod tests {
     fn a_restored_intake_knows_who_was_heard_and_where() {
         let mut team = Team::new("lockstep");
         team.tick(&[0, 1, 2]);
-        let (record, now_ns) = (team.intake.record().clone(), team.now_ns);
+        let (record, now_ns) = (team.leader.intake.record().clone(), team.now_ns);
         let mut after = Team::new("lockstep");
         after.tick(&[]);
-        assert!(after.intake.restore(record, now_ns));
+        assert!(after.leader.intake.restore(record, now_ns));
         after.say(1, sound(1, 1));
-        assert!(after.intake.take_repeat_asked());
+        assert!(after.asks_repeat());
         after.say(2, Range { x_m: 17.0, ..sound(2, 2) });
         let tally = after.tick(&[]);
         assert_eq!((tally.late, refused(&tally)), (0, vec![(Refusal::Jump, 1)]));

@@ -20,15 +20,19 @@
 //! | [`report`] | what one robot said at a tick |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
 //! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
+//! | [`leader`] | the protocol of the one that leads: what comes in, what to do out |
+//! | [`standby`] | when another takes the lead |
 //! | [`run`] | the process |
 
 pub mod centre;
 pub mod filter;
 pub mod intake;
+pub mod leader;
 mod past;
 pub mod planner;
 pub mod report;
 pub mod run;
+pub mod standby;
 pub mod tracker;
 mod tracking;
 pub mod trust;

@@ -17,9 +17,11 @@
 //! | [`sensor`] | the range sensor: simulated (noise), recorded (calibration), or one's own |
 //! | [`drive`] | from headings, or their absence, to commands; what carries them out |
 //! | [`serial`] | a sensor and a drive that speak lines of text over a port |
+//! | [`machine`] | the protocol: what comes in, what to do out |
 //! | [`run`] | the process |
 
 pub mod drive;
+pub mod machine;
 pub mod run;
 pub mod sensor;
 pub mod serial;

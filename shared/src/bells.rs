@@ -16,57 +16,10 @@ use rustix::time::Timespec;
 
 use crate::block::{Block, BlockError};
 use crate::clock::monotonic_ns;
+use crate::wake::{CALLS, Call, Calls, Notification, Sleeper, When};
 
 /// Name of the block that holds them.
 const NAME: &str = "bells";
-
-/// Who can be woken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sleeper {
-    /// The simulator.
-    Sim,
-    /// The fusion centre.
-    Fusion,
-    /// All robots.
-    Robots,
-}
-
-/// Why somebody is woken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Call {
-    /// There is something on the topic `world`.
-    World,
-    /// On `range`.
-    Range,
-    /// On `heading`.
-    Heading,
-    /// On `drive`.
-    Drive,
-    /// A node has just started and needs the present tick.
-    Hello,
-    /// The run has ended.
-    Finished,
-}
-
-const CALLS: usize = 6;
-
-/// What a wait returned: the calls that came, none if time ran out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Calls([bool; CALLS]);
-
-impl Calls {
-    /// True if this call was among them.
-    #[must_use]
-    pub fn has(self, call: Call) -> bool {
-        self.0[call as usize]
-    }
-
-    /// True if nobody called: what there is to see has been seen, unless a call was lost in a kill.
-    #[must_use]
-    pub fn is_empty(self) -> bool {
-        self == Self::default()
-    }
-}
 
 /// One sleeper's words, on a cache line of their own, so that rings for one do not disturb another.
 #[derive(Debug, Default, ZeroCopySend)]
@@ -232,6 +185,14 @@ pub struct Bell {
 impl Bell {
     pub(crate) fn new(bells: Bells, sleeper: Sleeper) -> Self {
         Self { bells, sleeper }
+    }
+
+    /// Wakes as a role asks for it.
+    pub fn notify(&self, notification: &Notification) {
+        match notification.when {
+            When::Always => self.ring(notification.call),
+            When::LastAnswer { tick, or_first } => self.ring_if_last(notification.call, tick, or_first),
+        }
     }
 
     /// Calls the sleeper.

@@ -1,6 +1,6 @@
 //! Monotonic time, shared by all processes of a machine, and the deadlines of a real-time tick.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
@@ -19,27 +19,19 @@ pub fn monotonic_ns() -> u64 {
 }
 
 /// Longest time between two looks of a process that runs: above the longest sleep.
-const ROUND_MAX: Duration = Duration::from_millis(250);
+const ROUND_MAX_NS: u64 = 250_000_000;
 
-/// Tells how long this process stood still: stopped, or on a machine that was suspended. Such time is
-/// nobody's silence.
-#[derive(Debug)]
-pub struct Standstill {
-    looked: Instant,
+/// Tells how long this process was suspended: stopped, or on a machine that was. Such time is nobody's silence.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Suspension {
+    looked_ns: Option<u64>,
 }
 
-impl Default for Standstill {
-    fn default() -> Self {
-        Self { looked: Instant::now() }
-    }
-}
-
-impl Standstill {
-    /// How long it stood still since the last look; to be called in each round of a node's loop.
-    pub fn look(&mut self) -> Duration {
-        let since = self.looked.elapsed();
-        self.looked += since;
-        since.saturating_sub(ROUND_MAX)
+impl Suspension {
+    /// How long it was suspended since the last look, ns; to be called in each round of a node's loop with the monotonic time.
+    pub fn look(&mut self, now_ns: u64) -> u64 {
+        let looked_ns = self.looked_ns.replace(now_ns).unwrap_or(now_ns);
+        now_ns.saturating_sub(looked_ns).saturating_sub(ROUND_MAX_NS)
     }
 }
 

@@ -19,7 +19,8 @@
 //! | [`radio`] | what ranging radios print |
 //! | [`message`] | what travels on each topic |
 //! | [`bus`] | topics and their iceoryx2 services |
-//! | [`bells`] | wake-ups |
+//! | [`wake`] | who can be woken, and why |
+//! | [`bells`] | wake-ups over shared memory |
 //! | [`block`] | words of shared memory that all processes of a run see |
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`robot_set`] | a set of robots' ids |
@@ -57,6 +58,7 @@ pub mod scenario;
 pub mod sealed;
 pub mod signal;
 pub mod tick_log;
+pub mod wake;
 
 /// Most robots in one run: sizes every service and every per-robot bit set.
 pub const ROBOTS_MAX: usize = 256;

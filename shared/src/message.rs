@@ -25,6 +25,17 @@ pub struct Header {
     pub sent_ns: u64,
 }
 
+/// A message of one entry, to be published.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outgoing<T> {
+    /// The tick that it belongs to.
+    pub tick: u64,
+    /// Time that it is valid for, s.
+    pub valid_at_s: f64,
+    /// Its only entry.
+    pub entry: T,
+}
+
 /// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend, Serialize, Deserialize)]
 #[repr(C)]

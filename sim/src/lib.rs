@@ -16,8 +16,10 @@
 //! | [`world`] | what a tick shows: the trait behind both kinds |
 //! | [`simulation`] | a target that moves by its model, robots that move as they drive |
 //! | [`playback`] | recorded ranges in place of a simulation |
+//! | [`machine`] | the protocol: what comes in, what to do out |
 //! | [`run`] | the process |
 
+pub mod machine;
 pub mod playback;
 pub mod run;
 pub mod simulation;

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::rendezvous::{Process, Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
 use rangehound_shared::signal::Termination;

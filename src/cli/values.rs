@@ -5,7 +5,7 @@ use std::ffi::OsStr;
 use clap::Arg;
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
-use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::recording::SensorName;
 use rangehound_shared::scenario::{GateKey, PLANNERS, PatienceKey};
 

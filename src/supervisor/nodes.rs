@@ -7,7 +7,7 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
-use rangehound_fusion::run::STANDBYS_MAX;
+use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
 use rangehound_shared::signal::Termination;

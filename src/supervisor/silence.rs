@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime};
 
-use rangehound_fusion::run::step_max;
+use rangehound_fusion::standby::step_max;
 use rangehound_shared::scenario::{Patience, Scenario};
 
 /// How often signs of life are looked for. Silence is counted in looks, and only in those in which somebody else

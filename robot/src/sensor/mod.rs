@@ -27,6 +27,13 @@ pub trait RangeSensor {
     fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64>;
 }
 
+/// What a robot says at a tick: the sensor's range, if there is one, and its standard deviation, m. What is known at
+/// tick 0 is the prior: no sensor is asked.
+pub fn measure<S: RangeSensor + ?Sized>(sensor: &mut S, tick: u64, entry: &WorldEntry) -> (Option<f64>, f64) {
+    let range_m = if tick > 0 { sensor.measure(tick, entry) } else { None };
+    (range_m, sensor.std_m())
+}
+
 /// The true range behind a measured one, m: [`Calibration`] solved for it. One shorter than the bias is of a
 /// target at the sensor.
 #[must_use]

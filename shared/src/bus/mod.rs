@@ -31,12 +31,13 @@ use iceoryx2::sample::Sample;
 use rustix::process::Pid;
 
 use crate::bells::Bells;
-pub use crate::bells::{Bed, Bell, Call, Calls, Sleeper};
+pub use crate::bells::{Bed, Bell};
 use crate::block::BlockError;
 use crate::clock::monotonic_ns;
-use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
+use crate::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
+pub use crate::wake::{Call, Calls, Sleeper};
 use lending::Service;
 use senders::{Senders, Standing};
 
@@ -311,6 +312,16 @@ impl<T: Topic> Publisher<T> {
             Header { run_id: self.run_id, incarnation: self.incarnation.get(), tick, valid_at_s, sent_ns };
         sample.send().map_err(|error| failed(&error))?;
         Ok(sent_ns)
+    }
+}
+
+impl<T: Topic> Publisher<T> {
+    /// Sends a message of one entry: see [`Self::send`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn send_one(&self, message: &Outgoing<T>) -> Result<(), BusError> {
+        self.send(message.tick, message.valid_at_s, std::slice::from_ref(&message.entry)).map(|_| ())
     }
 }
 

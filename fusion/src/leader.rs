@@ -1,0 +1,370 @@
+//! The fusion centre's part in the protocol as a state machine round a [`Centre`]: no clock, no port, no file.
+//!
+//! A driver feeds it with what came ([`Leader::on_range`]), asks for the next [`Action`], carries it out, and asks again until there
+//! is none. Time is an argument: monotonic, ns.
+//!
+//! A tick is update, plan, checkpoint, headings, estimate, record; in that order, so that robots wait for nothing else, and nothing is
+//! published that a kill could make forget.
+
+use std::borrow::Cow;
+use std::collections::VecDeque;
+
+use rangehound_shared::clock::Suspension;
+use rangehound_shared::message::{Estimate, Header, Range, Refusal, Stages};
+use rangehound_shared::record::Exchange;
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::{Clock, Scenario};
+use rangehound_shared::sealed::SealError;
+use rangehound_shared::wake::{Call, Notification, Sleeper};
+use serde::{Deserialize, Serialize};
+
+use crate::centre::{self, Centre, Diverged};
+use crate::intake::{self, Admitted, Intake, LateReport, Tally};
+use crate::planner::PlannerError;
+
+/// What the driver does next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Action {
+    /// Look at the clock, and ask again.
+    Continue,
+    /// Make sure that nobody has taken the lead meanwhile. Whoever has lost it does nothing more.
+    RequireLead,
+    /// Write [`Leader::saved`] to the checkpoint, before anything that follows.
+    Save,
+    /// Publish the commands of the last tick: [`Leader::centre`].
+    SendHeadings,
+    /// Wake somebody.
+    Notify(Notification),
+    /// Publish [`Leader::estimate`].
+    SendEstimate,
+    /// Write down the last tick: [`Leader::estimate`], [`Leader::exchanges`], [`Leader::said_late`].
+    Record,
+    /// Tell the user.
+    Tell(Notice),
+}
+
+/// What a user is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Notice {
+    /// These ticks are over, and it was not there.
+    Missed {
+        /// The first of them.
+        first: u64,
+        /// The last of them.
+        last: u64,
+    },
+    /// Most sensors fail together: their ranges are taken to be so many times as noisy as told, and nobody is distrusted.
+    Widened(f64),
+    /// That is over.
+    NoLongerWidened,
+    /// A robot is distrusted.
+    Distrusted(usize),
+    /// A robot is trusted again.
+    Trusted(usize),
+    /// Messages are refused for this cause: told once.
+    Refused(Refusal),
+}
+
+/// What is done after what has been returned last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Gather,
+    Plan,
+    Close,
+    Save,
+    RequireLead,
+    SendHeadings,
+    Wake,
+    SendEstimate,
+    Record,
+}
+
+/// The fusion centre of a run, in one incarnation.
+#[derive(Debug)]
+pub struct Leader {
+    clock: Clock,
+    last_tick: u64,
+    pub(crate) centre: Centre,
+    pub(crate) intake: Intake,
+    phase: Phase,
+    actions: VecDeque<Action>,
+    /// It has told the simulator that it leads.
+    greeted: bool,
+    /// Ticks before this one are over, whoever has not been heard.
+    pub(crate) over_before: u64,
+    /// It has missed ticks: the repeat of the present one is asked for.
+    asks_repeat: bool,
+    /// A robot said again what was fused: it has missed its heading.
+    pub(crate) repeat_asked: bool,
+    stages: Stages,
+    pub(crate) tally: Tally,
+    estimate: Estimate,
+    distrusted: RobotSet,
+    noise_scale: f64,
+    /// Causes of refusal that have been told.
+    told: [bool; Refusal::ALL.len()],
+    suspension: Suspension,
+}
+
+/// What a fusion centre started again needs: borrowed as it is written, owned as it is read.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Saved<'a> {
+    centre: centre::Saved<'a>,
+    intake: Cow<'a, intake::Record>,
+    /// Of the last estimate.
+    tally: Tally,
+}
+
+impl Leader {
+    /// The fusion centre of a run before its first tick.
+    ///
+    /// # Errors
+    /// [`PlannerError`] if the scenario's planner cannot serve its team.
+    pub fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
+        Ok(Self {
+            clock: scenario.clock,
+            last_tick: scenario.ticks,
+            centre: Centre::new(scenario)?.keeping_the_past(),
+            intake: Intake::new(scenario),
+            phase: Phase::Gather,
+            actions: VecDeque::with_capacity(8 + 2 * scenario.robots.len()),
+            greeted: false,
+            over_before: 0,
+            asks_repeat: false,
+            repeat_asked: false,
+            stages: Stages::default(),
+            tally: Tally::default(),
+            estimate: Estimate::default(),
+            distrusted: RobotSet::default(),
+            noise_scale: 1.0,
+            told: [false; Refusal::ALL.len()],
+            suspension: Suspension::default(),
+        })
+    }
+
+    /// Goes on from where a killed predecessor stopped. It may have published the last tick or not: a robot that missed its
+    /// heading asks for it, and the tick is recorded again.
+    ///
+    /// # Errors
+    /// If this is not what a fusion centre of the same run saved.
+    pub fn restore(&mut self, saved: Saved<'_>, now_ns: u64) -> Result<(), SealError> {
+        let Saved { centre, intake, tally } = saved;
+        self.centre.restore(centre)?;
+        if !self.intake.restore(intake.into_owned(), now_ns) {
+            return Err(SealError::Malformed);
+        }
+        (self.distrusted, self.noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
+        if self.centre.next_tick() > 0 {
+            self.tally = tally;
+            self.estimate = self.estimate_with(Stages::default());
+            self.actions.push_back(Action::Record);
+        }
+        Ok(())
+    }
+
+    /// What [`Self::restore`] needs to go on from here.
+    ///
+    /// # Errors
+    /// If the tracker cannot be encoded.
+    pub fn saved(&mut self) -> Result<Saved<'_>, SealError> {
+        Ok(Saved { centre: self.centre.saved()?, intake: Cow::Borrowed(self.intake.record()), tally: self.tally })
+    }
+
+    /// Takes a message of the topic `range` that came at `now_ns`.
+    pub fn on_range(&mut self, header: &Header, message: &[Range], now_ns: u64) {
+        // What is refused is counted by the intake.
+        let Ok(admitted) = self.intake.admit(&self.centre, header, message, now_ns) else { return };
+        let [range] = message else { return };
+        let (tick, next) = (header.tick, self.centre.next_tick());
+        self.repeat_asked |= tick + 1 == next;
+        match admitted {
+            Admitted::Now(report) => self.intake.gather(header, range, report, now_ns),
+            Admitted::Late(report) => {
+                let robot = range.robot as usize;
+                let outcome = self.centre.take_late(tick, robot, report);
+                let judged = self.centre.judged_at(tick, robot);
+                self.intake.gather_late(next, LateReport { tick, robot, report, judged }, outcome);
+            }
+            Admitted::Repeat => {}
+            Admitted::Ahead => self.catch_up(tick),
+        }
+    }
+
+    /// Counts messages of processes that do not hold the role which they speak for.
+    pub fn refuse_impostors(&mut self, count: u64) {
+        self.intake.refuse(Refusal::Impostor, count);
+    }
+
+    /// The run has come to its end: what never came in real time is missing, but every tick has its estimate.
+    pub fn finish(&mut self) {
+        self.over_before = self.last_tick + 1;
+    }
+
+    /// What to do next; `None` until something comes or [`Self::wakes_at_ns`].
+    ///
+    /// # Errors
+    /// [`Diverged`] if the estimate leaves all bounds.
+    pub fn next_action(&mut self, now_ns: u64) -> Result<Option<Action>, Diverged> {
+        if let Some(action) = self.actions.pop_front() {
+            return Ok(Some(action));
+        }
+        let (phase, action) = match self.phase {
+            Phase::Gather => return self.gather(now_ns),
+            Phase::Plan => {
+                self.stages.filtered_ns = now_ns;
+                self.centre.plan();
+                (Phase::Close, Action::Continue)
+            }
+            Phase::Close => {
+                self.stages.planned_ns = now_ns;
+                self.tally = self.intake.close(self.centre.next_tick() - 1, self.stages.filtered_ns);
+                // A deposed one writes nothing that its successor could read.
+                (Phase::Save, Action::RequireLead)
+            }
+            Phase::Save => (Phase::RequireLead, Action::Save),
+            Phase::RequireLead => {
+                self.stages.saved_ns = now_ns;
+                (Phase::SendHeadings, Action::RequireLead)
+            }
+            Phase::SendHeadings => (Phase::Wake, Action::SendHeadings),
+            Phase::Wake => {
+                self.stages.sent_ns = now_ns;
+                (Phase::SendEstimate, Action::Notify(Notification::always(Sleeper::Robots, Call::Heading)))
+            }
+            Phase::SendEstimate => {
+                self.estimate = self.estimate_with(self.stages);
+                (Phase::Record, Action::SendEstimate)
+            }
+            Phase::Record => {
+                self.tell_of_trust();
+                self.tell_of_refusals();
+                (Phase::Gather, Action::Record)
+            }
+        };
+        self.phase = phase;
+        if matches!(action, Action::Record) {
+            self.actions.push_front(action);
+            return Ok(self.actions.pop_front());
+        }
+        Ok(Some(action))
+    }
+
+    /// When it has something to do even if nothing comes, monotonic ns.
+    #[must_use]
+    pub fn wakes_at_ns(&self) -> Option<u64> {
+        self.intake.deadline_ns(self.centre.next_tick())
+    }
+
+    /// True if it waits for the next real-time tick, none of whose ranges has come.
+    #[must_use]
+    pub fn waits_for_tick(&self) -> bool {
+        self.clock == Clock::Realtime && self.intake.is_empty()
+    }
+
+    /// How many robots the present tick waits for.
+    #[must_use]
+    pub fn expected(&self) -> usize {
+        self.intake.expected()
+    }
+
+    /// True once every tick has its estimate.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.phase == Phase::Gather && self.actions.is_empty() && self.centre.next_tick() > self.last_tick
+    }
+
+    /// Filter and planner.
+    #[must_use]
+    pub fn centre(&self) -> &Centre {
+        &self.centre
+    }
+
+    /// The last tick's estimate, with all that came since the one before.
+    #[must_use]
+    pub fn estimate(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    /// The last tick's exchange with each robot.
+    pub fn exchanges(&self) -> impl Iterator<Item = Exchange> {
+        self.centre.exchanges(self.centre.next_tick().saturating_sub(1), self.intake.record().said())
+    }
+
+    /// What was said of earlier ticks since the one before the last.
+    #[must_use]
+    pub fn said_late(&self) -> &[LateReport] {
+        self.intake.record().said_late()
+    }
+
+    /// Others are ahead: this process was stopped or started late. The ticks between are gone for it; it predicts
+    /// through them.
+    fn catch_up(&mut self, tick: u64) {
+        if tick > self.over_before {
+            let first = self.over_before.max(self.centre.next_tick());
+            if self.intake.is_empty() {
+                self.actions.push_back(Action::Tell(Notice::Missed { first, last: tick - 1 }));
+            }
+            self.over_before = tick;
+            self.asks_repeat = true;
+        }
+    }
+
+    fn gather(&mut self, now_ns: u64) -> Result<Option<Action>, Diverged> {
+        self.intake.forgive(self.suspension.look(now_ns));
+        let next = self.centre.next_tick();
+        if next < self.over_before || self.intake.is_ready(next, now_ns) {
+            self.stages = Stages { last_range_ns: self.intake.last_range_ns(), began_ns: now_ns, ..Stages::default() };
+            let time_s = self.intake.time_s(&self.centre);
+            self.centre.update(time_s, self.intake.reports())?;
+            self.phase = Phase::Plan;
+            return Ok(Some(Action::Continue));
+        }
+        if std::mem::take(&mut self.repeat_asked) && next > 0 {
+            // All get it again, once.
+            self.actions.push_back(Action::SendHeadings);
+            self.actions.push_back(Action::Notify(Notification::always(Sleeper::Robots, Call::Heading)));
+            return Ok(Some(Action::RequireLead));
+        }
+        if std::mem::take(&mut self.asks_repeat) || !std::mem::replace(&mut self.greeted, true) {
+            return Ok(Some(Action::Notify(Notification::always(Sleeper::Sim, Call::Hello))));
+        }
+        Ok(None)
+    }
+
+    fn estimate_with(&self, stages: Stages) -> Estimate {
+        let Tally { late, fused_late, rejected_late, refused } = self.tally;
+        Estimate { late, fused_late, rejected_late, refused, stages, ..self.centre.estimate() }
+    }
+
+    fn tell(&mut self, notice: Notice) {
+        self.actions.push_back(Action::Tell(notice));
+    }
+
+    /// Tells when most sensors fail together and when they no longer do; otherwise who is distrusted since the last tick,
+    /// and who no longer is.
+    fn tell_of_trust(&mut self) {
+        let (now, noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
+        let before = std::mem::replace(&mut self.distrusted, now);
+        let noise_scale_before = std::mem::replace(&mut self.noise_scale, noise_scale);
+        if noise_scale > 1.0 && noise_scale_before == 1.0 {
+            self.tell(Notice::Widened(noise_scale));
+            return;
+        }
+        if noise_scale == 1.0 && noise_scale_before > 1.0 {
+            self.tell(Notice::NoLongerWidened);
+        }
+        now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.tell(Notice::Distrusted(id)));
+        before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.tell(Notice::Trusted(id)));
+    }
+
+    /// Tells once of each cause that messages are refused; the report counts them.
+    fn tell_of_refusals(&mut self) {
+        for refusal in Refusal::ALL {
+            let is_new = self.tally.refused[refusal as usize] > 0 && !self.told[refusal as usize];
+            if is_new {
+                self.told[refusal as usize] = true;
+                self.tell(Notice::Refused(refusal));
+            }
+        }
+    }
+}

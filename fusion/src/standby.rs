@@ -1,0 +1,81 @@
+//! When a standby deposes who leads, pure: counted in looks.
+
+use std::time::Duration;
+
+use rangehound_shared::scenario::{PlannerSpec, Scenario};
+
+/// Most standbys of a run.
+pub const STANDBYS_MAX: usize = 8;
+
+/// How often a standby looks whether who leads gives signs of life.
+pub const LOOK: Duration = Duration::from_millis(50);
+
+/// Looks in a row without a sign of life after which who leads is deposed. Counted in looks, so that a
+/// standby that was stopped too, or a clock that jumps, deposes nobody.
+const SILENT_LOOKS_MAX: u32 = 10;
+
+/// What a step of the grid planner may take without a sign of life.
+const GRID_STEP_MAX: Duration = Duration::from_secs(30);
+
+/// The silence that is no hang, because one step of the scenario's planner may take as long.
+#[must_use]
+pub fn step_max(scenario: &Scenario) -> Duration {
+    if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO }
+}
+
+/// One standby's view of who leads; `S` is a sign of life, of which only whether it changes means anything.
+#[derive(Debug, Clone, Copy)]
+pub struct Standby<S> {
+    last_sign: Option<S>,
+    silent_looks: u32,
+    silent_looks_max: u32,
+}
+
+impl<S: Copy + PartialEq> Standby<S> {
+    /// A standby that sees this sign of life first.
+    #[must_use]
+    pub fn new(scenario: &Scenario, last_sign: Option<S>) -> Self {
+        let silent_looks_max = SILENT_LOOKS_MAX + step_max(scenario).div_duration_f64(LOOK) as u32;
+        Self { last_sign, silent_looks: 0, silent_looks_max }
+    }
+
+    /// Takes the newest sign of life; to be called once every [`LOOK`]. `Some` if who gave it is to be deposed, if it has given no
+    /// other meanwhile.
+    pub fn look(&mut self, sign: Option<S>) -> Option<S> {
+        self.silent_looks = if sign == self.last_sign { self.silent_looks + 1 } else { 0 };
+        self.last_sign = sign;
+        sign.filter(|_| self.silent_looks >= self.silent_looks_max)
+    }
+
+    /// The silence after which who leads is deposed.
+    #[must_use]
+    pub fn silence_max(&self) -> Duration {
+        LOOK * self.silent_looks_max
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn standby(planner: &str) -> Standby<u64> {
+        let text = format!("[planner]\nname = \"{planner}\"\n");
+        let file = rangehound_shared::scenario::ScenarioFile::parse(&text, "test").unwrap();
+        Standby::new(&Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap(), Some(7))
+    }
+
+    #[test]
+    fn only_silence_in_looks_in_a_row_deposes() {
+        let mut standby = standby("greedy");
+        assert!((1..SILENT_LOOKS_MAX).all(|_| standby.look(Some(7)).is_none()));
+        assert_eq!(standby.look(Some(8)), None, "a sign of life, just in time");
+        assert!((1..SILENT_LOOKS_MAX).all(|_| standby.look(Some(8)).is_none()));
+        assert_eq!(standby.look(Some(8)), Some(8));
+    }
+
+    #[test]
+    fn nobody_is_deposed_who_never_led() {
+        let mut standby = standby("greedy");
+        assert!((0..99).all(|_| standby.look(None).is_none()));
+    }
+}

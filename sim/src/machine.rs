@@ -1,0 +1,304 @@
+//! The simulator's part in the protocol as a state machine round a [`World`]: no clock, no port, no file.
+//!
+//! A driver feeds it with what came ([`Machine::on_drive`], [`Machine::on_hello`]), asks for the next [`Action`], carries it
+//! out, and asks again until there is none. Time is an argument: monotonic, ns.
+
+use std::borrow::Cow;
+
+use rangehound_shared::STATE_DIM_MAX;
+use rangehound_shared::clock::Suspension;
+use rangehound_shared::message::{Drive, Truth};
+use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::sealed::SealError;
+use rangehound_shared::wake::{Call, Notification, Sleeper};
+use serde::{Deserialize, Serialize};
+
+use crate::World;
+
+/// After this long without all answers the tick is sent again: mends whatever was lost.
+const REPEAT_NS: u64 = 50_000_000;
+
+/// What the driver does next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Action {
+    /// Write down the tick: [`Machine::world`] and [`Machine::drives`].
+    Record,
+    /// Write [`Machine::saved`] to the checkpoint, before anything that follows.
+    Save,
+    /// Publish [`Machine::world`]'s entries.
+    SendWorld,
+    /// Publish [`Machine::truth`].
+    SendTruth,
+    /// Wake somebody.
+    Notify(Notification),
+    /// Say that the run goes on without a robot, which was silent for too long.
+    TellSilent(usize),
+    /// Put down that the run has come to its end.
+    Finish,
+}
+
+/// What is done after what has been returned last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// Before tick 0: killed between its record and its checkpoint, a successor would find a state lost.
+    Begin,
+    Publish,
+    Wake,
+    TellTruth,
+    Wait,
+    Advance,
+    NextTick,
+    TellRobots,
+    TellFusion,
+    Ended,
+}
+
+/// The simulator of a run, in one incarnation.
+#[derive(Debug)]
+pub struct Machine {
+    clock: Clock,
+    patience: Patience,
+    dt_ns: u64,
+    last_tick: u64,
+    world: Box<dyn World>,
+    tick: u64,
+    drives: Vec<Option<Drive>>,
+    /// Robots that are not waited for.
+    silent: Vec<bool>,
+    slowest_latency_ns: u64,
+    phase: Phase,
+    hello: bool,
+    /// When the first answer to the tick came.
+    first_answer_ns: Option<u64>,
+    repeat_at_ns: u64,
+    /// In real time, when the tick ends; `None` before the whole team has answered tick 0.
+    due_ns: Option<u64>,
+    suspension: Suspension,
+    world_bytes: Vec<u8>,
+}
+
+/// What a simulator started again needs: borrowed as it is written, owned as it is read.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Saved<'a> {
+    tick: u64,
+    silent: Cow<'a, [bool]>,
+    world: Cow<'a, [u8]>,
+}
+
+impl Machine {
+    /// The simulator of a run before tick 0, round the world of the same scenario at tick 0.
+    #[must_use]
+    pub fn new(scenario: &Scenario, world: Box<dyn World>) -> Self {
+        let robots = scenario.robots.len();
+        Self {
+            clock: scenario.clock,
+            patience: scenario.patience,
+            dt_ns: (scenario.dt_s * 1e9) as u64,
+            last_tick: scenario.ticks,
+            world,
+            tick: 0,
+            drives: vec![None; robots],
+            silent: vec![false; robots],
+            slowest_latency_ns: 0,
+            phase: Phase::Begin,
+            hello: false,
+            first_answer_ns: None,
+            repeat_at_ns: 0,
+            due_ns: None,
+            suspension: Suspension::default(),
+            world_bytes: Vec::new(),
+        }
+    }
+
+    /// Goes on from what a simulator of the same run saved.
+    ///
+    /// # Errors
+    /// If it is not such.
+    pub fn restore(&mut self, saved: Saved<'_>) -> Result<(), SealError> {
+        let Saved { tick, silent, world } = saved;
+        self.world.restore(&world)?;
+        self.tick = tick;
+        self.silent.fill(false);
+        self.silent.iter_mut().zip(silent.iter()).for_each(|(mine, saved)| *mine = *saved);
+        self.phase = if tick > self.last_tick { Phase::NextTick } else { Phase::Publish };
+        Ok(())
+    }
+
+    /// What [`Self::restore`] needs to go on from here.
+    ///
+    /// # Errors
+    /// If the world cannot be encoded.
+    pub fn saved(&mut self) -> Result<Saved<'_>, SealError> {
+        self.world_bytes.clear();
+        self.world.save(&mut self.world_bytes)?;
+        Ok(Saved { tick: self.tick, silent: Cow::Borrowed(&self.silent), world: Cow::Borrowed(&self.world_bytes) })
+    }
+
+    /// Takes a message of the topic `drive`. Whatever speed and heading it says: the world moves nobody faster than he
+    /// is, or by no number.
+    pub fn on_drive(&mut self, tick: u64, drive: &Drive) {
+        let id = usize::try_from(drive.robot).ok().filter(|_| tick == self.tick);
+        let Some(id) = id.filter(|id| *id < self.drives.len()) else { return };
+        self.drives[id] = Some(*drive);
+        self.silent[id] = false;
+    }
+
+    /// Takes the call of a node that has just started and needs the present tick.
+    pub fn on_hello(&mut self) {
+        self.hello = true;
+    }
+
+    /// What to do next; `None` until something comes or [`Self::wakes_at_ns`].
+    pub fn next_action(&mut self, now_ns: u64) -> Option<Action> {
+        let (phase, action) = match self.phase {
+            Phase::Begin => (Phase::Publish, Action::Save),
+            Phase::Publish => (Phase::Wake, Action::SendWorld),
+            Phase::Wake => (Phase::TellTruth, Action::Notify(Notification::always(Sleeper::Robots, Call::World))),
+            Phase::TellTruth => {
+                self.published(now_ns);
+                (Phase::Wait, Action::SendTruth)
+            }
+            Phase::Wait => return self.wait(now_ns),
+            Phase::Advance => {
+                self.advance();
+                (Phase::NextTick, Action::Save)
+            }
+            Phase::NextTick if self.tick > self.last_tick => (Phase::TellRobots, Action::Finish),
+            Phase::NextTick => (Phase::Wake, Action::SendWorld),
+            Phase::TellRobots => {
+                (Phase::TellFusion, Action::Notify(Notification::always(Sleeper::Robots, Call::Finished)))
+            }
+            Phase::TellFusion => (Phase::Ended, Action::Notify(Notification::always(Sleeper::Fusion, Call::Finished))),
+            Phase::Ended => return None,
+        };
+        self.phase = phase;
+        Some(action)
+    }
+
+    /// When it has something to do even if nothing comes, monotonic ns; `None` while it has something to do at once.
+    #[must_use]
+    pub fn wakes_at_ns(&self) -> Option<u64> {
+        if self.phase != Phase::Wait {
+            return None;
+        }
+        if self.due_ns.is_some() {
+            return self.due_ns;
+        }
+        let patience_ends_ns = match self.patience() {
+            Patience::After(limit) => self.first_answer_ns.map(|first_ns| first_ns + limit.as_nanos() as u64),
+            Patience::Forever => None,
+        };
+        Some(patience_ends_ns.map_or(self.repeat_at_ns, |ends_ns| ends_ns.min(self.repeat_at_ns)))
+    }
+
+    /// When the present real-time tick is over, monotonic ns: nothing that comes before can end it.
+    #[must_use]
+    pub fn due_ns(&self) -> Option<u64> {
+        self.due_ns.filter(|_| self.phase == Phase::Wait)
+    }
+
+    /// True once there is nothing more to do.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.phase == Phase::Ended
+    }
+
+    /// The present tick.
+    #[must_use]
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// The world at the present tick.
+    #[must_use]
+    pub fn world(&self) -> &dyn World {
+        self.world.as_ref()
+    }
+
+    /// What each robot has said of the present tick.
+    #[must_use]
+    pub fn drives(&self) -> &[Option<Drive>] {
+        &self.drives
+    }
+
+    /// How many robots the present tick waits for.
+    #[must_use]
+    pub fn expected(&self) -> usize {
+        self.silent.iter().filter(|silent| !**silent).count()
+    }
+
+    /// What observers are told.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        let truth = self.world.truth();
+        let mut state = [0.0; STATE_DIM_MAX];
+        state[..truth.len()].copy_from_slice(truth);
+        Truth { state_dim: truth.len() as u64, state, ticks: self.last_tick, latency_ns: self.slowest_latency_ns }
+    }
+
+    /// Tick 0 waits for the whole team, so that the run starts when everybody is there.
+    fn patience(&self) -> Patience {
+        if self.tick == 0 { Patience::Forever } else { self.patience }
+    }
+
+    fn published(&mut self, now_ns: u64) {
+        self.hello = false;
+        self.repeat_at_ns = now_ns + REPEAT_NS;
+        // A simulator that was started again waits for nobody.
+        if self.clock == Clock::Realtime && self.tick > 0 {
+            self.due_ns.get_or_insert(now_ns + self.dt_ns);
+        }
+    }
+
+    fn wait(&mut self, now_ns: u64) -> Option<Action> {
+        let suspended_ns = self.suspension.look(now_ns);
+        self.first_answer_ns = self.first_answer_ns.map(|first_ns| first_ns + suspended_ns);
+        if let Some(due_ns) = self.due_ns {
+            if due_ns <= now_ns {
+                // Time lost to a stopped process is not made up by a burst of ticks, nor by one of no length.
+                let next_ns = due_ns + self.dt_ns;
+                self.due_ns = Some(if next_ns <= now_ns { now_ns + self.dt_ns } else { next_ns });
+                return self.end_tick();
+            }
+        } else if self.drives.iter().any(Option::is_some) {
+            // Silence counts only while others go on: fusion may have been waiting until now.
+            let first_ns = *self.first_answer_ns.get_or_insert(now_ns);
+            if let Some(id) = self.silent_for_too_long(now_ns.saturating_sub(first_ns)) {
+                self.silent[id] = true;
+                return Some(Action::TellSilent(id));
+            }
+            if self.drives.iter().zip(&self.silent).all(|(drive, silent)| drive.is_some() || *silent) {
+                if self.clock == Clock::Lockstep {
+                    return self.end_tick();
+                }
+                self.due_ns = Some(now_ns + self.dt_ns);
+            }
+        }
+        (self.hello || self.due_ns.is_none() && self.repeat_at_ns <= now_ns).then(|| {
+            self.phase = Phase::Wake;
+            Action::SendWorld
+        })
+    }
+
+    /// A robot that is still waited for, and was silent for longer than the patience.
+    fn silent_for_too_long(&self, elapsed_ns: u64) -> Option<usize> {
+        let Patience::After(limit) = self.patience() else { return None };
+        let is_over = u128::from(elapsed_ns) >= limit.as_nanos();
+        let waited_for = |(drive, silent): (&Option<Drive>, &bool)| drive.is_none() && !*silent;
+        is_over.then(|| self.drives.iter().zip(&self.silent).position(waited_for)).flatten()
+    }
+
+    fn end_tick(&mut self) -> Option<Action> {
+        self.phase = Phase::Advance;
+        Some(Action::Record)
+    }
+
+    /// Advances the world by what was driven.
+    fn advance(&mut self) {
+        self.slowest_latency_ns = self.drives.iter().flatten().filter_map(Drive::latency_ns).max().unwrap_or(0);
+        self.world.advance(&self.drives);
+        self.drives.fill(None);
+        self.first_answer_ns = None;
+        self.tick += 1;
+    }
+}
