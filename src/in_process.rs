@@ -1,4 +1,4 @@
-//! The nodes' pure steps composed in one process: no shared memory, no other processes, no waiting.
+//! The roles' machines in one process: no shared memory, no other processes, no waiting, no faults.
 //!
 //! The same estimates to the bit as a lock-step run of the same scenario: what the processes add is
 //! only transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
@@ -7,19 +7,24 @@ use std::path::Path;
 
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Diverged;
-use rangehound_fusion::planner::{PlannerError, Vector};
-use rangehound_fusion::report::Report;
-use rangehound_robot::drive::Controller;
-use rangehound_robot::sensor::{RangeSensor, Sensor};
+use rangehound_fusion::leader::{self, Leader};
+use rangehound_fusion::planner::PlannerError;
+use rangehound_robot::machine as robot;
+use rangehound_robot::sensor::{Sensor, measure};
 use rangehound_shared::clock::monotonic_ns;
-use rangehound_shared::message::Drive;
+use rangehound_shared::message::{Drive, Header, Outgoing, Range};
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::rendezvous::RunDescription;
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_sim::machine as sim;
 use rangehound_sim::playback::PlaybackError;
 use rangehound_sim::{World, world_of};
 
-/// Runs a scenario to its end in this process and puts every tick down as the nodes would.
+/// Stamps that say what there was, and give no latency: nobody looks at a clock here.
+const RANGE_SENT_NS: u64 = u64::MAX;
+const HEADING_HELD_NS: u64 = 1;
+
+/// Runs a scenario to its end in this process and records every tick as the nodes would.
 ///
 /// # Errors
 /// If the team cannot be put together, the estimate diverges, or a log cannot be written.
@@ -30,10 +35,11 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
     let mut worlds = WorldRecord::writer(out_dir, *run_id, scenario)?;
     for tick in 0..=scenario.ticks {
         team.tick()?;
-        let record = EstimateRecord { time_s: team.centre.time_s(), estimate: team.centre.estimate() };
-        estimates.write(tick, record.to_words(team.centre.exchanges(tick, &team.reports)))?;
-        let (world, drives) = (team.world.as_ref(), &team.drives);
-        let words = WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), drives);
+        let record = EstimateRecord { time_s: team.centre().time_s(), estimate: team.centre().estimate() };
+        estimates.write(tick, record.to_words(team.leader.exchanges()))?;
+        let world = team.world();
+        let words =
+            WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), team.drives());
         worlds.write(tick, words)?;
         team.advance();
         on_tick(tick);
@@ -44,12 +50,11 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
 /// A whole team, stepped by hand.
 #[derive(Debug)]
 pub struct Team {
-    world: Box<dyn World>,
-    centre: Centre,
-    robots: Vec<(Sensor, Controller)>,
-    reports: Vec<Option<Report>>,
-    drives: Vec<Option<Drive>>,
-    planning_ns: u64,
+    sim: sim::Machine,
+    leader: Leader,
+    robots: Vec<(robot::Machine, Sensor)>,
+    /// The tick's messages of the topic `range`.
+    ranges: Vec<Outgoing<Range>>,
 }
 
 /// Why a team cannot be put together.
@@ -77,20 +82,20 @@ impl Team {
     /// # Errors
     /// [`TeamError`].
     pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
-        let robots = (0..scenario.robots.len())
-            .filter_map(|id| Some((Sensor::new(scenario, id)?, Controller::new(scenario.robots[id].speed_mps))))
-            .collect();
+        let scenario = &Scenario { clock: Clock::Lockstep, patience: Patience::Forever, ..scenario.clone() };
+        let team = 0..scenario.robots.len();
         Ok(Self {
-            world: world_of(scenario, run_folder)?,
-            centre: Centre::new(scenario)?,
-            robots,
-            reports: vec![None; scenario.robots.len()],
-            drives: vec![None; scenario.robots.len()],
-            planning_ns: 0,
+            sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),
+            // Nothing is late here: no past is kept.
+            leader: Leader::of_centre(scenario, Centre::new(scenario)?),
+            robots: team
+                .filter_map(|id| Some((robot::Machine::new(scenario, id, 0)?, Sensor::new(scenario, id)?)))
+                .collect(),
+            ranges: Vec::with_capacity(scenario.robots.len()),
         })
     }
 
-    /// One tick up to the commands: world, ranges, update, plan. What it left can be looked at until
+    /// One tick up to the drives: world, ranges, update, plan. What it left can be looked at until
     /// [`Self::advance`].
     ///
     /// # Errors
@@ -99,65 +104,87 @@ impl Team {
         self.tick_disturbed(|_| {})
     }
 
-    /// The same, but what fusion is told by the robots is disturbed first.
+    /// The same, but what the robots tell fusion is disturbed first.
     ///
     /// # Errors
     /// As [`Self::tick`].
-    pub fn tick_disturbed(&mut self, disturb: impl FnOnce(&mut [Option<Report>])) -> Result<(), Diverged> {
-        let tick = self.centre.next_tick();
-        for ((report, (sensor, _)), entry) in self.reports.iter_mut().zip(&mut self.robots).zip(self.world.entries()) {
-            let range_m = sensor.measure(tick, entry).map(|range_m| (range_m, sensor.std_m()));
-            *report = Some(Report { position_m: Vector::new(entry.x_m, entry.y_m), height_m: entry.height_m, range_m });
+    pub fn tick_disturbed(&mut self, disturb: impl FnOnce(&mut Vec<Outgoing<Range>>)) -> Result<(), Diverged> {
+        self.step_sim();
+        self.step_robots();
+        disturb(&mut self.ranges);
+        for Outgoing { tick, valid_at_s, entry } in self.ranges.drain(..) {
+            let header = Header { tick, valid_at_s, ..Header::default() };
+            self.leader.on_range(&header, &[entry], 0);
         }
-        disturb(&mut self.reports);
-        self.centre.update(self.world.time_s(), &self.reports)?;
-        let began_ns = monotonic_ns();
-        let commands = self.centre.plan();
-        self.planning_ns = monotonic_ns().saturating_sub(began_ns);
-        for (id, ((drive, (_, controller)), command)) in
-            self.drives.iter_mut().zip(&mut self.robots).zip(commands).enumerate()
-        {
-            let driven = controller.obey(tick, *command);
-            let published = self.reports[id].is_some_and(|report| report.range_m.is_some());
-            *drive = Some(Drive {
-                robot: id as u64,
-                heading_rad: driven.heading_rad,
-                speed_mps: driven.speed_mps,
-                // Stamps that say what there was, and give no latency: nobody looks at a clock here.
-                range_sent_ns: if published { u64::MAX } else { 0 },
-                heading_held_ns: 1,
-                ..Drive::default()
-            });
+        self.leader.end_tick();
+        while let Some(action) = self.leader.next_action(monotonic_ns())? {
+            if action == leader::Action::SendHeadings {
+                let centre = self.leader.centre();
+                let header = Header { tick: centre.next_tick() - 1, ..Header::default() };
+                self.robots.iter_mut().for_each(|(robot, _)| robot.on_heading(&header, centre.commands()));
+            }
         }
+        self.step_robots();
         Ok(())
     }
 
     /// Moves target and robots to the next tick.
     pub fn advance(&mut self) {
-        self.world.advance(&self.drives);
+        // The next one: that which ends the tick was the last answer.
+        while !matches!(self.sim.next_action(0), Some(sim::Action::Save) | None) {}
+    }
+
+    /// The simulator up to where it waits for the robots: they see the world.
+    fn step_sim(&mut self) {
+        while let Some(action) = self.sim.next_action(0) {
+            if action == sim::Action::SendWorld {
+                let (tick, world) = (self.sim.tick(), self.sim.world());
+                let header = Header { incarnation: 1, tick, valid_at_s: world.time_s(), ..Header::default() };
+                self.robots.iter_mut().for_each(|(robot, _)| robot.on_world(&header, world.entries()));
+            }
+        }
+    }
+
+    fn step_robots(&mut self) {
+        let Self { sim, robots, ranges, .. } = self;
+        for (robot, sensor) in robots {
+            while let Some(action) = robot.next_action(HEADING_HELD_NS) {
+                match action {
+                    robot::Action::Measure { tick, entry } => {
+                        let (range_m, std_m) = measure(sensor, tick, &entry);
+                        robot.measured(range_m, std_m, RANGE_SENT_NS);
+                    }
+                    robot::Action::CarryOut(command) => robot.carried_out(command),
+                    robot::Action::SendRange(message) => ranges.push(message),
+                    robot::Action::SendDrive(message) => sim.on_drive(message.tick, &message.entry),
+                    robot::Action::Notify(_) => {}
+                }
+            }
+        }
     }
 
     /// The world at the present tick.
     #[must_use]
     pub fn world(&self) -> &dyn World {
-        self.world.as_ref()
+        self.sim.world()
     }
 
     /// The fusion centre after the present tick.
     #[must_use]
     pub fn centre(&self) -> &Centre {
-        &self.centre
+        self.leader.centre()
     }
 
     /// How long [`Centre::plan`] took at the present tick, ns.
     #[must_use]
     pub fn planning_ns(&self) -> u64 {
-        self.planning_ns
+        let stages = self.leader.stages();
+        stages.planned_ns.saturating_sub(stages.filtered_ns)
     }
 
     /// What the robots drive after the present tick.
     #[must_use]
     pub fn drives(&self) -> &[Option<Drive>] {
-        &self.drives
+        self.sim.drives()
     }
 }

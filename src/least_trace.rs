@@ -54,6 +54,7 @@ fn predicted_position_covariance_m2(scenario: &Scenario, estimate: &Estimate) ->
 mod tests {
     use std::path::Path;
 
+    use rangehound_shared::message::{Outgoing, Range};
     use rangehound_shared::scenario::{PlannerSpec, ScenarioFile};
 
     use super::*;
@@ -67,10 +68,8 @@ mod tests {
         let mut team = Team::new(&scenario).unwrap();
         let (mut traces_m2, mut least_m2) = (Vec::new(), None);
         for tick in 0..=60 {
-            let disturb = |reports: &mut [Option<_>]| {
-                if tick == missed {
-                    reports[0] = None
-                }
+            let disturb = |ranges: &mut Vec<Outgoing<Range>>| {
+                ranges.retain(|range| tick != missed || range.entry.robot != 0);
             };
             team.tick_disturbed(disturb).unwrap();
             let estimate = team.centre().estimate();

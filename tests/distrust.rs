@@ -40,10 +40,8 @@ fn run(team: &mut Team, bias_m: f64) -> Outcome {
     let (mut named_at, mut another_was_named, mut error_m) = (None, false, 0.0);
     for tick in 0..=TICKS {
         let bias_m = if OFF.contains(&tick) { bias_m } else { 0.0 };
-        team.tick_disturbed(|reports| {
-            if let Some((range_m, _)) = reports.get_mut(1).and_then(|report| report.as_mut()?.range_m.as_mut()) {
-                *range_m += bias_m;
-            }
+        team.tick_disturbed(|ranges| {
+            ranges.iter_mut().filter(|range| range.entry.robot == 1).for_each(|range| range.entry.range_m += bias_m);
         })
         .unwrap();
         let distrusted = team.centre().distrusted();

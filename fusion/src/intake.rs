@@ -454,7 +454,7 @@ mod tests {
 
         /// The tick that is being gathered, with what has come of it.
         fn process(&mut self) -> Tally {
-            self.leader.over_before = self.leader.over_before.max(self.next() + 1);
+            self.leader.end_tick();
             while self.leader.next_action(self.now_ns).unwrap().is_some() {}
             self.leader.tally
         }

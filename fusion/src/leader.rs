@@ -121,10 +121,16 @@ impl Leader {
     /// # Errors
     /// [`PlannerError`] if the scenario's planner cannot serve its team.
     pub fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
-        Ok(Self {
+        Ok(Self::of_centre(scenario, Centre::new(scenario)?.keeping_the_past()))
+    }
+
+    /// The same round a centre of one's own for this scenario: with another planner, or without a past.
+    #[must_use]
+    pub fn of_centre(scenario: &Scenario, centre: Centre) -> Self {
+        Self {
             clock: scenario.clock,
             last_tick: scenario.ticks,
-            centre: Centre::new(scenario)?.keeping_the_past(),
+            centre,
             intake: Intake::new(scenario),
             phase: Phase::Gather,
             actions: VecDeque::with_capacity(8 + 2 * scenario.robots.len()),
@@ -139,7 +145,7 @@ impl Leader {
             noise_scale: 1.0,
             told: [false; Refusal::ALL.len()],
             suspension: Suspension::default(),
-        })
+        }
     }
 
     /// Goes on from where a killed predecessor stopped. It may have published the last tick or not: a robot that missed its
@@ -193,6 +199,11 @@ impl Leader {
     /// Counts messages of processes that do not hold the role which they speak for.
     pub fn refuse_impostors(&mut self, count: u64) {
         self.intake.refuse(Refusal::Impostor, count);
+    }
+
+    /// All of the present tick that will ever come has come.
+    pub fn end_tick(&mut self) {
+        self.over_before = self.over_before.max(self.centre.next_tick() + 1);
     }
 
     /// The run has come to its end: what never came in real time is missing, but every tick has its estimate.
@@ -271,6 +282,12 @@ impl Leader {
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.phase == Phase::Gather && self.actions.is_empty() && self.centre.next_tick() > self.last_tick
+    }
+
+    /// When the last tick came to each stage, up to the one that it is in.
+    #[must_use]
+    pub fn stages(&self) -> &Stages {
+        &self.stages
     }
 
     /// Filter and planner.
