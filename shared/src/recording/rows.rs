@@ -79,7 +79,7 @@ pub(super) fn read<R: Read>(
         let is_anchor = anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
         Kind::Log.knows(name) || columns.names(name) || is_anchor
     };
-    let table = Table::open(input, path, columns.is_by_number(), &knows)?;
+    let table = Table::open(input, path, Some(columns.is_by_number()), &knows)?;
     let mut gathering = Gathering::new(anchors);
     let mut summary = ReadSummary::default();
     let layout = layout(&table, options, &mut gathering, &mut summary)?;
@@ -384,6 +384,9 @@ impl<R: Read> Log<'_, R> {
         if gathering.len() == 0 && summary.not_heard > 0 {
             let count = summary.not_heard;
             return Err(table.error(format!("expected ranges, all {count} are 0 or say that nothing was heard")));
+        }
+        if table.rows() == 0 {
+            return Err(table.error("expected rows of ranges under the header, there is none"));
         }
         if gathering.len() == 0 {
             let expected = format!("1 to {} different sensors up to this last row", crate::ROBOTS_MAX);
