@@ -78,7 +78,10 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
             refuse(&format!("{error}: `rangehound replay --repair` makes a whole file of what is before"))
         }
         Stopped::Reading(error) => refuse(&error),
-        Stopped::Empty => refuse(&"holds no tick"),
+        Stopped::Empty => match reader.missing_at_end() {
+            Some(missing) => Failure::Running(anyhow::anyhow!("{}: {missing}: it is damaged", path.display())),
+            None => refuse(&"holds no tick"),
+        },
         Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
         // Ticks that are not there are a difference; what diverges with other flags is a result too.
         Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error).context(path.display().to_string())),

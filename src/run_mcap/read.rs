@@ -265,7 +265,8 @@ impl Run {
                 Ok(None)
             }
             op::STATISTICS => {
-                let of_channel = |topic: usize| self.channels.iter().find(|(_, known)| *known == topic).map(|(id, _)| *id);
+                let of_channel =
+                    |topic: usize| self.channels.iter().find(|(_, known)| *known == topic).map(|(id, _)| *id);
                 self.told = of_channel(ESTIMATE).and_then(|id| count_of(id, data));
                 Ok(None)
             }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::anchors::Anchors;
 use super::checks;
-use super::columns::Role;
+use super::columns::{Role, Told};
 use super::error::{Complaint, Problem, RecordingError, listed, shown};
 use super::gathering::{Gathering, Refusal};
 use super::layout::{Column, Finder, unit_of_epoch};
@@ -75,8 +75,9 @@ pub(super) fn read<R: Read>(
 ) -> Result<(Recording, ReadSummary), RecordingError> {
     let ReadOptions { columns, anchors, .. } = options;
     let anchors = anchors.as_ref();
+    let is_wide = !columns.get(Role::Range).is_some_and(Told::is_by_number);
     let knows = |name: &str| {
-        let is_anchor = anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
+        let is_anchor = is_wide && anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
         Kind::Log.knows(name) || columns.names(name) || is_anchor
     };
     let table = Table::open(input, path, Some(columns.is_by_number()), &knows)?;
