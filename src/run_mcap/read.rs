@@ -294,10 +294,16 @@ impl Run {
             if tick < before {
                 return Err(ReadError::Disordered { tick, after: before });
             }
-            self.last = Some(before);
-            self.count += 1;
             self.skipped += tick - before - 1;
-            whole = Some(gathering.into_frame()?);
+            match gathering.into_frame() {
+                Ok(frame) => {
+                    (self.last, self.count) = (Some(before), self.count + 1);
+                    whole = Some(frame);
+                }
+                // The rest of it stood in a chunk that is missing.
+                Err(Senseless::Lacking { .. }) => self.skipped += 1,
+                Err(error) => return Err(error.into()),
+            }
         }
         let (_, gathering) = self.gathering.get_or_insert_with(|| (tick, Gathering::of(&description.scenario, tick)));
         gathering.take(message)?;
@@ -307,9 +313,13 @@ impl Run {
     fn end(&mut self) -> Result<Option<Frame>, ReadError> {
         self.is_over = true;
         let Some((tick, gathering)) = self.gathering.take() else { return Ok(None) };
-        self.last = Some(tick);
-        self.count += 1;
-        Ok(Some(gathering.into_frame()?))
+        match gathering.into_frame() {
+            Err(Senseless::Lacking { .. }) if self.told.is_some() => Ok(None),
+            framed => {
+                (self.last, self.count) = (Some(tick), self.count + 1);
+                Ok(Some(framed?))
+            }
+        }
     }
 }
 
