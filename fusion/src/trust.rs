@@ -289,6 +289,38 @@ mod tests {
         assert!(trust.distrusted().is_empty() && trust.noise_scale() == 1.0);
     }
 
+    /// The same for a team of any size: who is distrusted, and how noisy the ranges are taken to be.
+    fn steady(trust: &mut Trust, ticks: usize, squares: &[f64]) -> (Vec<usize>, f64) {
+        let mut failed = RobotSet::default();
+        squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
+        for _ in 0..ticks {
+            trust.judge(squares.iter().enumerate().map(|(id, square)| (id, Some(*square))), &failed);
+        }
+        (trust.distrusted().iter().collect(), trust.noise_scale())
+    }
+
+    #[test]
+    fn a_little_more_than_the_told_noise_does_not_add_up() {
+        assert_eq!(steady(&mut trust(4), 500, &[0.6; 4]), (vec![], 1.0));
+    }
+
+    #[test]
+    fn small_teams_fail_together_too() {
+        for robots in 1..=3 {
+            let (distrusted, noise_scale) = steady(&mut trust(robots), 40, &vec![9.0; robots]);
+            assert!(distrusted.is_empty() && noise_scale > 1.5, "{robots}: {noise_scale}");
+        }
+    }
+
+    #[test]
+    fn of_three_that_never_agreed_nobody_is_distrusted() {
+        let mut trust = trust(3);
+        assert_eq!(steady(&mut trust, 40, &[0.4, 0.4, 30.0]), (vec![], 1.0));
+        let mut trust = self::trust(3);
+        steady(&mut trust, 30, &[0.4; 3]);
+        assert_eq!(steady(&mut trust, 40, &[0.4, 0.4, 30.0]), (vec![2], 1.0));
+    }
+
     #[test]
     fn an_outlier_now_and_then_is_forgiven() {
         let mut trust = trust(4);
