@@ -173,7 +173,11 @@ fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Pat
         let _ = writeln!(text, "{name:<12} {:>7}  {bias:>17}  {scale:>17}  {noise:>17}", errors.ranges);
     }
     if let Some(psd) = findings.accel_psd {
-        let _ = writeln!(text, "acceleration's spectral density {:.4} ± {:.4} m^2/s^3; intervals are of 95 %", psd.value, psd.half_width);
+        let _ = writeln!(
+            text,
+            "acceleration's spectral density {:.4} ± {:.4} m^2/s^3; intervals are of 95 %",
+            psd.value, psd.half_width
+        );
     }
     for line in &findings.untold {
         let _ = writeln!(text, "cannot tell {line}");

@@ -5,7 +5,6 @@ use crate::compare::statistics::median;
 use super::smoother::{FREEDOM, student_weight};
 use super::verdict::{Findings, Measured, QUANTILE, correlation};
 
-
 /// Distances and errors of one sensor, in order of time.
 pub type Pairs = Vec<(f64, f64)>;
 

@@ -192,7 +192,9 @@ pub fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
         core += errors.ranges as f64 * sigma_m.powi(2).min(std_m.value.powi(2));
         whole += errors.ranges as f64 * std_m.value.powi(2);
     }
-    let lasting = (correlation(&by_sensor(problem, fit), memory(problem, fit)) * core / f64::max(whole, f64::MIN_POSITIVE)).max(1.0);
+    let lasting = (correlation(&by_sensor(problem, fit), memory(problem, fit)) * core
+        / f64::max(whole, f64::MIN_POSITIVE))
+    .max(1.0);
     for std_m in findings.sensors.iter_mut().filter_map(|errors| errors.range_std_m.as_mut()) {
         *std_m = std_m.scaled(lasting.sqrt());
     }
@@ -324,6 +326,22 @@ mod tests {
             }
         }
         assert!(inside * 10 >= all * 7, "{inside} of {all}");
+    }
+
+    #[test]
+    fn manoeuvring_noise_has_an_interval_narrower_than_itself() {
+        let (findings, _) = findings(&simulated(8, [0.0; 4], 0.0, 0.05, true));
+        let psd = findings.accel_psd.unwrap();
+        assert!(psd.half_width > 0.0 && psd.half_width < psd.value, "{psd:?}");
+    }
+
+    #[test]
+    fn residuals_that_last_count_for_less_and_within_the_memory_only() {
+        let steps: Vec<f64> = (0..1_000).map(|i| if (i / 20) % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let alternating: Vec<f64> = (0..1_000).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let (all, short) = (correlation(&[steps.clone()], f64::INFINITY), correlation(&[steps], 2.0));
+        assert!(all > 5.0 && short > 1.5 && short < all, "{all} {short}");
+        assert_eq!(correlation(&[alternating], f64::INFINITY), 1.0);
     }
 
     #[test]
