@@ -89,8 +89,9 @@ fn found(args: &SimArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<
         return Ok((living, folder));
     }
     let name = &experiment.name;
-    let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
+    // Before nodes can join the run and write into its folder.
     let folder = tables::prepare_folder(experiment)?;
+    let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::tell(format!(
         "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \

@@ -215,7 +215,8 @@ impl LatencySummary {
 pub struct NodeSummary {
     /// `sim`, `fusion`, `robot-0`, ...
     pub name: String,
-    /// The name of a robot's sensor in the recording; null for other nodes, and in a simulated run.
+    /// The name of a robot's sensor in the recording; left out for other nodes, and in a simulated run.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
     /// How often it was started.
     pub starts: u64,

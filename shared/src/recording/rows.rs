@@ -387,7 +387,7 @@ impl<R: Read> Log<'_, R> {
             return Err(table.error(format!("expected ranges, all {count} are 0 or say that nothing was heard")));
         }
         if table.rows() == 0 {
-            return Err(table.error("expected rows of ranges under the header, there is none"));
+            return Err(table.error("row 0 (the header): expected rows of ranges under the header, there is none"));
         }
         if gathering.len() == 0 {
             let expected = format!("1 to {} different sensors up to this last row", crate::ROBOTS_MAX);
