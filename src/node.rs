@@ -28,10 +28,14 @@ const LEAST_PRIORITY: i32 = 19;
 /// # Errors
 /// [`Failure`].
 pub fn sim(args: &SimArgs) -> Result<(), Failure> {
+    let joined = args.parent.end_with.and(args.experiment.name.as_ref());
+    // Before requests to end are listened for: a wait for a pipe's writer ends as the system ends it.
+    let founded = if joined.is_none() { Some(Experiment::from_run(&args.experiment, Naming::Exact)?) } else { None };
     let termination = prepare(Role::Sim, &args.parent)?;
-    let (rendezvous, _folder) = match (&args.parent.end_with, &args.experiment.name) {
-        (Some(_), Some(name)) => (join(name, &termination)?, None),
-        _ => found(args)?,
+    let (rendezvous, _folder) = match (joined, founded) {
+        (Some(name), _) => (join(name, &termination)?, None),
+        (None, Some(experiment)) => found(args, &experiment)?,
+        (None, None) => return Err(Failure::input("--name: expected the name of a run")),
     };
     rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
@@ -76,18 +80,18 @@ pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
 
 /// The simulator started by hand founds the run; started again after a kill, it goes back to it. With the claim on the
 /// run folder.
-fn found(args: &SimArgs) -> Result<(Rendezvous, Option<Claim>), Failure> {
-    let experiment = Experiment::from_run(&args.experiment, Naming::Exact)?;
+fn found(args: &SimArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<Claim>), Failure> {
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
-        refuse_other_experiment(&args.experiment, &experiment, living.description())?;
+        refuse_other_experiment(&args.experiment, experiment, living.description())?;
         failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
         // Its supervisor may have the folder, if there is one.
         let folder = tables::look_for_writable(living.description()).ok();
         return Ok((living, folder));
     }
     let name = &experiment.name;
+    // Before nodes can join the run and write into its folder.
+    let folder = tables::prepare_folder(experiment)?;
     let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
-    let folder = tables::prepare_folder(&experiment)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::tell(format!(
         "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \

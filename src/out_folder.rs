@@ -366,7 +366,16 @@ pub fn lock_finished(folder: &Path) -> Result<File, Failure> {
 }
 
 fn not_writable(path: &Path, error: &io::Error) -> Refusal {
-    Refusal::Unusable(format!("expected a folder that can be written, {} is not: {error}", path.display()))
+    // The system's word for these is that something is there already.
+    let is_link = path.symlink_metadata().is_ok_and(|file| file.is_symlink());
+    let cause = match path.metadata() {
+        Ok(file) if error.kind() == io::ErrorKind::AlreadyExists && !file.is_dir() => {
+            "it is no folder: choose another name".to_owned()
+        }
+        Err(_) if is_link => "it is a link to nothing: choose another name, or remove it".to_owned(),
+        _ => error.to_string(),
+    };
+    Refusal::Unusable(format!("expected a folder that can be written, {} is not: {cause}", path.display()))
 }
 
 /// Names of what lies in a folder.

@@ -52,6 +52,8 @@ pub(crate) struct Status {
 #[derive(Debug, Serialize)]
 pub(crate) struct NodeStatus {
     pub(crate) name: String,
+    /// The name of a robot's sensor in the recording.
+    pub(crate) sensor: Option<String>,
     /// `running`, `stopped` (by a signal), `hung` (gives no sign of life), `gone`, or `elsewhere` (in another PID namespace).
     pub(crate) state: &'static str,
     pub(crate) pid: Option<i32>,
@@ -255,6 +257,7 @@ impl NodeStatus {
         };
         let silent_s = silent.map(|silent| silent.as_secs_f64());
         let resident_kb = field("VmRSS:").and_then(|text| text.split(' ').next()?.parse().ok());
-        Self { name: role.to_string(), state, pid, starts: run.roster().starts(role), silent_s, resident_kb }
+        let sensor = role.robot().and_then(|id| run.description().scenario.sensor_of(id)).map(str::to_owned);
+        Self { name: role.to_string(), sensor, state, pid, starts: run.roster().starts(role), silent_s, resident_kb }
     }
 }

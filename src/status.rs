@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anstyle::Style;
 use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_shared::scenario::printable;
 use rangehound_shared::signal::Termination;
 
 use crate::cli::StatusArgs;
@@ -19,6 +20,9 @@ const STATES: [(&str, Style); 5] =
 
 /// Robots in one state that are still shown one by one.
 const ROBOTS_MAX: usize = 16;
+
+/// Characters of a sensor's name in the table.
+const SENSOR_CHARS_MAX: usize = 16;
 
 /// Time between two looks of `--watch`.
 const LOOK: Duration = Duration::from_secs(1);
@@ -86,7 +90,8 @@ impl Status {
             ),
             None => field("fusion", format!("{BAD}nobody leads{BAD:#}; {standbys} stand by")),
         };
-        let heads = ["node", "state", "pid", "starts", "silent", "memory"].map(str::to_owned);
+        let sensor = if self.nodes.iter().any(|node| node.sensor.is_some()) { "sensor" } else { "" };
+        let heads = ["node", "state", "pid", "starts", "silent", "memory", sensor].map(str::to_owned);
         let _ = writeln!(out, "{what}\n{}", field("run folder", out_dir));
         let _ = write!(out, "\n{}", line(TITLE, &heads));
         let rows = self.rows(all);
@@ -144,7 +149,7 @@ impl NodeStatus {
 }
 
 impl Row<'_> {
-    fn cells(&self) -> [String; 6] {
+    fn cells(&self) -> [String; 7] {
         let or_none = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
         let (name, pid, nodes) = match self {
             Self::Node(node) => (node.name.clone(), node.pid.map(|pid| pid.to_string()), std::slice::from_ref(node)),
@@ -160,13 +165,27 @@ impl Row<'_> {
         let silent = silent_s.map(|silent_s| format!("{silent_s:.2} s"));
         let resident_kb = nodes.iter().filter_map(|node| node.resident_kb).reduce(|a, b| a + b);
         let memory = resident_kb.map(|kb| format!("{:.1} MB", kb as f64 / 1_024.0));
-        [name, state, or_none(pid), starts, or_none(silent), or_none(memory)]
+        let sensor = match self {
+            Self::Node(node) => node.sensor.as_deref().map(shown_sensor),
+            Self::Robots(_) => None,
+        };
+        [name, state, or_none(pid), starts, or_none(silent), or_none(memory), sensor.unwrap_or_default()]
     }
 }
 
 /// A row of the table; the style is the state's, or of all heads.
-fn line(style: Style, [name, state, pid, starts, silent, memory]: &[String; 6]) -> String {
-    format!("{name:<12} {style}{state:<9}{style:#} {pid:>8} {starts:>7} {silent:>10} {memory:>10}")
+fn line(style: Style, [name, state, pid, starts, silent, memory, sensor]: &[String; 7]) -> String {
+    let sensor = if sensor.is_empty() { String::new() } else { format!("  {sensor}") };
+    format!("{name:<12} {style}{state:<9}{style:#} {pid:>8} {starts:>7} {silent:>10} {memory:>10}{sensor}")
+}
+
+/// A sensor's name, as far as there is room; `--json` has it whole.
+fn shown_sensor(name: &str) -> String {
+    let name = printable(name);
+    if name.chars().count() <= SENSOR_CHARS_MAX {
+        return name;
+    }
+    name.chars().take(SENSOR_CHARS_MAX - 3).chain("...".chars()).collect()
 }
 
 /// Which robots, neighbours together: `robot-0 to 4, 7`.
@@ -193,7 +212,7 @@ mod tests {
     fn node(name: &str, state: &'static str) -> NodeStatus {
         let pid = (state != "gone").then_some(1_234_567);
         let (silent_s, resident_kb) = (pid.map(|_| 0.05), pid.map(|_| 20_480));
-        NodeStatus { name: name.to_owned(), state, pid, starts: 1, silent_s, resident_kb }
+        NodeStatus { name: name.to_owned(), sensor: None, state, pid, starts: 1, silent_s, resident_kb }
     }
 
     fn status(robots: usize, state_of: impl Fn(usize) -> &'static str) -> Status {
@@ -257,6 +276,19 @@ mod tests {
         let text = text(&over, true);
         assert_eq!(nodes_shown(&text), ["sim", "fusion", "run"]);
         assert!(text.contains("  finishing ") && !text.contains("leads"), "{text}");
+    }
+
+    #[test]
+    fn a_sensor_is_told_by_the_users_name_in_its_row() {
+        let mut status = status(3, |_| "running");
+        for (node, name) in status.nodes[2..].iter_mut().zip(["2938", "\u{202e}a\u{1b}[31m", &"n".repeat(64)]) {
+            node.sensor = Some(name.to_owned());
+        }
+        let text = text(&status, false);
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("robot-")).collect();
+        assert!(rows[0].ends_with(" MB  2938") && rows[1].ends_with("  \\u{202e}a\\u{1..."), "{text}");
+        assert!(rows[2].ends_with("  nnnnnnnnnnnnn..."), "{text}");
+        assert!(serde_json::to_string(&status).unwrap().contains(r#""sensor":"2938""#));
     }
 
     #[test]

@@ -213,7 +213,7 @@ fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bo
     }
     wait_for_last_words(&rendezvous);
     let nodes = roles(description.scenario.robots.len())
-        .map(|role| NodeSummary::new(role.to_string(), rendezvous.roster().starts(role)))
+        .map(|role| NodeSummary::new(role, &description.scenario, rendezvous.roster().starts(role)))
         .collect();
     let keep = Keep { json: args.json, ..Keep::default() };
     if roster.starts(Role::Supervisor) > 0 {

@@ -2,9 +2,10 @@
 
 use std::fmt::Write as _;
 
+use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::support::Run;
+use crate::support::{Run, is_alive, signal};
 
 /// A target that stands at (3, 4), and four sensors round it. One of them is wrong from a tick on, if asked.
 fn recording(ticks: usize, wrong_from: usize) -> String {
@@ -79,6 +80,79 @@ fn a_changed_copy_is_refused_in_one_line() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned()
         + &std::fs::read_to_string(run.path("out/logs/sim.log")).unwrap_or_default();
     assert!(said.contains("recording.csv: it has changed since the run began"), "{said}");
+}
+
+/// The original may be changed, go on growing, or be gone.
+#[test]
+fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original() {
+    let csv = recording(20_000, usize::MAX);
+    let flags = "--range-std 0.1 --accel-psd 0.1 --no-record --out out";
+    let undisturbed = Run::new();
+    undisturbed.write("r.csv", &csv);
+    undisturbed.start(&format!("track r.csv --in-process {flags}").split(' ').collect::<Vec<_>>()).finish().succeeded();
+    for fate in ["changed", "appended to", "deleted"] {
+        let run = Run::new();
+        run.write("r.csv", &csv);
+        let words = format!("track r.csv {flags} --name {}", run.name);
+        let supervisor = run.start(&words.split(' ').collect::<Vec<_>>());
+        run.wait_for_ticks(100);
+        let nodes = ["sim", "fusion", "robot-0", "robot-1", "robot-2", "robot-3"].map(|role| run.pid_of(role, 1));
+        supervisor.signal(Signal::KILL);
+        nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
+        supervisor.finish();
+        run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
+        match fate {
+            "changed" => run.write("r.csv", csv.replace(",10,", ",60,")),
+            "appended to" => run.write("r.csv", format!("{csv}90000,B,10,8,7\n")),
+            _ => std::fs::remove_file(run.path("r.csv")).unwrap(),
+        }
+        let resumed = run.start(&["resume", "out", "--name", &run.name, "--no-record"]).finish();
+        assert_eq!(resumed.code, Some(0), "{fate}: {resumed:#?}");
+        assert_eq!(run.digest(), undisturbed.digest(), "{fate}");
+        run.assert_nothing_left();
+    }
+}
+
+/// Nobody writes to the pipe: who waits is told for what, and can end it.
+#[test]
+fn a_wait_for_a_pipes_writer_is_told_and_ends_when_asked() {
+    for words in ["track fifo --range-std 0.1", "run waits.toml", "sim waits.toml"] {
+        for asked in [Signal::INT, Signal::TERM] {
+            let run = Run::new();
+            assert!(std::process::Command::new("mkfifo").arg(run.path("fifo")).status().unwrap().success());
+            run.write("waits.toml", "[recording]\nranges = \"fifo\"\n");
+            let waits = run.command(words);
+            run.wait_until("it is told", || waits.stderr().contains("waiting for the writer of"));
+            waits.signal(asked);
+            let ended = waits.finish();
+            assert!(ended.code != Some(0) && ended.stderr.contains("fifo"), "{ended:#?}");
+            assert!(!run.path("out").exists() && !run.shared_folder().exists());
+        }
+    }
+}
+
+/// In all that people read of its node, and in what programs read beside the node's own name.
+#[test]
+fn a_node_of_a_recording_is_shown_with_its_sensors_name() {
+    let run = Run::new();
+    run.write("r.csv", recording(20_000, usize::MAX));
+    let supervisor = run.command("track r.csv --range-std 0.1 --accel-psd 0.1");
+    run.wait_for_ticks(50);
+    signal(run.pid_of("robot-0", 1), Signal::KILL);
+    run.pid_of("robot-0", 2);
+    let table = run.node("status").finish().succeeded().stdout;
+    let line = table.lines().find(|line| line.starts_with("robot-0 ")).unwrap();
+    assert!(line.ends_with("  2938") && table.contains(" sensor\n"), "{table}");
+    let status: Value = serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap();
+    let robot = status["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "robot-0").unwrap();
+    assert_eq!(robot["sensor"], "2938");
+    let outcome = supervisor.finish().succeeded();
+    assert!(outcome.stderr.contains("robot-0 (2938) was killed by signal 9; it is started again"), "{outcome:#?}");
+    assert!(outcome.stdout.contains("robot-0 (2938)"), "{outcome:#?}");
+    let nodes = run.report()["nodes"].clone();
+    assert_eq!((&nodes[2]["name"], &nodes[2]["sensor"]), (&"robot-0".into(), &"2938".into()), "{nodes}");
+    assert!(run.read("report.html").contains("robot-0 (2938) killed"));
+    run.assert_nothing_left();
 }
 
 #[test]

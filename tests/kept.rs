@@ -68,6 +68,26 @@ fn a_folder_with_other_files_is_refused_by_every_command_and_left_as_it_was() {
 }
 
 #[test]
+fn what_is_no_folder_is_refused_with_the_cause_and_left_as_it_was() {
+    let run = Run::new();
+    run.write("uwb.csv", RECORDING);
+    run.write("file", "mine");
+    symlink("nowhere", run.path("link")).unwrap();
+    for (out, cause) in [
+        ("file", "it is no folder"),
+        ("/dev/null", "it is no folder"),
+        ("link", "it is a link to nothing"),
+        ("file/below", "Not a directory"),
+    ] {
+        for command in [format!("track uwb.csv {TRACK}"), "run --ticks 5 --in-process".to_owned()] {
+            assert_refused(&start(&run, &format!("{command} --out {out}")), cause);
+        }
+    }
+    assert_eq!(std::fs::read_to_string(run.path("file")).unwrap(), "mine");
+    assert!(run.path("link").is_symlink() && !run.path("nowhere").exists());
+}
+
+#[test]
 fn an_input_that_lies_where_results_would_go_is_refused_under_every_name() {
     let run = Run::new();
     start(&run, "run --in-process --ticks 50 --write-recording --no-record --out d").succeeded();

@@ -296,6 +296,58 @@ fn what_is_no_recording_is_refused_in_one_line() {
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
 }
 
+/// Where the file's chunks are: the place of the byte that says what each is.
+fn chunks(bytes: &[u8]) -> Vec<usize> {
+    let (mut at, mut found) = (8, Vec::new());
+    while let Some(len) = bytes.get(at + 1..at + 9) {
+        if bytes[at] == mcap::records::op::CHUNK {
+            found.push(at);
+        }
+        at += 9 + u64::from_le_bytes(len.try_into().unwrap()) as usize;
+    }
+    found
+}
+
+/// A record of an unknown kind is to be passed over, and one that was a chunk is then, with its ticks.
+#[test]
+fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
+    let run = Run::new();
+    run.lockstep("--record --in-process --ticks 3000").finish().succeeded();
+    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
+    let chunks = chunks(&whole);
+    assert!(chunks.len() >= 3, "{chunks:?}");
+    for (at, is_last) in [(chunks[0], false), (chunks[1], false), (*chunks.last().unwrap(), true)] {
+        for kind in [0x46, mcap::records::op::MESSAGE, mcap::records::op::MESSAGE_INDEX, mcap::records::op::DATA_END] {
+            let mut damaged = whole.clone();
+            damaged[at] = kind;
+            run.write("damaged.mcap", &damaged);
+            let told = replay(&run, "damaged.mcap");
+            let case = format!("{at} {kind:#x}: {told:#?}");
+            if kind == mcap::records::op::DATA_END && !is_last {
+                assert_eq!((told.code, told.complaints().len()), (Some(2), 1), "{case}");
+                assert!(told.stderr.contains("after the end of the data"), "{case}");
+                continue;
+            }
+            assert_eq!((told.code, told.complaints().len()), (Some(1), 1), "{case}");
+            let words: Vec<&str> = told.complaints()[0].split(' ').collect();
+            let number = words.iter().position(|word| *word == "ticks,").unwrap() - 1;
+            let numbers = [words[number], words[number + 2], words[number + 4].trim_end_matches(',')];
+            let [count, first, last] = numbers.map(|word| word.parse::<u64>().unwrap());
+            assert_eq!(count, last - first + 1, "{case}");
+            // The first chunk says what the channels are.
+            assert_eq!((first == 0, last == 3000), (at == chunks[0], is_last || at == chunks[0]), "{case}");
+            assert!(told.stderr.contains("are missing"), "{case}");
+        }
+    }
+    // Of what is there, what can be read counts: the logs hold more, and are recorded.
+    let mut damaged = whole.clone();
+    damaged[chunks[1]] = 0x46;
+    run.write("out/run.mcap", &damaged);
+    let recorded = run.start(&["record", "out"]).finish().succeeded();
+    assert!(recorded.stderr.contains("are missing"), "{recorded:#?}");
+    assert_eq!(replayed(&run, "out/run.mcap")["ticks"], 3000);
+}
+
 /// The frames of a run in one process, and what the run is.
 pub(crate) fn frames(file: &str, ticks: u64) -> (RunDescription, Vec<Frame>) {
     let folder = tempfile::tempdir().unwrap();

@@ -67,7 +67,7 @@ pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result
         let fusion = Driver::new(rendezvous, &bus)?;
         let Some(hold) = fusion.stand_by(&standby, termination)? else { return Ok(()) };
         drop(standby);
-        bus.speak_as(hold.incarnation);
+        bus.take_role(rendezvous, Role::Fusion, &hold)?;
         match fusion.lead(hold, termination) {
             Err(FusionError::Deposed) => log::warn!("{}; stands by", FusionError::Deposed),
             ended => return ended,

@@ -22,10 +22,9 @@ const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_572_8;
 const LOG_STEP: f64 = 0.1;
 
 /// The team's noise variance, over what it is told to be, from which on its sensors are taken to fail together, and
-/// below which they no longer do. Neither four standard deviations of one sensor's tracker, nor a fifth of outliers from
-/// all sensors, nor a third of the sensors that are all wrong, comes to the first.
-const LOG_WIDENED: f64 = 1.6;
-const LOG_NARROW: f64 = 0.7;
+/// below which they no longer do: twice, two standard deviations of one sensor's tracker, and the root of that.
+const LOG_WIDENED: f64 = 0.7;
+const LOG_NARROW: f64 = 0.35;
 
 /// Most that the logarithm is taken for, either way.
 const LOG_MAX: f64 = 14.0;
@@ -36,9 +35,11 @@ const LOG_MIN: f64 = -1.0;
 const RANGES_MIN: u32 = 8;
 const RECENT_ROUNDS: u64 = 8;
 
-/// Sensors that must be heard before most of them can be said to fail together. Of three, one that is wrong may draw the
-/// estimate along so that all seem to fail.
-const TOGETHER_MIN: usize = 4;
+/// Sensors that find the one out that is wrong among them. Two fit any position, so whom they contradict need not be wrong.
+const JURY: usize = 3;
+
+/// Ranges of each sensor after which a team that agrees is known to: time for a noise of twice the told to be seen.
+const AGREED_RANGES: u32 = 24;
 
 /// Most that an estimate is made less certain at once, in variance.
 const LOST_MAX: f64 = 1e6;
@@ -56,10 +57,11 @@ pub struct Policy {
 ///
 /// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of
 /// them passed. Failures count only while most of the team's newest ranges pass: where half of them or more fail, it
-/// is the filter that is wrong, or nobody can tell.
+/// is the filter that is wrong, or nobody can tell. Where fewer than [`JURY`] would be left, a robot is distrusted only
+/// if all of them have agreed before: else it may be the others that are wrong.
 ///
 /// Beside that, the noise of each sensor is followed by the median of its normalised innovations squared, which outliers
-/// do not move far. Where the median sensor is much worse than it is told to be, most fail together: by a
+/// do not move far. Where the median sensor is worse than it is told to be, most fail together: by a
 /// common bias, by noise that is larger than told, or because the estimate is lost. Then nobody is distrusted, and all
 /// ranges are taken to be as noisy as they are, until that is over.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -76,6 +78,8 @@ pub struct Trust {
     ranges: u64,
     /// Logarithm of the factor on all variances while sensors fail together.
     widened_log: Option<f64>,
+    /// True once the ranges of all robots were as good as told.
+    has_agreed: bool,
     /// Memory only.
     #[serde(skip)]
     scratch: Vec<f64>,
@@ -105,6 +109,7 @@ impl Trust {
             noises: vec![Noise::default(); robots],
             ranges: 0,
             widened_log: None,
+            has_agreed: false,
             scratch: Vec::with_capacity(robots),
         }
     }
@@ -135,7 +140,7 @@ impl Trust {
         self.noises.clone_from(&other.noises);
         (self.distrusted, self.newest_failed, self.next_place) =
             (other.distrusted, other.newest_failed, other.next_place);
-        (self.ranges, self.widened_log) = (other.ranges, other.widened_log);
+        (self.ranges, self.widened_log, self.has_agreed) = (other.ranges, other.widened_log, other.has_agreed);
     }
 
     /// Takes what the gate said of a tick's ranges: of whom they are, with their normalised innovations squared where
@@ -166,14 +171,16 @@ impl Trust {
     }
 
     fn count_failures(&mut self, heard: impl Iterator<Item = usize>, failed: &RobotSet, filter_is_wrong: bool) {
+        let robots = self.records.len();
         for id in heard {
             let has_failed = failed.contains(id);
             if has_failed && filter_is_wrong {
                 continue;
             }
+            let can_tell = self.has_agreed || robots - self.distrusted.len() > JURY;
             let record = &mut self.records[id];
             *record = *record << 1 | u8::from(has_failed);
-            if record.count_ones() >= FAILURES_MAX {
+            if record.count_ones() >= FAILURES_MAX && can_tell {
                 self.distrusted.set(id, true);
             } else if *record == 0 {
                 self.distrusted.set(id, false);
@@ -187,8 +194,9 @@ impl Trust {
             let Some(square) = square else { continue };
             self.ranges += 1;
             let Noise { log, ranges, .. } = self.noises[id];
-            // Squares are of the noise as it is taken at present.
-            let step = match square > CHI_SQUARE_MEDIAN {
+            // Squares are of the noise as it is taken at present; here they are of this sensor's own.
+            let taken_log = self.widened_log.unwrap_or(0.0);
+            let step = match square * (taken_log - log).exp() > CHI_SQUARE_MEDIAN {
                 // The start tells of what was not known, not of the noise.
                 _ if ranges < RANGES_MIN => 0.0,
                 true => LOG_STEP,
@@ -202,9 +210,7 @@ impl Trust {
         let counts = |(_, noise): &(usize, &Noise)| noise.ranges >= RANGES_MIN && noise.last >= oldest;
         let heard = || self.noises.iter().enumerate().filter(counts);
         self.scratch.clear();
-        if heard().count() >= TOGETHER_MIN {
-            self.scratch.extend(heard().filter(|(id, _)| !distrusted.contains(*id)).map(|(_, noise)| noise.log));
-        }
+        self.scratch.extend(heard().filter(|(id, _)| !distrusted.contains(*id)).map(|(_, noise)| noise.log));
         let Some(last) = self.scratch.len().checked_sub(1) else {
             self.widened_log = None;
             return;
@@ -214,6 +220,8 @@ impl Trust {
         self.scratch.clear();
         let threshold = if self.widened_log.is_some() { LOG_NARROW } else { LOG_WIDENED };
         self.widened_log = (median >= threshold).then_some(median);
+        let agrees = |noise: &Noise| noise.ranges >= AGREED_RANGES && noise.log < LOG_WIDENED;
+        self.has_agreed |= self.widened_log.is_none() && self.noises.iter().all(agrees);
     }
 }
 
@@ -279,6 +287,38 @@ mod tests {
         assert_eq!(noisy(&mut trust, 60, [900.0, 900.0, 900.0, 0.4]), 1.0);
         noisy(&mut trust, 60, [0.4, 0.4, 30.0, 0.4]);
         assert!(trust.distrusted().is_empty() && trust.noise_scale() == 1.0);
+    }
+
+    /// The same for a team of any size: who is distrusted, and how noisy the ranges are taken to be.
+    fn steady(trust: &mut Trust, ticks: usize, squares: &[f64]) -> (Vec<usize>, f64) {
+        let mut failed = RobotSet::default();
+        squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
+        for _ in 0..ticks {
+            trust.judge(squares.iter().enumerate().map(|(id, square)| (id, Some(*square))), &failed);
+        }
+        (trust.distrusted().iter().collect(), trust.noise_scale())
+    }
+
+    #[test]
+    fn a_little_more_than_the_told_noise_does_not_add_up() {
+        assert_eq!(steady(&mut trust(4), 500, &[0.6; 4]), (vec![], 1.0));
+    }
+
+    #[test]
+    fn small_teams_fail_together_too() {
+        for robots in 1..=3 {
+            let (distrusted, noise_scale) = steady(&mut trust(robots), 40, &vec![9.0; robots]);
+            assert!(distrusted.is_empty() && noise_scale > 1.5, "{robots}: {noise_scale}");
+        }
+    }
+
+    #[test]
+    fn of_three_that_never_agreed_nobody_is_distrusted() {
+        let mut trust = trust(3);
+        assert_eq!(steady(&mut trust, 40, &[0.4, 0.4, 30.0]), (vec![], 1.0));
+        let mut trust = self::trust(3);
+        steady(&mut trust, 30, &[0.4; 3]);
+        assert_eq!(steady(&mut trust, 40, &[0.4, 0.4, 30.0]), (vec![2], 1.0));
     }
 
     #[test]

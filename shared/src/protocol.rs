@@ -29,11 +29,15 @@ mod tests {
     use super::*;
     use crate::bus::Topic;
     use crate::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
+    use crate::recording::{ReadOptions, Recording};
     use crate::rendezvous::RunDescription;
     use crate::scenario::{PLANNERS, Scenario, ScenarioFile};
 
     /// Every protocol so far with the digest of what it says. A new one is a new line, never a change of an old one.
     const HISTORY: [(u32, u64); 2] = [(1, 0x8a98_a0c7_e0b3_ca0d), (2, 0xf26b_d96f_19ad_d4f6)];
+
+    /// The same of the description of a recorded run.
+    const RECORDED: (u32, u64) = (2, 0xb7b7_5550_e8db_586e);
 
     /// The versioned names under which iceoryx2 compares what lies in shared memory; asking it for them would take `unsafe`.
     fn type_names() -> String {
@@ -64,6 +68,19 @@ mod tests {
         let mut said = format!("{built_in:?} {:?} {planners:?}\n", scenario(&custom).motion);
         said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
         said
+    }
+
+    #[test]
+    fn what_a_recorded_runs_description_says_changes_with_the_protocol_only() {
+        let text = "[recording]\nranges = \"r.csv\"\ntarget_height_m = 1.0\n[filter]\ngate_sigma = 3.0\n";
+        let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,sensor_z_m,range_m,other\n1,a,0,0,2,3,x\n1,a,0,0,2,z,x\n2,a,0,0,2,3,x\n";
+        let read = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
+        let file = ScenarioFile::parse(text, "test").unwrap();
+        let scenario = Scenario::from_recording(&file, "test", Path::new("."), read).unwrap();
+        let mut said = format!("{:?}", RunDescription { run_id: 7, scenario, out_dir: PathBuf::from("out") });
+        said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
+        let digest = xxh3_64(said.as_bytes());
+        assert_eq!(RECORDED, (PROTOCOL, digest), "as below, here {digest:#018x}\n{said}");
     }
 
     #[test]

@@ -57,8 +57,8 @@ pub fn text(findings: &Findings, names: &[String]) -> String {
     if let Some(std_m) = median(&mut stds) {
         let _ = writeln!(text, "range_std_m = {std_m:?}");
     }
-    if let Some(psd) = findings.accel_psd {
-        let _ = writeln!(text, "accel_psd = {psd:?}");
+    if let Some(Measured { value, half_width }) = findings.accel_psd {
+        let _ = writeln!(text, "accel_psd = {value:?} # +- {half_width:.2e}");
     }
     for (name, errors) in names.iter().zip(&findings.sensors) {
         let _ = writeln!(text, "\n[[sensor]]\nid = {}", toml::Value::from(name.as_str()));

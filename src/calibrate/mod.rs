@@ -173,7 +173,11 @@ fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Pat
         let _ = writeln!(text, "{name:<12} {:>7}  {bias:>17}  {scale:>17}  {noise:>17}", errors.ranges);
     }
     if let Some(psd) = findings.accel_psd {
-        let _ = writeln!(text, "acceleration's spectral density {psd:.4} m^2/s^3; intervals are of 95 %");
+        let _ = writeln!(
+            text,
+            "acceleration's spectral density {:.4} ± {:.4} m^2/s^3; intervals are of 95 %",
+            psd.value, psd.half_width
+        );
     }
     for line in &findings.untold {
         let _ = writeln!(text, "cannot tell {line}");
@@ -193,7 +197,7 @@ fn flags(findings: &Findings, names: &[String]) -> String {
     let mut stds: Vec<f64> = findings.sensors.iter().filter_map(|s| s.range_std_m.map(|m| m.value)).collect();
     let mut text = median(&mut stds).map_or(String::new(), |std| format!("--range-std {std:.4}"));
     if let Some(psd) = findings.accel_psd {
-        let _ = write!(text, " --accel-psd {psd:.6}");
+        let _ = write!(text, " --accel-psd {:.6}", psd.value);
     }
     for (name, errors) in names.iter().zip(&findings.sensors) {
         if let Some(bias) = errors.bias_m {

@@ -2,11 +2,8 @@
 
 use crate::compare::statistics::median;
 
-use super::verdict::{Findings, Measured, correlation};
-
-/// Standard deviations between the ends of a 95 % interval and its middle.
-const QUANTILE: f64 = 1.96;
-const FREEDOM: f64 = 4.0;
+use super::smoother::{FREEDOM, student_weight};
+use super::verdict::{Findings, Measured, QUANTILE, correlation};
 
 /// Distances and errors of one sensor, in order of time.
 pub type Pairs = Vec<(f64, f64)>;
@@ -27,7 +24,7 @@ pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
             continue;
         }
         let (line, both) = fit(pairs, true);
-        let time = correlation(&[both]);
+        let time = correlation(&[both], f64::INFINITY);
         let half_scale = QUANTILE * (line.variances[1] * time).sqrt();
         let half_bias = QUANTILE * (line.variances[0] * time).sqrt();
         let errors = &mut findings.sensors[sensor];
@@ -68,7 +65,7 @@ fn fit(pairs: &Pairs, sloped: bool) -> (Line, Vec<f64>) {
         let (mut s, mut sx, mut sy, mut sxx, mut sxy, mut square) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         for &(x, y) in pairs {
             let left = y - a - b * x;
-            let w = (FREEDOM + 1.0) / (FREEDOM + (left / sigma).powi(2));
+            let w = student_weight(left / sigma);
             (s, sx, sy, sxx, sxy) = (s + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y);
             square += w * left * left;
         }

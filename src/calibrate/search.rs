@@ -2,6 +2,7 @@
 
 use super::model::{Model, Problem, Reading};
 use super::smoother::{Estimate, Solution, settle, update_sigmas};
+use super::verdict::{Measured, QUANTILE};
 use crate::compare::statistics::median;
 
 /// What one model makes of the data.
@@ -13,6 +14,17 @@ pub struct Fit {
     pub estimate: Estimate,
     /// How likely it is, and how sure.
     pub solution: Solution,
+    /// Standard deviation of the logarithm of the manoeuvring noise.
+    pub log_psd_std: f64,
+}
+
+impl Fit {
+    /// The manoeuvring noise, m^2/s^3, where so many successive residuals tell as much as one.
+    #[must_use]
+    pub fn accel_psd(&self, time: f64) -> Measured {
+        let value = self.estimate.accel_psd;
+        Measured { value, half_width: QUANTILE * value * self.log_psd_std * time.sqrt() }
+    }
 }
 
 /// A path from the ranges alone: at each knot the place that most of the ranges around it agree on.
@@ -100,8 +112,25 @@ fn fit(problem: &Problem, model: Model, mut estimate: Estimate) -> Option<Fit> {
         }
     }
     (estimate, solution) = with_noise(estimate, 5)?;
-    Some(Fit { model, estimate, solution })
+    // The evidence as a parabola over the logarithm of the manoeuvring noise.
+    let mut beside = [0.0; 2];
+    for (unlikelihood, by) in beside.iter_mut().zip([1.0, -1.0]) {
+        let mut tried = estimate.clone();
+        tried.accel_psd *= f64::exp(by * LOG_PSD_STEP);
+        *unlikelihood = settle(problem, model, &mut tried)?.unlikelihood;
+    }
+    let [above, below] = beside;
+    let curvature = (above + below - 2.0 * solution.unlikelihood) / LOG_PSD_STEP.powi(2);
+    if curvature > 0.0 {
+        let step = (below - above) / (2.0 * LOG_PSD_STEP * curvature);
+        estimate.accel_psd *= step.clamp(-1.0, 1.0).exp();
+        solution = settle(problem, model, &mut estimate)?;
+    }
+    Some(Fit { model, estimate, solution, log_psd_std: curvature.max(0.0).sqrt().recip() })
 }
+
+/// Step of the logarithm of the manoeuvring noise that shows the evidence's curvature.
+const LOG_PSD_STEP: f64 = 0.5;
 
 /// An estimate to begin with, from a path.
 fn start(problem: &Problem, states: Vec<[f64; 4]>) -> Estimate {
@@ -138,8 +167,8 @@ pub fn search(problem: &Problem, mut tell: impl FnMut(usize)) -> Vec<Fit> {
 
 /// The manoeuvring noise that fits corrected ranges along a known track.
 #[must_use]
-pub fn manoeuvring(problem: &Problem, states: Vec<[f64; 4]>) -> Option<f64> {
+pub fn manoeuvring(problem: &Problem, states: Vec<[f64; 4]>) -> Option<Measured> {
     let start = start(problem, states);
     let model = Model { bias: super::model::Sharing::Absent, scale: super::model::Sharing::Absent };
-    fit(problem, model, start).map(|fit| fit.estimate.accel_psd)
+    fit(problem, model, start).map(|fit| fit.accel_psd(1.0))
 }

@@ -1,11 +1,19 @@
 //! The target's whole path and the sensors' errors at once: a robust Gauss-Newton step over a chain of blocks with a border.
 
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix4};
+
 use super::model::{Model, Problem};
 
 /// Degrees of freedom of the ranges' Student distribution: heavy tails, so that an outlier counts little.
 pub const FREEDOM: f64 = 4.0;
 
 const STEPS_MAX: usize = 30;
+
+/// What a residual counts, which is a multiple of the noise's scale.
+#[must_use]
+pub fn student_weight(ratio: f64) -> f64 {
+    (FREEDOM + 1.0) / (FREEDOM + ratio * ratio)
+}
 
 type Block = [[f64; 4]; 4];
 type Column = [f64; 4];
@@ -28,8 +36,10 @@ pub struct Estimate {
 pub struct Solution {
     /// Negative logarithm of the evidence (Laplace), up to a constant of the data.
     pub unlikelihood: f64,
-    /// Covariance of the errors.
-    pub covariance: Vec<Vec<f64>>,
+    /// Its part without the errors' prior: of all paths, with the errors as estimated.
+    pub misfit: f64,
+    /// What the data say of the errors, without their prior: an inverse covariance.
+    pub information: DMatrix<f64>,
     /// What is left of each range, m.
     pub residuals_m: Vec<f64>,
     /// Variance that the path adds to each residual, m^2.
@@ -40,9 +50,9 @@ struct Normal {
     diagonal: Vec<Block>,
     upper: Vec<Block>,
     border: Vec<Vec<Column>>,
-    corner: Vec<Vec<f64>>,
+    corner: DMatrix<f64>,
     pull: Vec<Column>,
-    errors_pull: Vec<f64>,
+    errors_pull: DVector<f64>,
 }
 
 /// Distance, direction, bias, scale and residual of one observation.
@@ -90,10 +100,12 @@ fn cost(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]
         }
         sum += (estimate.accel_psd * dt * dt).ln() * 2.0;
     }
-    for (error, std) in estimate.errors.iter().zip(prior_stds) {
-        sum += 0.5 * (error / std).powi(2) + std.ln();
-    }
-    sum
+    sum + prior_cost(&estimate.errors, prior_stds)
+}
+
+/// Negative logarithm of the errors' prior, up to a constant of each.
+pub fn prior_cost(errors: &[f64], prior_stds: &[f64]) -> f64 {
+    errors.iter().zip(prior_stds).map(|(error, std)| 0.5 * (error / std).powi(2) + std.ln()).sum()
 }
 
 fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> Normal {
@@ -102,9 +114,9 @@ fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f6
         diagonal: vec![[[0.0; 4]; 4]; knots],
         upper: vec![[[0.0; 4]; 4]; knots.saturating_sub(1)],
         border: vec![vec![[0.0; 4]; errors]; knots],
-        corner: vec![vec![0.0; errors]; errors],
+        corner: DMatrix::zeros(errors, errors),
         pull: vec![[0.0; 4]; knots],
-        errors_pull: vec![0.0; errors],
+        errors_pull: DVector::zeros(errors),
     };
     for k in 1..knots {
         let dt = problem.knots_s[k] - problem.knots_s[k - 1];
@@ -141,8 +153,8 @@ fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f6
     for (index, observation) in problem.observations.iter().enumerate() {
         let (left, distance, [ux, uy], scale) = residual(problem, model, estimate, index);
         let sensor = observation.reading.sensor;
-        let variance = estimate.sigmas_m[sensor].powi(2);
-        let weight = (FREEDOM + 1.0) / (FREEDOM + left * left / variance) / variance;
+        let sigma = estimate.sigmas_m[sensor];
+        let weight = student_weight(left / sigma) / (sigma * sigma);
         let (gx, gy, t) = ((1.0 + scale) * ux, (1.0 + scale) * uy, observation.after_s);
         let slope = [gx, gy, gx * t, gy * t];
         let k = observation.knot;
@@ -161,13 +173,13 @@ fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f6
             }
             for (other, other_by) in slots {
                 if let Some(other) = other {
-                    n.corner[at][other] += weight * by * other_by;
+                    n.corner[(at, other)] += weight * by * other_by;
                 }
             }
         }
     }
     for (at, std) in prior_stds.iter().enumerate() {
-        n.corner[at][at] += 1.0 / (std * std);
+        n.corner[(at, at)] += 1.0 / (std * std);
         n.errors_pull[at] -= estimate.errors[at] / (std * std);
     }
     n
@@ -175,16 +187,19 @@ fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f6
 
 struct Solved {
     step: Vec<Column>,
-    errors_step: Vec<f64>,
-    log_det: f64,
+    errors_step: DVector<f64>,
+    path_log_det: f64,
+    errors_log_det: f64,
     inverse_pivots: Vec<Block>,
     gains: Vec<Vec<Column>>,
-    covariance: Vec<Vec<f64>>,
+    /// Inverse of the errors' covariance, and that.
+    schur: DMatrix<f64>,
+    covariance: DMatrix<f64>,
 }
 
 fn solve(n: &Normal) -> Option<Solved> {
-    let (knots, errors) = (n.diagonal.len(), n.corner.len());
-    let mut log_det = 0.0;
+    let (knots, errors) = (n.diagonal.len(), n.corner.nrows());
+    let mut path_log_det = 0.0;
     let mut inverse_pivots: Vec<Block> = Vec::with_capacity(knots);
     // Column 0 is the pull, the rest the border.
     let mut columns: Vec<Vec<Column>> =
@@ -206,8 +221,8 @@ fn solve(n: &Normal) -> Option<Solved> {
                 (0..4).for_each(|i| column[i] -= taken[i]);
             }
         }
-        let (inverse, det) = inverted(&pivot)?;
-        log_det += det;
+        let (inverse, log_det) = inverted(&pivot)?;
+        path_log_det += log_det;
         inverse_pivots.push(inverse);
     }
     for k in (0..knots).rev() {
@@ -227,25 +242,25 @@ fn solve(n: &Normal) -> Option<Solved> {
         for a in 0..errors {
             right[a] -= dot(&n.border[k][a], &columns[k][0]);
             for b in 0..errors {
-                schur[a][b] -= dot(&n.border[k][a], &columns[k][b + 1]);
+                schur[(a, b)] -= dot(&n.border[k][a], &columns[k][b + 1]);
             }
         }
     }
-    let (covariance, det) = inverted_any(schur)?;
-    log_det += det;
-    let errors_step: Vec<f64> = covariance.iter().map(|row| row.iter().zip(&right).map(|(a, b)| a * b).sum()).collect();
+    let factored = Cholesky::new(schur.clone())?;
+    let errors_log_det = 2.0 * factored.l_dirty().diagonal().map(f64::ln).sum();
+    let (covariance, errors_step) = (factored.inverse(), factored.solve(&right));
     let step = columns
         .iter()
         .map(|columns| {
             let mut step = columns[0];
-            for (gain, by) in columns[1..].iter().zip(&errors_step) {
+            for (gain, by) in columns[1..].iter().zip(errors_step.iter()) {
                 (0..4).for_each(|i| step[i] -= gain[i] * by);
             }
             step
         })
         .collect();
     let gains = columns.into_iter().map(|columns| columns[1..].to_vec()).collect();
-    Some(Solved { step, errors_step, log_det, inverse_pivots, gains, covariance })
+    Some(Solved { step, errors_step, path_log_det, errors_log_det, inverse_pivots, gains, schur, covariance })
 }
 
 /// Improves an estimate until it stays; `None` where the numbers break down.
@@ -261,7 +276,7 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Optio
             for (state, step) in next.states.iter_mut().zip(&solved.step) {
                 (0..4).for_each(|i| state[i] += factor * step[i]);
             }
-            next.errors.iter_mut().zip(&solved.errors_step).for_each(|(error, step)| *error += factor * step);
+            next.errors.iter_mut().zip(solved.errors_step.iter()).for_each(|(error, step)| *error += factor * step);
             let then = cost(problem, model, &next, &prior_stds);
             if then < now {
                 better = Some((next, then));
@@ -295,15 +310,17 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Optio
         if let Some(at) = model.scale_index(sensor, problem.sensors) {
             errors_slope[at] += distance;
         }
-        for (row, a) in solved.covariance.iter().zip(&errors_slope) {
-            variance += a * row.iter().zip(&errors_slope).map(|(c, b)| c * b).sum::<f64>();
-        }
+        let errors_slope = DVector::from_vec(errors_slope);
+        variance += errors_slope.dot(&(&solved.covariance * &errors_slope));
         residuals_m.push(left);
         path_variances_m2.push(variance.max(0.0));
     }
+    let priors = prior_stds.iter().map(|std| 1.0 / (std * std));
+    let misfit = now - prior_cost(&estimate.errors, &prior_stds) + 0.5 * solved.path_log_det;
     Some(Solution {
-        unlikelihood: now + 0.5 * solved.log_det,
-        covariance: solved.covariance,
+        unlikelihood: now + 0.5 * (solved.path_log_det + solved.errors_log_det),
+        misfit,
+        information: solved.schur - DMatrix::from_diagonal(&DVector::from_iterator(prior_stds.len(), priors)),
         residuals_m,
         path_variances_m2,
     })
@@ -330,15 +347,15 @@ pub fn update_sigmas(problem: &Problem, solution: &Solution, sigmas_m: &mut [f64
     for (observation, (left, added)) in problem.observations.iter().zip(left) {
         let sensor = observation.reading.sensor;
         let square = left * left + added;
-        let weight = (FREEDOM + 1.0) / (FREEDOM + square / sigmas_m[sensor].powi(2));
+        let weight = student_weight(square.sqrt() / sigmas_m[sensor]);
         sums[sensor].0 += weight * square;
         sums[sensor].1 += 1.0;
     }
-    // A sensor that was hardly heard has the noise of all.
+    // Half of it is the noise of all: else two sensors may be given none, and explain the whole path alone.
     let all = sums.iter().fold((0.0, 0.0), |all, one| (all.0 + one.0, all.1 + one.1));
     let usual = all.0 / f64::max(all.1, 1.0);
     for (sigma, (sum, count)) in sigmas_m.iter_mut().zip(sums) {
-        *sigma = ((sum + 5.0 * usual) / (count + 5.0)).sqrt().max(least_m);
+        *sigma = ((sum + (count + 5.0) * usual) / (2.0 * count + 5.0)).sqrt().max(least_m);
     }
 }
 
@@ -364,42 +381,9 @@ fn dot(a: &Column, b: &Column) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 }
 
+/// Inverse of a positive definite block, and the logarithm of its determinant.
 fn inverted(a: &Block) -> Option<(Block, f64)> {
-    let (inverse, log_det) = inverted_any(a.iter().map(|row| row.to_vec()).collect())?;
-    Some((std::array::from_fn(|i| std::array::from_fn(|j| inverse[i][j])), log_det))
-}
-
-/// Inverse and logarithm of the determinant of a positive definite matrix.
-fn inverted_any(mut a: Vec<Vec<f64>>) -> Option<(Vec<Vec<f64>>, f64)> {
-    let n = a.len();
-    let mut log_det = 0.0;
-    for i in 0..n {
-        for j in 0..=i {
-            let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
-            if i == j {
-                if sum.is_nan() || sum <= 0.0 {
-                    return None;
-                }
-                a[i][i] = sum.sqrt();
-                log_det += sum.ln();
-            } else {
-                a[i][j] = sum / a[j][j];
-            }
-        }
-    }
-    let mut inverse = vec![vec![0.0; n]; n];
-    for column in 0..n {
-        let mut x = vec![0.0; n];
-        for i in column..n {
-            let unit = if i == column { 1.0 } else { 0.0 };
-            x[i] = (unit - (column..i).map(|k| a[i][k] * x[k]).sum::<f64>()) / a[i][i];
-        }
-        for i in (0..n).rev() {
-            x[i] = (x[i] - (i + 1..n).map(|k| a[k][i] * x[k]).sum::<f64>()) / a[i][i];
-        }
-        for i in 0..n {
-            inverse[i][column] = x[i];
-        }
-    }
-    Some((inverse, log_det))
+    let factored = Cholesky::new(Matrix4::from(*a))?;
+    let log_det = 2.0 * factored.l_dirty().diagonal().map(f64::ln).sum();
+    Some((factored.inverse().into(), log_det))
 }

@@ -1,11 +1,13 @@
 //! Which model is believed, and what the data cannot tell.
 
+use nalgebra::{Cholesky, DMatrix};
+
 use super::model::{Model, Problem, Reading, Sharing};
 use super::search::Fit;
-use super::smoother::FREEDOM;
+use super::smoother::{FREEDOM, prior_cost, student_weight};
 
 /// Two-sided 95 % of a normal distribution.
-const QUANTILE: f64 = 1.96;
+pub const QUANTILE: f64 = 1.96;
 
 /// Fewest ranges that are worth a calibration.
 const READINGS_MIN: usize = 60;
@@ -17,6 +19,14 @@ pub struct Measured {
     pub value: f64,
     /// Half width of the interval.
     pub half_width: f64,
+}
+
+impl Measured {
+    /// So many times as much.
+    #[must_use]
+    pub fn scaled(self, by: f64) -> Self {
+        Self { value: self.value * by, half_width: self.half_width * by }
+    }
 }
 
 /// What was found for one sensor; `None` is what could not be told.
@@ -38,7 +48,7 @@ pub struct Findings {
     /// For each sensor in the recording's order.
     pub sensors: Vec<SensorErrors>,
     /// Spectral density of the acceleration, m^2/s^3.
-    pub accel_psd: Option<f64>,
+    pub accel_psd: Option<Measured>,
     /// What the data cannot tell, and why.
     pub untold: Vec<String>,
 }
@@ -88,9 +98,10 @@ fn line_spread(points: impl Iterator<Item = [f64; 2]> + Clone) -> (f64, f64) {
     ((middle + half).max(0.0).sqrt(), (middle - half).max(0.0).sqrt())
 }
 
-/// How many successive residuals of a sensor tell as much as one: their correlation time, in ranges.
+/// How many successive residuals of a sensor tell as much as one: their correlation time, in ranges; as one sees it who
+/// remembers so many of them.
 #[must_use]
-pub fn correlation(by_sensor: &[Vec<f64>]) -> f64 {
+pub fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for left in by_sensor.iter().filter(|left| left.len() >= 20) {
         let n = left.len();
@@ -103,7 +114,7 @@ pub fn correlation(by_sensor: &[Vec<f64>]) -> f64 {
             if rho < 2.0 / (n as f64).sqrt() {
                 break;
             }
-            time += 2.0 * rho;
+            time += 2.0 * rho * (-(lag as f64) / memory).exp();
         }
         sum += time * n as f64;
         count += n as f64;
@@ -111,11 +122,22 @@ pub fn correlation(by_sensor: &[Vec<f64>]) -> f64 {
     if count > 0.0 { (sum / count).max(1.0) } else { 1.0 }
 }
 
-/// Residuals by sensor, in order of time.
+/// How many ranges of a sensor a tracker remembers: the time constant of the steady Kalman filter of a target of nearly
+/// constant velocity, `sqrt(2) (R / Q)^(1/4)`, R and Q being the spectral densities of position noise and acceleration.
+fn memory(problem: &Problem, fit: &Fit) -> f64 {
+    let duration_s = problem.knots_s.last().zip(problem.knots_s.first()).map_or(0.0, |(last, first)| last - first);
+    let weight: f64 = problem.observations.iter().map(|o| fit.estimate.sigmas_m[o.reading.sensor].powi(-2)).sum();
+    // A range tells of one axis of two.
+    let time_s = std::f64::consts::SQRT_2 * (2.0 * duration_s / weight / fit.estimate.accel_psd).powf(0.25);
+    time_s * problem.observations.len() as f64 / (problem.sensors as f64 * duration_s.max(1e-9))
+}
+
+/// Residuals by sensor, in order of time, with the weights that they had in the fit: an outlier says little.
 fn by_sensor(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let mut all = vec![Vec::new(); problem.sensors];
     for (observation, left) in problem.observations.iter().zip(&fit.solution.residuals_m) {
-        all[observation.reading.sensor].push(*left);
+        let sensor = observation.reading.sensor;
+        all[sensor].push(left * student_weight(left / fit.estimate.sigmas_m[sensor]));
     }
     all
 }
@@ -139,38 +161,102 @@ pub fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
         set_noise(&mut findings, best, problem, 1.0);
         return (findings, None);
     }
-    let time = correlation(&by_sensor(problem, best));
+    let time = correlation(&by_sensor(problem, best), f64::INFINITY);
+    let mut judged: Vec<Judged<'_>> = fits.iter().filter_map(|fit| Judged::new(problem, fit, time)).collect();
+    judged.sort_by(|a, b| a.score.total_cmp(&b.score));
     let mut untold = Vec::new();
-    // Correlated residuals say less than their number: the evidence counts for that much less.
-    let score = |fit: &Fit| {
-        let errors = fit.estimate.errors.len() as f64;
-        fit.solution.unlikelihood / time + 0.5 * errors * (problem.observations.len() as f64 / time).max(2.0).ln()
+    judged.retain(|one| {
+        let open = one.open(problem);
+        let is_told = open.is_empty();
+        untold.extend(open);
+        is_told
+    });
+    let Some(first) = judged.first() else {
+        return (Findings::nothing(&counts, "bias and scale: their intervals are too wide to be of use"), None);
     };
-    let mut ranked: Vec<&Fit> = fits.iter().collect();
-    ranked.sort_by(|a, b| score(a).total_cmp(&score(b)));
-    for fit in ranked {
-        let told = open_quantities(problem, fit, time);
-        if !told.is_empty() {
-            untold.extend(told.into_iter().filter(|line| !untold.contains(line)).collect::<Vec<_>>());
-            continue;
-        }
-        let mut findings = Findings::nothing(&counts, "");
-        findings.untold = untold;
-        let half = |at: usize| QUANTILE * (time * fit.solution.covariance[at][at]).sqrt();
-        for sensor in 0..problem.sensors {
-            let measured =
-                |at: Option<usize>| at.map(|at| Measured { value: fit.estimate.errors[at], half_width: half(at) });
-            findings.sensors[sensor].bias_m = measured(fit.model.bias_index(sensor));
-            findings.sensors[sensor].scale = measured(fit.model.scale_index(sensor, problem.sensors));
-        }
-        set_noise(&mut findings, fit, problem, time);
-        findings.accel_psd = Some(fit.estimate.accel_psd);
-        if fit.model == (Model { bias: Sharing::Absent, scale: Sharing::Absent }) {
-            findings.untold.push("bias and scale: none that the ranges would show".to_owned());
-        }
-        return (findings, Some(fit.clone()));
+    let (fit, least) = (first.fit, first.score);
+    judged.retain(|one| one.score < least - WEIGHT_MIN.ln());
+    let mut findings = Findings::nothing(&counts, "");
+    findings.untold = untold;
+    for (sensor, errors) in findings.sensors.iter_mut().enumerate() {
+        errors.bias_m = averaged(&judged, |model| model.bias_index(sensor));
+        errors.scale = averaged(&judged, |model| model.scale_index(sensor, problem.sensors));
     }
-    (Findings::nothing(&counts, "bias and scale: their intervals are too wide to be of use"), None)
+    set_noise(&mut findings, fit, problem, time);
+    // Errors that last cannot be averaged away, and the tracker takes each range's error to be new. With more variance of
+    // noise and of manoeuvres alike it follows as fast, and believes itself as far off as it is. The tails' share of the
+    // variance is in it already.
+    let (mut core, mut whole) = (0.0, 0.0);
+    for (errors, sigma_m) in findings.sensors.iter().zip(&fit.estimate.sigmas_m) {
+        let Some(std_m) = errors.range_std_m else { continue };
+        core += errors.ranges as f64 * sigma_m.powi(2).min(std_m.value.powi(2));
+        whole += errors.ranges as f64 * std_m.value.powi(2);
+    }
+    let lasting = (correlation(&by_sensor(problem, fit), memory(problem, fit)) * core
+        / f64::max(whole, f64::MIN_POSITIVE))
+    .max(1.0);
+    for std_m in findings.sensors.iter_mut().filter_map(|errors| errors.range_std_m.as_mut()) {
+        *std_m = std_m.scaled(lasting.sqrt());
+    }
+    findings.accel_psd = Some(fit.accel_psd(time).scaled(lasting));
+    if findings.sensors.iter().all(|errors| errors.bias_m.is_none() && errors.scale.is_none()) {
+        findings.untold.push("bias and scale: none that the ranges would show".to_owned());
+    }
+    (findings, Some(fit.clone()))
+}
+
+/// Least weight, beside the likeliest model's, of a model that still has a say ("Occam's window", Madigan & Raftery 1994).
+const WEIGHT_MIN: f64 = 0.05;
+
+/// A fit with what its data are worth: residuals that are alike for a time say less than their number.
+struct Judged<'a> {
+    fit: &'a Fit,
+    prior_stds: Vec<f64>,
+    /// Negative logarithm of the evidence.
+    score: f64,
+    covariance: DMatrix<f64>,
+}
+
+impl<'a> Judged<'a> {
+    /// The evidence (Laplace) with the likelihood to the power of 1 / `time`.
+    fn new(problem: &Problem, fit: &'a Fit, time: f64) -> Option<Self> {
+        let prior_stds = fit.model.prior_stds(problem.sensors, problem.span_m);
+        let mut precision = &fit.solution.information / time;
+        prior_stds.iter().enumerate().for_each(|(at, std)| precision[(at, at)] += 1.0 / (std * std));
+        let factored = Cholesky::new(precision)?;
+        let half_log_det = factored.l_dirty().diagonal().map(f64::ln).sum();
+        let score = fit.solution.misfit / time + prior_cost(&fit.estimate.errors, &prior_stds) + half_log_det;
+        Some(Self { fit, prior_stds, score, covariance: factored.inverse() })
+    }
+
+    /// Errors that the data hardly tell more of than what was taken for granted.
+    fn open(&self, problem: &Problem) -> Vec<String> {
+        let model = self.fit.model;
+        let biases = model.scale_index(0, problem.sensors).unwrap_or(self.prior_stds.len());
+        let is_open = |at: usize| self.covariance[(at, at)].sqrt() > 0.5 * self.prior_stds[at];
+        let shared = |sharing| if sharing == Sharing::Each { "of each sensor" } else { "common to all" };
+        let told = [("bias", model.bias, 0..biases), ("scale", model.scale, biases..self.prior_stds.len())];
+        told.into_iter()
+            .filter(|(_, _, slots)| slots.clone().any(is_open))
+            .map(|(what, sharing, _)| format!("{what} {}: interval too wide", shared(sharing)))
+            .collect()
+    }
+}
+
+/// The mean of one error over models, weighed by their evidence, and its interval; `None` if no model has it.
+fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Option<Measured> {
+    judged.iter().find_map(|one| index(one.fit.model))?;
+    let least = judged.first()?.score;
+    // A model without the error says 0, and is sure of it.
+    let said = judged.iter().map(|one| {
+        let (value, variance) =
+            index(one.fit.model).map_or((0.0, 0.0), |at| (one.fit.estimate.errors[at], one.covariance[(at, at)]));
+        ((least - one.score).exp(), value, variance)
+    });
+    let total: f64 = said.clone().map(|(weight, ..)| weight).sum();
+    let value = said.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
+    let variance = said.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
+    Some(Measured { value, half_width: QUANTILE * variance.sqrt() })
 }
 
 /// The standard deviation, of the Student scale and the path's share taken together.
@@ -189,29 +275,6 @@ fn set_noise(findings: &mut Findings, fit: &Fit, problem: &Problem, time: f64) {
             errors.range_std_m = Some(Measured { value: std_m, half_width });
         }
     }
-}
-
-/// Errors of a model that its data leave open: intervals as wide as the value and wider than the noise, or hardly
-/// narrower than what was taken for granted.
-fn open_quantities(problem: &Problem, fit: &Fit, time: f64) -> Vec<String> {
-    let prior = fit.model.prior_stds(problem.sensors, problem.span_m);
-    let noise_m = fit.estimate.sigmas_m.iter().copied().fold(0.0, f64::max);
-    let biases = fit.model.scale_index(0, problem.sensors).unwrap_or(prior.len());
-    let is_open = |at: usize| {
-        let std = fit.solution.covariance[at][at].sqrt();
-        let useful = if at < biases { noise_m } else { 2.0 * noise_m / problem.span_m };
-        let half_width = QUANTILE * std * time.sqrt();
-        std > 0.5 * prior[at] || (half_width > useful && half_width > fit.estimate.errors[at].abs())
-    };
-    let mut told = Vec::new();
-    let shared = |sharing| if sharing == Sharing::Each { "of each sensor" } else { "common to all" };
-    if (0..biases).any(is_open) {
-        told.push(format!("bias {}, beside scale {:?}: interval too wide", shared(fit.model.bias), fit.model.scale));
-    }
-    if (biases..prior.len()).any(is_open) {
-        told.push(format!("scale {}, beside bias {:?}: interval too wide", shared(fit.model.scale), fit.model.bias));
-    }
-    told
 }
 
 #[cfg(test)]
@@ -263,6 +326,22 @@ mod tests {
             }
         }
         assert!(inside * 10 >= all * 7, "{inside} of {all}");
+    }
+
+    #[test]
+    fn manoeuvring_noise_has_an_interval_narrower_than_itself() {
+        let (findings, _) = findings(&simulated(8, [0.0; 4], 0.0, 0.05, true));
+        let psd = findings.accel_psd.unwrap();
+        assert!(psd.half_width > 0.0 && psd.half_width < psd.value, "{psd:?}");
+    }
+
+    #[test]
+    fn residuals_that_last_count_for_less_and_within_the_memory_only() {
+        let steps: Vec<f64> = (0..1_000).map(|i| if (i / 20) % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let alternating: Vec<f64> = (0..1_000).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let (all, short) = (correlation(&[steps.clone()], f64::INFINITY), correlation(&[steps], 2.0));
+        assert!(all > 5.0 && short > 1.5 && short < all, "{all} {short}");
+        assert_eq!(correlation(&[alternating], f64::INFINITY), 1.0);
     }
 
     #[test]

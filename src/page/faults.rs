@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 
 use plotters::prelude::*;
+use rangehound_shared::scenario::name_of;
 
 use super::{Section, WIDTH, escaped};
 use crate::chart::{self, COLOURS, Drawn, ESTIMATE, KeyEntry};
@@ -45,8 +46,8 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
         return Ok(Section { heading: "Faults", text, picture: String::new(), below: String::new() });
     }
     let drawn = &nodes[..nodes.len().min(NODES_MAX)];
-    let names: Vec<&str> =
-        troubles.iter().map(|(name, _)| *name).chain(drawn.iter().map(|node| node.name.as_str())).collect();
+    let titles: Vec<String> = drawn.iter().map(|node| node.title()).collect();
+    let names: Vec<&str> = troubles.iter().map(|(name, _)| *name).chain(titles.iter().map(String::as_str)).collect();
     let key = key(!troubles.is_empty(), drawn);
     let height = chart::key_height(WIDTH, &key) + FRAME + ROW * names.len() as u32;
     let picture = chart::draw_to_string((WIDTH, height), |area| {
@@ -156,18 +157,19 @@ fn draw_incidents(chart: &mut chart::Plane<'_, '_>, curves: &Curves, node: &Node
 
 /// The first of all incidents, in words.
 fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> anyhow::Result<String> {
-    let mut incidents: Vec<(u64, Incident, &str)> = nodes
+    let mut incidents: Vec<(u64, Incident, String)> = nodes
         .iter()
-        .flat_map(|node| incidents(node).map(|(at_ns, incident)| (at_ns, incident, node.name.as_str())))
+        .flat_map(|node| incidents(node).map(|(at_ns, incident)| (at_ns, incident, node.title())))
         .collect();
     incidents.sort_unstable();
     let incidents = incidents.into_iter().map(|(at_ns, incident, node)| {
         let time_s = curves.time_s_at(at_ns).unwrap_or_default();
-        (format!("{time_s:.2} s"), format!("{} {incident}", escaped(node)))
+        (format!("{time_s:.2} s"), format!("{} {incident}", escaped(&node)))
     });
     let distrusted = report.distrusted.iter().map(|Distrust { robot, sensor, from_tick, to_tick }| {
         let until = to_tick.map_or("the end".to_owned(), |tick| tick.to_string());
-        (format!("tick {from_tick} to {until}"), format!("{} distrusted", escaped(&report.name_of(*robot, sensor))))
+        let name = name_of(*robot, report.recording.as_ref().map(|_| sensor.as_str()));
+        (format!("tick {from_tick} to {until}"), format!("{} distrusted", escaped(&name)))
     });
     let mut lines = incidents.chain(distrusted);
     let told: Vec<(String, String)> = lines.by_ref().take(LINES_MAX).collect();

@@ -11,6 +11,7 @@ use rangehound_shared::matrix::Matrix;
 use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
 use serde::Serialize;
 
+use crate::experiment::COMMAND_LINE;
 use crate::failure::one_short_line;
 
 use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
@@ -64,7 +65,7 @@ impl Desk {
     /// # Errors
     /// [`ScenarioError`] if the table makes no sense.
     pub fn new(table: PlannerTable, seed: u64) -> Result<Self, ScenarioError> {
-        PlannerSpec::from_table(&table, "command line")?;
+        PlannerSpec::from_table(&table, COMMAND_LINE)?;
         let kept = Vec::new();
         Ok(Self { table, seed, kept, team: Vec::new(), problem: Problem::default(), plan: Plan::default() })
     }

@@ -16,8 +16,9 @@ use rangehound_shared::scenario::{GateKey, PlannerSpec, PlannerTable, Scenario, 
 use serde::Serialize;
 
 use crate::cli::ReplayArgs;
+use crate::experiment::COMMAND_LINE;
 use crate::failure::{self, Failure};
-use crate::run_mcap::read::{FrameReader, ReadError};
+use crate::run_mcap::read::{FrameReader, Missing, ReadError};
 use crate::run_mcap::topics::digest_of;
 use crate::watch::Progress;
 use differences::{Comparison, Differences};
@@ -37,6 +38,8 @@ struct Outcome {
     /// The last tick that was replayed, and that of the whole run.
     ticks: u64,
     ticks_of_run: u64,
+    /// Ticks after the last that the file counts and does not hold.
+    ticks_missing: Option<Missing>,
     /// What was replayed, in the run's time, and how long that took, s.
     run_s: f64,
     wall_s: f64,
@@ -75,9 +78,13 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
             refuse(&format!("{error}: `rangehound replay --repair` makes a whole file of what is before"))
         }
         Stopped::Reading(error) => refuse(&error),
-        // A recording without its beginning, or with a tick lost, is bad input; what diverges with other flags is a result.
-        Stopped::Stepping(error @ (StepError::Hole(_) | StepError::Senseless { .. })) => refuse(&error),
-        Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error)),
+        Stopped::Empty => match reader.missing_at_end() {
+            Some(missing) => Failure::Running(anyhow::anyhow!("{}: {missing}: it is damaged", path.display())),
+            None => refuse(&"holds no tick"),
+        },
+        Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
+        // Ticks that are not there are a difference; what diverges with other flags is a result too.
+        Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error).context(path.display().to_string())),
         Stopped::Tally(error) => Failure::Running(error),
     })?;
     let Replayed { ticks, run_s, wall_s, fed: Fed { in_time, late }, first_difference, digest, differences } = fed;
@@ -89,6 +96,7 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
         seed: recorded.seed,
         ticks,
         ticks_of_run: recorded.ticks,
+        ticks_missing: reader.missing_at_end(),
         run_s,
         wall_s,
         ranges_in_time: in_time,
@@ -110,11 +118,15 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
     if let Some(port) = args.show.live {
         show::show(open()?, begin()?, &replayed, port, args.speed)?;
     }
-    match &outcome.first_difference {
-        Some(difference) => {
+    match (&outcome.first_difference, outcome.ticks_missing) {
+        (Some(difference), _) => {
             Err(Failure::Running(anyhow::anyhow!("the replay differs from tick {} on", difference.tick)))
         }
-        None => Ok(()),
+        (None, Some(missing)) => {
+            let path = path.display();
+            Err(Failure::Running(anyhow::anyhow!("{path}: {missing} at the end of the recording: it is damaged")))
+        }
+        (None, None) => Ok(()),
     }
 }
 
@@ -128,7 +140,7 @@ fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> 
             ));
         }
         let table = PlannerTable { name: Some(name.clone()), ..PlannerTable::default() };
-        let spec = PlannerSpec::from_table(&table, "command line").map_err(Failure::input)?;
+        let spec = PlannerSpec::from_table(&table, COMMAND_LINE).map_err(Failure::input)?;
         // The same planner keeps what its scenario said of it.
         if spec.name() != recorded.planner.name() {
             scenario.planner = spec;
@@ -159,6 +171,7 @@ fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> 
 
 /// Why a replay has stopped before the end.
 enum Stopped {
+    Empty,
     Reading(ReadError),
     Stepping(StepError),
     Tally(anyhow::Error),
@@ -203,7 +216,7 @@ fn feed(
         }
     }
     progress.finish();
-    let (first_s, last_s) = times_s.ok_or(Stopped::Stepping(StepError::Hole(0)))?;
+    let (first_s, last_s) = times_s.ok_or(Stopped::Empty)?;
     let (wall_s, fed) = (began.elapsed().as_secs_f64(), steps.fed());
     Ok(Replayed { ticks, run_s: last_s - first_s, wall_s, fed, first_difference, digest, differences })
 }

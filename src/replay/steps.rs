@@ -10,14 +10,15 @@ use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::scenario::Scenario;
 
 use crate::frame::Frame;
+use crate::run_mcap::read::Missing;
 use crate::run_mcap::topics::digest_of;
 
 /// Why the replay cannot go on.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StepError {
     /// A tick is not in the recording: all later estimates depend on it.
-    #[error("tick {0} is not in the recording, so that nothing after it can be replayed")]
-    Hole(u64),
+    #[error("{0} in the recording, so that nothing after can be replayed")]
+    Hole(Missing),
     /// The recording says what fusion cannot have done.
     #[error("tick {tick}: a range of robot {robot} cannot have been taken at tick {taken_at}")]
     Senseless {
@@ -73,7 +74,7 @@ impl Steps {
     pub fn step(&mut self, frame: &Frame) -> Result<Estimate, StepError> {
         let tick = self.centre.next_tick();
         if frame.tick != tick {
-            return Err(StepError::Hole(tick));
+            return Err(StepError::Hole(Missing::between(tick, frame.tick)));
         }
         let Self { centre, reports, late, fed } = self;
         for (robot, (slot, exchange)) in reports.iter_mut().zip(&frame.exchanges).enumerate() {

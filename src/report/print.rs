@@ -4,6 +4,8 @@ use super::{
     Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
     TraceSummary,
 };
+use rangehound_shared::scenario::{name_of, printable};
+
 use crate::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
 
@@ -46,10 +48,10 @@ impl std::fmt::Display for Report {
             writeln!(f, "{}", field("hops, us p50", hops.join(", ")))?;
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
-            let NodeSummary { name, starts, kills, exits, hangs, .. } = node;
+            let NodeSummary { starts, kills, exits, hangs, .. } = node;
             let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
             let fate = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
-            writeln!(f, "{}", field_in(DOUBTFUL, name, fate))?;
+            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), fate))?;
         }
         writeln!(f, "{}", field("digest", &self.digest))?;
         write!(f, "{}", self.verdict)
@@ -74,12 +76,6 @@ impl std::fmt::Display for HeadingSummary {
 const SENSOR_LINES_MAX: usize = 5;
 
 impl Report {
-    /// What people call a robot, or the sensor of a recording.
-    #[must_use]
-    pub fn name_of(&self, robot: usize, sensor: &str) -> String {
-        if self.recording.is_some() { format!("sensor {sensor}") } else { format!("robot {robot}") }
-    }
-
     /// The sensors of which most was not fused, if there are any, and whether the gate was widened.
     fn fmt_doubtful_sensors(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let lost = |sensor: &SensorSummary| sensor.rejected + sensor.distrusted;
@@ -90,7 +86,7 @@ impl Report {
         for SensorSummary { name, ranges, rejected, distrusted, .. } in doubtful.into_iter().take(SENSOR_LINES_MAX) {
             let (rejected, distrusted) = (share(*rejected, *ranges), share(*distrusted, *ranges));
             let lost = format!("{rejected:.0} % of {ranges} ranges rejected, {distrusted:.0} % distrusted");
-            writeln!(f, "{}", field_in(DOUBTFUL, "sensor", format_args!("{name}: {lost}")))?;
+            writeln!(f, "{}", field_in(DOUBTFUL, "sensor", format_args!("{}: {lost}", printable(name))))?;
         }
         if self.gate_widened > 0 {
             let times = format!("at {} ticks: most sensors failed it together", self.gate_widened);
@@ -112,7 +108,10 @@ impl Report {
         }
         for Distrust { robot, sensor, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
             let until = to_tick.map_or("the end".to_owned(), |tick| format!("tick {tick}"));
-            let time = format!("{} from tick {from_tick} to {until}", self.name_of(*robot, sensor));
+            let time = format!(
+                "{} from tick {from_tick} to {until}",
+                name_of(*robot, self.recording.as_ref().map(|_| sensor.as_str()))
+            );
             writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", time))?;
         }
         if let Some(more) = distrusted.len().checked_sub(DISTRUST_LINES_MAX).filter(|more| *more > 0) {

@@ -4,6 +4,8 @@ use hdrhistogram::Histogram;
 use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{Heading, RobotRecord};
 use rangehound_shared::recording::ReadSummary;
+use rangehound_shared::rendezvous::Role;
+use rangehound_shared::scenario::{Scenario, title_of};
 use serde::Serialize;
 
 use super::verdict::Verdict;
@@ -213,6 +215,9 @@ impl LatencySummary {
 pub struct NodeSummary {
     /// `sim`, `fusion`, `robot-0`, ...
     pub name: String,
+    /// The name of a robot's sensor in the recording; left out for other nodes, and in a simulated run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
     /// How often it was started.
     pub starts: u64,
     /// How often it was ended by a signal.
@@ -229,8 +234,17 @@ pub struct NodeSummary {
 impl NodeSummary {
     /// A process that was started so often, and of which no more is known.
     #[must_use]
-    pub fn new(name: String, starts: u64) -> Self {
-        Self { name, starts, kills: 0, exits: 0, hangs: 0, incidents: Vec::new() }
+    pub fn new(role: Role, scenario: &Scenario, starts: u64) -> Self {
+        let sensor = role.robot().and_then(|id| scenario.sensor_of(id)).map(str::to_owned);
+        Self { name: role.to_string(), sensor, starts, kills: 0, exits: 0, hangs: 0, incidents: Vec::new() }
+    }
+}
+
+impl NodeSummary {
+    /// Its name for people: `robot-0 (2938)`.
+    #[must_use]
+    pub fn title(&self) -> String {
+        title_of(&self.name, self.sensor.as_deref())
     }
 }
 

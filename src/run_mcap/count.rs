@@ -1,4 +1,4 @@
-//! How many ticks a recording holds, by what its end says, or by reading it all where it has none.
+//! How many ticks a recording holds: as its end says of one just made, and by reading it all of any other.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -8,10 +8,7 @@ use std::path::Path;
 use mcap::records::op;
 
 use super::messages::TOPICS;
-use super::read::{Fields, FrameReader};
-
-/// The topic of which each tick has one message.
-const ESTIMATE: &str = TOPICS[4];
+use super::read::{ESTIMATE, Fields, FrameReader, Missing, count_of};
 
 /// Longest index and summary that is read.
 const SUMMARY_LEN_MAX: u64 = 64 << 20;
@@ -43,13 +40,19 @@ pub fn look(path: &Path, run_id: u64) -> Found {
     if !reader.description().is_ok_and(|description| description.run_id == run_id) {
         return Found::Foreign;
     }
-    Found::Same(ticks_told(&file).unwrap_or_else(|| {
-        let mut ticks = 0;
-        while let Ok(Some(_)) = reader.next_frame() {
-            ticks += 1;
+    // What its end says is not what can be read, where it is damaged.
+    let (mut ticks, mut next) = (0, 0);
+    let tell = |missing: Missing| log::warn!("{}: {missing}: the file is damaged, or has holes", path.display());
+    while let Ok(Some(frame)) = reader.next_frame() {
+        if frame.tick > next {
+            tell(Missing::between(next, frame.tick));
         }
-        ticks
-    }))
+        (ticks, next) = (ticks + 1, frame.tick + 1);
+    }
+    if let Some(missing) = reader.missing_at_end() {
+        tell(missing);
+    }
+    Found::Same(ticks)
 }
 
 /// The number of ticks by what the end of the file says; `None` if it has no end.
@@ -68,28 +71,20 @@ pub fn ticks_told(file: &File) -> Option<u64> {
     }
     let mut summary = vec![0; usize::try_from(summary_len).ok()?];
     file.read_exact_at(&mut summary, start).ok()?;
-    let (mut records, mut estimates, mut counts) = (Fields(&summary), None, None);
+    let (mut records, mut estimates, mut statistics) = (Fields(&summary), None, None);
     while let Some(opcode) = records.take(1) {
         let len = u64::from_le_bytes(records.take(8)?.try_into().ok()?);
         let data = records.take(usize::try_from(len).ok()?)?;
         match opcode[0] {
             op::CHANNEL => {
                 let (id, topic) = Fields(data).channel()?;
-                if topic == ESTIMATE.as_bytes() {
+                if topic == TOPICS[ESTIMATE].as_bytes() {
                     estimates = Some(id);
                 }
             }
-            // After seven counts and two times: pairs of channel and count.
-            op::STATISTICS => counts = data.get(8 + 2 + 4 * 4 + 8 + 8 + 4..),
+            op::STATISTICS => statistics = Some(data),
             _ => {}
         }
     }
-    let estimates = estimates?;
-    let (pairs, _) = counts?.as_chunks::<10>();
-    let of_estimates = pairs.iter().find(|pair| pair[..2] == estimates.to_le_bytes());
-    Some(
-        of_estimates.map_or(0, |pair| {
-            u64::from_le_bytes([pair[2], pair[3], pair[4], pair[5], pair[6], pair[7], pair[8], pair[9]])
-        }),
-    )
+    count_of(estimates?, statistics?)
 }

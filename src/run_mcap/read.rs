@@ -8,6 +8,7 @@ use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::sealed::SealError;
+use serde::Serialize;
 
 use super::messages::{OnTopic, TOPICS};
 use super::topics::{Gathering, Senseless};
@@ -20,6 +21,9 @@ const RECORD_LEN_MAX: usize = 6 << 20;
 
 /// Longest message of a tick: far above that of the largest team, and short enough for what it takes decoded.
 const MESSAGE_LEN_MAX: usize = 1 << 17;
+
+/// The topic of which each tick has one message: its place in [`TOPICS`].
+pub(super) const ESTIMATE: usize = 4;
 
 /// Most bytes taken at once, whatever a record's length claims.
 const READ_LEN_MAX: usize = 1 << 16;
@@ -63,6 +67,35 @@ pub enum ReadError {
     },
 }
 
+/// Ticks that are not in a recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Missing {
+    /// The first of them.
+    pub first: u64,
+    /// The last.
+    pub last: u64,
+    /// How many they are.
+    pub number: u64,
+}
+
+impl Missing {
+    /// The ticks between two that are there.
+    #[must_use]
+    pub fn between(first: u64, next: u64) -> Self {
+        Self { first, last: next.saturating_sub(1), number: next.saturating_sub(first) }
+    }
+}
+
+impl std::fmt::Display for Missing {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { first, last, number } = self;
+        match number {
+            1 => write!(f, "1 tick, {first}, is missing"),
+            _ => write!(f, "{number} ticks, {first} to {last}, are missing"),
+        }
+    }
+}
+
 fn what_is_left(after: Option<u64>) -> String {
     match after {
         Some(tick) => format!("after tick {tick}"),
@@ -93,6 +126,12 @@ struct Run {
     gathering: Option<(u64, Gathering)>,
     /// The last tick that is whole.
     last: Option<u64>,
+    /// Ticks that were read, those between them that were not, and what the file's end says of their number, if it says it.
+    count: u64,
+    skipped: u64,
+    told: Option<u64>,
+    /// What comes now is index and summary.
+    is_data_over: bool,
     is_over: bool,
 }
 
@@ -131,6 +170,16 @@ impl<R: Read> FrameReader<R> {
         self.run.scenario_text.as_deref()
     }
 
+    /// Ticks after the last one that the file's own count has and that cannot be read, once it has been read to its end. A
+    /// chunk whose kind is damaged is no chunk any more, and is passed over like any record of an unknown kind.
+    #[must_use]
+    pub fn missing_at_end(&self) -> Option<Missing> {
+        let Run { last, count, skipped, told, .. } = &self.run;
+        let number = told.unwrap_or(0).checked_sub(count + skipped).filter(|number| *number > 0)?;
+        let first = last.map_or(0, |last| last + 1);
+        Some(Missing { first, last: first.saturating_add(number - 1), number })
+    }
+
     /// Bytes of the file that have been read.
     #[must_use]
     pub fn bytes_read(&self) -> u64 {
@@ -160,6 +209,8 @@ impl<R: Read> FrameReader<R> {
         let Self { input, mcap, run, bytes_read } = self;
         match mcap.next_event() {
             None => run.end(),
+            // Of index and summary no tick depends.
+            Some(Err(_)) if run.is_data_over => run.end(),
             Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
                 let count = read(input, mcap.insert(wanted.min(READ_LEN_MAX)))?;
                 mcap.notify_read(count);
@@ -189,10 +240,6 @@ impl Run {
     }
 
     fn take(&mut self, opcode: u8, data: &[u8]) -> Result<Option<Frame>, ReadError> {
-        if opcode == op::DATA_END {
-            // What follows is index and summary.
-            return self.end();
-        }
         let mut record = Fields(data);
         match opcode {
             op::HEADER if record.string() != Some(PROFILE.as_bytes()) => Err(ReadError::Foreign),
@@ -213,6 +260,18 @@ impl Run {
                 }
                 Ok(None)
             }
+            op::DATA_END => {
+                self.is_data_over = true;
+                Ok(None)
+            }
+            op::STATISTICS => {
+                let of_channel =
+                    |topic: usize| self.channels.iter().find(|(_, known)| *known == topic).map(|(id, _)| *id);
+                self.told = of_channel(ESTIMATE).and_then(|id| count_of(id, data));
+                Ok(None)
+            }
+            // The record that ended the data was none.
+            op::MESSAGE if self.is_data_over => Err(self.damaged("messages stand after the end of the data")),
             op::MESSAGE => {
                 let (channel, data) = record.message().ok_or_else(|| self.damaged("a message makes no sense"))?;
                 self.hear(channel, data)
@@ -235,8 +294,16 @@ impl Run {
             if tick < before {
                 return Err(ReadError::Disordered { tick, after: before });
             }
-            self.last = Some(before);
-            whole = Some(gathering.into_frame()?);
+            self.skipped += tick - before - 1;
+            match gathering.into_frame() {
+                Ok(frame) => {
+                    (self.last, self.count) = (Some(before), self.count + 1);
+                    whole = Some(frame);
+                }
+                // The rest of it stood in a chunk that is missing.
+                Err(Senseless::Lacking { .. }) => self.skipped += 1,
+                Err(error) => return Err(error.into()),
+            }
         }
         let (_, gathering) = self.gathering.get_or_insert_with(|| (tick, Gathering::of(&description.scenario, tick)));
         gathering.take(message)?;
@@ -246,9 +313,25 @@ impl Run {
     fn end(&mut self) -> Result<Option<Frame>, ReadError> {
         self.is_over = true;
         let Some((tick, gathering)) = self.gathering.take() else { return Ok(None) };
-        self.last = Some(tick);
-        Ok(Some(gathering.into_frame()?))
+        match gathering.into_frame() {
+            Err(Senseless::Lacking { .. }) if self.told.is_some() => Ok(None),
+            framed => {
+                (self.last, self.count) = (Some(tick), self.count + 1);
+                Ok(Some(framed?))
+            }
+        }
     }
+}
+
+/// How many messages of a channel a file's statistics tell of: after seven counts and two times they have pairs of channel
+/// and count.
+pub(super) fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
+    let (pairs, _) = statistics.get(8 + 2 + 4 * 4 + 8 + 8 + 4..)?.as_chunks::<10>();
+    let of_channel = pairs.iter().find(|pair| pair[..2] == channel.to_le_bytes());
+    Some(of_channel.map_or(0, |pair| {
+        let count = [pair[2], pair[3], pair[4], pair[5], pair[6], pair[7], pair[8], pair[9]];
+        u64::from_le_bytes(count)
+    }))
 }
 
 /// The fields of a record one after the other. The library's own parser takes as much memory as a damaged length says.

@@ -8,11 +8,11 @@ use foxglove::messages::line_primitive::Type as LineType;
 use foxglove::messages::packed_element_field::NumericType;
 use foxglove::messages::{
     ArrowPrimitive, Color, Duration, LinePrimitive, PackedElementField, Point3, PointCloud, Pose, PosesInFrame,
-    Quaternion, SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, Vector3,
+    Quaternion, SceneEntity, SceneUpdate, SpherePrimitive, TextPrimitive, Timestamp, Vector3,
 };
 use nalgebra::Vector2;
 use plotters::style::RGBColor;
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::{Scenario, printable};
 
 use crate::chart::{ESTIMATE, TARGET, robot_colour};
 use crate::ellipse::Ellipse;
@@ -32,6 +32,10 @@ const SCENES_PER_S: f64 = 10.0;
 const CIRCLES_POINTS: usize = 128;
 const CIRCLE_POINTS_MAX: usize = 36;
 const CIRCLE_POINTS_MIN: usize = 12;
+
+/// Sensors that are named, and the size of their names, px.
+const NAMES_MAX: usize = 16;
+const FONT_PX: f64 = 14.0;
 
 /// Points of the ellipse in the point cloud.
 const ELLIPSE_POINTS: u32 = 32;
@@ -107,7 +111,7 @@ impl Scene {
                 circles.push(circle(heard.position_m, range_m, points, robot_colour(id)));
             }
         }
-        entities.push(SceneEntity { arrows, ..entity("robots".to_owned(), 0) });
+        entities.push(SceneEntity { arrows, texts: names(scenario, frame, size_m), ..entity("robots".to_owned(), 0) });
         entities.push(SceneEntity { lines: circles, ..entity("ranges".to_owned(), 0) });
         let now: Vec<Option<[f64; 2]>> = [target_of(frame), Some(estimate_of(frame))]
             .into_iter()
@@ -229,6 +233,24 @@ fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: C
         head_diameter: 0.8 * size_m,
         color: Some(of),
     }
+}
+
+/// What the user calls the sensors, beside them; nothing where there are too many to be told apart.
+fn names(scenario: &Scenario, frame: &Frame, size_m: f64) -> Vec<TextPrimitive> {
+    if scenario.robots.len() > NAMES_MAX {
+        return Vec::new();
+    }
+    let robots = frame.world.robots.iter().enumerate();
+    let named = robots.filter_map(|(id, robot)| Some((robot.position_m, robot_colour(id), scenario.sensor_of(id)?)));
+    let text = |([x_m, y_m], colour, name): ([f64; 2], RGBColor, &str)| TextPrimitive {
+        pose: Some(pose([x_m, y_m + 1.5 * size_m], 0.0)),
+        billboard: true,
+        font_size: FONT_PX,
+        scale_invariant: true,
+        color: Some(opaque(colour)),
+        text: printable(name),
+    };
+    named.map(text).collect()
 }
 
 fn circle([x_m, y_m]: [f64; 2], radius_m: f64, points: usize, of: RGBColor) -> LinePrimitive {

@@ -10,6 +10,7 @@ use anyhow::{Context, anyhow};
 use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
+use rangehound_shared::scenario::Scenario;
 use rangehound_shared::signal::Termination;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
@@ -98,9 +99,10 @@ impl<'a> Nodes<'a> {
         before: Vec<NodeSummary>,
     ) -> Result<Self, Failure> {
         let policies = Policies::new(&supervision.rules);
-        let roles = watch::roles(rendezvous.description().scenario.robots.len());
+        let scenario = &rendezvous.description().scenario;
+        let roles = watch::roles(scenario.robots.len());
         let roles = roles.chain((1..=supervision.standby).map(Role::Standby));
-        let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, supervision.standby > 0)).collect();
+        let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standby > 0)).collect();
         // What has become of each before goes on.
         nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
         let inspection = rendezvous.inspection();
@@ -188,7 +190,8 @@ impl<'a> Nodes<'a> {
                 && running.silence.is_longer_than(limit)
                 && running.signal(Signal::KILL)
             {
-                log::warn!("{} gave no sign of life for {limit:?} while others did: it is killed", node.role);
+                let title = node.summary.title();
+                log::warn!("{title} gave no sign of life for {limit:?} while others did: it is killed");
                 running.silence = Silence::default();
                 node.note(Incident::Hung);
             }
@@ -206,7 +209,7 @@ impl<'a> Nodes<'a> {
                     return Ok(Some(removed));
                 }
                 let node = &mut self.nodes[index];
-                let message = format!("{} {}", node.role, describe(status));
+                let message = format!("{} {}", node.summary.title(), describe(status));
                 self.last_death = Some(Instant::now());
                 self.rendezvous.remove_half_made();
                 self.cleaner.request();
@@ -323,8 +326,8 @@ impl Running {
 }
 
 impl Node {
-    fn new(role: Role, has_standbys: bool) -> Self {
-        let summary = NodeSummary::new(role.to_string(), 0);
+    fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
+        let summary = NodeSummary::new(role, scenario, 0);
         Self { role, has_standbys, running: None, summary, deaths: 0, failures: 0, restart_at: None }
     }
 
@@ -347,7 +350,7 @@ impl Node {
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(stderr);
-        let child = command.spawn().with_context(|| format!("cannot start {}", self.role))?;
+        let child = command.spawn().with_context(|| format!("cannot start {}", self.summary.title()))?;
         let ended = pidfd_open(Pid::from_child(&child), PidfdFlags::empty()).ok();
         let (since, silence) = (Instant::now(), Silence::default());
         self.running = Some(Running { child, ended, since, silence, has_led: false });

@@ -127,8 +127,18 @@ impl Bus {
     /// [`BusError`] if iceoryx2 refuses.
     pub fn of_role(run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<Self, BusError> {
         let bus = Self::connect(run, &role.to_string())?;
-        bus.speak_as(hold.incarnation);
+        bus.take_role(run, role, hold)?;
         Ok(bus)
+    }
+
+    /// From now on this process speaks for a role that it holds.
+    ///
+    /// # Errors
+    /// [`BusError`] if that cannot be told to the others.
+    pub fn take_role(&self, run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<(), BusError> {
+        self.speak_as(hold.incarnation);
+        let told = run.roster().speak_through(role, hold, self.node.id().value());
+        told.map_err(|error| BusError { what: format!("role {role}"), reason: error.to_string() })
     }
 
     /// Connects a process, under the name of its role or another, by its [`node`].

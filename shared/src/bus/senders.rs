@@ -42,7 +42,7 @@ impl Senders {
         Self { roster, known: RefCell::new(known) }
     }
 
-    /// What a node, of this process, is to a role.
+    /// What a node, of the process that has this number where it runs, is to a role.
     pub(super) fn standing(&self, role: Role, node: u128, pid: impl FnOnce() -> Option<Pid>) -> Standing {
         let slot = match role {
             Role::Sim => 0,
@@ -58,13 +58,13 @@ impl Senders {
         if strangers.contains(&node) {
             return Standing::Impostor;
         }
-        let Some(pid) = pid() else { return Standing::Gone };
-        match self.roster.is_last_holder(role, pid) {
+        match self.roster.speaks_through(role, node) {
             Ok(true) => {
                 *bound = node;
                 return Standing::Holder;
             }
-            Ok(false) if test_kill_process(pid).is_ok() => {}
+            // One in another PID namespace counts for as little, but nobody can tell whether it lives.
+            Ok(false) if pid().is_some_and(|pid| test_kill_process(pid).is_ok()) => {}
             // What cannot be told now is not held against a sender for ever.
             Ok(false) | Err(_) => return Standing::Gone,
         }

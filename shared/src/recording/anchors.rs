@@ -49,7 +49,7 @@ impl Anchors {
     /// As [`Self::read`].
     pub fn parse(input: impl Read, path: &Path, columns: &ColumnMap) -> Result<Self, RecordingError> {
         let knows = |name: &str| Kind::Anchors.knows(name) || columns.names(name);
-        let mut table = Table::open(input, path, false, &knows)?;
+        let mut table = Table::open(input, path, None, &knows)?;
         let mut finder = Finder::new(Kind::Anchors, &table, columns);
         let sensor = finder.text(Role::Sensor, &table)?;
         let (x, y, z) =

@@ -81,11 +81,12 @@ impl ColumnMap {
 
     /// Whether all that is told is told by number, as for a file without a header.
     pub(super) fn is_by_number(&self) -> bool {
-        !self.told.is_empty() && self.told.iter().all(|told| told.column.parse::<usize>().is_ok())
+        !self.told.is_empty() && self.told.iter().all(Told::is_by_number)
     }
 
+    /// Whether a column's name is told. A number is none: a row of values may hold it.
     pub(super) fn names(&self, column: &str) -> bool {
-        self.told.iter().any(|told| told.column.eq_ignore_ascii_case(column))
+        self.told.iter().any(|told| !told.is_by_number() && told.column.eq_ignore_ascii_case(column))
     }
 
     /// The words to type: what has been told already, with `more`.
@@ -97,6 +98,13 @@ impl ColumnMap {
         // A shell takes these as they are.
         let is_plain = words.chars().all(|c| c.is_alphanumeric() || "=:,._-".contains(c));
         if is_plain { format!("--columns {words}") } else { format!("--columns '{words}'") }
+    }
+}
+
+impl Told {
+    /// Whether the column is told by its number.
+    pub(super) fn is_by_number(&self) -> bool {
+        self.column.parse::<usize>().is_ok()
     }
 }
 

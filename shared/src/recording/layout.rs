@@ -41,7 +41,9 @@ impl<'a> Finder<'a> {
 
     /// The index of the column that has a role: the one that the user tells, or the one whose name says so.
     pub(super) fn index<R: Read>(&self, role: Role, table: &Table<R>) -> Result<Option<usize>, RecordingError> {
-        if let Some(told) = self.map.get(role) {
+        // The number of a log's column says nothing of its anchors file.
+        let is_of_log = |told: &&Told| self.kind == Kind::Anchors && role == Role::Sensor && told.is_by_number();
+        if let Some(told) = self.map.get(role).filter(|told| !is_of_log(told)) {
             let found = self.told_index(&told.column);
             return match found {
                 // An anchors file and its log often call the sensor differently.

@@ -31,14 +31,14 @@ impl<R: Read> Lines<R> {
         if self.input.by_ref().take(LINE_LEN_MAX as u64 + 1).read_until(b'\n', line)? == 0 {
             return Ok(false);
         }
+        if self.number == 1 {
+            look_at_start(line)?;
+        }
         if line.len() > LINE_LEN_MAX {
             return Err(refuse(format!("line {} has more than {LINE_LEN_MAX} bytes", self.number)));
         }
         if self.number > LINES_MAX {
             return Err(refuse(format!("it has more than {LINES_MAX} lines")));
-        }
-        if self.number == 1 {
-            look_at_start(line)?;
         }
         if line.last() == Some(&b'\n') {
             line.pop();
@@ -62,6 +62,25 @@ fn look_at_start(line: &mut Vec<u8>) -> Result<()> {
         }
         [0x1F, 0x8B, ..] => {
             Err(refuse("it is compressed by gzip: unpack it, or give `zcat FILE` as a pipe".to_owned()))
+        }
+        [0x28, 0xB5, 0x2F, 0xFD, ..] => {
+            Err(refuse("it is compressed by zstd: unpack it, or give `zstdcat FILE` as a pipe".to_owned()))
+        }
+        [b'B', b'Z', b'h', b'1'..=b'9', 0x31, 0x41, ..] => {
+            Err(refuse("it is compressed by bzip2: unpack it, or give `bzcat FILE` as a pipe".to_owned()))
+        }
+        [0xFD, b'7', b'z', b'X', b'Z', 0, ..] => {
+            Err(refuse("it is compressed by xz: unpack it, or give `xzcat FILE` as a pipe".to_owned()))
+        }
+        [b'P', b'K', 3, 4, ..] => {
+            Err(refuse("it is a zip archive, as spreadsheets are: unpack it, or export it as CSV".to_owned()))
+        }
+        _ if line.contains(&0) => Err(refuse(
+            "it holds bytes that are 0: it is no text, or text in UTF-16 to convert, as by `iconv -f UTF-16LE -t UTF-8`"
+                .to_owned(),
+        )),
+        [start @ .., _, _] if start.contains(&b'\r') && !start.ends_with(b"\r") => {
+            Err(refuse("its lines end with CR alone: convert it, as by `tr '\\r' '\\n'`".to_owned()))
         }
         _ => Ok(()),
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::anchors::Anchors;
 use super::checks;
-use super::columns::Role;
+use super::columns::{Role, Told};
 use super::error::{Complaint, Problem, RecordingError, listed, shown};
 use super::gathering::{Gathering, Refusal};
 use super::layout::{Column, Finder, unit_of_epoch};
@@ -75,11 +75,12 @@ pub(super) fn read<R: Read>(
 ) -> Result<(Recording, ReadSummary), RecordingError> {
     let ReadOptions { columns, anchors, .. } = options;
     let anchors = anchors.as_ref();
+    let is_wide = !columns.get(Role::Range).is_some_and(Told::is_by_number);
     let knows = |name: &str| {
-        let is_anchor = anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
+        let is_anchor = is_wide && anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
         Kind::Log.knows(name) || columns.names(name) || is_anchor
     };
-    let table = Table::open(input, path, columns.is_by_number(), &knows)?;
+    let table = Table::open(input, path, Some(columns.is_by_number()), &knows)?;
     let mut gathering = Gathering::new(anchors);
     let mut summary = ReadSummary::default();
     let layout = layout(&table, options, &mut gathering, &mut summary)?;
@@ -384,6 +385,9 @@ impl<R: Read> Log<'_, R> {
         if gathering.len() == 0 && summary.not_heard > 0 {
             let count = summary.not_heard;
             return Err(table.error(format!("expected ranges, all {count} are 0 or say that nothing was heard")));
+        }
+        if table.rows() == 0 {
+            return Err(table.error("row 0 (the header): expected rows of ranges under the header, there is none"));
         }
         if gathering.len() == 0 {
             let expected = format!("1 to {} different sensors up to this last row", crate::ROBOTS_MAX);

@@ -38,12 +38,12 @@ pub(super) enum Row {
 }
 
 impl<R: Read> Table<R> {
-    /// Finds the header: the first line, or a comment above it. `knows` says which names it may have; with `by_number`
-    /// it may be missing.
+    /// Finds the header: the first line, or a comment above it. `knows` says which names it may have; where columns are
+    /// told `by_number` it may be missing. `None` if they cannot be.
     pub(super) fn open(
         input: R,
         path: &Path,
-        by_number: bool,
+        by_number: Option<bool>,
         knows: &dyn Fn(&str) -> bool,
     ) -> Result<Self, RecordingError> {
         let mut table = Self {
@@ -98,7 +98,7 @@ impl<R: Read> Table<R> {
     }
 
     /// Takes the first line for the header, unless the file has none.
-    fn take_header(&mut self, known: usize, by_number: bool) -> Result<(), RecordingError> {
+    fn take_header(&mut self, known: usize, by_number: Option<bool>) -> Result<(), RecordingError> {
         let Some((number, line)) = self.pending.pop_front() else {
             return Err(self.header_error("expected a header that names the columns, the file is empty"));
         };
@@ -116,15 +116,16 @@ impl<R: Read> Table<R> {
         self.numbers = Numbers::default();
         if !is_data {
             self.header = names_of(&fields);
-        } else if by_number {
+        } else if by_number == Some(true) {
             self.header = (1..=fields.len()).map(|number| number.to_string()).collect();
             self.pending.push_front((number, line));
         } else {
-            return Err(self.header_error(&format!(
-                "expected a header that names the columns, got {}; or tell the columns by number, as in --columns \
-                 time=1:s,sensor=2,range=3:m",
-                quoted(&String::from_utf8_lossy(&line))
-            )));
+            let or = match by_number {
+                Some(_) => "; or tell the columns by number, as in --columns time=1:s,sensor=2,range=3:m",
+                None => "",
+            };
+            let got = quoted(&String::from_utf8_lossy(&line));
+            return Err(self.header_error(&format!("expected a header that names the columns, got {got}{or}")));
         }
         Ok(())
     }
@@ -258,7 +259,9 @@ impl<R: Read> Table<R> {
     /// A complaint about a field of the row that was read last.
     pub(super) fn complaint(&self, index: usize, expected: impl Into<String>) -> Complaint {
         let (field, mut expected) = (self.field(index), expected.into());
-        if self.numbers.is_other_mark(field) {
+        if field.contains(&b'.') && field.contains(&b',') {
+            expected.push_str(" without thousands separators");
+        } else if self.numbers.is_other_mark(field) {
             expected.push_str(" with the decimal mark of the rows above");
         }
         Complaint::new(self.header.get(index).map_or("", String::as_str), expected, field)

@@ -170,6 +170,28 @@ fn columns_that_are_told_go_before_names() {
 }
 
 #[test]
+fn a_first_row_of_values_is_no_header_though_it_holds_the_numbers_of_columns() {
+    for (rows, first_range_m) in
+        [("1,2,3\n2,2,4\n", 3.0), ("0.1,3,2.957\n0.2,3,3\n", 2.957), ("# 1,2,3\n0.5,2,7\n", 7.0)]
+    {
+        // With places by number in the log, and from a file of anchors, which has a header.
+        let with_places: String = rows.lines().map(|row| format!("{row},0,0\n")).collect();
+        let options = told("time=1:s,sensor=2,range=3:m,x=4:m,y=5:m");
+        let anchors = anchored("x_m,sensor_id,y_m\n0,2,0\n9,3,0\n", "time=1:s,sensor=2,range=3:m");
+        for (text, options) in [(with_places.as_str(), &options), (rows, &anchors)] {
+            let (recording, summary) = read(text, options).unwrap();
+            let count = rows.lines().filter(|row| !row.starts_with('#')).count();
+            assert_eq!((summary.rows as usize, summary.bad_rows), (count, 0), "{text}");
+            assert_eq!(recording.instant(0).unwrap().1[0].range_m, first_range_m, "{text}");
+        }
+    }
+    let (recording, _) = read(PLAIN, &told("time=1,sensor=2,range=5")).unwrap();
+    assert_eq!(recording, read(PLAIN, &ReadOptions::default()).unwrap().0, "a header is none of the rows");
+    let refused = Anchors::parse("A,0,0\n".as_bytes(), Path::new("a.csv"), &ColumnMap::default()).unwrap_err();
+    assert!(!refused.to_string().contains("by number"), "{refused}");
+}
+
+#[test]
 fn rivals_for_a_column_are_asked_about() {
     let text = "time_s,anchor,sensor_x_m,sensor_y_m,distance_m,slant_distance_m\n0,A,0,0,1,2\n0,B,0,0,1,2\n";
     let complaint = complaint(text, &ReadOptions::default());
@@ -379,7 +401,7 @@ fn one_sensor_is_a_recording_and_257_are_none() {
     let rows: String = (0..257).map(|id| format!("{HEADER}0,{id},0,0,1\n").split_off(HEADER.len())).collect();
     let complaint = complaint(format!("{HEADER}{rows}"), &ReadOptions::default());
     assert!(complaint.contains("row 257 (line 258): sensor_id: expected 1 to 256 different sensors"), "{complaint}");
-    assert!(self::complaint(HEADER, &ReadOptions::default()).contains("row 0 (line 1): sensor_id: expected 1 to 256"));
+    assert!(self::complaint(HEADER, &ReadOptions::default()).contains("expected rows of ranges under the header"));
     assert!(self::complaint("", &ReadOptions::default()).contains("row 0 (line 1, the header): expected a header"));
 }
 
@@ -449,6 +471,19 @@ fn ranges_in_another_unit_than_their_column_says_are_doubted() {
 fn files_that_are_no_tables_say_so() {
     assert!(complaint([0xFF, 0xFE, b't', 0], &ReadOptions::default()).contains("iconv -f UTF-16 -t UTF-8"));
     assert!(complaint([0x1F, 0x8B, 8, 0], &ReadOptions::default()).contains("zcat FILE"));
+    for (start, word) in [
+        (&b"\x28\xb5\x2f\xfd\x04abc"[..], "zstdcat FILE"),
+        (b"BZh91AY&SY", "bzcat FILE"),
+        (b"\xfd7zXZ\0\0", "xzcat FILE"),
+        (b"PK\x03\x04\x14", "zip archive"),
+        (b"t\0i\0m\0e\0", "iconv -f UTF-16LE"),
+        (b"time_s,sensor_id\r0,1\r1,1\r", "CR alone"),
+    ] {
+        assert!(complaint(start, &ReadOptions::default()).contains(word), "{word}");
+    }
+    assert!(complaint(HEADER, &ReadOptions::default()).contains("rows of ranges under the header, there is none"));
+    let thousands = complaint(format!("{HEADER}0,1,0,0,\"1,234.5\"\n"), &ReadOptions::default());
+    assert!(thousands.contains("without thousands separators"), "{thousands}");
     assert!(complaint(vec![b'x'; 100_000], &ReadOptions::default()).contains("line 1 has more than 65536 bytes"));
     let error = Recording::read(Path::new("/nonexistent/r.csv"), &ReadOptions::default()).unwrap_err();
     assert!(error.to_string().starts_with("/nonexistent/r.csv: expected a table that can be read"));

@@ -35,7 +35,7 @@ pub fn read_track(path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
 /// As [`read_track`].
 pub fn parse_track(input: impl Read, path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
     let map = ColumnMap::default();
-    let mut table = Table::open(input, path, false, &|name| Kind::Track.knows(name))?;
+    let mut table = Table::open(input, path, None, &|name| Kind::Track.knows(name))?;
     let mut finder = Finder::new(Kind::Track, &table, &map);
     let mut column =
         |role| finder.number(role, &table)?.ok_or_else(|| finder.missing(&[Role::Time, Role::X, Role::Y], &table, ""));

@@ -114,12 +114,6 @@ fn number_here(proc_pid: i32) -> Option<Pid> {
     Pid::from_raw(*depth(&proc_pid.to_string())?.get(here)?)
 }
 
-/// This process's number in the namespace of `/proc`: what iceoryx2 puts into the ids of its nodes.
-pub(super) fn own_number_in_proc() -> Option<i32> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    field(&status, "NSpid:")?.split_whitespace().next()?.parse().ok()
-}
-
 fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     text.lines().find_map(|line| line.strip_prefix(name)).map(str::trim)
 }

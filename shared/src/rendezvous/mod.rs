@@ -73,6 +73,12 @@ pub enum Role {
 }
 
 impl Role {
+    /// The robot's id, of a robot.
+    #[must_use]
+    pub fn robot(self) -> Option<usize> {
+        if let Self::Robot(id) = self { Some(id) } else { None }
+    }
+
     /// Names this process after the role, so that `ps` and `top` tell the nodes apart.
     pub fn name_process(self) {
         // The kernel keeps 15 bytes; "rh-robot-255" fits. A process without its name works as well.

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use rustix::process::Pid;
 
-use super::holder::{self, Holder, Process};
+use super::holder::{Holder, Process};
 use super::place::Place;
 use super::{RendezvousError, Role};
 
@@ -151,7 +151,7 @@ impl Roster {
         file.lock().map_err(io_error)?;
         let incarnation = self.starts(role) + 1;
         // Signed before it has the name: nobody sees a role that is not counted.
-        self.write_entry(role, &mut file, incarnation)?;
+        write_entry(&mut file, incarnation).map_err(io_error)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
         Ok(Some(RoleHold { by_force: true, ..RoleHold::new(role, file, incarnation) }))
     }
@@ -162,7 +162,7 @@ impl Roster {
         let mut text = String::new();
         file.read_to_string(&mut text).map_err(io_error)?;
         let incarnation = parse_entry(&text).map_or(0, |(starts, _)| starts) + 1;
-        self.write_entry(role, &mut file, incarnation)?;
+        write_entry(&mut file, incarnation).map_err(io_error)?;
         Ok(RoleHold::new(role, file, incarnation))
     }
 
@@ -207,25 +207,26 @@ impl Roster {
         std::fs::metadata(self.place.path(&file_name(role))).map(|file| file.ino()).ok()
     }
 
-    /// True if this process took the role last.
+    /// True if the process that took the role last speaks through this iceoryx2 node: its id is unique, where a process's number
+    /// is another's in another PID namespace.
     ///
     /// # Errors
     /// If that cannot be told now.
-    pub fn is_last_holder(&self, role: Role, pid: Pid) -> std::io::Result<bool> {
-        let Some((starts, holder)) = self.read_entry(role)? else { return Ok(false) };
-        // Where `/proc` is of another namespace than the holder, its messages bear its number there.
-        let other = || std::fs::read_to_string(self.place.path(&number_file_name(role))).ok();
-        Ok(holder == pid.as_raw_pid()
-            || other().and_then(|text| parse_entry(&text)) == Some((starts, pid.as_raw_pid())))
+    pub fn speaks_through(&self, role: Role, node: u128) -> std::io::Result<bool> {
+        let Some((starts, _)) = self.read_entry(role)? else { return Ok(false) };
+        match std::fs::read_to_string(self.place.path(&node_file_name(role))) {
+            Ok(text) => Ok(text == node_entry(starts, node)),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
+            Err(error) => Err(error),
+        }
     }
 
-    /// Puts down who holds the role.
-    fn write_entry(&self, role: Role, file: &mut File, incarnation: u64) -> Result<(), RendezvousError> {
-        if let Some(number) = holder::own_number_in_proc().filter(|number| *number != std::process::id().cast_signed())
-        {
-            self.place.write(&number_file_name(role), format!("{incarnation} {number}").as_bytes())?;
-        }
-        write_entry(file, incarnation).map_err(|source| self.place.io_error(&file_name(role), source))
+    /// Tells which node the holder of a role speaks through, before it says anything.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn speak_through(&self, role: Role, hold: &RoleHold, node: u128) -> Result<(), RendezvousError> {
+        self.place.write(&node_file_name(role), node_entry(hold.incarnation, node).as_bytes())
     }
 
     /// How often a role has been taken in this run.
@@ -316,9 +317,13 @@ fn file_name(role: Role) -> String {
     format!("{role}.role")
 }
 
-/// The holder's number as iceoryx2 knows it, if it has another one there.
-fn number_file_name(role: Role) -> String {
-    format!("{role}.number")
+/// The iceoryx2 node that the holder speaks through.
+fn node_file_name(role: Role) -> String {
+    format!("{role}.node")
+}
+
+fn node_entry(incarnation: u64, node: u128) -> String {
+    format!("{incarnation} {node:032x}\n")
 }
 
 /// True while the locked file has a name.
@@ -358,6 +363,24 @@ mod tests {
         drop(first);
         assert_eq!((roster.holder(Role::Sim), roster.starts(Role::Sim)), (None, 1));
         assert_eq!(roster.take(Role::Sim).unwrap().incarnation, 2);
+    }
+
+    /// A process's number may be another's in another PID namespace: only the node that the holder told of speaks for it.
+    #[test]
+    fn a_role_is_spoken_for_through_its_last_holders_node_alone() {
+        let run = run("roster-node");
+        let roster = run.roster();
+        let speaks = |node| roster.speaks_through(Role::Sim, node).unwrap();
+        assert!(!speaks(7), "nobody has had the role");
+        let first = roster.take(Role::Sim).unwrap();
+        assert!(!speaks(7), "of this process, which has told of none");
+        roster.speak_through(Role::Sim, &first, 7).unwrap();
+        assert!(speaks(7) && !speaks(8));
+        drop(first);
+        let second = roster.take(Role::Sim).unwrap();
+        assert!(!speaks(7), "of a holder before");
+        roster.speak_through(Role::Sim, &second, 8).unwrap();
+        assert!(speaks(8) && !speaks(7));
     }
 
     #[test]

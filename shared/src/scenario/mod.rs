@@ -211,14 +211,45 @@ impl Clock {
     }
 }
 
+/// What people call a robot, or the sensor of a recording.
+#[must_use]
+pub fn name_of(robot: usize, sensor: Option<&str>) -> String {
+    sensor.map_or_else(|| format!("robot {robot}"), |sensor| format!("sensor {}", printable(sensor)))
+}
+
+/// A node's name with its sensor's beside, if it has one: `robot-0 (2938)`.
+#[must_use]
+pub fn title_of(node: &str, sensor: Option<&str>) -> String {
+    sensor.map_or_else(|| node.to_owned(), |sensor| format!("{node} ({})", printable(sensor)))
+}
+
+/// A name as it can stand in a line of text: what would move the cursor or turn the direction of writing is escaped.
+#[must_use]
+pub fn printable(name: &str) -> String {
+    let is_unseen = |c: char| {
+        let marks = ['\u{61c}', '\u{feff}'];
+        let ranges = ['\u{200b}'..='\u{200f}', '\u{2028}'..='\u{202e}', '\u{2060}'..='\u{206f}'];
+        c.is_control() || marks.contains(&c) || ranges.iter().any(|range| range.contains(&c))
+    };
+    let mut said = String::with_capacity(name.len());
+    for c in name.chars() {
+        if is_unseen(c) { said.extend(c.escape_unicode()) } else { said.push(c) }
+    }
+    said
+}
+
 impl Scenario {
     /// What people call a robot: `robot 0`, or `sensor NAME` by its name in the recording.
     #[must_use]
     pub fn name_of(&self, id: usize) -> String {
-        match (&self.source, self.robots.get(id)) {
-            (Source::Recorded(_), Some(robot)) => format!("sensor {}", robot.label),
-            _ => format!("robot {id}"),
-        }
+        name_of(id, self.sensor_of(id))
+    }
+
+    /// A robot's name in the recording, as the user has it; `None` in a simulated run.
+    #[must_use]
+    pub fn sensor_of(&self, id: usize) -> Option<&str> {
+        let robot = self.robots.get(id)?;
+        matches!(self.source, Source::Recorded(_)).then_some(&robot.label)
     }
 
     /// True if all sizes go together and numbers that others divide by or clamp to are in their bounds: of a

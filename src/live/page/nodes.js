@@ -100,6 +100,12 @@ export class Processes {
       cells.name.append(swatch);
     }
     cells.name.append(node.name === SUPERVISOR ? "supervisor" : node.name);
+    if (node.sensor != null) {
+      // Whatever direction the name is written in, the rest of the row keeps its own.
+      const sensor = document.createElement("bdi");
+      sensor.textContent = `(${node.sensor})`;
+      cells.name.append(" ", sensor);
+    }
     cells.state.className = "state";
     cells.memory.className = "memory";
     const buttons = {};
