@@ -57,7 +57,7 @@ pub struct Policy {
 ///
 /// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of
 /// them passed. Failures count only while most of the team's newest ranges pass: where half of them or more fail, it
-/// is the filter that is wrong, or nobody can tell. Where fewer than [`JURY`] would be left, a robot is distrusted only
+/// is the filter that is wrong, or nobody can tell. Where fewer than three would be left, a robot is distrusted only
 /// if all of them have agreed before: else it may be the others that are wrong.
 ///
 /// Beside that, the noise of each sensor is followed by the median of its normalised innovations squared, which outliers

@@ -339,7 +339,8 @@ mod tests {
     fn residuals_that_last_count_for_less_and_within_the_memory_only() {
         let steps: Vec<f64> = (0..1_000).map(|i| if (i / 20) % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let alternating: Vec<f64> = (0..1_000).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
-        let (all, short) = (correlation(&[steps.clone()], f64::INFINITY), correlation(&[steps], 2.0));
+        let (all, short) =
+            (correlation(std::slice::from_ref(&steps), f64::INFINITY), correlation(std::slice::from_ref(&steps), 2.0));
         assert!(all > 5.0 && short > 1.5 && short < all, "{all} {short}");
         assert_eq!(correlation(&[alternating], f64::INFINITY), 1.0);
     }
