@@ -32,7 +32,7 @@ pub use run::{
     TrackArgs,
 };
 pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
-pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};
+pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, ExploreArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};
 pub use values::PerSensor;
 
 /// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
@@ -81,6 +81,8 @@ pub enum Command {
     Stop(RemoteArgs),
     /// Kill and stop nodes of its own runs at random, and judge the outcome
     Chaos(ChaosArgs),
+    /// Explore faults in simulated time, thousands of seeds a second: every promise is checked as a whole team goes on in one process
+    Explore(ExploreArgs),
     /// Measure the time from range to heading, beside the bare transport
     Latency(LatencyArgs),
     /// One node of a reference that `latency` measures

@@ -22,6 +22,7 @@
 //! | [`live`] | a page that shows a run while it goes on |
 //! | [`plan`] | one step per JSON line, for programs of any language |
 //! | [`chaos`] | campaigns of faults on a live run |
+//! | [`explore`] | campaigns of faults in simulated time |
 //! | [`latency`] | the time from range to heading, beside the bare transport |
 //! | [`calibrate`] | noise, bias and scale of sensors from a recording |
 //! | [`pin`] | which processors a command runs on |
@@ -48,6 +49,7 @@ pub mod compare;
 pub mod curves;
 pub mod ellipse;
 pub mod experiment;
+pub mod explore;
 pub mod failure;
 pub mod field;
 pub mod frame;

@@ -9,7 +9,7 @@ use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
 use rangehound::{
-    calibrate, chaos, compare, latency, live, node, plan, recorder, remote, replay, shell, status, supervisor,
+    calibrate, chaos, compare, explore, latency, live, node, plan, recorder, remote, replay, shell, status, supervisor,
     terminal, watch,
 };
 
@@ -53,6 +53,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Restart(args) => remote::restart(&args),
         Command::Stop(args) => remote::stop(&args),
         Command::Chaos(args) => chaos::chaos(&args),
+        Command::Explore(args) => explore::explore(&args),
         Command::Plan(args) => plan::plan(&args),
         Command::Compare(args) => compare::compare(&args),
         Command::Calibrate(args) => calibrate::calibrate(&args),

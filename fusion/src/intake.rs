@@ -393,7 +393,8 @@ impl Intake {
         } else {
             let is_majority = 2 * self.began_ns.len() > robots;
             let told_ns = median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);
-            told_ns.unwrap_or_else(|| self.earliest_ns())
+            // Ticks that were missed began before now, however many of them the simulator has caught up on at once.
+            told_ns.unwrap_or_else(|| self.earliest_ns()).min(now_ns)
         };
         for ((record, report), spoke) in self.record.robots.iter_mut().zip(&self.reports).zip(&mut self.spoke) {
             record.misses = if *spoke { 0 } else { record.misses.saturating_add(1) };

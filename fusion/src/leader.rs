@@ -1,7 +1,7 @@
 //! The fusion centre's part in the protocol as a state machine round a [`Centre`]: no clock, no port, no file.
 //!
 //! A driver feeds it with what came ([`Leader::on_range`]), asks for the next [`Action`], carries it out, and asks again until there
-//! is none. Time is an argument: monotonic, ns.
+//! is none. Nothing is fed in between. Time is an argument: monotonic, ns.
 //!
 //! A tick is update, plan, checkpoint, headings, estimate, record; in that order, so that robots wait for nothing else, and nothing is
 //! published that a kill could make forget.

@@ -14,11 +14,12 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
 use crate::sealed::{self, SealError};
+use crate::slots::{self, LEN_BYTES};
 
 /// File of a role's checkpoint in the run folder.
 #[must_use]
@@ -28,9 +29,6 @@ pub fn file_name(role: Role) -> String {
 
 /// Bytes of a slot; the file is sparse, so that only what a state needs takes room.
 const SLOT_LEN: usize = 1 << 20;
-
-/// Bytes before the sealed state: its length.
-const LEN_BYTES: usize = 4;
 
 /// Bytes of a slot that are read to see whether anything was written to it.
 const FIRST_READ: usize = 4_096;
@@ -72,14 +70,6 @@ pub enum CheckpointError {
         /// Bytes it would take.
         len: usize,
     },
-}
-
-/// What a slot holds.
-#[derive(Serialize, Deserialize)]
-struct Slot<T> {
-    run_id: u64,
-    sequence: u64,
-    state: T,
 }
 
 /// The checkpoint file of one role.
@@ -161,25 +151,19 @@ impl Checkpoint {
             .open(path)
             .map_err(io_error)?;
         let len = file.metadata().map_err(io_error)?.len();
-        let mut newest: Option<Slot<T>> = None;
-        let mut refused = None;
-        for index in 0..2 {
-            let Some(bytes) = read_slot(&file, index, len).map_err(io_error)? else { continue };
-            match unseal(&bytes) {
-                Ok(slot) if slot.run_id != run_id => refused = Some("of another run".to_owned()),
-                Ok(slot) if newest.as_ref().is_some_and(|newest| newest.sequence > slot.sequence) => {}
-                Ok(slot) => newest = Some(slot),
-                Err(reason) => refused = Some(reason.to_string()),
+        let slots = [0, 1].map(|index| read_slot(&file, index, len));
+        let [first, second] = slots;
+        let slots = [first.map_err(io_error)?, second.map_err(io_error)?];
+        let newest = match slots::newest(slots.each_ref().map(Option::as_deref), run_id) {
+            Ok(newest) => newest,
+            Err(unusable) => {
+                let (kept, reason) = (free_name(path), unusable.to_string());
+                std::fs::rename(path, &kept).map_err(io_error)?;
+                return Err(CheckpointError::Unusable { file: path.to_owned(), reason, kept });
             }
-        }
-        if let (None, Some(reason)) = (&newest, refused) {
-            let kept = free_name(path);
-            std::fs::rename(path, &kept).map_err(io_error)?;
-            return Err(CheckpointError::Unusable { file: path.to_owned(), reason, kept });
-        }
-        let sequence = newest.as_ref().map_or(0, |slot| slot.sequence);
-        let checkpoint = Self { file, path: path.to_owned(), run_id, sequence, bytes: Vec::new() };
-        Ok((checkpoint, newest.map(|slot| slot.state)))
+        };
+        let (sequence, state) = newest.map_or((0, None), |slot| (slot.sequence, Some(slot.state)));
+        Ok((Self { file, path: path.to_owned(), run_id, sequence, bytes: Vec::new() }, state))
     }
 
     /// True if the file is a checkpoint, of whatever run and version, or empty.
@@ -221,18 +205,15 @@ impl Checkpoint {
     /// [`CheckpointError`]; the last state that was written stays usable.
     pub fn write(&mut self, state: &impl Serialize) -> Result<(), CheckpointError> {
         let sequence = self.sequence + 1;
-        self.bytes.clear();
-        self.bytes.extend([0; LEN_BYTES]);
-        let sealed = sealed::seal_into(&Slot { run_id: self.run_id, sequence, state }, &mut self.bytes);
-        let len = self.bytes.len() - LEN_BYTES;
-        match sealed {
+        let written = slots::write(self.run_id, sequence, state, &mut self.bytes);
+        let len = self.bytes.len().saturating_sub(LEN_BYTES);
+        match written {
             Ok(()) if self.bytes.len() <= SLOT_LEN => {}
             Ok(()) | Err(SealError::TooLarge(_)) => {
                 return Err(CheckpointError::TooLarge { file: self.path.clone(), len });
             }
             Err(reason) => return Err(CheckpointError::Unencodable { file: self.path.clone(), reason }),
         }
-        self.bytes[..LEN_BYTES].copy_from_slice(&(len as u32).to_le_bytes());
         self.file
             .write_all_at(&self.bytes, slot_start(sequence % 2))
             .map_err(|source| CheckpointError::Io { file: self.path.clone(), source })?;
@@ -274,15 +255,6 @@ fn read_slot(file: &File, index: u64, file_len: u64) -> std::io::Result<Option<V
         file.read_exact_at(&mut bytes[first..], slot_start(index) + first as u64)?;
     }
     Ok(Some(bytes))
-}
-
-/// The value in what was written to a slot.
-fn unseal<T: DeserializeOwned>(bytes: &[u8]) -> Result<Slot<T>, SealError> {
-    let (len, sealed) = bytes.split_first_chunk::<LEN_BYTES>().ok_or(SealError::Damaged)?;
-    if sealed.len() != u32::from_le_bytes(*len) as usize {
-        return Err(SealError::Damaged);
-    }
-    sealed::open(sealed)
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@
 //! | [`robot_set`] | a set of robots' ids |
 //! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
 //! | [`digest`] | the rolling hash over all estimates |
-//! | [`sealed`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
+//! | [`sealed`], [`slots`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
 //! | [`protocol`] | which builds understand each other |
 //! | [`bounded`] | reading no more of a file than it may have |
 //! | [`limits`] | which limit of the system a refusal is about |
@@ -57,6 +57,7 @@ pub mod robot_set;
 pub mod scenario;
 pub mod sealed;
 pub mod signal;
+pub mod slots;
 pub mod tick_log;
 pub mod wake;
 

@@ -1,7 +1,7 @@
 //! The simulator's part in the protocol as a state machine round a [`World`]: no clock, no port, no file.
 //!
 //! A driver feeds it with what came ([`Machine::on_drive`], [`Machine::on_hello`]), asks for the next [`Action`], carries it
-//! out, and asks again until there is none. Time is an argument: monotonic, ns.
+//! out, and asks again until there is none. Nothing is fed in between. Time is an argument: monotonic, ns.
 
 use std::borrow::Cow;
 

@@ -22,7 +22,7 @@ Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or
 bad input.";
 
 /// Below each command's flags.
-const EACH: [(&str, &str); 22] = [
+const EACH: [(&str, &str); 23] = [
     ("run", RUN),
     ("sim", SIM),
     ("fusion", FUSION),
@@ -38,6 +38,7 @@ const EACH: [(&str, &str); 22] = [
     ("restart", RESTART),
     ("stop", STOP),
     ("chaos", CHAOS),
+    ("explore", EXPLORE),
     ("latency", LATENCY),
     ("scenario", SCENARIO),
     ("track", TRACK),
@@ -157,6 +158,14 @@ Examples:
   rangehound chaos --kinds kill,stop --roles sim,fusion --rate 2
   rangehound chaos --clock realtime --faults 50 --chaos-seed 7
   rangehound chaos --standby 1 --roles fusion,standby --kinds kill";
+
+const EXPLORE: &str = "Simulator, fusion, standbys and robots run in this one process on simulated
+time, with faults, a network and clocks that are drawn from the seed. A broken
+promise is exit code 1; it is shown with the fewest faults that break it.
+
+Examples:
+  rangehound explore --seed 1 --seeds 20000
+  rangehound explore --seed 7 --seeds 1 --story    what each node did, by time";
 
 const LATENCY: &str = "It runs the whole system (simulator, fusion with filter, planner and
 checkpoints, robots) and, in turns, the bare exchange of the same messages over

@@ -134,6 +134,20 @@ pub struct LatencyArgs {
     pub json: bool,
 }
 
+/// `explore`.
+#[derive(Debug, Args)]
+pub struct ExploreArgs {
+    /// The first seed
+    #[arg(long, value_name = "FIRST", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
+    pub seed: u64,
+    /// How many seeds, one after the other
+    #[arg(long, value_name = "COUNT", value_parser = whole, allow_negative_numbers = true, default_value_t = 20_000)]
+    pub seeds: u64,
+    /// Print what each node did, for each seed
+    #[arg(long)]
+    pub story: bool,
+}
+
 /// `chaos`.
 #[derive(Debug, Args)]
 pub struct ChaosArgs {

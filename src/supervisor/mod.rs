@@ -6,7 +6,7 @@ mod losses;
 mod nodes;
 mod removal;
 pub mod restart;
-mod silence;
+pub(crate) mod silence;
 
 use anyhow::anyhow;
 use rangehound_shared::rendezvous::Rendezvous;

@@ -85,7 +85,7 @@ struct Running {
     /// Readable once the process has ended; `None` where the kernel gives none.
     ended: Option<OwnedFd>,
     since: Instant,
-    silence: Silence,
+    silence: Silence<SystemTime>,
     /// True once it has been seen to lead.
     has_led: bool,
 }

@@ -1,6 +1,6 @@
 //! Hangs: who gives no sign of life while others do.
 
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use rangehound_fusion::standby::step_max;
 use rangehound_shared::scenario::{Patience, Scenario};
@@ -8,7 +8,7 @@ use rangehound_shared::scenario::{Patience, Scenario};
 /// How often signs of life are looked for. Silence is counted in looks, and only in those in which somebody else
 /// was heard: a supervisor or a whole run that was stopped, a suspended machine or a clock that jumps
 /// makes nobody silent.
-pub(super) const LOOK: Duration = Duration::from_millis(100);
+pub(crate) const LOOK: Duration = Duration::from_millis(100);
 
 /// Shortest silence that is a hang, however short the patience: a busy machine keeps anybody waiting.
 const HANG_MIN: Duration = Duration::from_millis(500);
@@ -19,17 +19,22 @@ const START: Duration = Duration::from_millis(100);
 /// Silence after which one that another took the lead from is given up, with endless patience too.
 const DEPOSED: Duration = Duration::from_secs(2);
 
-/// How long one process has given no sign of life.
-#[derive(Debug, Default)]
-pub(super) struct Silence {
-    /// Only whether it changes means anything.
-    last_sign: Option<SystemTime>,
+/// How long one process has given no sign of life; `S` is such a sign, of which only whether it changes means anything.
+#[derive(Debug)]
+pub(crate) struct Silence<S> {
+    last_sign: Option<S>,
     looks: u32,
 }
 
-impl Silence {
+impl<S> Default for Silence<S> {
+    fn default() -> Self {
+        Self { last_sign: None, looks: 0 }
+    }
+}
+
+impl<S: PartialEq> Silence<S> {
     /// Takes note of the newest sign of life; true if it has not been seen before.
-    pub(super) fn hear(&mut self, sign: Option<SystemTime>) -> bool {
+    pub(crate) fn hear(&mut self, sign: Option<S>) -> bool {
         let is_new = sign != self.last_sign;
         self.last_sign = sign;
         if is_new {
@@ -39,22 +44,22 @@ impl Silence {
     }
 
     /// Counts a look in which somebody was heard.
-    pub(super) fn count(&mut self) {
+    pub(crate) fn count(&mut self) {
         self.looks += 1;
     }
 
     /// False while it has not taken its role.
-    pub(super) fn has_started(&self) -> bool {
+    pub(crate) fn has_started(&self) -> bool {
         self.last_sign.is_some()
     }
 
-    pub(super) fn is_longer_than(&self, limit: Duration) -> bool {
+    pub(crate) fn is_longer_than(&self, limit: Duration) -> bool {
         LOOK.saturating_mul(self.looks.saturating_sub(1)) > limit
     }
 }
 
 /// The silence after which a process of a run of so many nodes hangs, if it ever does.
-pub(super) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_deposed: bool) -> Option<Duration> {
+pub(crate) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_deposed: bool) -> Option<Duration> {
     let Patience::After(patience) = scenario.patience else { return is_deposed.then_some(DEPOSED) };
     let start = if has_started { Duration::ZERO } else { START.saturating_mul(nodes.try_into().unwrap_or(u32::MAX)) };
     Some(patience.max(HANG_MIN).saturating_add(start).saturating_add(step_max(scenario)))
@@ -62,9 +67,11 @@ pub(super) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_dep
 
 #[cfg(test)]
 mod tests {
+    use std::time::SystemTime;
+
     use super::*;
 
-    fn after_looks(signs: impl Iterator<Item = Option<SystemTime>>) -> Silence {
+    fn after_looks(signs: impl Iterator<Item = Option<SystemTime>>) -> Silence<SystemTime> {
         let mut silence = Silence::default();
         for sign in signs {
             silence.hear(sign);
