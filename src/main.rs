@@ -1,6 +1,5 @@
 //! `rangehound`: reads the command line and turns the one result into an exit code.
 
-use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::FromArgMatches;
@@ -15,11 +14,6 @@ use rangehound::{
 
 fn main() -> ExitCode {
     terminal::start_log();
-    // Anything that is not UTF-8 is for the command line to refuse.
-    let args: Result<Vec<String>, _> = std::env::args_os().skip(1).map(OsString::into_string).collect();
-    if let Some(command) = args.ok().and_then(|args| node::as_started(&args)) {
-        return exit_code(dispatch(command));
-    }
     let given = cli::command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match given {
         Ok(cli) => cli,

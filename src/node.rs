@@ -13,7 +13,7 @@ use rangehound_shared::signal::Termination;
 use rangehound_sim::run::SimError;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
-use crate::cli::{Command, ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
+use crate::cli::{ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 use crate::experiment::{Experiment, Naming, override_with};
 use crate::failure::{self, Failure};
 use crate::out_folder::Claim;
@@ -207,8 +207,7 @@ pub fn this_program() -> process::Command {
     command
 }
 
-/// The command line of a node of a run that ends with this process, as a person would write it, in the one order that
-/// [`as_started`] reads.
+/// The command line of a node of a run that ends with this process, as a person would write it.
 #[must_use]
 pub fn command_line(role: Role, name: &RunName) -> Vec<String> {
     let kind = match role {
@@ -218,26 +217,6 @@ pub fn command_line(role: Role, name: &RunName) -> Vec<String> {
     };
     let run = ["--name".to_owned(), name.to_string(), "--end-with".to_owned(), process::id().to_string()];
     kind.into_iter().chain(run).collect()
-}
-
-/// Reads what [`command_line`] has written, and nothing else. The parser of people's command lines knows every command
-/// with all its flags, and would leave a megabyte more in the memory of each node.
-#[must_use]
-pub fn as_started(args: &[String]) -> Option<Command> {
-    let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    let (kind, ["--name", name, "--end-with", pid]) = args.split_last_chunk()? else { return None };
-    let name: RunName = name.parse().ok()?;
-    let parent = ParentArgs { end_with: Some(pid.parse().ok()?) };
-    Some(match kind {
-        ["sim"] => {
-            let experiment = ExperimentArgs { name: Some(name), ..ExperimentArgs::default() };
-            Command::Sim(SimArgs { experiment, parent })
-        }
-        ["fusion"] => Command::Fusion(FusionArgs { node: NodeArgs { name, parent }, standby: false }),
-        ["fusion", "--standby"] => Command::Fusion(FusionArgs { node: NodeArgs { name, parent }, standby: true }),
-        ["robot", "--id", id] => Command::Robot(RobotArgs { id: id.parse().ok()?, node: NodeArgs { name, parent } }),
-        _ => return None,
-    })
 }
 
 /// Has this process asked to end when the one that started it ends.
@@ -278,22 +257,18 @@ mod tests {
     use clap::Parser;
 
     #[test]
-    fn nodes_read_what_they_are_started_with_as_the_command_line_would() {
+    fn nodes_are_started_as_a_person_would_start_them() {
         let name: RunName = "demo".parse().unwrap();
-        for role in [Role::Sim, Role::Fusion, Role::Standby(1), Role::Robot(0), Role::Robot(255)] {
+        let expected = [
+            (Role::Sim, "sim"),
+            (Role::Fusion, "fusion"),
+            (Role::Standby(1), "fusion --standby"),
+            (Role::Robot(255), "robot --id 255"),
+        ];
+        for (role, words) in expected {
             let args = command_line(role, &name);
-            let parsed = Cli::parse_from(std::iter::once("rangehound".to_owned()).chain(args.clone()));
-            assert_eq!(format!("{:?}", as_started(&args)), format!("{:?}", parsed.command), "{role}");
-        }
-    }
-
-    #[test]
-    fn what_people_write_is_left_to_the_command_line() {
-        for line in
-            ["", "robot --id 0 --name demo", "robot --id x --name demo --end-with 1", "run --name demo --end-with 1"]
-        {
-            let args: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
-            assert!(as_started(&args).is_none(), "{line}");
+            assert_eq!(args.join(" "), format!("{words} --name demo --end-with {}", process::id()));
+            Cli::try_parse_from(std::iter::once("rangehound".to_owned()).chain(args)).unwrap();
         }
     }
 }

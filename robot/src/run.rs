@@ -2,7 +2,6 @@
 
 use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use rangehound_shared::clock::{monotonic_ns, until};
-use rangehound_shared::footprint::give_back_code;
 use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
 use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::{Clock, Scenario};
@@ -79,7 +78,6 @@ pub fn run_with<S: RangeSensor, A: Actuator>(
         sim: bus.bell_of(Sleeper::Sim),
         fusion: bus.bell_of(Sleeper::Fusion),
     };
-    give_back_code();
     let ended = robot.take_part(rendezvous, &hold, termination);
     robot.actuator.carry_out(Command::default());
     ended

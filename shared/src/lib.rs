@@ -31,7 +31,6 @@
 //! | [`bounded`] | reading no more of a file than it may have |
 //! | [`limits`] | which limit of the system a refusal is about |
 //! | [`resources`] | open files and shared memory: is there enough |
-//! | [`footprint`] | what a node that has started keeps resident |
 //! | [`clock`], [`signal`] | monotonic time, termination requests |
 
 pub mod bells;
@@ -42,7 +41,6 @@ pub mod checkpoint;
 pub mod clock;
 pub mod digest;
 pub mod draws;
-pub mod footprint;
 pub mod limits;
 pub mod matrix;
 pub mod message;
