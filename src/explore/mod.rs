@@ -2,10 +2,10 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`plan`] | what happens to a team, from a seed |
-//! | [`cluster`] | the roles' machines on a simulated bus, with simulated disks and clocks |
-//! | [`disk`] | checkpoint files that a kill may leave half written |
-//! | [`witness`] | the invariants |
+//! | `plan` | what happens to a team, from a seed |
+//! | `cluster` | the roles' machines on a simulated bus, with simulated disks and clocks |
+//! | `disk` | checkpoint files that a kill may leave half written |
+//! | `witness` | the invariants |
 
 mod cluster;
 mod disk;
@@ -38,36 +38,54 @@ const SHOW: u64 = 64;
 /// # Errors
 /// [`Failure`]; also if a seed breaks a promise.
 pub fn explore(args: &ExploreArgs) -> Result<(), Failure> {
-    let began = Instant::now();
     let mut stage = Stage::default();
-    let mut total = Counts::default();
+    let mut total = Total { began: Instant::now(), first: args.seed, seeds: 0, counts: Counts::default() };
     let mut progress = Progress::new("seed", args.seeds);
     for index in 0..args.seeds {
-        let seed = args.seed.wrapping_add(index);
-        let plan = Plan::new(seed);
+        let plan = Plan::new(args.seed.wrapping_add(index));
         let Outcome { violation, counts, story } = stage.explore(&plan, args.story)?;
-        total.node_ticks += counts.node_ticks;
-        total.faults += counts.faults;
-        total.successions += counts.successions;
+        total.add(&counts);
         if let Some(violation) = violation {
             progress.finish();
-            return Err(stage.tell_violation(&plan, &violation)?);
+            let failure = stage.tell_violation(&plan, &violation)?;
+            failure::print(total.summary("1 violation"))?;
+            return Err(failure);
         }
         if args.story {
-            failure::print(&table(&plan, &story))?;
+            failure::print(table(&plan, &story))?;
         }
         if index % SHOW == 0 || index + 1 == args.seeds {
             progress.show(index + 1, "");
         }
     }
     progress.finish();
-    let Counts { node_ticks, faults, successions } = total;
-    let per_second = node_ticks as f64 / began.elapsed().as_secs_f64();
-    failure::print(&format!(
-        "explored {} seeds from {}: {node_ticks} node-ticks ({per_second:.0} a second), {faults} faults, {successions} successions, \
-         0 violations\n",
-        args.seeds, args.seed
-    ))
+    failure::print(total.summary("0 violations"))
+}
+
+/// What all seeds together went through.
+struct Total {
+    began: Instant,
+    first: u64,
+    seeds: u64,
+    counts: Counts,
+}
+
+impl Total {
+    fn add(&mut self, counts: &Counts) {
+        self.seeds += 1;
+        self.counts.node_ticks += counts.node_ticks;
+        self.counts.faults += counts.faults;
+        self.counts.successions += counts.successions;
+    }
+
+    fn summary(&self, violations: &str) -> String {
+        let Self { began, first, seeds, counts: Counts { node_ticks, faults, successions } } = self;
+        let per_second = *node_ticks as f64 / began.elapsed().as_secs_f64();
+        format!(
+            "explored {seeds} seeds from {first}: {node_ticks} node-ticks ({per_second:.0} a second), {faults} faults, \
+             {successions} successions, {violations}\n"
+        )
+    }
 }
 
 /// Scenarios and undisturbed runs, by what they depend on.
@@ -126,13 +144,13 @@ impl Stage {
         let fewest = self.shrink(plan)?;
         let Outcome { violation: shrunk, story, .. } = self.explore(&fewest, true)?;
         let shrunk = shrunk.as_ref().unwrap_or(violation);
-        failure::print(&table(&fewest, &story))?;
+        failure::print(table(&fewest, &story))?;
         let faults = fewest.faults.iter().fold(String::new(), |mut text, fault| {
             let _ = writeln!(text, "  {fault:?}");
             text
         });
         let Plan { seed, clock, robots, standbys, ticks, network, .. } = &fewest;
-        failure::print(&format!(
+        failure::print(format!(
             "seed {seed}: {robots} robots, {standbys} standbys, {ticks} ticks, {clock:?}, {network:?}\n{faults}\
              repeat it: rangehound explore --seed {seed} --seeds 1\n"
         ))?;
