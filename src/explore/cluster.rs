@@ -505,7 +505,7 @@ impl<'a> Cluster<'a> {
             }
             self.act_sim(&mut machine, action)?;
         }
-        self.sleep_until(SIM, machine.wakes_at_ns());
+        self.sleep_until(SIM, machine.wakes_at_ns())?;
         Ok(Process::Sim(machine))
     }
 
@@ -620,11 +620,7 @@ impl<'a> Cluster<'a> {
         if machine.centre().next_tick() == began_at && !self.holds_lead(node, lead) {
             return Ok(self.stand_by(node));
         }
-        let wakes_at_ns = machine.wakes_at_ns();
-        if self.plan.clock == Clock::Realtime && wakes_at_ns.is_some_and(|at_ns| at_ns + LATE_NS < now_ns) {
-            return Err(self.violation(node, "a tick is held beyond its deadline".to_owned()));
-        }
-        self.sleep_until(node, wakes_at_ns);
+        self.sleep_until(node, machine.wakes_at_ns())?;
         Ok(Process::Leader(machine, lead))
     }
 
@@ -759,7 +755,7 @@ impl<'a> Cluster<'a> {
                 return Ok(Process::Robot(machine, sensor, witness));
             }
         }
-        self.sleep_until(node, machine.wakes_at_ns());
+        self.sleep_until(node, machine.wakes_at_ns())?;
         Ok(Process::Robot(machine, sensor, witness))
     }
 
@@ -866,19 +862,21 @@ impl<'a> Cluster<'a> {
     }
 
     /// Sleeps until a time by its own clock, or for a while.
-    fn sleep_until(&mut self, node: usize, local_ns: Option<u64>) {
+    fn sleep_until(&mut self, node: usize, local_ns: Option<u64>) -> Result<(), Violation> {
         let now_local_ns = self.local_ns(node);
-        let rate = self.nodes[node].clock_rate;
-        let idle_ns = self.now_ns + IDLE_NS;
-        let wakes_at_ns = local_ns.map_or(idle_ns, |local_ns| {
-            let left_ns = (local_ns.saturating_sub(now_local_ns) as f64 / rate) as u64;
-            idle_ns.min(self.now_ns + left_ns + 1)
-        });
+        let left_ns = local_ns.map_or(IDLE_NS, |local_ns| local_ns.saturating_sub(now_local_ns));
+        if left_ns == 0 {
+            return Err(self
+                .violation(node, "it is past the time at which it had something to do, and does nothing".to_owned()));
+        }
+        let left_ns = ((left_ns as f64 / self.nodes[node].clock_rate) as u64 + 1).min(IDLE_NS);
+        let wakes_at_ns = self.now_ns + left_ns;
         // A sooner one, or one of a process before it, is looked at when it comes.
         if wakes_at_ns < self.nodes[node].wakes_at_ns || self.nodes[node].wakes_at_ns <= self.now_ns {
             self.nodes[node].wakes_at_ns = wakes_at_ns;
-            self.after(wakes_at_ns - self.now_ns, Happening::Wakes { node, call: None });
+            self.after(left_ns, Happening::Wakes { node, call: None });
         }
+        Ok(())
     }
 
     fn after(&mut self, after_ns: u64, happening: Happening) {
