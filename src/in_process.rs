@@ -82,7 +82,9 @@ impl Team {
     /// # Errors
     /// [`TeamError`].
     pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
-        let scenario = &Scenario { clock: Clock::Lockstep, patience: Patience::Forever, ..scenario.clone() };
+        // It goes on for as long as it is stepped.
+        let ticks = u64::MAX - 1;
+        let scenario = &Scenario { clock: Clock::Lockstep, patience: Patience::Forever, ticks, ..scenario.clone() };
         let team = 0..scenario.robots.len();
         Ok(Self {
             sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),
