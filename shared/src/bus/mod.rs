@@ -15,7 +15,6 @@
 //! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
 //! are never woken: they look when they like.
 
-mod lending;
 mod senders;
 
 use std::cell::{Cell, RefCell};
@@ -38,7 +37,7 @@ use crate::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, W
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
 pub use crate::wake::{Call, Calls, Sleeper};
-use lending::Service;
+use iceoryx2::service::ipc::Service;
 use senders::{Senders, Standing};
 
 /// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past
