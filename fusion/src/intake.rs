@@ -333,7 +333,10 @@ impl Intake {
             // Who speaks before the tick has begun, or says that it began long ago, shall not cut it short.
             (Clock::Realtime, _) => {
                 let told_ns = self.began_ns.iter().copied().max().unwrap_or(first_ns);
-                Some(range_deadline_ns(told_ns.max(self.earliest_ns()), self.dt_s))
+                // A tick has begun a step after its first range at the latest, even if the ticks before it began in quick succession,
+                // as those do that the simulator catches up on.
+                let earliest_ns = self.earliest_ns().min(first_ns.saturating_add(self.dt_ns()));
+                Some(range_deadline_ns(told_ns.max(earliest_ns), self.dt_s))
             }
             (Clock::Lockstep, Patience::Forever) => None,
             (Clock::Lockstep, Patience::After(limit)) => Some(first_ns.saturating_add(limit.as_nanos() as u64)),
@@ -393,8 +396,7 @@ impl Intake {
         } else {
             let is_majority = 2 * self.began_ns.len() > robots;
             let told_ns = median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);
-            // Ticks that were missed began before now, however many of them the simulator has caught up on at once.
-            told_ns.unwrap_or_else(|| self.earliest_ns()).min(now_ns)
+            told_ns.unwrap_or_else(|| self.earliest_ns())
         };
         for ((record, report), spoke) in self.record.robots.iter_mut().zip(&self.reports).zip(&mut self.spoke) {
             record.misses = if *spoke { 0 } else { record.misses.saturating_add(1) };
