@@ -253,10 +253,6 @@ impl Leader {
             }
         };
         self.phase = phase;
-        if matches!(action, Action::Record) {
-            self.actions.push_front(action);
-            return Ok(self.actions.pop_front());
-        }
         Ok(Some(action))
     }
 
@@ -276,12 +272,6 @@ impl Leader {
     #[must_use]
     pub fn expected(&self) -> usize {
         self.intake.expected()
-    }
-
-    /// True once every tick has its estimate.
-    #[must_use]
-    pub fn has_ended(&self) -> bool {
-        self.phase == Phase::Gather && self.actions.is_empty() && self.centre.next_tick() > self.last_tick
     }
 
     /// When the last tick came to each stage, up to the one that it is in.
