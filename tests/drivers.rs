@@ -119,13 +119,24 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     drop(radio);
     let outcome = robot.finish().succeeded();
     assert_eq!(outcome.stderr.matches("port: expected lines like DIST").count(), 1, "{outcome:#?}");
-    assert!(outcome.stderr.contains("port: 10 lines or frames refused, 20 taken"), "{outcome:#?}");
+    // Two lines of three are right; where a read ends is chance.
+    let (refused, taken) = first_counts(&outcome.stderr);
+    assert!(refused >= 10 && taken.abs_diff(2 * refused) <= 2, "{outcome:#?}");
     for node in nodes {
         node.finish().succeeded();
     }
     let heard = heard_m(&run);
     assert!(!heard.is_empty() && heard.iter().all(|range_m| *range_m == 15.0), "{heard:?}");
     run.assert_nothing_left();
+}
+
+/// Lines refused and taken, where the driver first told of more than the first one.
+fn first_counts(stderr: &str) -> (u64, u64) {
+    let counts = |line: &str| {
+        let (refused, taken) = line.split_once("port: ")?.1.split_once(" lines or frames refused, ")?;
+        Some((refused.parse().ok()?, taken.strip_suffix(" taken")?.parse().ok()?))
+    };
+    stderr.lines().find_map(counts).unwrap_or_else(|| panic!("no counts in {stderr}"))
 }
 
 #[test]
