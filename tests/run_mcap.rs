@@ -1,23 +1,19 @@
 //! A run in one file: whole for other programs' readers, replayed to the bit whatever happened in the run, and readable up to
 //! where a kill has cut it.
 
-pub(crate) mod zstd;
+mod zstd;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use rangehound::frame::{Frame, Frames};
-use rangehound::in_process;
 use rangehound::run_mcap::read::FrameReader;
-use rangehound::run_mcap::write::FrameWriter;
 use rangehound_shared::record::{Heading, Heard, Judged, RangeUse};
-use rangehound_shared::rendezvous::RunDescription;
-use rangehound_shared::scenario::{Scenario, ScenarioFile};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
+use crate::hostile::targets::made::{frames, recorded};
 use crate::support::{Outcome, Run, is_alive, signal, skipped};
 
 const NODES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
@@ -346,28 +342,6 @@ fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
     let recorded = run.start(&["record", "out"]).finish().succeeded();
     assert!(recorded.stderr.contains("are missing"), "{recorded:#?}");
     assert_eq!(replayed(&run, "out/run.mcap")["ticks"], 3000);
-}
-
-/// The frames of a run in one process, and what the run is.
-pub(crate) fn frames(file: &str, ticks: u64) -> (RunDescription, Vec<Frame>) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios").join(file);
-    let parsed = ScenarioFile::read(&path).unwrap();
-    let mut scenario = Scenario::from_file(&parsed, file, path.parent().unwrap()).unwrap();
-    scenario.ticks = ticks;
-    let description = RunDescription::new(scenario, folder.path().to_owned());
-    in_process::run(&description, |_| {}).unwrap();
-    let mut logs = Frames::open(&description).unwrap();
-    let frames = (0..=ticks).map(|tick| logs.at(tick).unwrap().unwrap()).collect();
-    (description, frames)
-}
-
-/// A recording of these frames.
-pub(crate) fn recorded(description: &RunDescription, frames: &[Frame]) -> Vec<u8> {
-    let mut writer =
-        FrameWriter::begin(std::io::Cursor::new(Vec::new()), description, Some(b"name = \"x\""), u64::MAX).unwrap();
-    frames.iter().for_each(|frame| _ = writer.write(frame).unwrap());
-    writer.finish().unwrap().into_inner()
 }
 
 #[test]

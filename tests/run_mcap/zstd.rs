@@ -1,80 +1,11 @@
 //! Recordings whose chunks another tool has compressed with zstd.
 
-use mcap::records::op;
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader};
 use rangehound::frame::Frame;
 use rangehound::run_mcap::read::FrameReader;
-use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-use super::{frames, recorded, replay, replayed};
+use super::{replay, replayed};
+use crate::hostile::targets::made::{chunk_of, frames, recorded, with_zstd};
 use crate::support::Run;
-
-const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-
-/// A frame of zstd that is no data, which decoders pass over.
-const SKIPPABLE: &[u8] = b"\x50\x2a\x4d\x18\x03\0\0\0abc";
-
-/// Bytes of a chunk before it is compressed, at the least.
-const CHUNK: usize = 100_000;
-
-fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
-    [&[opcode][..], &(body.len() as u64).to_le_bytes(), body].concat()
-}
-
-/// The checksum of a chunk.
-fn crc32(bytes: &[u8]) -> u32 {
-    let step = |crc: u32, _| if crc & 1 != 0 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
-    !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
-}
-
-/// A chunk of these records, in two frames with one between that is no data.
-fn chunk(records: &[u8]) -> Vec<u8> {
-    let (first, second) = records.split_at(records.len() / 3);
-    let frame = |bytes: &[u8]| compress_to_vec(bytes, CompressionLevel::Fastest);
-    chunk_of(records.len() as u64, crc32(records), &[&frame(first)[..], SKIPPABLE, &frame(second)].concat())
-}
-
-fn chunk_of(len: u64, crc: u32, compressed: &[u8]) -> Vec<u8> {
-    let mut body = vec![0; 16];
-    body.extend(len.to_le_bytes());
-    body.extend(crc.to_le_bytes());
-    body.extend(4_u32.to_le_bytes());
-    body.extend(b"zstd");
-    body.extend((compressed.len() as u64).to_le_bytes());
-    body.extend(compressed);
-    record(op::CHUNK, &body)
-}
-
-/// The same file with chunks of zstd, and without index.
-pub(crate) fn with_zstd(bytes: &[u8]) -> Vec<u8> {
-    let (mut out, mut records) = (MAGIC.to_vec(), Vec::new());
-    let mut reader = LinearReader::new();
-    let mut input = bytes;
-    while let Some(event) = reader.next_event() {
-        match event.unwrap() {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let count = wanted.min(input.len());
-                reader.insert(count).copy_from_slice(&input[..count]);
-                reader.notify_read(count);
-                input = &input[count..];
-            }
-            LinearReadEvent::Record { opcode: op::DATA_END, .. } => break,
-            LinearReadEvent::Record { opcode: opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE), data } => {
-                records.extend(record(opcode, data));
-                if records.len() >= CHUNK {
-                    out.extend(chunk(&std::mem::take(&mut records)));
-                }
-            }
-            LinearReadEvent::Record { opcode: op::MESSAGE_INDEX, .. } => {}
-            LinearReadEvent::Record { opcode, data } => out.extend(record(opcode, data)),
-        }
-    }
-    out.extend(chunk(&records));
-    out.extend(record(op::DATA_END, &[0; 4]));
-    out.extend(record(op::FOOTER, &[0; 20]));
-    out.extend(MAGIC);
-    out
-}
 
 #[test]
 fn a_recording_that_another_tool_has_compressed_with_zstd_replays_to_the_bit() {

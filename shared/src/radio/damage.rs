@@ -86,16 +86,4 @@ proptest! {
         }
         prop_assert!(is_true(format, &lines, mixed.trim_end_matches(',')), "{mixed}");
     }
-
-    #[test]
-    fn no_line_makes_it_panic(line in "[ -~]{0,80}", text in "\\PC{0,40}") {
-        for format in Format::ALL {
-            let mut reader = Text::new(format);
-            for line in [&line, &text] {
-                if let Ok(Some(report)) = reader.read(line) {
-                    prop_assert!(report.ranges.iter().all(|range| range.range_m > 0.0 && range.range_m.is_finite()));
-                }
-            }
-        }
-    }
 }

@@ -1,0 +1,368 @@
+//! What is fuzzed: one function for each kind of input. It takes or refuses the input, and panics if a promise is broken.
+//!
+//! `fuzz_targets/` hands these functions to libFuzzer, `tests/hostile.rs` to the ordinary tests.
+
+pub mod made;
+
+use std::cell::RefCell;
+use std::ffi::OsString;
+use std::fmt::Display;
+use std::fs::File;
+use std::os::unix::ffi::OsStringExt;
+use std::os::unix::fs::FileExt;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use clap::Parser;
+use rangehound::calibrate::file as calibration;
+use rangehound::cli::{Cli, one_line};
+use rangehound::failure::one_short_line;
+use rangehound::in_process::Team;
+use rangehound::plan::line::Desk;
+use rangehound::replay::steps::{Steps, difference};
+use rangehound::run_mcap::read::FrameReader;
+use rangehound::run_mcap::scene::Scene;
+use rangehound::supervisor::restart::Rule;
+use rangehound::{report, tables};
+use rangehound_fusion::{Centre, centre};
+use rangehound_robot::sensor::Sensor;
+use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
+use rangehound_shared::radio::log::{LogOptions, read_log};
+use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
+use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
+use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
+use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
+use rangehound_shared::sealed;
+use rangehound_sim::playback::Playback;
+use rangehound_sim::{World, world_of};
+
+/// Whether an input is taken.
+pub type Verdict = Result<(), Complaint>;
+
+/// The line that refuses an input, from whatever error a reader gives.
+#[derive(Debug)]
+pub struct Complaint(pub String);
+
+/// Memory that anything may take, and more for each byte of input. A damaged length in a sealed file may claim as
+/// much as the longest value that can be sealed, 16 MiB.
+const BYTES_FREE: u64 = 20 << 20;
+const BYTES_FOR_ONE: u64 = 400;
+
+/// Longest complaint, bytes: file names and what was found are in it, files are not.
+const COMPLAINT_MAX: usize = 600;
+
+impl Complaint {
+    fn of(line: String) -> Self {
+        assert!(line.lines().count() == 1 && line.len() <= COMPLAINT_MAX, "refused by {line:?}");
+        Self(line)
+    }
+}
+
+impl<E: Display> From<E> for Complaint {
+    fn from(error: E) -> Self {
+        Self::of(one_short_line(&error.to_string()))
+    }
+}
+
+/// Hands an input to a target. Panics if it takes memory that its length does not explain.
+pub fn check(target: fn(&[u8]) -> Verdict, bytes: &[u8]) -> Verdict {
+    let mut verdict = Ok(Ok(()));
+    let memory = allocation_counter::measure(|| verdict = catch_unwind(AssertUnwindSafe(|| target(bytes))));
+    let verdict = verdict.unwrap_or_else(|panic| resume_unwind(panic));
+    let explained = BYTES_FREE + BYTES_FOR_ONE * bytes.len() as u64;
+    assert!(memory.bytes_max <= explained, "{} bytes of memory for {} bytes of input", memory.bytes_max, bytes.len());
+    verdict
+}
+
+/// The folder of the project, which this crate is a part of.
+#[must_use]
+pub fn project() -> &'static Path {
+    let mut above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    above.find(|folder| folder.join("scenarios").is_dir()).unwrap()
+}
+
+fn recording_folder() -> PathBuf {
+    project().join("scenarios/recording")
+}
+
+/// Taken if one of several readers takes it, or refused as by the first. All of them read it.
+fn any<const N: usize>(verdicts: [Verdict; N]) -> Verdict {
+    verdicts.into_iter().reduce(|all, next| all.or_else(|first| next.map_err(|_| first))).unwrap()
+}
+
+/// A scenario file, and the first steps of its team.
+pub fn scenarios(bytes: &[u8]) -> Verdict {
+    let file = ScenarioFile::parse(std::str::from_utf8(bytes)?, "hostile.toml")?;
+    let scenario = Scenario::from_file(&file, "hostile.toml", &recording_folder())?;
+    assert!(scenario.is_whole());
+    // The run folder's copy and the run's description say the same.
+    assert_eq!(ScenarioFile::parse(&file.to_toml().unwrap(), "copy").unwrap(), file);
+    assert_eq!(sealed::open::<Scenario>(&sealed::seal(&scenario).unwrap()).unwrap(), scenario);
+    let is_slow = match scenario.planner {
+        PlannerSpec::Certified { nodes } => nodes > 2_000,
+        PlannerSpec::Adaptive { iterations, .. } | PlannerSpec::Standard { iterations } => iterations > 50,
+        PlannerSpec::Grid { .. } => true,
+        _ => false,
+    };
+    if is_slow || scenario.robots.len() > 16 {
+        return Ok(());
+    }
+    let mut team = Team::new(&scenario).unwrap();
+    for _ in 0..3 {
+        if team.tick().is_err() {
+            break;
+        }
+        team.advance();
+    }
+    Ok(())
+}
+
+/// A table of ranges, in each form that one may be read in.
+pub fn recordings(bytes: &[u8]) -> Verdict {
+    static OPTIONS: LazyLock<[ReadOptions; 6]> = LazyLock::new(|| {
+        let columns = |text: &str| text.parse::<ColumnMap>().unwrap();
+        let anchors = b"sensor_id;x_m;y_m;z_m\n1;0;0;2\n2;9,5;0;\n3;0;9;1\nA;1;1;1\n";
+        let anchors = Anchors::parse(&anchors[..], Path::new("anchors.csv"), &ColumnMap::default()).unwrap();
+        [
+            ReadOptions::default(),
+            ReadOptions { strict: true, ..ReadOptions::default() },
+            ReadOptions { columns: columns("time=1:ms,sensor=2,x=3:m,y=4:cm,range=5:mm"), ..ReadOptions::default() },
+            ReadOptions { target: Some("1".to_owned()), columns: columns("range=x:m"), ..ReadOptions::default() },
+            ReadOptions { anchors: Some(anchors.clone()), ..ReadOptions::default() },
+            ReadOptions { anchors: Some(anchors), columns: columns("range=d_*:cm"), ..ReadOptions::default() },
+        ]
+    });
+    any(OPTIONS.each_ref().map(|options| recording(bytes, options)))
+}
+
+fn recording(bytes: &[u8], options: &ReadOptions) -> Verdict {
+    let (recording, summary) = Recording::parse(bytes, Path::new("hostile.csv"), options)?;
+    assert!(summary.lines().iter().all(|line| line.lines().count() == 1));
+    // The run folder's copy is the same recording.
+    let mut copy = Vec::new();
+    recording.write_csv(&mut copy).unwrap();
+    let (again, _) = Recording::parse(&copy[..], Path::new("copy.csv"), &ReadOptions::default()).unwrap();
+    assert_eq!(again, recording);
+    let mut world = Playback::new(recording.into(), None);
+    for _ in 0..20 {
+        world.advance(&[]);
+        let numbers = world.entries().iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
+        assert!(numbers.chain([world.time_s()]).all(f64::is_finite));
+    }
+    Ok(())
+}
+
+/// A table of the sensors' places.
+pub fn anchors(bytes: &[u8]) -> Verdict {
+    let anchors = Anchors::parse(bytes, Path::new("anchors.csv"), &ColumnMap::default())?;
+    let numbers = anchors.iter().flat_map(|(_, anchor)| anchor.position_m.into_iter().chain(anchor.height_m));
+    assert!(numbers.into_iter().all(f64::is_finite));
+    Ok(())
+}
+
+/// What `--columns` says.
+pub fn columns(bytes: &[u8]) -> Verdict {
+    let map: ColumnMap = std::str::from_utf8(bytes)?.parse()?;
+    assert_eq!(map.to_string().parse::<ColumnMap>().unwrap(), map);
+    Ok(())
+}
+
+/// A `calibration.toml`.
+pub fn calibrations(bytes: &[u8]) -> Verdict {
+    let file = calibration::parse(std::str::from_utf8(bytes)?)?;
+    let all = file.sensor.iter().flat_map(|sensor| [sensor.bias_m, sensor.scale, sensor.range_std_m]);
+    assert!(all.chain([file.range_std_m, file.accel_psd]).flatten().all(f64::is_finite));
+    Ok(())
+}
+
+/// A table of the target's places.
+pub fn true_tracks(bytes: &[u8]) -> Verdict {
+    let truth = tables::parse_truth(bytes)?;
+    for time_s in [0.0, 0.1, 1.0, f64::NAN, f64::INFINITY] {
+        assert!(truth.at(time_s).is_none_or(|place| place.iter().all(|number| number.is_finite())));
+    }
+    Ok(())
+}
+
+/// A line for `plan`.
+pub fn plan_lines(bytes: &[u8]) -> Verdict {
+    thread_local!(static DESK: RefCell<Desk> = RefCell::new(Desk::new(PlannerTable::default(), 1).unwrap()));
+    let mut answer = Vec::new();
+    let complaint = DESK.with_borrow_mut(|desk| desk.answer(7, bytes, &mut answer));
+    assert_eq!(answer.iter().filter(|byte| **byte == b'\n').count(), 1);
+    let answer: serde_json::Value = serde_json::from_slice(&answer).unwrap();
+    assert_eq!(answer["error"].as_str(), complaint.as_deref());
+    complaint.map(Complaint::of).map_or(Ok(()), Err)
+}
+
+/// What a user types after `rangehound`, with spaces between the words.
+pub fn command_lines(bytes: &[u8]) -> Verdict {
+    let words = bytes.split(|byte| *byte == b' ').map(|word| OsString::from_vec(word.to_vec()));
+    match Cli::try_parse_from([OsString::from("rangehound")].into_iter().chain(words)) {
+        Ok(_) => Ok(()),
+        Err(error) if error.use_stderr() => Err(Complaint::of(one_line(&error))),
+        Err(_) => Err(Complaint::of("help".to_owned())),
+    }
+}
+
+/// Names of nodes and runs, and rules for restarts.
+pub fn words(bytes: &[u8]) -> Verdict {
+    let text = String::from_utf8_lossy(bytes);
+    let role = text.parse::<Role>().inspect(|role| assert_eq!(role.to_string().parse::<Role>().as_ref(), Ok(role)));
+    let name = text.parse::<RunName>().inspect(|name| assert!(name.to_string().len() <= 24));
+    let rule = text.parse::<Rule>();
+    if let (Err(name), Err(rule)) = (&name, &rule) {
+        assert!(name.to_string().starts_with("expected") && rule.starts_with("expected"));
+    }
+    any([
+        role.map(drop).map_err(Complaint::from),
+        name.map(drop).map_err(Complaint::from),
+        rule.map(drop).map_err(Complaint::from),
+    ])
+}
+
+/// A run's description: as a sealed file, and as the body of one whose checksum fits.
+pub fn run_descriptions(bytes: &[u8]) -> Verdict {
+    any([run_description(bytes), run_description(&made::sealed_body(bytes))])
+}
+
+fn run_description(bytes: &[u8]) -> Verdict {
+    let RunDescription { scenario, .. } = RunDescription::open(bytes)?;
+    // What is opened has the right shapes at least.
+    for id in 0..scenario.robots.len() {
+        assert!(Sensor::new(&scenario, id).is_some());
+    }
+    let _ = world_of(&scenario, Path::new("")).map(|mut world| world.advance(&[]));
+    let _ = Centre::new(&scenario);
+    Ok(())
+}
+
+/// A slot of a checkpoint's file: alone, beside a sound one, and twice.
+pub fn checkpoint_files(bytes: &[u8]) -> Verdict {
+    for second in [&made::CHECKPOINT_SLOTS[1][..], bytes] {
+        let _ = checkpoint_file(bytes, second);
+    }
+    checkpoint_file(bytes, &[]).map(drop)
+}
+
+/// Opens a checkpoint's file with these slots.
+pub fn checkpoint_file(first: &[u8], second: &[u8]) -> Result<Option<made::State>, Complaint> {
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("sim.checkpoint");
+    // With a hole, as the file has it.
+    let file = File::create(&path)?;
+    file.write_all_at(first, 0)?;
+    if !second.is_empty() {
+        file.write_all_at(second, made::SLOT_LEN)?;
+    }
+    let opened = Checkpoint::open(&path, made::RUN_ID);
+    if let Err(error) = &opened {
+        assert!(matches!(error, CheckpointError::Unusable { .. }), "{error}");
+        assert!(folder.path().join("sim.checkpoint.refused").exists() && !path.exists());
+    }
+    Ok(opened?.1)
+}
+
+/// States of simulator and fusion that pass their checksum and are of another run, another version, or nobody's.
+pub fn node_states(bytes: &[u8]) -> Verdict {
+    any(made::SCENARIOS_OF_STATES
+        .each_ref()
+        .map(|scenario| any([sim_state(scenario, bytes), fusion_state(scenario, bytes)])))
+}
+
+fn sim_state(scenario: &Scenario, bytes: &[u8]) -> Verdict {
+    let mut world = world_of(scenario, Path::new(""))?;
+    world.restore(bytes)?;
+    world.advance(&[]);
+    assert!(world.entries().iter().all(|entry| entry.x_m.is_finite() && entry.range_m.is_finite()));
+    Ok(())
+}
+
+fn fusion_state(scenario: &Scenario, bytes: &[u8]) -> Verdict {
+    let saved = sealed::decode::<centre::Saved<'static>>(bytes)?;
+    let mut centre = Centre::new(scenario)?;
+    centre.restore(saved)?;
+    if centre.next_tick() < 1 << 40 && centre.update(0.5, &vec![None; scenario.robots.len()]).is_ok() {
+        assert!(centre.plan().iter().all(|command| command.heading_rad.is_finite()));
+    }
+    Ok(())
+}
+
+/// What fusion or sim wrote down of each tick, beside a sound log of the other one.
+pub fn tick_logs(bytes: &[u8]) -> Verdict {
+    let (description, [estimate, world]) = &*made::RUN_WITH_LOGS;
+    any([results(description, [bytes, world]), results(description, [estimate, bytes])])
+}
+
+/// All that is made of a run's logs.
+fn results(description: &RunDescription, logs: [&[u8]; 2]) -> Verdict {
+    let folder = tempfile::tempdir()?;
+    for (name, log) in made::LOG_NAMES.iter().zip(logs) {
+        std::fs::write(folder.path().join(name), log)?;
+    }
+    let description = RunDescription { out_dir: folder.path().to_owned(), ..description.clone() };
+    let report = report::from_logs(&description, None, Vec::new())?;
+    report::write(&report, folder.path())?;
+    tables::write_estimate_csv(&description)?;
+    tables::write_recording(&description)?;
+    // Slow, and mostly the same.
+    if logs.concat().len() % 50 == 0 {
+        tables::draw(&report, &description, None)?;
+    }
+    Ok(())
+}
+
+/// A run in one file.
+pub fn run_files(bytes: &[u8]) -> Verdict {
+    let mut reader = FrameReader::open(bytes)?;
+    let scenario = reader.description()?.scenario.clone();
+    let mut steps = Steps::new(&scenario)?;
+    while let Some(frame) = reader.next_frame()? {
+        let estimate = steps.step(&frame)?;
+        let _ = difference(&frame, &estimate, steps.commands());
+        let _ = Scene::default().update(&scenario, &frame, 0);
+    }
+    Ok(())
+}
+
+/// What a radio prints, as each of the radios and in any pieces.
+pub fn radio_logs(bytes: &[u8]) -> Verdict {
+    any(Format::ALL.map(|format| radio_log(format, bytes)))
+}
+
+fn radio_log(format: Format, bytes: &[u8]) -> Verdict {
+    let whole = reports(format, &[bytes]);
+    assert_eq!(whole, reports(format, &bytes.chunks(1 + bytes.len() % 40).collect::<Vec<_>>()));
+    for range in whole.iter().flatten() {
+        assert!(range.range_m > 0.0 && range.range_m.is_finite(), "{range:?}");
+        assert!(!range.anchor.chars().any(char::is_control), "{range:?}");
+    }
+    let options =
+        |rate_hz, stamp_unit, tag: Option<&str>| LogOptions { rate_hz, stamp_unit, tag: tag.map(str::to_owned) };
+    any([
+        options(None, None, None),
+        options(Some(10.0), Some(StampUnit::Microseconds), Some("0")),
+        options(Some(f64::NAN), None, None),
+    ]
+    .map(|options| {
+        let (rows, summary) = read_log(format, bytes, &options)?;
+        assert!(!rows.is_empty() && rows.len() as u64 == summary.rows);
+        let mut last_s = f64::NEG_INFINITY;
+        for row in rows {
+            assert!(row.time_s >= last_s && row.time_s.is_finite() && row.range_m > 0.0, "{row:?}");
+            last_s = row.time_s;
+        }
+        Ok(())
+    }))
+}
+
+/// All ranges of a stream that comes in these pieces, by report; none for what is refused.
+fn reports(format: Format, pieces: &[&[u8]]) -> Vec<Vec<RadioRange>> {
+    let (mut parser, mut all) = (radio::Parser::new(format), Vec::new());
+    for piece in pieces {
+        parser.push(piece, |report| all.push(report.map_or(Vec::new(), |report| report.ranges.to_vec())));
+    }
+    let _ = parser.finish();
+    all
+}
