@@ -62,29 +62,32 @@ attacks! {
 }
 
 fn attack(name: &str, cases: u32, mut taken: Vec<Vec<u8>>, target: fn(&[u8]) -> Verdict) {
+    let watchdog = watchdog(name.to_owned());
+    let feed = |bytes: &[u8]| {
+        watchdog.send(bytes.to_vec()).unwrap();
+        check(target, bytes)
+    };
     let folder = project().join("fuzz/corpus").join(name);
     taken.extend(documents(&folder.join("taken")));
     for bytes in &taken {
-        let verdict = check(target, bytes);
+        let verdict = feed(bytes);
         assert!(verdict.is_ok(), "{name}: {} is refused: {verdict:?}", bytes.escape_ascii());
     }
     for bytes in documents(&folder.join("refused")) {
-        assert!(check(target, &bytes).is_err(), "{name}: {} is taken", bytes.escape_ascii());
+        assert!(feed(&bytes).is_err(), "{name}: {} is taken", bytes.escape_ascii());
     }
-    let watchdog = watchdog(name.to_owned());
     let count = Cell::new(0);
-    for_all(cases, &derived(taken), |Input(bytes)| {
-        watchdog.send(bytes.clone()).unwrap();
-        count.set(count.get() + u32::from(check(target, &bytes).is_ok()));
-    });
+    for_all(cases, &derived(taken), |Input(bytes)| count.set(count.get() + u32::from(feed(&bytes).is_ok())));
     // Damage that only ever does one of both would test half of a reader.
     assert!(count.get() > 0, "{name}: none of {cases} derived inputs is taken");
     println!("{name}: {} of {cases} derived inputs are taken", count.get());
 }
 
+/// The files of a folder, if there is one, always in the same order.
 fn documents(folder: &Path) -> Vec<Vec<u8>> {
-    let files = std::fs::read_dir(folder).into_iter().flatten();
-    files.map(|file| std::fs::read(file.unwrap().path()).unwrap()).collect()
+    let mut files: Vec<_> = std::fs::read_dir(folder).into_iter().flatten().map(|file| file.unwrap().path()).collect();
+    files.sort();
+    files.iter().map(|file| std::fs::read(file).unwrap()).collect()
 }
 
 /// The same values each time; a value that fails is made as small as it can be.
