@@ -117,14 +117,14 @@ fn derived(documents: Vec<Vec<u8>>) -> impl Strategy<Value = Input> + Clone {
         1 => Just(vec![]),
         1 => select(hostile.collect::<Vec<_>>()),
         2 => (select(documents.clone()), any::<Index>(), 0..40_usize).prop_map(|(document, at, len)| {
-            let words = words(&document);
+            let words = in_words(&document);
             words[within(&words, at, len)].concat()
         }),
         1 => vec(any::<u8>(), 1..12),
     ];
     let len = prop_oneof![9 => 0..3_usize, 1 => 0..1_000_usize];
     (select(documents), vec((any::<Index>(), len, piece), 1..5)).prop_map(|(document, edits)| {
-        let mut words = words(&document);
+        let mut words = in_words(&document);
         for (at, len, piece) in &edits {
             words.splice(within(&words, *at, *len), [&piece[..]]);
         }
@@ -132,7 +132,7 @@ fn derived(documents: Vec<Vec<u8>>) -> impl Strategy<Value = Input> + Clone {
     })
 }
 
-fn words(document: &[u8]) -> Vec<&[u8]> {
+fn in_words(document: &[u8]) -> Vec<&[u8]> {
     let is_part = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-._".contains(byte);
     document.chunk_by(|a, b| is_part(a) && is_part(b)).collect()
 }
