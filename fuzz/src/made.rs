@@ -49,7 +49,7 @@ pub fn run_descriptions() -> Vec<Vec<u8>> {
     let files = ["paper.toml", "mixed_team.toml", "custom_model.toml", "recording/replay.toml"];
     let descriptions = files.map(|file| description(file, PathBuf::from("/nowhere")));
     let sealed = descriptions.iter().map(|description| sealed::seal(description).unwrap());
-    let bodies = descriptions.iter().map(|description| encoded(description));
+    let bodies = descriptions.iter().map(encoded);
     sealed.chain(bodies).collect()
 }
 
