@@ -20,13 +20,13 @@ use proptest::sample::{Index, select};
 use proptest::test_runner::{RngSeed, TestRunner};
 use rangehound::plan::line::Desk;
 use rangehound::tables;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::world::world_of;
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::{RangeSensor, Sensor};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::recording::{ReadOptions, Recording};
-use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::{PlannerTable, ScenarioFile};
-use rangehound_sim::world_of;
 
 use targets::{Verdict, check, made, project};
 

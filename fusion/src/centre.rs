@@ -175,7 +175,14 @@ impl Centre {
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
         let Saved { bodies, commands, judged, trust, .. } = &restored;
-        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] {
+        let is_body = |body: &Body| {
+            body.heard_at < restored.next_tick
+                && [body.position_m.x, body.position_m.y].iter().all(|place| place.abs() <= BOUND)
+                && body.range_std_m.is_none_or(|std_m| std_m > 0.0 && std_m <= BOUND)
+        };
+        let is_sound = bodies.iter().flatten().all(is_body)
+            && commands.iter().all(|command| command.heading_rad.is_finite() && command.speed_mps.is_finite());
+        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] || !is_sound {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
@@ -444,16 +451,38 @@ mod tests {
         let text = "[target]\nmodel = \"custom\"\nstart = [0.0, 0.0]\nphi = [[2.0, 0.0], [0.0, 2.0]]\n\
                     qd = [[1.0, 0.0], [0.0, 1.0]]\n";
         let file = ScenarioFile::parse(text, "test").unwrap();
-        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
         let diverged = (0..1_000).find_map(|_| centre.update(0.0, &[None; 3]).err()).unwrap();
         assert!((20..100).contains(&diverged.tick), "{diverged}");
     }
 
+    #[test]
+    fn a_state_that_no_centre_can_have_is_refused() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
+        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
+        let spoilt: [fn(&mut Centre, &mut Body); 4] = [
+            |centre, _| centre.commands[1].heading_rad = f64::NAN,
+            |_, body| body.position_m.x = f64::INFINITY,
+            |_, body| body.range_std_m = Some(0.0),
+            |_, body| body.heard_at = 1,
+        ];
+        for spoil in spoilt {
+            let mut centre = Centre::new(&scenario).unwrap();
+            centre.update(0.0, &[heard; 3]).unwrap();
+            centre.plan();
+            assert!(Centre::new(&scenario).unwrap().restore(centre.saved().unwrap()).is_ok());
+            let mut body = centre.bodies[1].unwrap();
+            spoil(&mut centre, &mut body);
+            centre.bodies[1] = Some(body);
+            assert!(Centre::new(&scenario).unwrap().restore(centre.saved().unwrap()).is_err());
+        }
+    }
+
     /// A robot that falls silent is planned for as if it obeyed, for some ticks, and then told to stand.
     #[test]
     fn a_silent_robot_is_told_to_stand_after_some_ticks() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
         let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
         centre.update(0.0, &[heard; 3]).unwrap();
@@ -469,7 +498,7 @@ mod tests {
 
     fn of(text: &str) -> Centre {
         let file = ScenarioFile::parse(text, "test").unwrap();
-        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
         Centre::new(&scenario).unwrap().keeping_the_past()
     }
 
@@ -479,7 +508,7 @@ mod tests {
 
     /// With the tracker of recordings.
     fn from_ranges() -> Centre {
-        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         (scenario.prior, scenario.gate_sigma) = (Prior::FromRanges, Some(4.0));
         Centre::new(&scenario).unwrap().keeping_the_past()
     }

@@ -19,6 +19,7 @@ use rangehound::calibrate::file as calibration;
 use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
 use rangehound::in_process::Team;
+use rangehound::input;
 use rangehound::plan::line::Desk;
 use rangehound::replay::steps::{Steps, difference};
 use rangehound::run_mcap::read::FrameReader;
@@ -26,16 +27,18 @@ use rangehound::run_mcap::scene::Scene;
 use rangehound::supervisor::restart::Rule;
 use rangehound::{report, tables};
 use rangehound_fusion::{Centre, centre};
+use rangehound_node::checkpoint::{Checkpoint, CheckpointError};
+use rangehound_node::rendezvous::{Role, RunDescription};
+use rangehound_node::world::world_of;
 use rangehound_robot::sensor::Sensor;
-use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::radio::log::{LogOptions, read_log};
 use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
 use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
-use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
 use rangehound_shared::sealed;
+use rangehound_sim::World;
 use rangehound_sim::playback::Playback;
-use rangehound_sim::{World, world_of};
 
 /// Whether an input is taken.
 pub type Verdict = Result<(), Complaint>;
@@ -94,7 +97,7 @@ fn any<const N: usize>(verdicts: [Verdict; N]) -> Verdict {
 /// A scenario file, and the first steps of its team.
 pub fn scenarios(bytes: &[u8]) -> Verdict {
     let file = ScenarioFile::parse(std::str::from_utf8(bytes)?, "hostile.toml")?;
-    let scenario = Scenario::from_file(&file, "hostile.toml", &recording_folder())?;
+    let scenario = input::scenario(&file, "hostile.toml", &recording_folder())?;
     assert!(scenario.is_whole());
     // The run folder's copy and the run's description say the same.
     assert_eq!(ScenarioFile::parse(&file.to_toml().unwrap(), "copy").unwrap(), file);

@@ -7,14 +7,14 @@ use std::sync::LazyLock;
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader};
 use rangehound::frame::{Frame, Frames};
-use rangehound::in_process;
 use rangehound::run_mcap::write::FrameWriter;
+use rangehound::{in_process, input};
 use rangehound_fusion::Centre;
-use rangehound_shared::checkpoint::Checkpoint;
-use rangehound_shared::rendezvous::RunDescription;
-use rangehound_shared::scenario::{Scenario, ScenarioFile};
+use rangehound_node::checkpoint::Checkpoint;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::world::world_of;
+use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed;
-use rangehound_sim::world_of;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -36,7 +36,7 @@ pub fn write_to_corpus(target: &str, documents: Vec<Vec<u8>>) {
 #[must_use]
 pub fn scenario(file: &str) -> Scenario {
     let path = project().join("scenarios").join(file);
-    Scenario::from_file(&ScenarioFile::read(&path).unwrap(), file, path.parent().unwrap()).unwrap()
+    input::scenario(&input::scenario_file(&path).unwrap(), file, path.parent().unwrap()).unwrap()
 }
 
 fn description(file: &str, out_dir: PathBuf) -> RunDescription {
