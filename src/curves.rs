@@ -4,14 +4,14 @@ use std::ops::Range;
 
 use nalgebra::Vector2;
 use rangehound_fusion::LATE_TICKS_MAX;
-use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::message::Estimate;
-use rangehound_shared::record::{EstimateRecord, Heading, WorldRecord};
+use rangehound_shared::record::{FusionRecord, Heading, WorldRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 use crate::field::Paths;
+use crate::frame::{Frames, PutDown};
 use crate::least_trace::least_next_trace_m2;
 use crate::report::{Truth, position_covariance};
 
@@ -30,7 +30,6 @@ pub const DRAWABLE_MAX: f64 = 1e15;
 /// Every so many ticks of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Curves {
-    ticks: Vec<u64>,
     /// Their times, s.
     pub times_s: Vec<f64>,
     /// Who was where.
@@ -86,84 +85,62 @@ impl Curves {
     pub fn read(description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<Self> {
         let mut curves = Self { paths: Paths::of_team(&description.scenario), ..Self::default() };
         let thinning = Thinning::of(&description.scenario);
-        curves.read_estimates(description, thinning, truth)?;
-        curves.read_worlds(description, thinning)?;
+        Frames::open(description)?.for_each(|put_down| {
+            if put_down.tick > 0 {
+                curves.add(put_down, &description.scenario, thinning, truth);
+            }
+            Ok(())
+        })?;
         if !curves.can_be_drawn() {
             anyhow::bail!("the logs hold numbers that cannot be drawn");
         }
         Ok(curves)
     }
 
-    fn read_estimates(
-        &mut self,
-        description: &RunDescription,
-        thinning: Thinning,
-        truth: Option<&Truth>,
-    ) -> anyhow::Result<()> {
-        let scenario = &description.scenario;
-        let Self { ticks, times_s, paths, least_traces_m2, stretches, .. } = self;
-        let state_dim = scenario.motion.state_dim();
-        let mut estimates = logs::read_estimates(description)?;
-        while let Some(record) = estimates.next() {
-            let (tick, words) = record?;
-            if tick == 0 {
-                continue;
-            }
-            let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
-            if stretches.last().is_none_or(|last| tick - last.first_tick >= thinning.stretch) {
-                stretches.push(Stretch { first_tick: tick, time_s, ..Stretch::default() });
-            }
-            if let Some(stretch) = stretches.last_mut() {
-                stretch.add(&estimate);
-            }
-            // What came late was not missing after all, though it was when its own tick was told of: here or just before.
-            let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
-            for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
-                let found = came.min(stretch.missing);
-                stretch.missing -= found;
-                came -= found;
-            }
+    fn add(&mut self, put_down: PutDown<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
+        let PutDown { tick, fusion, world } = put_down;
+        if let Some(FusionRecord { time_s, estimate, exchanges }) = fusion {
+            self.add_to_stretch(tick, *time_s, estimate, thinning);
             if thinning.keeps(tick) {
-                ticks.push(tick);
-                times_s.push(time_s);
-                paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
-                paths.covariances_m2.push(position_covariance(&estimate));
-                paths.truths_m.push(truth.and_then(|truth| truth.at(time_s)));
-                let exchanges = EstimateRecord::exchanges(words, state_dim);
-                let least_m2 = least_next_trace_m2(scenario, tick, &estimate, exchanges);
+                let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
+                self.times_s.push(*time_s);
+                self.paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
+                self.paths.covariances_m2.push(position_covariance(estimate));
+                self.paths.truths_m.push(simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s))));
+                let least_m2 = least_next_trace_m2(scenario, tick, estimate, exchanges.iter().copied());
                 let least_m2 = least_m2.filter(|least_m2| *least_m2 <= DRAWABLE_MAX);
-                least_traces_m2.extend(least_m2.map(|least_m2| (time_s + scenario.dt_s, least_m2)));
+                self.least_traces_m2.extend(least_m2.map(|least_m2| (time_s + scenario.dt_s, least_m2)));
             }
         }
-        Ok(())
-    }
-
-    fn read_worlds(&mut self, description: &RunDescription, thinning: Thinning) -> anyhow::Result<()> {
-        let scenario = &description.scenario;
-        let mut worlds = logs::read_worlds(description)?;
-        while let Some(record) = worlds.next() {
-            let (tick, words) = record?;
-            if tick == 0 {
-                continue;
-            }
-            let WorldRecord { time_s, ended_ns, truth, robots } = WorldRecord::from_words(words, scenario);
-            let begun = self.stretches.partition_point(|stretch| stretch.first_tick <= tick);
-            if let Some(stretch) = begun.checked_sub(1).and_then(|index| self.stretches.get_mut(index)) {
+        if let Some(WorldRecord { time_s, ended_ns, robots, .. }) = world {
+            if let Some(stretch) = self.stretches.last_mut() {
                 let without = robots.iter().filter(|robot| robot.heading == Heading::None);
                 stretch.without_heading += without.count() as u64;
             }
-            if !thinning.keeps(tick) {
-                continue;
-            }
-            self.ended_ns.push((ended_ns, time_s));
-            if let (Ok(index), &[x_m, y_m, ..]) = (self.ticks.binary_search(&tick), truth.as_slice()) {
-                self.paths.truths_m[index] = Some(Vector2::new(x_m, y_m));
-            }
-            for (path, robot) in self.paths.robots_m.iter_mut().zip(robots) {
-                path.push(Vector2::from(robot.position_m));
+            if thinning.keeps(tick) {
+                self.ended_ns.push((*ended_ns, *time_s));
+                for (path, robot) in self.paths.robots_m.iter_mut().zip(robots) {
+                    path.push(Vector2::from(robot.position_m));
+                }
             }
         }
-        Ok(())
+    }
+
+    fn add_to_stretch(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
+        let Self { stretches, .. } = self;
+        if stretches.last().is_none_or(|last| tick - last.first_tick >= thinning.stretch) {
+            stretches.push(Stretch { first_tick: tick, time_s, ..Stretch::default() });
+        }
+        if let Some(stretch) = stretches.last_mut() {
+            stretch.add(estimate);
+        }
+        // What came late was not missing after all, though it was when its own tick was told of: here or just before.
+        let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
+        for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
+            let found = came.min(stretch.missing);
+            stretch.missing -= found;
+            came -= found;
+        }
     }
 
     /// True if no number is one that axes or ellipses could not be made of: their loops would not end.

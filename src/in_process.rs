@@ -16,7 +16,6 @@ use rangehound_node::world::{PlaybackError, world_of};
 use rangehound_robot::machine as robot;
 use rangehound_robot::sensor::{Sensor, measure};
 use rangehound_shared::message::{Drive, Header, Outgoing, Range};
-use rangehound_shared::record::{EstimateRecord, WorldRecord};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_sim::World;
 use rangehound_sim::machine as sim;
@@ -36,12 +35,11 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
     let mut worlds = logs::write_worlds(description)?;
     for tick in 0..=scenario.ticks {
         team.tick()?;
-        let record = EstimateRecord { time_s: team.centre().time_s(), estimate: team.centre().estimate() };
-        estimates.write(tick, record.to_words(team.leader.exchanges()))?;
-        let world = team.world();
-        let words =
-            WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), team.drives());
-        worlds.write(tick, words)?;
+        let (centre, world) = (team.centre(), team.world());
+        estimates.write(tick, |record| record.set(centre.time_s(), &centre.estimate(), team.leader.exchanges()))?;
+        worlds.write(tick, |record| {
+            record.set(world.time_s(), monotonic_ns(), world.truth(), world.entries(), team.drives());
+        })?;
         team.advance();
         on_tick(tick);
     }

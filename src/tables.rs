@@ -23,8 +23,8 @@ use rangehound_node::checkpoint;
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{Role, RunDescription};
 use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
-use rangehound_shared::message::{RangeKind, WorldEntry};
-use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::message::{Estimate, RangeKind, WorldEntry};
+use rangehound_shared::record::{FusionRecord, WorldRecord};
 use rangehound_shared::recording::{RecordingError, TrackPoint, parse_track};
 use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
@@ -32,6 +32,7 @@ use rangehound_shared::sealed;
 use crate::curves::Curves;
 use crate::experiment::{Experiment, in_utf8};
 use crate::failure::{self, Failure};
+use crate::frame::{Frames, PutDown};
 use crate::out_folder::{self, Claim, Kind};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 use crate::whole_file::{self, WholeFile};
@@ -220,29 +221,24 @@ pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>
 pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let RunDescription { scenario, out_dir, .. } = description;
     let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
-    let mut reader = logs::read_estimates(description)?;
     let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
-    let mut last: Option<EstimateRecord> = None;
-    while let Some(record) = reader.next() {
-        let (tick, words) = record?;
-        if tick < first_tick {
-            continue;
+    let mut last: Option<(f64, Estimate)> = None;
+    Frames::open(description)?.for_each(|PutDown { tick, fusion, .. }| {
+        let Some(FusionRecord { time_s, estimate, .. }) = fusion.filter(|_| tick >= first_tick) else { return Ok(()) };
+        if let Some((last_s, last)) = last.filter(|(last_s, _)| last_s != time_s) {
+            write_estimate_row(&mut out, last_s, &last)?;
         }
-        let record = EstimateRecord::from_words(words, scenario.motion.state_dim());
-        if let Some(last) = last.filter(|last| last.time_s != record.time_s) {
-            write_estimate_row(&mut out, &last)?;
-        }
-        last = Some(record);
-    }
-    if let Some(last) = last {
-        write_estimate_row(&mut out, &last)?;
+        last = Some((*time_s, *estimate));
+        Ok(())
+    })?;
+    if let Some((time_s, estimate)) = last {
+        write_estimate_row(&mut out, time_s, &estimate)?;
     }
     out.finish()
 }
 
-fn write_estimate_row(out: &mut impl Write, record: &EstimateRecord) -> std::io::Result<()> {
-    let EstimateRecord { time_s, estimate } = record;
+fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) -> std::io::Result<()> {
     // Models without velocities (a random walk) take them to be zero.
     let [x, y, vx, vy, ..] = estimate.state;
     let p = position_covariance(estimate);
@@ -256,17 +252,15 @@ fn write_estimate_row(out: &mut impl Write, record: &EstimateRecord) -> std::io:
 /// If a file cannot be read or written.
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let RunDescription { scenario, out_dir, .. } = description;
-    let mut reader = logs::read_worlds(description)?;
     let mut ranges = WholeFile::create(&out_dir.join("ranges.csv"))?;
     let mut truths = WholeFile::create(&out_dir.join("truth.csv"))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
     let mut sensors: Vec<SimulatedSensor> =
         (0..scenario.robots.len()).filter_map(|robot| SimulatedSensor::new(scenario, robot)).collect();
-    while let Some(record) = reader.next() {
-        let (tick, words) = record?;
-        let WorldRecord { time_s, truth, robots, .. } = WorldRecord::from_words(words, scenario);
-        let &[x_m, y_m, ..] = truth.as_slice() else { continue };
+    Frames::open(description)?.for_each(|PutDown { tick, world, .. }| {
+        let Some(WorldRecord { time_s, truth, robots, .. }) = world else { return Ok(()) };
+        let &[x_m, y_m, ..] = truth.as_slice() else { return Ok(()) };
         writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
         for (id, (robot, sensor)) in robots.iter().zip(&mut sensors).enumerate() {
             let [robot_x_m, robot_y_m] = robot.position_m;
@@ -277,7 +271,8 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
                 writeln!(ranges, "{time_s:.4},{id},{robot_x_m:.4},{robot_y_m:.4},{:.4}", range_m.max(0.0))?;
             }
         }
-    }
+        Ok(())
+    })?;
     ranges.finish()?;
     truths.finish()
 }

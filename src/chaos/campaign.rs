@@ -11,7 +11,7 @@ use rangehound_node::logs;
 use rangehound_node::rendezvous::{Process, Rendezvous, Role, RunDescription, files_of, living_runs};
 use rangehound_node::signal::Termination;
 use rangehound_node::tick_log::TickLogReader;
-use rangehound_shared::record::WorldRecord;
+use rangehound_shared::record::{FusionRecord, Record, WorldRecord};
 use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -472,8 +472,8 @@ impl<'a> Live<'a> {
 /// What the run's logs tell while they grow.
 struct Ticks<'a> {
     description: &'a RunDescription,
-    world: Option<TickLogReader>,
-    estimate: Option<TickLogReader>,
+    world: Option<TickLogReader<WorldRecord>>,
+    estimate: Option<TickLogReader<FusionRecord>>,
     /// Newest tick that is over.
     newest: u64,
     /// Since when.
@@ -500,8 +500,10 @@ impl<'a> Ticks<'a> {
         if self.estimate.is_none() {
             self.estimate = logs::read_estimates(self.description).ok();
         }
-        let newest = |log: &TickLogReader| log.newest_tick().ok().flatten();
-        if let Some(tick) = self.estimate.as_ref().and_then(newest) {
+        fn newest<R: Record>(log: &TickLogReader<R>) -> Option<u64> {
+            log.newest_tick().ok().flatten()
+        }
+        if let Some(tick) = self.estimate.as_ref().and_then(newest::<FusionRecord>) {
             self.newest_estimate = tick;
         }
         let Some(log) = &mut self.world else { return };
@@ -511,9 +513,8 @@ impl<'a> Ticks<'a> {
         }
         // Never beyond the records that are whole.
         while self.read.is_none_or(|read| read < tick) {
-            let Some(Ok((read, words))) = log.next() else { break };
+            let Some(Ok((read, record))) = log.next() else { break };
             self.read = Some(read);
-            let record = WorldRecord::from_words(words, &self.description.scenario);
             for (heard, robot) in self.heard.iter_mut().zip(&record.robots) {
                 if robot.range_sent_ns.is_some() {
                     *heard = read;

@@ -26,6 +26,7 @@ use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
 use crate::cli::{ClockArg, ExperimentArgs, LatencyArgs};
 use crate::experiment::{Experiment, Given, Naming};
 use crate::failure::{self, Failure};
+use crate::frame::{Frames, PutDown};
 use crate::hops::HopSummary;
 use crate::out_folder::{self, Kind, claim_or_number};
 use crate::watch::Progress;
@@ -190,13 +191,15 @@ impl Round<'_> {
         let mut robots: Vec<Waits> = scenario.robots.iter().map(|_| Waits::new(dt_ns(scenario))).collect();
         let mut sample = |latency_ns| samples::record(latencies_ns, latency_ns);
         let mut ended_ns = 0;
-        system::for_each_tick(&description, |tick, world| {
+        Frames::open(&description)?.for_each(|PutDown { tick, world, .. }| {
+            let Some(world) = world else { return Ok(()) };
             ended_ns = world.ended_ns;
             if tick > warm_up_ticks(scenario) {
                 for (waits, robot) in robots.iter_mut().zip(&world.robots) {
                     waits.add(system::exchange(robot), &mut sample);
                 }
             }
+            Ok(())
         })?;
         robots.iter_mut().for_each(|waits| waits.end(ended_ns, &mut sample));
         self.hops_us = system::hops_us(&description)?;

@@ -6,10 +6,9 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::signal::Termination;
-use rangehound_shared::record::{RobotRecord, WorldRecord};
+use rangehound_shared::record::RobotRecord;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::samples::Exchange;
@@ -83,25 +82,6 @@ pub(super) fn run(
         return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });
     }
     tables::read_description(folder)
-}
-
-/// Walks through the ticks of a run that carry ranges.
-///
-/// # Errors
-/// If its log cannot be read.
-pub(super) fn for_each_tick(
-    description: &RunDescription,
-    mut look: impl FnMut(u64, &WorldRecord),
-) -> anyhow::Result<()> {
-    let scenario = &description.scenario;
-    let mut worlds = logs::read_worlds(description)?;
-    while let Some(record) = worlds.next() {
-        let (tick, words) = record?;
-        if tick > 0 {
-            look(tick, &WorldRecord::from_words(words, scenario));
-        }
-    }
-    Ok(())
 }
 
 /// The run's hops, as it has reported them.

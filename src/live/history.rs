@@ -5,6 +5,8 @@ use serde::Serialize;
 use serde::ser::SerializeTuple;
 
 use crate::compare::statistics::{Interval, chi_square_mean_bounds};
+use rangehound_shared::record::FusionRecord;
+
 use crate::frame::Frame;
 use crate::least_trace::least_next_trace_m2;
 use crate::report::position_covariance;
@@ -102,8 +104,8 @@ impl History {
 
 impl Point {
     fn of(frame: &Frame, scenario: &Scenario) -> Self {
-        let Frame { tick, estimate: record, world, exchanges } = frame;
-        let estimate = &record.estimate;
+        let Frame { tick, fusion, world } = frame;
+        let FusionRecord { time_s, estimate, exchanges } = fusion;
         let error_m = match *world.truth.as_slice() {
             [x_m, y_m, ..] => (estimate.state[0] - x_m).hypot(estimate.state[1] - y_m),
             _ => f64::NAN,
@@ -113,7 +115,7 @@ impl Point {
         let us = |ns: Option<&u64>| ns.map_or(f64::NAN, |ns| *ns as f64 / 1e3);
         Self {
             tick: *tick,
-            time_s: record.time_s,
+            time_s: *time_s,
             error_m,
             trace_m2: position_covariance(estimate).trace(),
             least_next_m2: least_next_trace_m2(scenario, *tick, estimate, exchanges.iter().copied())
@@ -163,7 +165,7 @@ fn short(value: f64) -> f64 {
 mod tests {
 
     use rangehound_shared::message::Estimate;
-    use rangehound_shared::record::{EstimateRecord, WorldRecord};
+    use rangehound_shared::record::{FusionRecord, WorldRecord};
     use rangehound_shared::scenario::ScenarioFile;
 
     use super::*;
@@ -174,8 +176,8 @@ mod tests {
 
     fn frame(tick: u64) -> Frame {
         let estimate = Estimate { state_dim: 4, nis: 2.0, fused: 2, ..Estimate::default() };
-        let estimate = EstimateRecord { time_s: tick as f64 * 0.1, estimate };
-        Frame { tick, estimate, exchanges: Vec::new(), world: WorldRecord::default() }
+        let fusion = FusionRecord { time_s: tick as f64 * 0.1, estimate, exchanges: Vec::new() };
+        Frame { tick, fusion, world: WorldRecord::default() }
     }
 
     #[test]

@@ -112,7 +112,7 @@ impl Differences {
     /// Adds a tick.
     pub(super) fn add(&mut self, frame: &Frame, replayed: &Estimate, commands: &[Command]) {
         let truth_m = frame.world.truth.first_chunk().map(|[x_m, y_m]| Vector2::new(*x_m, *y_m));
-        let recorded = &frame.estimate.estimate;
+        let recorded = &frame.fusion.estimate;
         for (side, estimate) in self.sides.iter_mut().zip([recorded, replayed]) {
             side.tally.add_estimate(frame.tick, estimate, truth_m);
             // Who plans nothing has no objective.
@@ -123,7 +123,7 @@ impl Differences {
         }
         let [x_m, y_m] = [0, 1].map(|axis| recorded.state[axis] - replayed.state[axis]);
         self.positions_apart.add(x_m.hypot(y_m));
-        for (exchange, command) in frame.exchanges.iter().zip(commands) {
+        for (exchange, command) in frame.fusion.exchanges.iter().zip(commands) {
             // Who stands has no heading.
             if exchange.command.speed_mps > 0.0 && command.speed_mps > 0.0 {
                 let apart_rad = (exchange.command.heading_rad - command.heading_rad).rem_euclid(2.0 * PI);

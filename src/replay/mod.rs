@@ -208,7 +208,7 @@ fn feed(
             first_difference = steps::difference(&frame, &estimate, steps.commands());
         }
         ticks = frame.tick;
-        let time_s = frame.estimate.time_s;
+        let time_s = frame.fusion.time_s;
         times_s = Some((times_s.map_or(time_s, |(first_s, _)| first_s), time_s));
         digest = digest_of(&estimate);
         if ticks > 0 && ticks.is_multiple_of(SHOW_TICKS) {

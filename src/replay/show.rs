@@ -5,7 +5,6 @@ use std::io::BufReader;
 use std::time::{Duration, Instant};
 
 use rangehound_node::signal::Termination;
-use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::scenario::Scenario;
 
 use super::steps::Steps;
@@ -50,7 +49,7 @@ impl Iterator for Frames<'_> {
     fn next(&mut self) -> Option<Self::Item> {
         let frame = self.replayed().transpose()?;
         if let Ok(frame) = &frame {
-            self.wait_for(frame.estimate.time_s);
+            self.wait_for(frame.fusion.time_s);
         }
         Some(frame)
     }
@@ -60,8 +59,8 @@ impl Frames<'_> {
     fn replayed(&mut self) -> anyhow::Result<Option<Frame>> {
         let Some(mut frame) = self.reader.next_frame()? else { return Ok(None) };
         let estimate = self.steps.step(&frame)?;
-        frame.estimate = EstimateRecord { estimate, ..frame.estimate };
-        for (exchange, command) in frame.exchanges.iter_mut().zip(self.steps.commands()) {
+        frame.fusion.estimate = estimate;
+        for (exchange, command) in frame.fusion.exchanges.iter_mut().zip(self.steps.commands()) {
             exchange.command = *command;
         }
         Ok(Some(frame))

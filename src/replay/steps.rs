@@ -77,7 +77,7 @@ impl Steps {
             return Err(StepError::Hole(Missing::between(tick, frame.tick)));
         }
         let Self { centre, reports, late, fed } = self;
-        for (robot, (slot, exchange)) in reports.iter_mut().zip(&frame.exchanges).enumerate() {
+        for (robot, (slot, exchange)) in reports.iter_mut().zip(&frame.fusion.exchanges).enumerate() {
             *slot = None;
             let Some(heard) = exchange.heard else { continue };
             let has_range = u64::from(heard.range_m.is_some());
@@ -100,10 +100,10 @@ impl Steps {
                 Late::NoRange | Late::Missed => {}
             }
         }
-        centre.update(frame.estimate.time_s, reports)?;
+        centre.update(frame.fusion.time_s, reports)?;
         centre.plan();
         // What was refused, and when what happened, no replay can tell.
-        let recorded = &frame.estimate.estimate;
+        let recorded = &frame.fusion.estimate;
         let (late, refused, stages) = (recorded.late, recorded.refused, recorded.stages);
         Ok(Estimate { late, fused_late, rejected_late, refused, stages, ..centre.estimate() })
     }
@@ -137,7 +137,7 @@ pub struct Difference {
 /// The first number of a tick that is not the same, bit for bit: of state, covariance, headings; or its digest.
 #[must_use]
 pub fn difference(frame: &Frame, replayed: &Estimate, commands: &[Command]) -> Option<Difference> {
-    let recorded = &frame.estimate.estimate;
+    let recorded = &frame.fusion.estimate;
     let n = recorded.state_dim as usize;
     let found = |what: String, recorded: f64, replayed: f64| {
         let differs = recorded.to_bits() != replayed.to_bits();
@@ -145,7 +145,7 @@ pub fn difference(frame: &Frame, replayed: &Estimate, commands: &[Command]) -> O
     };
     let states = recorded.state[..n].iter().zip(&replayed.state).enumerate();
     let covariances = recorded.covariance[..n * n].iter().zip(&replayed.covariance).enumerate();
-    let headings = frame.exchanges.iter().zip(commands).enumerate().flat_map(|(robot, (exchange, command))| {
+    let headings = frame.fusion.exchanges.iter().zip(commands).enumerate().flat_map(|(robot, (exchange, command))| {
         let Command { heading_rad, speed_mps } = exchange.command;
         [
             (format!("heading_rad of robot {robot}"), heading_rad, command.heading_rad),

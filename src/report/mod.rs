@@ -19,12 +19,11 @@ pub mod verdict;
 use std::path::Path;
 
 use nalgebra::Vector2;
-use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_node::tick_log::TickLogError;
-use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::scenario::{Scenario, Source};
+use rangehound_shared::record::FusionRecord;
+use rangehound_shared::scenario::Source;
 
+use crate::frame::{Frames, PutDown};
 use crate::whole_file;
 use verdict::{RecordingEvidence, TruthEvidence};
 
@@ -49,28 +48,25 @@ pub fn from_logs(
 ) -> anyhow::Result<Report> {
     let scenario = &description.scenario;
     let mut tally = Tally::new()?;
-    let mut worlds = Worlds::open(description)?;
-    let mut estimates = logs::read_estimates(description)?;
-    let state_dim = scenario.motion.state_dim();
     let mut overlap = truth.map(Overlap::of);
-    while let Some(record) = estimates.next() {
-        let (tick, words) = record?;
-        let EstimateRecord { time_s, estimate } = EstimateRecord::from_words(words, state_dim);
-        let world = worlds.at(tick, &mut tally)?;
-        let robots = world.map_or(&[][..], |world| &world.robots);
-        tally.add_untold(EstimateRecord::exchanges(words, state_dim), robots);
-        tally.add_sensors(EstimateRecord::exchanges(words, state_dim));
+    Frames::open(description)?.for_each(|PutDown { tick, fusion, world }| {
+        if let Some(world) = world {
+            tally.add_world(world.ended_ns, &world.robots);
+        }
+        let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return Ok(()) };
+        tally.add_untold(exchanges, world.map_or(&[][..], |world| &world.robots));
+        tally.add_sensors(exchanges);
         if let Some(world) = world {
             tally.add_hops(&estimate.stages, &world.robots);
         }
         let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
-        let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(time_s)));
+        let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s)));
         if let Some(overlap) = overlap.as_mut().filter(|_| tick > 0) {
-            overlap.add(time_s, truth_m.is_some());
+            overlap.add(*time_s, truth_m.is_some());
         }
-        tally.add_estimate(tick, &estimate, truth_m);
-    }
-    worlds.at(u64::MAX, &mut tally)?;
+        tally.add_estimate(tick, estimate, truth_m);
+        Ok(())
+    })?;
     let recording = match &scenario.source {
         Source::Recorded(ranges) => Some(RecordingEvidence {
             doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),
@@ -106,31 +102,6 @@ impl Overlap {
 
     fn evidence(self) -> TruthEvidence {
         TruthEvidence { covered_share: self.covered as f64 / self.ticks.max(1) as f64, ..self.evidence }
-    }
-}
-
-/// Walks through the simulator's log beside fusion's.
-struct Worlds<'a> {
-    scenario: &'a Scenario,
-    reader: rangehound_node::tick_log::TickLogReader,
-    last: Option<(u64, WorldRecord)>,
-}
-
-impl<'a> Worlds<'a> {
-    fn open(description: &'a RunDescription) -> Result<Self, TickLogError> {
-        Ok(Self { scenario: &description.scenario, reader: logs::read_worlds(description)?, last: None })
-    }
-
-    /// The record of a tick, if there is one; all up to it are added to the tally.
-    fn at(&mut self, tick: u64, tally: &mut Tally) -> Result<Option<&WorldRecord>, TickLogError> {
-        while self.last.as_ref().is_none_or(|(last, _)| *last < tick) {
-            let Some(record) = self.reader.next() else { break };
-            let (at, words) = record?;
-            let record = WorldRecord::from_words(words, self.scenario);
-            tally.add_world(record.ended_ns, &record.robots);
-            self.last = Some((at, record));
-        }
-        Ok(self.last.as_ref().filter(|(last, _)| *last == tick).map(|(_, record)| record))
     }
 }
 

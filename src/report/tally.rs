@@ -168,8 +168,8 @@ impl Tally {
 
     /// Adds a tick's ranges that fusion has, but of which the simulator has not put down that they were published: it was
     /// told too late, or ended before the tick did.
-    pub fn add_untold(&mut self, exchanges: impl IntoIterator<Item = Exchange>, robots: &[RobotRecord]) {
-        for (robot, exchange) in exchanges.into_iter().enumerate() {
+    pub fn add_untold(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
+        for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
             let is_heard = exchange.heard.is_some_and(|heard| heard.range_m.is_some());
             self.ranges.published += u64::from(is_heard && !is_told);
@@ -177,8 +177,8 @@ impl Tally {
     }
 
     /// Adds what became of a tick's ranges, sensor by sensor.
-    pub fn add_sensors(&mut self, exchanges: impl IntoIterator<Item = Exchange>) {
-        for (robot, exchange) in exchanges.into_iter().enumerate() {
+    pub fn add_sensors(&mut self, exchanges: &[Exchange]) {
+        for (robot, exchange) in exchanges.iter().enumerate() {
             if self.sensors.len() <= robot {
                 self.sensors.push(Sensor::default());
             }
@@ -355,10 +355,10 @@ mod tests {
         let robots = [told, RobotRecord::default(), RobotRecord::default(), told];
         let mut tally = Tally::new().unwrap();
         tally.add_world(1, &robots);
-        tally.add_untold(heard, &robots);
+        tally.add_untold(&heard, &robots);
         assert_eq!(tally.ranges.published, 3);
         // The tick under way when a run is ended: the simulator has not put it down.
-        tally.add_untold(heard, &[]);
+        tally.add_untold(&heard, &[]);
         assert_eq!(tally.ranges.published, 5);
     }
 
@@ -376,8 +376,8 @@ mod tests {
         };
         let mut tally = Tally::new().unwrap();
         let (fused, rejected, distrusted) = (RangeUse::Fused, RangeUse::Rejected, RangeUse::Distrusted);
-        tally.add_sensors([exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
-        tally.add_sensors([
+        tally.add_sensors(&[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
+        tally.add_sensors(&[
             exchange(Some((fused, Some(0.5)))),
             Exchange::default(),
             exchange(Some((rejected, Some(20.0)))),

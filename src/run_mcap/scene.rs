@@ -96,7 +96,7 @@ impl Scene {
         });
         let (mut arrows, mut circles) = (Vec::new(), Vec::new());
         let points = (CIRCLES_POINTS / scenario.robots.len().max(1)).min(CIRCLE_POINTS_MAX);
-        for (id, (robot, exchange)) in frame.world.robots.iter().zip(&frame.exchanges).enumerate() {
+        for (id, (robot, exchange)) in frame.world.robots.iter().zip(&frame.fusion.exchanges).enumerate() {
             arrows.push(arrow(
                 robot.position_m,
                 exchange.command.heading_rad,
@@ -129,7 +129,7 @@ impl Scene {
 /// Where the robots stand, and where they were told to go.
 #[must_use]
 pub fn robot_poses(frame: &Frame, time_ns: u64) -> PosesInFrame {
-    let robots = frame.world.robots.iter().zip(&frame.exchanges);
+    let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges);
     let poses = robots.map(|(robot, exchange)| pose(robot.position_m, exchange.command.heading_rad)).collect();
     PosesInFrame { timestamp: Some(timestamp(time_ns)), frame_id: FRAME.to_owned(), poses }
 }
@@ -174,12 +174,12 @@ fn target_of(frame: &Frame) -> Option<[f64; 2]> {
 }
 
 fn estimate_of(frame: &Frame) -> [f64; 2] {
-    let [x_m, y_m, ..] = frame.estimate.estimate.state;
+    let [x_m, y_m, ..] = frame.fusion.estimate.state;
     [x_m, y_m]
 }
 
 fn ellipse_of(frame: &Frame) -> Ellipse {
-    Ellipse::new(Vector2::from(estimate_of(frame)), &position_covariance(&frame.estimate.estimate), SIGMAS)
+    Ellipse::new(Vector2::from(estimate_of(frame)), &position_covariance(&frame.fusion.estimate), SIGMAS)
 }
 
 fn opaque(colour: RGBColor) -> Color {

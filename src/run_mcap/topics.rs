@@ -3,7 +3,7 @@
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
 use rangehound_shared::record::{
-    EstimateRecord, Exchange, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
+    Exchange, FusionRecord, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
 };
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source, bounds};
@@ -18,7 +18,7 @@ const PLACE_MAX_M: f64 = 1e12;
 
 /// All that travelled in a tick.
 pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
-    let Frame { tick, estimate: EstimateRecord { time_s, estimate }, exchanges, world } = frame;
+    let Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world } = frame;
     let (tick, time_s) = (*tick, *time_s);
     let places = world.robots.iter().map(|robot| {
         let [x_m, y_m] = robot.position_m;
@@ -154,7 +154,7 @@ pub struct Gathering {
     state_dim: usize,
     has_truth: bool,
     world: Option<WorldRecord>,
-    estimate: Option<EstimateRecord>,
+    estimate: Option<(f64, EstimateOfFusion)>,
     exchanges: Vec<Exchange>,
     driven: Vec<Option<Drive>>,
     truth: Vec<f64>,
@@ -235,7 +235,9 @@ impl Gathering {
                 let slot = self.driven.get_mut(usize::try_from(drive.robot).ok()?)?;
                 *slot = Some(drive);
             }
-            OnTopic::Estimate(estimate) => self.estimate = Some(record_of(&estimate, self.state_dim)?),
+            OnTopic::Estimate(estimate) => {
+                self.estimate = Some((estimate.time_s, estimate_of(&estimate, self.state_dim)?))
+            }
             OnTopic::Truth(Truth { state, .. }) => {
                 (self.has_truth && state.len() == self.state_dim).then_some(())?;
                 self.truth = state;
@@ -268,7 +270,8 @@ impl Gathering {
             robot.heading_held_ns = drive.heading_held_ns;
             robot.headings_refused = drive.headings_refused;
         }
-        Ok(Frame { tick, estimate: estimate.ok_or(lacking("/estimate"))?, exchanges, world })
+        let (time_s, estimate) = estimate.ok_or(lacking("/estimate"))?;
+        Ok(Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world })
     }
 }
 
@@ -287,7 +290,7 @@ fn is_near(value: f64) -> bool {
 }
 
 /// An estimate as fusion put it down, if its sizes are those of the run.
-fn record_of(message: &Estimate, state_dim: usize) -> Option<EstimateRecord> {
+fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion> {
     let n = state_dim;
     (message.state.len() == n && message.covariance.len() == n * n && message.time_s.is_finite()).then_some(())?;
     let digest = u128::from_str_radix(&message.digest, 16).ok()?;
@@ -321,5 +324,5 @@ fn record_of(message: &Estimate, state_dim: usize) -> Option<EstimateRecord> {
     };
     estimate.state[..n].copy_from_slice(&message.state);
     estimate.covariance[..n * n].copy_from_slice(&message.covariance);
-    Some(EstimateRecord { time_s: message.time_s, estimate })
+    Some(estimate)
 }

@@ -119,7 +119,7 @@ impl<W: Write + Seek> FrameWriter<W> {
         if self.bytes_written.get() >= self.bytes_max {
             return Ok(Written::Full);
         }
-        let time_s = frame.estimate.time_s;
+        let time_s = frame.fusion.time_s;
         let since_first_s = time_s - *self.first_s.get_or_insert(time_s);
         // Playback is in the run's time, which never goes back.
         let time_ns = ((since_first_s * 1e9).round() as u64).max(self.last_ns);

@@ -41,6 +41,7 @@ use place::{Place, run_names};
 pub use presence::Inspection;
 use presence::Presence;
 use rangehound_shared::protocol::OtherBuild;
+use rangehound_shared::record::Record;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::{self, SealError};
@@ -445,7 +446,11 @@ impl Rendezvous {
     ///
     /// # Errors
     /// [`RendezvousError::StateLost`].
-    pub fn refuse_lost_state(&self, role: Role, log: Option<&TickLogWriter>) -> Result<(), RendezvousError> {
+    pub fn refuse_lost_state<R: Record>(
+        &self,
+        role: Role,
+        log: Option<&TickLogWriter<R>>,
+    ) -> Result<(), RendezvousError> {
         match log.map(TickLogWriter::is_empty) {
             Some(Ok(true)) => Ok(()),
             None if self.roster.starts(role) <= 1 => Ok(()),
