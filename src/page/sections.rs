@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use maud::Markup;
 use plotters::prelude::*;
 
 use super::{Section, WIDTH, faults};
@@ -35,7 +36,7 @@ pub(super) fn of(report: &Report, curves: &Curves) -> anyhow::Result<Vec<Section
 }
 
 fn section(heading: &'static str, text: impl Into<String>, picture: String) -> Section {
-    Section { heading, text: text.into(), picture, below: String::new() }
+    Section { heading, text: text.into(), picture, below: Markup::default() }
 }
 
 fn paths(curves: &Curves) -> anyhow::Result<Section> {
