@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Path, State};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{Method, StatusCode};
 use axum::middleware::from_fn_with_state;
@@ -23,13 +23,13 @@ use super::act::{Action, Refused};
 use super::assets;
 use super::guard::{self, MayAct, MayLook, refuse};
 use super::shared::Shared;
-use super::stream::{self, Life};
+use super::stream;
 
 /// All routes, with the guard before them.
 pub(super) fn router(shared: &Arc<Shared>) -> Router {
     Router::new()
         .route("/", get(page))
-        .route("/stream", get(events))
+        .route("/stream", get(stream::open))
         .route("/refused.js", get(([(CONTENT_TYPE, assets::SCRIPT)], assets::REFUSED_SCRIPT)))
         .route("/{token}/{file}", get(file))
         .route("/act/{action}/{node}", post(act))
@@ -42,11 +42,6 @@ pub(super) fn router(shared: &Arc<Shared>) -> Router {
 
 async fn page(MayLook(shared): MayLook) -> Html<String> {
     Html(assets::PAGE.replace("{token}", &shared.token.to_string()))
-}
-
-async fn events(MayLook(shared): MayLook, Extension(life): Extension<Arc<Life>>) -> Response {
-    let full = || (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another one.").into_response();
-    stream::open(shared, life).unwrap_or_else(full)
 }
 
 async fn file(

@@ -8,13 +8,16 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+use axum::Extension;
 use axum::body::Body;
+use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use futures_util::stream::unfold;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 
+use super::guard::MayLook;
 use super::scene::Seen;
 use super::shared::Shared;
 
@@ -72,15 +75,18 @@ impl Life {
     }
 }
 
-/// Opens a stream; `None` if there are too many viewers.
-pub(super) fn open(shared: Arc<Shared>, life: Arc<Life>) -> Option<Response> {
+/// Opens a stream, unless there are too many viewers.
+pub(super) async fn open(MayLook(shared): MayLook, Extension(life): Extension<Arc<Life>>) -> Response {
+    let Some(place) = Place::take(&shared) else {
+        return (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another one.").into_response();
+    };
     // There is one request on a connection, so there is one place.
-    let _ = life.place.set(Place::take(&shared)?);
+    let _ = life.place.set(place);
     let mut changes = shared.changes.clone();
     changes.mark_changed();
     let viewer = Viewer { shared, life, changes, seen: Seen::default(), due: Instant::now() };
     let events = unfold(Some(viewer), |viewer| async move { viewer?.next().await });
-    Some(([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response())
+    ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
 }
 
 /// Who is sent what is new.
