@@ -52,7 +52,6 @@ fn predicted_position_covariance_m2(scenario: &Scenario, estimate: &Estimate) ->
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
 
     use rangehound_shared::message::{Outgoing, Range};
     use rangehound_shared::scenario::{PlannerSpec, ScenarioFile};
@@ -63,7 +62,7 @@ mod tests {
 
     /// By tick, from 1 on: the trace, and the least that it could have been. Robot 0 is not heard at the tick that is missed.
     fn traces_m2(planner: PlannerSpec, missed: u64) -> Vec<(f64, Option<f64>)> {
-        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.planner = planner;
         let mut team = Team::new(&scenario).unwrap();
         let (mut traces_m2, mut least_m2) = (Vec::new(), None);

@@ -56,6 +56,7 @@ pub mod field;
 pub mod frame;
 pub mod hops;
 pub mod in_process;
+pub mod input;
 pub mod latency;
 pub mod least_trace;
 pub mod live;

@@ -7,8 +7,6 @@
 //! To have it in the tool: put it into a file in `fusion/src/planner/`, with a line in its `for_team` and a variant of
 //! `PlannerSpec`. `rangehound run`, `plan` and `compare` then know it by its name.
 
-use std::path::Path;
-
 use rangehound_fusion::Centre;
 use rangehound_fusion::planner::{Plan, Planner, Problem, Vector, for_team};
 use rangehound_fusion::report::Report;
@@ -42,7 +40,7 @@ impl Planner for BestReplies {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let scenario = Scenario::from_file(&ScenarioFile::default(), "built in", Path::new(""))?;
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "built in")?;
     let built_in = |spec| for_team(spec, scenario.robots.len(), scenario.seed);
     let planners: [Box<dyn Planner>; 4] = [
         Box::new(BestReplies),

@@ -160,7 +160,6 @@ fn short(value: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
 
     use rangehound_shared::message::Estimate;
     use rangehound_shared::record::{EstimateRecord, WorldRecord};
@@ -169,7 +168,7 @@ mod tests {
     use super::*;
 
     fn scenario() -> Scenario {
-        Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap()
+        Scenario::from_file(&ScenarioFile::default(), "test").unwrap()
     }
 
     fn frame(tick: u64) -> Frame {

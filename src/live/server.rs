@@ -10,7 +10,7 @@ use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::Rendezvous;
 use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::guard::Token;

@@ -128,7 +128,7 @@ mod tests {
 
     #[test]
     fn names_are_text_whatever_they_hold() {
-        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.name = "<script>".to_owned();
         let report = Tally::new().unwrap().report(&scenario, Background::default(), Vec::new());
         let html = page(&report, &Curves::default()).unwrap();
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn a_run_without_ticks_has_a_page_without_pictures() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let html =
             page(&Tally::new().unwrap().report(&scenario, Background::default(), Vec::new()), &Curves::default())
                 .unwrap();
