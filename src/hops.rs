@@ -3,10 +3,11 @@
 //! The stamps ride in the messages, all of one monotonic clock: robots tell theirs in `drive`, fusion its own in
 //! `estimate`. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
 
-use hdrhistogram::Histogram;
 use rangehound_shared::message::Stages;
 use rangehound_shared::record::RobotRecord;
 use serde::{Deserialize, Serialize};
+
+use crate::statistics::{Percentiles, Samples};
 
 /// Hops of a way.
 const COUNT: usize = 7;
@@ -17,16 +18,7 @@ pub const NAMES: [&str; COUNT] =
 
 /// Durations of the hops of many robots and ticks.
 #[derive(Debug)]
-pub struct Hops([Histogram<u64>; COUNT]);
-
-/// Percentiles of one hop, us.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub struct Percentiles {
-    /// Median.
-    pub p50: f64,
-    /// 99 %.
-    pub p99: f64,
-}
+pub struct Hops([Samples; COUNT]);
 
 /// Percentiles of each hop, us. Medians do not add up to the median of the whole.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -69,30 +61,22 @@ impl Hops {
     /// # Errors
     /// If a histogram cannot be made.
     pub fn new() -> anyhow::Result<Self> {
-        let mut histograms = Vec::with_capacity(COUNT);
-        for _ in 0..COUNT {
-            histograms.push(Histogram::new(3)?);
-        }
-        histograms.try_into().map(Self).map_err(|_| anyhow::anyhow!("as many histograms as hops"))
+        let none = Samples::new()?;
+        Ok(Self(std::array::from_fn(|_| none.clone())))
     }
 
     /// Adds one robot's way in one tick, if all of its stamps are known.
     pub fn add(&mut self, stages: &Stages, robot: &RobotRecord) {
         let Some(durations_ns) = durations_ns(stages, robot) else { return };
-        for (histogram, duration_ns) in self.0.iter_mut().zip(durations_ns) {
-            // Resizes as needed, so nothing can be out of its bounds.
-            let _ = histogram.record(duration_ns);
+        for (samples, duration_ns) in self.0.iter_mut().zip(durations_ns) {
+            samples.add(duration_ns);
         }
     }
 
     /// Percentiles of what was added.
     #[must_use]
     pub fn summary(&self) -> HopSummary {
-        let percentiles = |histogram: &Histogram<u64>| {
-            let at = |quantile| histogram.value_at_quantile(quantile) as f64 / 1e3;
-            Percentiles { p50: at(0.5), p99: at(0.99) }
-        };
-        HopSummary::from_order(self.0.each_ref().map(percentiles))
+        HopSummary::from_order(self.0.each_ref().map(Samples::percentiles))
     }
 }
 

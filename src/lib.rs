@@ -34,6 +34,7 @@
 //! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`ellipse`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
+//! | [`statistics`] | quantiles, means, intervals, fits |
 //! | [`least_trace`] | how well the target can be known at the next tick, whatever the headings |
 //! | [`shell`] | completions and manual pages |
 //! | [`out_folder`] | where results may go, and what may be replaced there |
@@ -73,6 +74,7 @@ pub mod replay;
 pub mod report;
 pub mod run_mcap;
 pub mod shell;
+pub mod statistics;
 pub mod status;
 pub mod supervisor;
 pub mod tables;

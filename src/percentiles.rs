@@ -1,11 +1,11 @@
 //! Percentiles of latencies as pictures: the curve, and a bar for each hop.
 
-use hdrhistogram::Histogram;
 use plotters::prelude::*;
 use serde::Serialize;
 
 use crate::chart::{self, Area, Drawn, LogAxis};
 use crate::hops::{self, HopSummary};
+use crate::statistics::Samples;
 
 /// Points of a curve from one halving of what is left to the next.
 const POINTS_PER_HALVING: u32 = 5;
@@ -22,12 +22,11 @@ pub struct Point {
     pub latency_us: f64,
 }
 
-/// The percentile curve of latencies in ns.
+/// The percentile curve of latencies.
 #[must_use]
-pub fn curve(latencies_ns: &Histogram<u64>) -> Vec<Point> {
-    let steps = latencies_ns.iter_quantiles(POINTS_PER_HALVING);
-    let point = |quantile: f64, ns: u64| Point { percentile: 100.0 * quantile, latency_us: ns as f64 / 1e3 };
-    steps.map(|step| point(step.quantile_iterated_to(), step.value_iterated_to())).collect()
+pub fn curve(latencies_us: &Samples) -> Vec<Point> {
+    let points = latencies_us.curve(POINTS_PER_HALVING);
+    points.map(|(quantile, latency_us)| Point { percentile: 100.0 * quantile, latency_us }).collect()
 }
 
 /// Where a point stands on the axis: the tenths to which the samples above it come down.
@@ -108,9 +107,9 @@ mod tests {
 
     #[test]
     fn a_curve_ends_with_the_largest() {
-        let mut latencies_ns: Histogram<u64> = Histogram::new(3).unwrap();
-        (1..=1_000).for_each(|us| latencies_ns.record(1_000 * us).unwrap());
-        let curve = curve(&latencies_ns);
+        let mut latencies_us = Samples::new().unwrap();
+        (1..=1_000).for_each(|us| latencies_us.add(1_000 * us));
+        let curve = curve(&latencies_us);
         let last = curve.last().unwrap();
         assert!(last.percentile == 100.0 && (last.latency_us / 1_000.0 - 1.0).abs() < 1e-3, "{last:?}");
         assert!(curve.is_sorted_by(|one, next| one.percentile <= next.percentile && one.latency_us <= next.latency_us));

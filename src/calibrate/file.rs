@@ -8,8 +8,8 @@ use rangehound_shared::scenario::{RecordingTable, SensorTable};
 use serde::Deserialize;
 
 use super::verdict::{Findings, Measured};
-use crate::compare::statistics::median;
 use crate::failure::{self, Failure};
+use crate::statistics::median;
 
 /// Its name in the output folder.
 pub const FILE_NAME: &str = "calibration.toml";

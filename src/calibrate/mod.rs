@@ -25,11 +25,11 @@ use std::path::{Path, PathBuf};
 use rangehound_shared::recording::Recording;
 
 use crate::cli::CalibrateArgs;
-use crate::compare::statistics::median;
 use crate::experiment::{COMMAND_LINE, recording_table};
 use crate::failure::{self, Failure};
 use crate::out_folder::{Kind, claim_or_number};
 use crate::report::Truth;
+use crate::statistics::median;
 use crate::watch::Progress;
 use crate::{input, tables, terminal, whole_file};
 use model::{Model, Problem, Reading};

@@ -1,6 +1,6 @@
 //! What is estimated: the readings by knots of the target's path, and which error each model gives a sensor.
 
-use crate::compare::statistics::median;
+use crate::statistics::median;
 
 /// One range, as the calibration sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,9 +1,8 @@
 //! Errors of each sensor against a known track, by robust regression.
 
-use crate::compare::statistics::median;
-
 use super::smoother::{FREEDOM, student_weight};
-use super::verdict::{Findings, Measured, QUANTILE, correlation};
+use super::verdict::{Findings, Measured, correlation};
+use crate::statistics::{Z_95, median};
 
 /// Distances and errors of one sensor, in order of time.
 pub type Pairs = Vec<(f64, f64)>;
@@ -25,12 +24,12 @@ pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
         }
         let (line, both) = fit(pairs, true);
         let time = correlation(&[both], f64::INFINITY);
-        let half_scale = QUANTILE * (line.variances[1] * time).sqrt();
-        let half_bias = QUANTILE * (line.variances[0] * time).sqrt();
+        let half_scale = Z_95 * (line.variances[1] * time).sqrt();
+        let half_bias = Z_95 * (line.variances[0] * time).sqrt();
         let errors = &mut findings.sensors[sensor];
         if half_bias > 2.0 * line.sigma && half_bias > line.values[0].abs() || !half_scale.is_finite() {
             let (level, _) = fit(pairs, false);
-            let half_width = QUANTILE * (level.variances[0] * time).sqrt();
+            let half_width = Z_95 * (level.variances[0] * time).sqrt();
             errors.bias_m = Some(Measured { value: level.values[0], half_width });
             findings.untold.push(format!(
                 "sensor {}: scale apart from bias, as its distances hardly change; all is taken as bias",
@@ -40,7 +39,7 @@ pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
             errors.bias_m = Some(Measured { value: line.values[0], half_width: half_bias });
             errors.scale = Some(Measured { value: line.values[1], half_width: half_scale });
         }
-        let half_width = QUANTILE * line.std_m * (time / (2.0 * pairs.len() as f64)).sqrt() * 1.5;
+        let half_width = Z_95 * line.std_m * (time / (2.0 * pairs.len() as f64)).sqrt() * 1.5;
         errors.range_std_m = Some(Measured { value: line.std_m, half_width });
     }
     findings

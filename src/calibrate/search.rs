@@ -2,8 +2,8 @@
 
 use super::model::{Model, Problem, Reading};
 use super::smoother::{Estimate, Solution, settle, update_sigmas};
-use super::verdict::{Measured, QUANTILE};
-use crate::compare::statistics::median;
+use super::verdict::Measured;
+use crate::statistics::{Z_95, median};
 
 /// What one model makes of the data.
 #[derive(Debug, Clone)]
@@ -23,7 +23,7 @@ impl Fit {
     #[must_use]
     pub fn accel_psd(&self, time: f64) -> Measured {
         let value = self.estimate.accel_psd;
-        Measured { value, half_width: QUANTILE * value * self.log_psd_std * time.sqrt() }
+        Measured { value, half_width: Z_95 * value * self.log_psd_std * time.sqrt() }
     }
 }
 

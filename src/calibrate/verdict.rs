@@ -5,9 +5,7 @@ use nalgebra::{Cholesky, DMatrix};
 use super::model::{Model, Problem, Reading, Sharing};
 use super::search::Fit;
 use super::smoother::{FREEDOM, prior_cost, student_weight};
-
-/// Two-sided 95 % of a normal distribution.
-pub const QUANTILE: f64 = 1.96;
+use crate::statistics::{Z_95, mean};
 
 /// Fewest ranges that are worth a calibration.
 const READINGS_MIN: usize = 60;
@@ -105,7 +103,7 @@ pub fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for left in by_sensor.iter().filter(|left| left.len() >= 20) {
         let n = left.len();
-        let mean = left.iter().sum::<f64>() / n as f64;
+        let mean = mean(left.iter().copied());
         let variance: f64 = left.iter().map(|r| (r - mean).powi(2)).sum();
         let mut time = 1.0;
         for lag in 1..=(n / 4).min(500) {
@@ -256,7 +254,7 @@ fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Op
     let total: f64 = said.clone().map(|(weight, ..)| weight).sum();
     let value = said.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
     let variance = said.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
-    Some(Measured { value, half_width: QUANTILE * variance.sqrt() })
+    Some(Measured { value, half_width: Z_95 * variance.sqrt() })
 }
 
 /// The standard deviation, of the Student scale and the path's share taken together.
@@ -271,7 +269,7 @@ fn set_noise(findings: &mut Findings, fit: &Fit, problem: &Problem, time: f64) {
             .sum();
         if errors.ranges >= 10 {
             let std_m = (sum / errors.ranges as f64).sqrt();
-            let half_width = QUANTILE * std_m * (time / (2.0 * errors.ranges as f64)).sqrt() * 1.5;
+            let half_width = Z_95 * std_m * (time / (2.0 * errors.ranges as f64)).sqrt() * 1.5;
             errors.range_std_m = Some(Measured { value: std_m, half_width });
         }
     }

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::faults::Kind;
 use crate::cli::ChaosArgs;
 use crate::report::{HeadingSummary, RangeSummary};
+use crate::statistics::Ascending;
 use crate::terminal::{BAD, GOOD, TITLE, field};
 use crate::whole_file;
 
@@ -98,10 +99,10 @@ pub(super) struct Percentiles {
 }
 
 impl Percentiles {
-    fn of(mut sample: Vec<f64>) -> Option<Self> {
-        sample.sort_by(f64::total_cmp);
-        let at = |part: f64| sample.get(((sample.len() as f64 * part).ceil() as usize).saturating_sub(1)).copied();
-        Some(Self { count: sample.len(), p50: at(0.5)?, p99: at(0.99)?, max: at(1.0)? })
+    fn of(sample: Vec<f64>) -> Option<Self> {
+        let sample: Ascending = sample.into_iter().collect();
+        let [p50, p99, max] = [0.5, 0.99, 1.0].map(|quantile| sample.measured(quantile));
+        Some(Self { count: sample.count(), p50: p50?, p99: p99?, max: max? })
     }
 }
 

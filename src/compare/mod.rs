@@ -3,7 +3,6 @@
 //! | module | what |
 //! |---|---|
 //! | [`monte_carlo`] | the runs, spread over threads |
-//! | [`statistics`] | percentiles, intervals, fits |
 //! | [`summary`] | the figures: `compare.json` and the table |
 //! | [`planning_time`] | planning time over the size of the team |
 //! | [`pictures`] | the pictures |
@@ -11,7 +10,6 @@
 pub mod monte_carlo;
 pub mod pictures;
 pub mod planning_time;
-pub mod statistics;
 pub mod summary;
 
 use std::path::{Path, PathBuf};

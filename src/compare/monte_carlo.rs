@@ -16,6 +16,7 @@ use crate::experiment::Given;
 use crate::in_process::Team;
 use crate::input;
 use crate::report::{position_covariance, position_error};
+use crate::statistics;
 
 /// How often progress is shown.
 const LOOK: Duration = Duration::from_millis(50);
@@ -182,8 +183,7 @@ impl Trial {
     #[must_use]
     pub fn has_diverged(&self, last_ticks: usize, limit_m: f64) -> bool {
         let last = &self.samples[self.samples.len().saturating_sub(last_ticks)..];
-        self.out_of_bounds
-            || super::statistics::mean(last.iter().map(|sample| sample.squared_error_m2.sqrt())) > limit_m
+        self.out_of_bounds || statistics::mean(last.iter().map(|sample| sample.squared_error_m2.sqrt())) > limit_m
     }
 }
 

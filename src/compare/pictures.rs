@@ -8,13 +8,13 @@ use plotters::prelude::*;
 use rangehound_shared::scenario::{PLANNERS, Scenario};
 
 use super::planning_time::Scaling;
-use super::statistics::Interval;
 use super::summary::{Comparison, Summary};
 use crate::chart::{self, Area, COLOURS, Drawn, KeyEntry, LogAxis};
 use crate::field::{self, Paths, Square};
 use crate::in_process::Team;
 use crate::over_time::{Band, Line, OverTime};
 use crate::report::position_covariance;
+use crate::statistics::Interval;
 
 /// The file names.
 pub const FILE_NAMES: [&str; 5] = ["trace.svg", "paths.svg", "consistency.svg", "gap.svg", "planning_time.svg"];

@@ -7,7 +7,7 @@ use rangehound_fusion::planner::{self, Plan, Problem, TeamMember, Vector};
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
-use super::statistics::{PowerLaw, fit_power_law, percentile};
+use crate::statistics::{Ascending, PowerLaw, fit_power_law};
 
 /// Sizes of the team.
 const SIZES: [usize; 7] = [1, 3, 10, 30, 100, 300, 1_000];
@@ -91,8 +91,7 @@ fn measure_at(scenario: &Scenario, robots: usize) -> Option<f64> {
         planner.plan(step as u64, &problem, &mut plan);
         times_us.push(step_began.elapsed().as_secs_f64() * 1e6);
     }
-    times_us.sort_unstable_by(f64::total_cmp);
-    Some(percentile(&times_us, 0.5))
+    Some(times_us.into_iter().collect::<Ascending>().quantile(0.5))
 }
 
 /// Robots on a ring round the target, spread evenly in direction and distance by irrational steps; no

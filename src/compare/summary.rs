@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::monte_carlo::{Sample, Trial};
 use super::planning_time::Scaling;
-use super::statistics::{Interval, chi_square_mean_bounds, fraction_at_most, mean, percentile, wilson_interval};
+use crate::statistics::{Ascending, Interval, Percentiles, chi_square_mean_bounds, mean, wilson_interval};
 use crate::terminal::TITLE;
 
 /// A run has diverged if its mean position error over this many last ticks is above
@@ -70,7 +70,7 @@ pub struct Summary {
     /// Runs that lost the target.
     pub divergence: Divergence,
     /// Time of a step's planning, from the estimate to the headings, us.
-    pub planning_us: PlanningTime,
+    pub planning_us: Percentiles,
     /// `|S|` above the certified lower bound of the same problem, relative to the sum of all lambda.
     pub gap: Spread,
     /// The planned position trace above the least that the bound allows, %.
@@ -114,15 +114,6 @@ pub struct Divergence {
     pub interval: Interval,
 }
 
-/// Percentiles of a step's planning time, us.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct PlanningTime {
-    /// Median.
-    pub p50: f64,
-    /// 99 %.
-    pub p99: f64,
-}
-
 /// Percentiles over all steps of all runs.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Spread {
@@ -161,23 +152,24 @@ impl Summary {
     #[must_use]
     pub fn new(name: &str, trials: &[Trial], ticks: u64) -> Self {
         let samples = || trials.iter().flat_map(|trial| &trial.samples);
-        let sorted = |value: fn(&Sample) -> f64| ascending(samples().map(value));
+        let sorted = |value: fn(&Sample) -> f64| samples().map(value).collect::<Ascending>();
         let at = |tick: usize| trials.iter().filter_map(move |trial| trial.samples.get(tick));
         let ticks = ticks as usize;
 
         let mut series = Series::default();
         let mut max_eigenvalues_m2 = Vec::with_capacity(ticks);
         for tick in 0..ticks {
-            let traces_m2 = ascending(at(tick).map(|sample| sample.trace_m2));
-            series.trace_m2.p10.push(percentile(&traces_m2, 0.1));
-            series.trace_m2.median.push(percentile(&traces_m2, 0.5));
-            series.trace_m2.p90.push(percentile(&traces_m2, 0.9));
+            let traces_m2: Ascending = at(tick).map(|sample| sample.trace_m2).collect();
+            series.trace_m2.p10.push(traces_m2.quantile(0.1));
+            series.trace_m2.median.push(traces_m2.quantile(0.5));
+            series.trace_m2.p90.push(traces_m2.quantile(0.9));
             series.anees.push(mean(at(tick).map(|sample| sample.nees / 2.0)));
             series.rmse_m.push(mean(at(tick).map(|sample| sample.squared_error_m2)).sqrt());
-            max_eigenvalues_m2.push(percentile(&ascending(at(tick).map(|sample| sample.max_eigenvalue_m2)), 0.5));
+            let eigenvalues_m2: Ascending = at(tick).map(|sample| sample.max_eigenvalue_m2).collect();
+            max_eigenvalues_m2.push(eigenvalues_m2.quantile(0.5));
         }
 
-        let rmse_of_runs_m = ascending(trials.iter().map(|trial| root_mean_square(&trial.samples)));
+        let rmse_of_runs_m: Ascending = trials.iter().map(|trial| root_mean_square(&trial.samples)).collect();
         let diverged = trials.iter().filter(|trial| trial.has_diverged(DIVERGED_TICKS, DIVERGED_ERROR_M)).count();
         let gaps = sorted(|sample| sample.gap);
         let planning_us = sorted(|sample| sample.planning_ns as f64 / 1e3);
@@ -189,8 +181,8 @@ impl Summary {
             max_eigenvalue_m2: OverTime::of(&max_eigenvalues_m2),
             position_rmse_m: Rmse {
                 all: mean(samples().map(|sample| sample.squared_error_m2)).sqrt(),
-                median: percentile(&rmse_of_runs_m, 0.5),
-                p95: percentile(&rmse_of_runs_m, 0.95),
+                median: rmse_of_runs_m.quantile(0.5),
+                p95: rmse_of_runs_m.quantile(0.95),
             },
             anees: mean(samples().map(|sample| sample.nees / 2.0)),
             nis_per_dof: nis / fused as f64,
@@ -199,10 +191,10 @@ impl Summary {
                 rate: diverged as f64 / trials.len() as f64,
                 interval: wilson_interval(diverged, trials.len()),
             },
-            planning_us: PlanningTime { p50: percentile(&planning_us, 0.5), p99: percentile(&planning_us, 0.99) },
+            planning_us: Percentiles { p50: planning_us.quantile(0.5), p99: planning_us.quantile(0.99) },
             trace_excess_percent: Spread::of(&sorted(|sample| 100.0 * sample.trace_excess)),
             gap: Spread::of(&gaps),
-            uncertified: uncertified as f64 / gaps.len() as f64,
+            uncertified: uncertified as f64 / gaps.count() as f64,
             gap_distribution: distribution(&gaps),
             series,
         }
@@ -215,20 +207,14 @@ pub fn anees_bounds(runs: u64) -> Interval {
     chi_square_mean_bounds(2, runs as usize)
 }
 
-fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values
-}
-
 fn root_mean_square(samples: &[Sample]) -> f64 {
     mean(samples.iter().map(|sample| sample.squared_error_m2)).sqrt()
 }
 
-fn distribution(gaps: &[f64]) -> Vec<(f64, f64)> {
+fn distribution(gaps: &Ascending) -> Vec<(f64, f64)> {
     let points = GAP_DECADES.start() * GAP_POINTS..=GAP_DECADES.end() * GAP_POINTS;
     let at = |point| 10_f64.powf(f64::from(point) / f64::from(GAP_POINTS));
-    points.map(|point| (at(point), fraction_at_most(gaps, at(point)))).collect()
+    points.map(|point| (at(point), gaps.fraction_at_most(at(point)))).collect()
 }
 
 impl OverTime {
@@ -238,8 +224,8 @@ impl OverTime {
 }
 
 impl Spread {
-    fn of(ascending: &[f64]) -> Self {
-        Self { p50: percentile(ascending, 0.5), p99: percentile(ascending, 0.99), max: percentile(ascending, 1.0) }
+    fn of(values: &Ascending) -> Self {
+        Self { p50: values.quantile(0.5), p99: values.quantile(0.99), max: values.quantile(1.0) }
     }
 }
 
@@ -410,7 +396,7 @@ mod tests {
 
     #[test]
     fn a_gap_distribution_rises_from_none_to_all() {
-        let distribution = distribution(&[1e-6; 4]);
+        let distribution = distribution(&[1e-6; 4].into_iter().collect());
         assert_eq!(distribution.first().map(|(_, part)| *part), Some(0.0));
         assert_eq!(distribution.last(), Some(&(1.0, 1.0)));
         assert!(distribution.is_sorted());

@@ -18,7 +18,6 @@ mod system;
 
 use std::path::{Path, PathBuf};
 
-use hdrhistogram::Histogram;
 use rangehound_node::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
@@ -29,6 +28,7 @@ use crate::failure::{self, Failure};
 use crate::frame::{Frames, PutDown};
 use crate::hops::HopSummary;
 use crate::out_folder::{self, Kind, claim_or_number};
+use crate::statistics::Samples;
 use crate::watch::Progress;
 use outcome::{Contender, Each, Outcome};
 use reference::Reference;
@@ -74,11 +74,11 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
     for (round, done) in (1..=args.rounds).zip((0..).step_by(Contender::ALL.len())) {
         let mut round =
             Round { experiment: &experiment, round, termination: &termination, hops_us: HopSummary::default() };
-        let mut latencies_ns = Each::histograms()?;
+        let mut latencies_us = Each::samples()?;
         let order = Contender::in_turns(round.round);
         for (contender, done) in order.into_iter().zip(done..) {
             progress.show(done, &format!("round {}, {contender}", round.round));
-            let measured = round.measure(contender, latencies_ns.get_mut(contender));
+            let measured = round.measure(contender, latencies_us.get_mut(contender));
             measured.map_err(|failure| {
                 progress.finish();
                 // What an end that was asked for looks like to the one who is measured does not matter.
@@ -86,7 +86,7 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
                 if termination.requested() { asked() } else { failure }
             })?;
         }
-        outcome.add(order, &latencies_ns, round.hops_us)?;
+        outcome.add(order, &latencies_us, round.hops_us);
         // After each round, so that what it showed is not lost.
         outcome.write(folder)?;
     }
@@ -177,19 +177,19 @@ struct Round<'a> {
 }
 
 impl Round<'_> {
-    fn measure(&mut self, contender: Contender, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
+    fn measure(&mut self, contender: Contender, latencies_us: &mut Samples) -> Result<(), Failure> {
         match contender {
-            Contender::System => self.measure_system(latencies_ns),
-            Contender::Reference(reference) => self.measure_reference(reference, latencies_ns),
+            Contender::System => self.measure_system(latencies_us),
+            Contender::Reference(reference) => self.measure_reference(reference, latencies_us),
         }
     }
 
-    fn measure_system(&mut self, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
+    fn measure_system(&mut self, latencies_us: &mut Samples) -> Result<(), Failure> {
         let folder = system::folder(&self.experiment.description.out_dir, self.round);
         let description = system::run(self.experiment, &folder, self.termination)?;
         let scenario = &description.scenario;
         let mut robots: Vec<Waits> = scenario.robots.iter().map(|_| Waits::new(dt_ns(scenario))).collect();
-        let mut sample = |latency_ns| samples::record(latencies_ns, latency_ns);
+        let mut sample = |latency_ns| latencies_us.add(latency_ns);
         let mut ended_ns = 0;
         Frames::open(&description)?.for_each(|PutDown { tick, world, .. }| {
             let Some(world) = world else { return Ok(()) };
@@ -206,7 +206,7 @@ impl Round<'_> {
         Ok(())
     }
 
-    fn measure_reference(&self, reference: Reference, latencies_ns: &mut Histogram<u64>) -> Result<(), Failure> {
+    fn measure_reference(&self, reference: Reference, latencies_us: &mut Samples) -> Result<(), Failure> {
         let scenario = &self.experiment.description.scenario;
         let log = self.experiment.description.out_dir.join(format!("{}-{}.log", reference.name(), self.round));
         let warm_up = usize::try_from(warm_up_ticks(scenario))?;
@@ -214,7 +214,7 @@ impl Round<'_> {
             // Every range of a reference is answered before the next goes out.
             let mut waits = Waits::new(dt_ns(scenario));
             for exchange in ticks.skip(warm_up) {
-                waits.add(exchange?, |latency_ns| samples::record(latencies_ns, latency_ns));
+                waits.add(exchange?, |latency_ns| latencies_us.add(latency_ns));
             }
             Ok(())
         })

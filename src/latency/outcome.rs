@@ -2,16 +2,16 @@
 
 use std::path::Path;
 
-use hdrhistogram::Histogram;
 use rangehound_shared::scenario::{Clock, Scenario};
 use serde::{Serialize, Serializer};
 
 use super::reference::Reference;
-use super::{samples, warm_up_ticks};
-use crate::hops::{self, HopSummary, Percentiles};
+use super::warm_up_ticks;
+use crate::hops::{self, HopSummary};
 use crate::percentiles::{self, Point};
 use crate::pin::Pin;
 use crate::report::LatencySummary;
+use crate::statistics::{Ascending, Percentiles, Samples};
 use crate::terminal::{TITLE, wrapped};
 use crate::whole_file;
 
@@ -82,13 +82,13 @@ impl<T> Each<T> {
     }
 }
 
-impl Each<Histogram<u64>> {
+impl Each<Samples> {
     /// Nothing yet.
     ///
     /// # Errors
-    /// If a histogram cannot be made.
-    pub(super) fn histograms() -> anyhow::Result<Self> {
-        Ok(Self { system: samples::histogram()?, iceoryx2: samples::histogram()?, futex: samples::histogram()? })
+    /// If they cannot be counted.
+    pub(super) fn samples() -> anyhow::Result<Self> {
+        Ok(Self { system: Samples::new()?, iceoryx2: Samples::new()?, futex: Samples::new()? })
     }
 }
 
@@ -122,7 +122,7 @@ pub(super) struct Outcome {
     /// Latency at each percentile, over all rounds.
     pub(super) percentiles: Each<Vec<Point>>,
     #[serde(skip)]
-    latencies_ns: Each<Histogram<u64>>,
+    latencies_us: Each<Samples>,
 }
 
 /// One round.
@@ -153,21 +153,14 @@ impl Ratios {
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    match values.as_slice() {
-        [] => 0.0,
-        sorted if sorted.len() % 2 == 1 => sorted[middle],
-        sorted => f64::midpoint(sorted[middle - 1], sorted[middle]),
-    }
+    values.collect::<Ascending>().quantile(0.5)
 }
 
 impl Outcome {
     /// Nothing yet.
     ///
     /// # Errors
-    /// If a histogram cannot be made.
+    /// If latencies cannot be counted.
     pub(super) fn new(scenario: &Scenario, pin: &Pin) -> anyhow::Result<Self> {
         Ok(Self {
             scenario: scenario.name.clone(),
@@ -183,31 +176,22 @@ impl Outcome {
             hops_us: HopSummary::default(),
             rounds: Vec::new(),
             percentiles: Each::default(),
-            latencies_ns: Each::histograms()?,
+            latencies_us: Each::samples()?,
         })
     }
 
     /// Adds a round.
-    ///
-    /// # Errors
-    /// If histograms cannot be added up.
-    pub(super) fn add(
-        &mut self,
-        order: [Contender; 3],
-        latencies_ns: &Each<Histogram<u64>>,
-        hops_us: HopSummary,
-    ) -> anyhow::Result<()> {
-        let latency_us = latencies_ns.map(LatencySummary::of);
+    pub(super) fn add(&mut self, order: [Contender; 3], latencies_us: &Each<Samples>, hops_us: HopSummary) {
+        let latency_us = latencies_us.map(LatencySummary::of);
         self.rounds.push(Round { order, latency_us, p50_ratios: Ratios::of(&latency_us), hops_us });
         for contender in Contender::ALL {
-            self.latencies_ns.get_mut(contender).add(latencies_ns.get(contender))?;
+            self.latencies_us.get_mut(contender).add_all(latencies_us.get(contender));
         }
-        self.latency_us = self.latencies_ns.map(LatencySummary::of);
-        self.percentiles = self.latencies_ns.map(percentiles::curve);
+        self.latency_us = self.latencies_us.map(LatencySummary::of);
+        self.percentiles = self.latencies_us.map(percentiles::curve);
         let ratios = |of: fn(&Ratios) -> f64| median(self.rounds.iter().map(|round| of(&round.p50_ratios)));
         self.p50_ratios = Ratios { iceoryx2: ratios(|ratios| ratios.iceoryx2), futex: ratios(|ratios| ratios.futex) };
         self.hops_us = self.median_hops_us();
-        Ok(())
     }
 
     fn median_hops_us(&self) -> HopSummary {
@@ -273,24 +257,24 @@ mod tests {
         Outcome::new(&scenario, &Pin::None).unwrap()
     }
 
-    /// Latencies of one value each.
-    fn latencies_ns(system: u64, iceoryx2: u64, futex: u64) -> Each<Histogram<u64>> {
-        let mut latencies_ns = Each::histograms().unwrap();
-        for (histogram, value) in [
-            (&mut latencies_ns.system, system),
-            (&mut latencies_ns.iceoryx2, iceoryx2),
-            (&mut latencies_ns.futex, futex),
+    /// Latencies of one value each, ns.
+    fn latencies_us(system: u64, iceoryx2: u64, futex: u64) -> Each<Samples> {
+        let mut latencies_us = Each::samples().unwrap();
+        for (samples, value) in [
+            (&mut latencies_us.system, system),
+            (&mut latencies_us.iceoryx2, iceoryx2),
+            (&mut latencies_us.futex, futex),
         ] {
-            histogram.record(value).unwrap();
+            samples.add(value);
         }
-        latencies_ns
+        latencies_us
     }
 
     #[test]
     fn ratios_are_the_median_of_the_rounds() {
         let mut outcome = outcome();
         for system in [1_000, 4_000, 2_000] {
-            outcome.add(Contender::ALL, &latencies_ns(system, 2_000, 1_000), HopSummary::default()).unwrap();
+            outcome.add(Contender::ALL, &latencies_us(system, 2_000, 1_000), HopSummary::default());
         }
         assert_eq!(outcome.p50_ratios, Ratios { iceoryx2: 1.0, futex: 2.0 });
         assert_eq!(outcome.latency_us.system.count, 3);

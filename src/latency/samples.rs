@@ -1,7 +1,5 @@
 //! From stamps to latencies, the same for the system and its references, without coordinated omission.
 
-use hdrhistogram::Histogram;
-
 /// When a robot published its range of one tick, and when it held the tick's heading, monotonic ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Exchange {
@@ -50,20 +48,6 @@ impl Waits {
             sample(at_ns.saturating_sub(since_ns));
         }
     }
-}
-
-/// A histogram of latencies, ns, to three digits.
-///
-/// # Errors
-/// If it cannot be made.
-pub(super) fn histogram() -> anyhow::Result<Histogram<u64>> {
-    Ok(Histogram::new(3)?)
-}
-
-/// Adds a latency to a histogram of [`histogram`].
-pub(super) fn record(latencies_ns: &mut Histogram<u64>, latency_ns: u64) {
-    // It resizes as needed, so nothing can be out of its bounds.
-    let _ = latencies_ns.record(latency_ns);
 }
 
 #[cfg(test)]

@@ -1,15 +1,14 @@
 //! What the page's curves show: the whole run in a bounded number of points.
 
+use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 use serde::ser::SerializeTuple;
 
-use crate::compare::statistics::{Interval, chi_square_mean_bounds};
-use rangehound_shared::record::FusionRecord;
-
 use crate::frame::Frame;
 use crate::least_trace::least_next_trace_m2;
 use crate::report::position_covariance;
+use crate::statistics::{Interval, chi_square_mean_bounds, median};
 
 /// Points at which neighbours are put together: more would not be seen.
 const POINTS_MAX: usize = 600;
@@ -110,9 +109,8 @@ impl Point {
             [x_m, y_m, ..] => (estimate.state[0] - x_m).hypot(estimate.state[1] - y_m),
             _ => f64::NAN,
         };
-        let mut latencies_ns: Vec<u64> = world.robots.iter().filter_map(|robot| robot.latency_ns()).collect();
-        latencies_ns.sort_unstable();
-        let us = |ns: Option<&u64>| ns.map_or(f64::NAN, |ns| *ns as f64 / 1e3);
+        let latencies_ns = world.robots.iter().filter_map(|robot| robot.latency_ns());
+        let mut latencies_us: Vec<f64> = latencies_ns.map(|ns| ns as f64 / 1e3).collect();
         Self {
             tick: *tick,
             time_s: *time_s,
@@ -122,8 +120,8 @@ impl Point {
                 .unwrap_or(f64::NAN),
             nis: estimate.nis,
             fused: estimate.fused,
-            latency_us: us(latencies_ns.get(latencies_ns.len() / 2)),
-            latency_max_us: us(latencies_ns.last()),
+            latency_us: median(&mut latencies_us).unwrap_or(f64::NAN),
+            latency_max_us: latencies_us.into_iter().fold(f64::NAN, f64::max),
         }
     }
 

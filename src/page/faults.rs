@@ -3,10 +3,11 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
+use maud::{Markup, html};
 use plotters::prelude::*;
 use rangehound_shared::scenario::name_of;
 
-use super::{Section, WIDTH, escaped};
+use super::{Section, WIDTH};
 use crate::chart::{self, COLOURS, Drawn, ESTIMATE, KeyEntry};
 use crate::curves::{Curves, Stretch};
 use crate::report::{Distrust, Incident, NodeSummary, Report};
@@ -43,7 +44,7 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
     let troubles: Vec<Trouble> = TROUBLES.into_iter().filter(|(_, of)| count(*of) > 0).collect();
     if nodes.is_empty() && troubles.is_empty() {
         let text = "No node ended before the run did; no robot was missing, late or distrusted.".to_owned();
-        return Ok(Section { heading: "Faults", text, picture: String::new(), below: String::new() });
+        return Ok(Section { heading: "Faults", text, picture: String::new(), below: Markup::default() });
     }
     let drawn = &nodes[..nodes.len().min(NODES_MAX)];
     let titles: Vec<String> = drawn.iter().map(|node| node.title()).collect();
@@ -79,7 +80,7 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
     if let Some(more) = nodes.len().checked_sub(NODES_MAX).filter(|more| *more > 0) {
         write!(text, " {more} nodes more failed too.")?;
     }
-    Ok(Section { heading: "Faults", text, picture, below: table(report, curves, &nodes)? })
+    Ok(Section { heading: "Faults", text, picture, below: table(report, curves, &nodes) })
 }
 
 /// True if more became of it than one start.
@@ -156,7 +157,7 @@ fn draw_incidents(chart: &mut chart::Plane<'_, '_>, curves: &Curves, node: &Node
 }
 
 /// The first of all incidents, in words.
-fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> anyhow::Result<String> {
+fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> Markup {
     let mut incidents: Vec<(u64, Incident, String)> = nodes
         .iter()
         .flat_map(|node| incidents(node).map(|(at_ns, incident)| (at_ns, incident, node.title())))
@@ -164,26 +165,21 @@ fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> anyhow::Re
     incidents.sort_unstable();
     let incidents = incidents.into_iter().map(|(at_ns, incident, node)| {
         let time_s = curves.time_s_at(at_ns).unwrap_or_default();
-        (format!("{time_s:.2} s"), format!("{} {incident}", escaped(&node)))
+        (format!("{time_s:.2} s"), format!("{node} {incident}"))
     });
     let distrusted = report.distrusted.iter().map(|Distrust { robot, sensor, from_tick, to_tick }| {
         let until = to_tick.map_or("the end".to_owned(), |tick| tick.to_string());
         let name = name_of(*robot, report.recording.as_ref().map(|_| sensor.as_str()));
-        (format!("tick {from_tick} to {until}"), format!("{} distrusted", escaped(&name)))
+        (format!("tick {from_tick} to {until}"), format!("{name} distrusted"))
     });
-    let mut lines = incidents.chain(distrusted);
-    let told: Vec<(String, String)> = lines.by_ref().take(LINES_MAX).collect();
-    let more = lines.count();
-    if told.is_empty() {
-        return Ok(String::new());
+    let lines: Vec<(String, String)> = incidents.chain(distrusted).collect();
+    html! {
+        @if !lines.is_empty() {
+            table {
+                tr { th { "when" } th { "what" } }
+                @for (when, what) in lines.iter().take(LINES_MAX) { tr { td { (when) } td { (what) } } }
+            }
+        }
+        @if lines.len() > LINES_MAX { p { "And " (lines.len() - LINES_MAX) " more." } }
     }
-    let mut html = "<table>\n<tr><th>when</th><th>what</th></tr>\n".to_owned();
-    for (when, what) in told {
-        writeln!(html, "<tr><td>{when}</td><td>{what}</td></tr>")?;
-    }
-    html.push_str("</table>\n");
-    if more > 0 {
-        writeln!(html, "<p>And {more} more.</p>")?;
-    }
-    Ok(html)
 }

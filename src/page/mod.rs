@@ -8,8 +8,9 @@
 mod faults;
 mod sections;
 
-use std::fmt::Write;
 use std::path::Path;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::curves::Curves;
 use crate::report::Report;
@@ -27,12 +28,12 @@ const STYLE: &str = include_str!("style.css");
 /// A picture under its heading.
 struct Section {
     heading: &'static str,
-    /// What the picture shows, as HTML.
+    /// What the picture shows.
     text: String,
     /// An `<svg>` element; empty where there is nothing to draw.
     picture: String,
-    /// What follows the picture, as HTML.
-    below: String,
+    /// What follows the picture.
+    below: Markup,
 }
 
 /// Writes the page into a run folder.
@@ -44,43 +45,53 @@ pub fn write(report: &Report, curves: &Curves, out_dir: &Path) -> anyhow::Result
 }
 
 fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
-    let title = escaped(&report.scenario);
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}: report of a run</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n"
-    );
-    write_verdict(&mut html, &report.verdict)?;
-    html.push_str("<dl>\n");
-    for (name, value) in key_figures(report) {
-        writeln!(html, "<div><dt>{name}</dt><dd>{}</dd></div>", escaped(&value))?;
-    }
-    for (name, value) in [("ranges", report.ranges.to_string()), ("headings", report.headings.to_string())] {
-        writeln!(html, "<div class=\"broad\"><dt>{name}</dt><dd>{value}</dd></div>")?;
-    }
-    writeln!(html, "<div class=\"wide\"><dt>digest</dt><dd>{}</dd></div>\n</dl>\n<main>", escaped(&report.digest))?;
-    for Section { heading, text, picture, below } in sections::of(report, curves)? {
-        writeln!(html, "<section>\n<h2>{heading}</h2>\n<p>{text}</p>")?;
-        if !picture.is_empty() {
-            writeln!(html, "<figure>\n{picture}</figure>")?;
+    let broad = [("ranges", report.ranges.to_string()), ("headings", report.headings.to_string())];
+    let sections = sections::of(report, curves)?;
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (report.scenario) ": report of a run" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { (report.scenario) }
+                (verdict(&report.verdict))
+                dl {
+                    @for (name, value) in key_figures(report) { div { dt { (name) } dd { (value) } } }
+                    @for (name, value) in broad { div.broad { dt { (name) } dd { (value) } } }
+                    div.wide { dt { "digest" } dd { (report.digest) } }
+                }
+                main {
+                    @for Section { heading, text, picture, below } in sections {
+                        section {
+                            h2 { (heading) }
+                            p { (text) }
+                            @if !picture.is_empty() { figure { (PreEscaped(picture)) } }
+                            (below)
+                        }
+                    }
+                }
+            }
         }
-        writeln!(html, "{below}</section>")?;
-    }
-    html.push_str("</main>\n</body>\n</html>\n");
-    Ok(html)
+    };
+    Ok(page.into_string())
 }
 
 /// Whether the result can be believed, before all figures.
-fn write_verdict(html: &mut String, verdict: &Verdict) -> std::fmt::Result {
+fn verdict(verdict: &Verdict) -> Markup {
     let Verdict { sound, summary, reasons, notes } = verdict;
     let (class, word) = if *sound { ("sound", "Sound") } else { ("unsound", "Not sound") };
-    write!(html, "<div class=\"verdict {class}\"><strong>{word}</strong><span>{}</span>", escaped(summary))?;
-    for (label, text) in
-        reasons.iter().map(|reason| ("likely reason", reason)).chain(notes.iter().map(|note| ("note", note)))
-    {
-        write!(html, "<p>{label}: {}</p>", escaped(text))?;
+    html! {
+        div.verdict.(class) {
+            strong { (word) }
+            span { (summary) }
+            @for reason in reasons { p { "likely reason: " (reason) } }
+            @for note in notes { p { "note: " (note) } }
+        }
     }
-    html.write_str("</div>\n")
 }
 
 /// What the run was and what it came to.
@@ -108,21 +119,6 @@ fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     figures
 }
 
-/// Text as it stands in HTML.
-fn escaped(text: &str) -> String {
-    text.chars().fold(String::with_capacity(text.len()), |mut html, c| {
-        match c {
-            '<' => html.push_str("&lt;"),
-            '>' => html.push_str("&gt;"),
-            '&' => html.push_str("&amp;"),
-            '"' => html.push_str("&quot;"),
-            '\'' => html.push_str("&#39;"),
-            other => html.push(other),
-        }
-        html
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use rangehound_shared::scenario::{Scenario, ScenarioFile};
@@ -132,7 +128,6 @@ mod tests {
 
     #[test]
     fn names_are_text_whatever_they_hold() {
-        assert_eq!(escaped("<a href='x'>\"&\""), "&lt;a href=&#39;x&#39;&gt;&quot;&amp;&quot;");
         let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.name = "<script>".to_owned();
         let report = Tally::new().unwrap().report(&scenario, Background::default(), Vec::new());

@@ -2,16 +2,17 @@
 
 use std::fmt::Write;
 
+use maud::Markup;
 use plotters::prelude::*;
 
 use super::{Section, WIDTH, faults};
 use crate::chart::{self, COLOURS, ESTIMATE, TARGET};
-use crate::compare::statistics::{Interval, chi_square_mean_bounds, percentile};
 use crate::curves::{Curves, DRAWABLE_MAX, Stretch};
 use crate::ellipse::Ellipse;
 use crate::over_time::{Band, Line, OverTime};
 use crate::percentiles;
 use crate::report::Report;
+use crate::statistics::{Ascending, Interval, chi_square_mean_bounds};
 
 const HEIGHT: u32 = 600;
 
@@ -35,7 +36,7 @@ pub(super) fn of(report: &Report, curves: &Curves) -> anyhow::Result<Vec<Section
 }
 
 fn section(heading: &'static str, text: impl Into<String>, picture: String) -> Section {
-    Section { heading, text: text.into(), picture, below: String::new() }
+    Section { heading, text: text.into(), picture, below: Markup::default() }
 }
 
 fn paths(curves: &Curves) -> anyhow::Result<Section> {
@@ -96,14 +97,12 @@ fn error_limit_m(curves: &Curves) -> f64 {
     let deviations = curves.paths.covariances_m2.iter().flat_map(|p| [p[(0, 0)], p[(1, 1)]]);
     let deviations = deviations.map(|variance| 3.0 * variance.max(0.0).sqrt());
     let errors = curves.errors_m().flat_map(|(_, error_m)| [error_m.x.abs(), error_m.y.abs()]);
-    limit(deviations.chain(errors).collect())
+    limit(&deviations.chain(errors).collect())
 }
 
 /// Where an axis ends that shows these extents: a poor start or a short loss must not hide the rest.
-fn limit(mut extents: Vec<f64>) -> f64 {
-    extents.sort_unstable_by(f64::total_cmp);
-    let widest = 1.05 * extents.last().copied().unwrap_or_default();
-    widest.min(2.0 * percentile(&extents, 0.95)).max(1e-6)
+fn limit(extents: &Ascending) -> f64 {
+    (1.05 * extents.quantile(1.0)).min(2.0 * extents.quantile(0.95)).max(1e-6)
 }
 
 fn trace(curves: &Curves) -> anyhow::Result<Section> {
@@ -144,7 +143,7 @@ fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let bounds: Vec<(f64, f64, f64)> = fused.iter().map(band).collect();
     let values = points.iter().map(|(_, nis)| *nis).chain(bounds.iter().flat_map(|(_, low, high)| [*low, *high]));
     // From the ideal to both sides: over many ticks what is consistent lies close to it.
-    let limit = limit(values.map(|nis| (nis - 1.0).abs()).collect());
+    let limit = limit(&values.map(|nis| (nis - 1.0).abs()).collect());
     let limits = (1.0 - limit).max(0.0)..1.0 + limit;
     let span_s = curves.span_s();
     let chart = OverTime {

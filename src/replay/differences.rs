@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::frame::Frame;
 use crate::report::{Background, Report, Tally};
+use crate::statistics::Mean;
 
 /// Characters of a setting: a space is left between the columns.
 const SETTING_LEN_MAX: usize = 11;
@@ -25,26 +26,6 @@ struct Side {
     tally: Tally,
     objective: Mean,
     bound: Mean,
-}
-
-/// A mean of those that are there.
-#[derive(Debug, Clone, Copy, Default)]
-struct Mean {
-    sum: f64,
-    count: u64,
-}
-
-impl Mean {
-    fn add(&mut self, value: f64) {
-        if value.is_finite() {
-            self.sum += value;
-            self.count += 1;
-        }
-    }
-
-    fn value(self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / self.count as f64)
-    }
 }
 
 /// How far two things are from each other.
@@ -118,6 +99,9 @@ impl Differences {
             // Who plans nothing has no objective.
             if estimate.objective > 0.0 {
                 side.objective.add(estimate.objective);
+            }
+            // Who proves nothing has no bound.
+            if estimate.objective > 0.0 && estimate.lower_bound.is_finite() {
                 side.bound.add(estimate.lower_bound);
             }
         }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::compare::statistics::{Interval, chi_square_mean_bounds};
+use crate::statistics::{Interval, chi_square_mean_bounds, mean};
 
 /// Most batches; when there are more, two neighbours become one.
 const BATCHES_MAX: usize = 64;
@@ -130,8 +130,8 @@ impl Consistency {
             })
         };
         let count = means().count() as f64;
-        let mean = means().sum::<f64>() / count;
-        let variance_of_batches = means().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        let centre = mean(means());
+        let variance_of_batches = means().map(|value| (value - centre).powi(2)).sum::<f64>() / (count - 1.0);
         let mean_of_ticks = self.sum / self.dof;
         let variance_of_ticks = (self.square_sum / ticks - mean_of_ticks * mean_of_ticks).max(0.0);
         let variance_of_mean = variance_of_batches / count;

@@ -1,6 +1,5 @@
 //! What a run came to: the keys of `report.json`.
 
-use hdrhistogram::Histogram;
 use rangehound_node::rendezvous::Role;
 use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{Heading, RobotRecord};
@@ -11,6 +10,7 @@ use serde::Serialize;
 use super::verdict::Verdict;
 use crate::hops::HopSummary;
 use crate::percentiles::Point;
+use crate::statistics::Samples;
 
 /// What a run came to; its fields are the keys of `report.json`.
 #[derive(Debug, Clone, Serialize)]
@@ -195,17 +195,16 @@ pub struct LatencySummary {
 }
 
 impl LatencySummary {
-    /// Percentiles of latencies in ns.
+    /// Percentiles of latencies.
     #[must_use]
-    pub fn of(latencies_ns: &Histogram<u64>) -> Self {
-        let us = |quantile: f64| latencies_ns.value_at_quantile(quantile) as f64 / 1e3;
+    pub fn of(latencies_us: &Samples) -> Self {
         Self {
-            count: latencies_ns.len(),
-            p50: us(0.5),
-            p90: us(0.9),
-            p99: us(0.99),
-            p99_9: us(0.999),
-            max: latencies_ns.max() as f64 / 1e3,
+            count: latencies_us.count(),
+            p50: latencies_us.at(0.5),
+            p90: latencies_us.at(0.9),
+            p99: latencies_us.at(0.99),
+            p99_9: latencies_us.at(0.999),
+            max: latencies_us.max(),
         }
     }
 }

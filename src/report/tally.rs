@@ -1,6 +1,5 @@
 //! Adding up a run tick by tick.
 
-use hdrhistogram::Histogram;
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::digest::Digest;
@@ -15,9 +14,9 @@ use super::{
     Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
     TraceSummary,
 };
-use crate::compare::statistics::median;
 use crate::hops::Hops;
 use crate::percentiles;
+use crate::statistics::{Mean, Samples, median};
 
 /// Most that one range counts in the NIS by which a result is judged: the square of a usual gate.
 const SQUARE_CAP: f64 = 16.0;
@@ -38,10 +37,9 @@ pub struct Tally {
     refused: RefusalSummary,
     distrusted: Vec<Distrust>,
     headings: HeadingSummary,
-    latency_ns: Histogram<u64>,
+    latency_us: Samples,
     hops: Hops,
-    /// All ranges, mm.
-    ranges_mm: Histogram<u64>,
+    ranges_m: Samples,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
 }
@@ -52,23 +50,6 @@ struct Sensor {
     counts: [u64; RangeUse::ALL.len()],
     nis: Mean,
     nis_capped: Mean,
-}
-
-#[derive(Debug, Default)]
-struct Mean {
-    sum: f64,
-    count: f64,
-}
-
-impl Mean {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.count += 1.0;
-    }
-
-    fn value(&self) -> Option<f64> {
-        (self.count > 0.0).then(|| self.sum / self.count)
-    }
 }
 
 impl Sensor {
@@ -99,10 +80,9 @@ impl Tally {
             refused: RefusalSummary::default(),
             distrusted: Vec::new(),
             headings: HeadingSummary::default(),
-            // Grows with the largest value; 3 digits are what the report shows.
-            latency_ns: Histogram::new(3)?,
+            latency_us: Samples::new()?,
             hops: Hops::new()?,
-            ranges_mm: Histogram::new(3)?,
+            ranges_m: Samples::new()?,
             first_end_ns: None,
             last_end_ns: 0,
         })
@@ -160,8 +140,7 @@ impl Tally {
             self.ranges.published += u64::from(robot.range_sent_ns.is_some());
             self.headings.add(robot);
             if let Some(latency_ns) = robot.latency_ns() {
-                // Resizes as needed, so nothing can be out of its bounds.
-                let _ = self.latency_ns.record(latency_ns);
+                self.latency_us.add(latency_ns);
             }
         }
     }
@@ -184,7 +163,7 @@ impl Tally {
             }
             let Some(heard) = exchange.heard else { continue };
             if let Some((range_m, _)) = heard.range_m {
-                let _ = self.ranges_mm.record((range_m * 1e3) as u64);
+                self.ranges_m.add((range_m * 1e3) as u64);
             }
             let Some(judged) = heard.judged else { continue };
             let sensor = &mut self.sensors[robot];
@@ -216,16 +195,14 @@ impl Tally {
             })
             .collect();
         // A faulty sensor says nothing about the others' result.
-        let of_others = |nis: fn(&Sensor) -> &Mean| {
+        let of_others = |nis: fn(&Sensor) -> Mean| {
             let others = sensors.iter().zip(&self.sensors).filter(|(evidence, _)| !evidence.is_faulty());
-            let (sum, count) = others
-                .map(|(_, sensor)| nis(sensor))
-                .fold((0.0, 0.0), |(sum, count), mean| (sum + mean.sum, count + mean.count));
-            let dof_each = count / self.ticks.max(1) as f64;
-            let all = self.nis_all.summary().filter(|_| count > 0.0);
-            all.map(|all| ConsistencySummary::new(sum / count, all.independent_samples, dof_each))
+            let mean: Mean = others.map(|(_, sensor)| nis(sensor)).sum();
+            let dof_each = mean.count() / self.ticks.max(1) as f64;
+            let all = self.nis_all.summary()?;
+            mean.value().map(|mean| ConsistencySummary::new(mean, all.independent_samples, dof_each))
         };
-        let (nis_all, nis_capped) = (of_others(|sensor| &sensor.nis), of_others(|sensor| &sensor.nis_capped));
+        let (nis_all, nis_capped) = (of_others(|sensor| sensor.nis), of_others(|sensor| sensor.nis_capped));
         let mut traces_m2 = self.traces_m2[self.traces_m2.len() / 2..].to_vec();
         let mut stds_m: Vec<f64> = scenario.robots.iter().map(|robot| robot.range_std_m).collect();
         let Background { truth, recording } = background;
@@ -237,7 +214,7 @@ impl Tally {
             anees: self.nees.summary(),
             truth,
             position_std_m: median(&mut traces_m2).unwrap_or(0.0).max(0.0).sqrt(),
-            median_range_m: self.ranges_mm.value_at_quantile(0.5) as f64 / 1e3,
+            median_range_m: self.ranges_m.at(0.5),
             widened_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
             range_std_m: median(&mut stds_m).unwrap_or(0.0),
             recording,
@@ -259,7 +236,6 @@ impl Tally {
         let verdict = Verdict::of(&self.evidence(scenario, background));
         let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
         let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
-        self.traces_m2.sort_unstable_by(f64::total_cmp);
         Report {
             scenario: scenario.name.clone(),
             seed: scenario.seed,
@@ -277,7 +253,7 @@ impl Tally {
             gate_widened: self.gate_widened,
             position_trace_m2: TraceSummary {
                 r#final: last_trace_m2,
-                median: self.traces_m2.get(self.traces_m2.len() / 2).copied().unwrap_or(0.0),
+                median: median(&mut self.traces_m2).unwrap_or(0.0),
             },
             ranges: self.ranges,
             sensors: scenario
@@ -290,8 +266,8 @@ impl Tally {
             recording,
             distrusted: self.distrusted,
             headings: self.headings,
-            latency_us: LatencySummary::of(&self.latency_ns),
-            percentiles: percentiles::curve(&self.latency_ns),
+            latency_us: LatencySummary::of(&self.latency_us),
+            percentiles: percentiles::curve(&self.latency_us),
             hops_us: self.hops.summary(),
             nodes,
             verdict,

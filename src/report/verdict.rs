@@ -321,7 +321,7 @@ impl std::fmt::Display for Verdict {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compare::statistics::Interval;
+    use crate::statistics::Interval;
 
     fn figure(mean: f64) -> Option<ConsistencySummary> {
         let band_95 = Interval { low: 0.8, high: 1.2 };
