@@ -11,7 +11,6 @@ use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 use crate::field::Paths;
-use crate::least_trace::least_next_trace_m2;
 use crate::report::{Truth, position_covariance};
 
 /// Points of a curve: more would not be seen.
@@ -128,10 +127,10 @@ impl Curves {
                 paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
                 paths.covariances_m2.push(position_covariance(&estimate));
                 paths.truths_m.push(truth.and_then(|truth| truth.at(time_s)));
-                let exchanges = EstimateRecord::exchanges(words, state_dim);
-                let least_m2 = least_next_trace_m2(scenario, tick, &estimate, exchanges);
-                let least_m2 = least_m2.filter(|least_m2| *least_m2 <= DRAWABLE_MAX);
-                least_traces_m2.extend(least_m2.map(|least_m2| (time_s + scenario.dt_s, least_m2)));
+                let least_m2 = estimate.least_trace_m2;
+                if least_m2 > 0.0 && least_m2 <= DRAWABLE_MAX {
+                    least_traces_m2.push((time_s + scenario.dt_s, least_m2));
+                }
             }
         }
         Ok(())

@@ -163,7 +163,7 @@ impl EstimateRecord {
     /// Words before the state: single ones, then those of `refused` and `distrusted`.
     const TALLIES: usize = Self::SINGLE_WORDS + Refusal::ALL.len() + robot_set::WORDS;
 
-    const SINGLE_WORDS: usize = 21;
+    const SINGLE_WORDS: usize = 22;
 
     /// Words of the part with one robot: what was heard, and the command.
     const WORDS_PER_ROBOT: usize = Self::WORDS_HEARD + 2;
@@ -220,6 +220,7 @@ impl EstimateRecord {
             e.nis_all.to_bits(),
             e.tested,
             e.noise_scale.to_bits(),
+            e.least_trace_m2.to_bits(),
         ];
         let numbers = e.state[..n].iter().chain(&e.covariance[..n * n]).map(|value| value.to_bits());
         let robots = exchanges.into_iter().flat_map(|Exchange { heard, command }| {
@@ -280,6 +281,7 @@ impl EstimateRecord {
             nis_all: f64::from_bits(word(18)),
             tested: word(19),
             noise_scale: f64::from_bits(word(20)),
+            least_trace_m2: f64::from_bits(word(21)),
             refused: std::array::from_fn(|i| word(Self::SINGLE_WORDS + i)),
             distrusted: std::array::from_fn(|i| word(Self::SINGLE_WORDS + Refusal::ALL.len() + i)),
             ..Estimate::default()
@@ -425,6 +427,7 @@ mod tests {
             distrusted: [15, 16, 17, 18],
             objective: 0.25,
             lower_bound: 0.125,
+            least_trace_m2: 0.75,
             digest: [19, 20],
             stages: Stages {
                 last_range_ns: 21,

@@ -157,7 +157,7 @@ impl Scene {
 
     fn count(&mut self, frame: Frame) {
         self.count_ranges(frame.tick, &frame.estimate.estimate);
-        self.history.add(&frame, &self.scenario);
+        self.history.add(&frame);
         self.newest = Some(frame);
     }
 
