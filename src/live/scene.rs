@@ -29,7 +29,6 @@ const RATE_SPAN: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(super) struct Scene {
     about: Value,
-    scenario: Scenario,
     trail_max: usize,
     newest: Option<Frame>,
     trails: VecDeque<Places>,
@@ -129,7 +128,6 @@ impl Scene {
         });
         Self {
             about,
-            scenario: scenario.clone(),
             trail_max,
             newest: None,
             trails: VecDeque::new(),
