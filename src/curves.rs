@@ -4,9 +4,10 @@ use std::ops::Range;
 
 use nalgebra::Vector2;
 use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{EstimateRecord, Heading, WorldRecord};
-use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
@@ -98,10 +99,10 @@ impl Curves {
         thinning: Thinning,
         truth: Option<&Truth>,
     ) -> anyhow::Result<()> {
-        let RunDescription { run_id, scenario, out_dir } = description;
+        let scenario = &description.scenario;
         let Self { ticks, times_s, paths, least_traces_m2, stretches, .. } = self;
         let state_dim = scenario.motion.state_dim();
-        let mut estimates = EstimateRecord::reader(out_dir, *run_id, scenario)?;
+        let mut estimates = logs::read_estimates(description)?;
         while let Some(record) = estimates.next() {
             let (tick, words) = record?;
             if tick == 0 {
@@ -137,8 +138,8 @@ impl Curves {
     }
 
     fn read_worlds(&mut self, description: &RunDescription, thinning: Thinning) -> anyhow::Result<()> {
-        let RunDescription { run_id, scenario, out_dir } = description;
-        let mut worlds = WorldRecord::reader(out_dir, *run_id, scenario)?;
+        let scenario = &description.scenario;
+        let mut worlds = logs::read_worlds(description)?;
         while let Some(record) = worlds.next() {
             let (tick, words) = record?;
             if tick == 0 {

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use rangehound_fusion::planner;
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, RunDescription, living_runs};
 use rangehound_shared::recording::{ReadSummary, Recording};
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, RunDescription, RunName, living_runs};
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{
     FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
     defaults,
@@ -12,6 +13,7 @@ use rangehound_shared::scenario::{
 
 use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};
 use crate::failure::{self, Failure};
+use crate::input;
 use crate::node::input_or_running;
 use crate::out_folder::NUMBERS_END;
 
@@ -107,7 +109,7 @@ impl Experiment {
         apply(&args.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
         recording.sensor = Some(sensors);
         let mut accel_psd = args.accel_psd;
-        let read = recording.read(COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+        let read = input::recording_of(&recording, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
         if let Some(path) = &args.calibration {
             let calibration = crate::calibrate::file::read(path)?;
             let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
@@ -174,8 +176,8 @@ impl Experiment {
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
         let scenario = match read {
-            Some(read) => Scenario::from_recording(&file, file_name, folder, read),
-            None => Scenario::from_file(&file, file_name, folder),
+            Some(read) => Scenario::from_file_with(&file, file_name, |_| Ok(read)),
+            None => input::scenario(&file, file_name, folder),
         };
         let scenario = scenario.map_err(Failure::input)?;
         let mut inputs = Vec::new();
@@ -285,7 +287,7 @@ impl Given {
     pub fn from_args(args: &ExperimentArgs) -> Result<Self, Failure> {
         let mut given = match &args.scenario {
             Some(path) => Self {
-                file: ScenarioFile::read(path).map_err(Failure::input)?,
+                file: input::scenario_file(path).map_err(Failure::input)?,
                 file_name: path.display().to_string(),
                 folder: path.parent().unwrap_or(Path::new("")).to_owned(),
                 path: Some(path.clone()),

@@ -1,11 +1,12 @@
 //! A run tick by tick: all that travelled on its topics, from what the nodes put down.
 
 use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::tick_log::{TickLogError, TickLogReader};
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{EstimateRecord, Exchange, WorldRecord};
-use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::Scenario;
-use rangehound_shared::tick_log::{TickLogError, TickLogReader};
 
 /// The newest ticks, whose records fusion may still amend, or put down anew when it comes back from a kill.
 pub const UNSETTLED_TICKS: usize = LATE_TICKS_MAX + 1;
@@ -38,11 +39,10 @@ impl Frames {
     /// # Errors
     /// If one is not there yet, or is another run's.
     pub fn open(description: &RunDescription) -> Result<Self, TickLogError> {
-        let RunDescription { run_id, scenario, out_dir } = description;
         Ok(Self {
-            scenario: scenario.clone(),
-            estimates: EstimateRecord::reader(out_dir, *run_id, scenario)?,
-            worlds: WorldRecord::reader(out_dir, *run_id, scenario)?,
+            scenario: description.scenario.clone(),
+            estimates: logs::read_estimates(description)?,
+            worlds: logs::read_worlds(description)?,
         })
     }
 

@@ -9,16 +9,17 @@ use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::leader::{self, Leader};
 use rangehound_fusion::planner::PlannerError;
+use rangehound_node::clock::monotonic_ns;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::world::{PlaybackError, world_of};
 use rangehound_robot::machine as robot;
 use rangehound_robot::sensor::{Sensor, measure};
-use rangehound_shared::clock::monotonic_ns;
 use rangehound_shared::message::{Drive, Header, Outgoing, Range};
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_sim::World;
 use rangehound_sim::machine as sim;
-use rangehound_sim::playback::PlaybackError;
-use rangehound_sim::{World, world_of};
 
 /// Stamps that say what there was, and give no latency: nobody looks at a clock here.
 const RANGE_SENT_NS: u64 = u64::MAX;
@@ -29,10 +30,10 @@ const HEADING_HELD_NS: u64 = 1;
 /// # Errors
 /// If the team cannot be put together, the estimate diverges, or a log cannot be written.
 pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow::Result<()> {
-    let RunDescription { run_id, scenario, out_dir } = description;
+    let RunDescription { scenario, out_dir, .. } = description;
     let mut team = Team::of_run(scenario, out_dir)?;
-    let mut estimates = EstimateRecord::writer(out_dir, *run_id, scenario)?;
-    let mut worlds = WorldRecord::writer(out_dir, *run_id, scenario)?;
+    let mut estimates = logs::write_estimates(description)?;
+    let mut worlds = logs::write_worlds(description)?;
     for tick in 0..=scenario.ticks {
         team.tick()?;
         let record = EstimateRecord { time_s: team.centre().time_s(), estimate: team.centre().estimate() };

@@ -54,6 +54,7 @@ pub mod field;
 pub mod frame;
 pub mod hops;
 pub mod in_process;
+pub mod input;
 pub mod latency;
 pub mod live;
 pub mod node;

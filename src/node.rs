@@ -5,17 +5,19 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process;
 
-use rangehound_fusion::run::FusionError;
-use rangehound_robot::run::RobotError;
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RunDescription, RunName};
-use rangehound_shared::scenario::{Scenario, ScenarioFile, Source};
-use rangehound_shared::signal::Termination;
-use rangehound_sim::run::SimError;
+use rangehound_node::fusion::FusionError;
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RunDescription};
+use rangehound_node::robot::RobotError;
+use rangehound_node::signal::Termination;
+use rangehound_node::sim::SimError;
+use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{Scenario, Source};
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::cli::{ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 use crate::experiment::{Experiment, Naming, override_with};
 use crate::failure::{self, Failure};
+use crate::input;
 use crate::out_folder::Claim;
 use crate::run_mcap::SCENARIO;
 use crate::tables;
@@ -37,7 +39,7 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
         (None, Some(experiment)) => found(args, &experiment)?,
         (None, None) => return Err(Failure::input("--name: expected the name of a run")),
     };
-    rangehound_sim::run::run(&rendezvous, &termination).map_err(|error| match error {
+    rangehound_node::sim::run(&rendezvous, &termination).map_err(|error| match error {
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         SimError::Rendezvous(error) => input_or_running(error),
         error @ (SimError::Checkpoint(_) | SimError::Sealed(_) | SimError::Recording(_)) => Failure::input(error),
@@ -52,7 +54,7 @@ pub fn sim(args: &SimArgs) -> Result<(), Failure> {
 pub fn fusion(args: &FusionArgs) -> Result<(), Failure> {
     let termination = prepare(Role::Fusion, &args.node.parent)?;
     let rendezvous = join(&args.node.name, &termination)?;
-    let run = if args.standby { rangehound_fusion::run::run_standby } else { rangehound_fusion::run::run };
+    let run = if args.standby { rangehound_node::fusion::run_standby } else { rangehound_node::fusion::run };
     run(&rendezvous, &termination).map_err(|error| match error {
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         FusionError::Rendezvous(error) => input_or_running(error),
@@ -69,7 +71,7 @@ pub fn robot(args: &RobotArgs) -> Result<(), Failure> {
     let id = usize::try_from(args.id)?;
     let termination = prepare(Role::Robot(id), &args.node.parent)?;
     let rendezvous = join(&args.node.name, &termination)?;
-    rangehound_robot::run::run(&rendezvous, id, &termination).map_err(|error| match error {
+    rangehound_node::robot::run(&rendezvous, id, &termination).map_err(|error| match error {
         // Whatever it came to first.
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         RobotError::Rendezvous(error) => input_or_running(error),
@@ -128,9 +130,9 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
     let own_file = living.out_dir.join(SCENARIO);
     for (flag, alone) in one_by_one(args) {
         // The run's own scenario, with this one flag over it.
-        let with_flag = ScenarioFile::read(&own_file).map_err(Failure::input).and_then(|mut file| {
+        let with_flag = input::scenario_file(&own_file).map_err(Failure::input).and_then(|mut file| {
             override_with(&mut file, &alone)?;
-            Scenario::from_file(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)
+            input::scenario(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)
         });
         if with_flag.is_ok_and(|with_flag| scenario(&with_flag) == scenario(&living.scenario)) {
             continue;

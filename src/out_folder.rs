@@ -11,8 +11,9 @@ use std::io;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use rangehound_shared::checkpoint::{self, Checkpoint};
-use rangehound_shared::rendezvous::Role;
+use rangehound_node::checkpoint::{self, Checkpoint};
+use rangehound_node::logs;
+use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::COPY;
 use rustix::fs::OFlags;
 
@@ -181,7 +182,7 @@ pub fn claim_again(folder: &Path) -> Result<Claim, Refusal> {
             claim.refuse_stranger(&folder.join(&name))?;
         }
     }
-    for name in [tables::ESTIMATE_LOG, tables::WORLD_LOG] {
+    for name in [logs::ESTIMATES, logs::WORLDS] {
         let _ = note_growing(&folder.join(name));
     }
     for name in entries(&folder.join(LOGS)) {

@@ -6,9 +6,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use rangehound_shared::rendezvous::{Rendezvous, RunDescription};
+use rangehound_node::rendezvous::{Rendezvous, RunDescription};
+use rangehound_node::signal::Termination;
 use rangehound_shared::scenario::Clock;
-use rangehound_shared::signal::Termination;
 use rustix::thread::{Timespec, nanosleep};
 use serde::Serialize;
 

@@ -4,8 +4,9 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_shared::record::WorldRecord;
-use rangehound_shared::rendezvous::{Holder, Process, Rendezvous, Role, RunName, living_runs};
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Holder, Process, Rendezvous, Role, living_runs};
+use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal};
 use serde::Serialize;
 use serde_json::json;
@@ -216,7 +217,7 @@ impl Status {
     pub(crate) fn of(run: &Rendezvous) -> Self {
         let description = run.description();
         let scenario = &description.scenario;
-        let log = WorldRecord::reader(&description.out_dir, description.run_id, scenario).ok();
+        let log = logs::read_worlds(description).ok();
         let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
         let roster = run.roster();
         let is_ending = run.is_finished() || run.note(ENDING).is_some();

@@ -9,8 +9,8 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
-use rangehound_shared::bounded;
-use rangehound_shared::rendezvous::{Rendezvous, living_runs};
+use rangehound_node::bounded;
+use rangehound_node::rendezvous::{Rendezvous, living_runs};
 
 use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 use crate::failure::{self, Failure};

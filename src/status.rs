@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
 use anstyle::Style;
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::signal::Termination;
 use rangehound_shared::scenario::printable;
-use rangehound_shared::signal::Termination;
 
 use crate::cli::StatusArgs;
 use crate::failure::{self, Failure};

@@ -11,20 +11,21 @@
 //! | `run.mcap` | the whole run in one file, see [`crate::run_mcap`] |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_shared::record` |
 //! | `run.sealed` | what the run is, for `resume` |
-//! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_shared::checkpoint` |
+//! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_node::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
 use std::io::{Read, Write};
 use std::path::Path;
 
 use nalgebra::Vector2;
+use rangehound_node::bounded;
+use rangehound_node::checkpoint;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Role, RunDescription};
 use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
-use rangehound_shared::bounded;
-use rangehound_shared::checkpoint;
 use rangehound_shared::message::{RangeKind, WorldEntry};
-use rangehound_shared::record::{EstimateRecord, WorldRecord, estimate_log, world_log};
-use rangehound_shared::recording::{RecordingError, TrackPoint, parse_track, read_track};
-use rangehound_shared::rendezvous::{Role, RunDescription};
+use rangehound_shared::record::{EstimateRecord, WorldRecord};
+use rangehound_shared::recording::{RecordingError, TrackPoint, parse_track};
 use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
 
@@ -34,7 +35,7 @@ use crate::failure::{self, Failure};
 use crate::out_folder::{self, Claim, Kind};
 use crate::report::{self, NodeSummary, Report, Truth, position_covariance};
 use crate::whole_file::{self, WholeFile};
-use crate::{page, picture, run_mcap, terminal};
+use crate::{input, page, picture, run_mcap, terminal};
 
 /// What the run is, for `resume`.
 pub(crate) const DESCRIPTION: &str = "run.sealed";
@@ -42,13 +43,9 @@ pub(crate) const DESCRIPTION: &str = "run.sealed";
 /// The track.
 const ESTIMATES: &str = "estimate.csv";
 
-/// What the nodes put down at each tick.
-pub(crate) const ESTIMATE_LOG: &str = "estimate.ticks";
-pub(crate) const WORLD_LOG: &str = "world.ticks";
-
 /// Files of a run folder, but for those that have a module of their own.
 pub(crate) const FILE_NAMES: [&str; 8] =
-    [run_mcap::SCENARIO, DESCRIPTION, ESTIMATES, "ranges.csv", "truth.csv", COPY, ESTIMATE_LOG, WORLD_LOG];
+    [run_mcap::SCENARIO, DESCRIPTION, ESTIMATES, "ranges.csv", "truth.csv", COPY, logs::ESTIMATES, logs::WORLDS];
 
 /// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
 const LONG: u64 = 1_000_000;
@@ -75,7 +72,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
     written().map_err(|error: anyhow::Error| {
         Failure::input(format!("--out: expected a folder that can be written: {error}"))
     })?;
-    for log in [ESTIMATE_LOG, WORLD_LOG] {
+    for log in [logs::ESTIMATES, logs::WORLDS] {
         claim.make_growing(log)?;
     }
     Ok(claim)
@@ -103,10 +100,10 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
 /// # Errors
 /// [`Failure::Input`] with the first file that cannot be written.
 pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure> {
-    let RunDescription { out_dir, run_id, scenario } = description;
+    let out_dir = &description.out_dir;
     let claim = out_folder::claim_again(out_dir)?;
     let checkpoints = [Role::Sim, Role::Fusion].map(|role| out_dir.join(checkpoint::file_name(role)));
-    let logs = [estimate_log(out_dir), world_log(out_dir)];
+    let logs = [logs::estimates_path(out_dir), logs::worlds_path(out_dir)];
     for path in logs.iter().chain(&checkpoints) {
         let opened = std::fs::OpenOptions::new().append(true).open(path);
         if let Err(error) = opened
@@ -119,10 +116,10 @@ pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure>
     let has_content = |log: &Path| std::fs::metadata(log).is_ok_and(|log| log.len() > 0);
     let [estimates, worlds] = &logs;
     if has_content(estimates) {
-        EstimateRecord::reader(out_dir, *run_id, scenario).map_err(Failure::input)?;
+        logs::read_estimates(description).map_err(Failure::input)?;
     }
     if has_content(worlds) {
-        WorldRecord::reader(out_dir, *run_id, scenario).map_err(Failure::input)?;
+        logs::read_worlds(description).map_err(Failure::input)?;
     }
     Ok(claim)
 }
@@ -221,9 +218,9 @@ pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>
 /// # Errors
 /// If a file cannot be read or written.
 pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
-    let RunDescription { run_id, scenario, out_dir } = description;
+    let RunDescription { scenario, out_dir, .. } = description;
     let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
-    let mut reader = EstimateRecord::reader(out_dir, *run_id, scenario)?;
+    let mut reader = logs::read_estimates(description)?;
     let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
     let mut last: Option<EstimateRecord> = None;
@@ -258,8 +255,8 @@ fn write_estimate_row(out: &mut impl Write, record: &EstimateRecord) -> std::io:
 /// # Errors
 /// If a file cannot be read or written.
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
-    let RunDescription { run_id, scenario, out_dir } = description;
-    let mut reader = WorldRecord::reader(out_dir, *run_id, scenario)?;
+    let RunDescription { scenario, out_dir, .. } = description;
+    let mut reader = logs::read_worlds(description)?;
     let mut ranges = WholeFile::create(&out_dir.join("ranges.csv"))?;
     let mut truths = WholeFile::create(&out_dir.join("truth.csv"))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
@@ -290,7 +287,7 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
 /// # Errors
 /// [`Failure::Input`] with file and row of the first thing that is wrong.
 pub fn read_truth(path: &Path) -> Result<Truth, Failure> {
-    truth_of(read_track(path)).map_err(|problem| Failure::input(problem.to_string()))
+    truth_of(input::track(path)).map_err(|problem| Failure::input(problem.to_string()))
 }
 
 /// Parses a true track from a reader.

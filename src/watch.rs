@@ -3,10 +3,10 @@
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use rangehound_shared::bus::{Bus, BusError, Subscriber};
+use rangehound_node::bus::{Bus, BusError, Subscriber};
+use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::signal::Termination;
 use rangehound_shared::message::{Estimate, Truth};
-use rangehound_shared::rendezvous::{Rendezvous, Role};
-use rangehound_shared::signal::Termination;
 
 use crate::cli::WatchArgs;
 use crate::failure::{self, Failure};

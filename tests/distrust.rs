@@ -1,7 +1,5 @@
 //! A robot whose sensor fails for a while, over many seeds, each a whole team in this process.
 
-use std::path::Path;
-
 use nalgebra::Vector2;
 use rangehound::in_process::Team;
 use rangehound::report::position_error;
@@ -30,7 +28,7 @@ fn outcomes(robots: u64, bias_m: f64) -> Vec<Outcome> {
     (1..=SEEDS)
         .map(|seed| {
             file.seed = Some(seed);
-            let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
+            let scenario = Scenario::from_file(&file, "test").unwrap();
             run(&mut Team::new(&scenario).unwrap(), bias_m)
         })
         .collect()

@@ -5,8 +5,9 @@ use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::EstimateRecord;
-use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::sealed;
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat};
 use rustix::process::Signal;
@@ -19,7 +20,7 @@ const STOP: &str = "0.000000,0.000000";
 fn example() -> PathBuf {
     let this = std::env::current_exe().unwrap();
     let example = this.ancestors().nth(2).unwrap().join("examples/serial_range");
-    assert!(example.exists(), "`cargo build -p rangehound-robot --example serial_range` makes what is tested");
+    assert!(example.exists(), "`cargo build -p rangehound-node --example serial_range` makes what is tested");
     example
 }
 
@@ -81,12 +82,11 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
 
 /// What fusion heard of robot 0, m.
 fn heard_m(run: &Run) -> Vec<f64> {
-    let RunDescription { run_id, scenario, out_dir } =
-        sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap();
-    let mut log = EstimateRecord::reader(&out_dir, run_id, &scenario).unwrap();
+    let description: RunDescription = sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap();
+    let mut log = logs::read_estimates(&description).unwrap();
     let mut heard = Vec::new();
     while let Some(Ok((_, words))) = log.next() {
-        let robots = EstimateRecord::exchanges(words, scenario.motion.state_dim());
+        let robots = EstimateRecord::exchanges(words, description.scenario.motion.state_dim());
         heard.extend(robots.filter_map(|robot| robot.heard?.range_m));
     }
     heard.into_iter().map(|(range_m, _)| range_m).collect()

@@ -17,6 +17,7 @@ use clap::Parser;
 use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
 use rangehound::in_process::{self, Team};
+use rangehound::input;
 use rangehound::plan::line::Desk;
 use rangehound::replay::steps::{Steps, difference};
 use rangehound::run_mcap::read::FrameReader;
@@ -24,18 +25,20 @@ use rangehound::run_mcap::scene::Scene;
 use rangehound::supervisor::restart::Rule;
 use rangehound::{report, tables};
 use rangehound_fusion::{Centre, centre};
+use rangehound_node::checkpoint::{Checkpoint, CheckpointError};
+use rangehound_node::rendezvous::{Role, RunDescription};
+use rangehound_node::world::world_of;
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::{RangeSensor, Sensor};
-use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::radio::log::{LogOptions, read_log};
 use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
 use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
-use rangehound_shared::rendezvous::{Role, RunDescription, RunName};
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
 use rangehound_shared::sealed;
+use rangehound_sim::World;
 use rangehound_sim::playback::Playback;
-use rangehound_sim::{World, world_of};
 use serde::Serialize;
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -71,8 +74,8 @@ fn head_of(file: &str, lines: usize) -> Vec<u8> {
 }
 
 fn scenario(file: &str) -> Scenario {
-    let raw = ScenarioFile::read(&scenarios_folder().join(file)).unwrap();
-    Scenario::from_file(&raw, file, &recording_folder()).unwrap()
+    let raw = input::scenario_file(&scenarios_folder().join(file)).unwrap();
+    input::scenario(&raw, file, &recording_folder()).unwrap()
 }
 
 fn refused(error: impl std::fmt::Display) -> Verdict {
@@ -107,7 +110,7 @@ fn hostile_scenarios() {
             Ok(file) => file,
             Err(error) => return refused(error),
         };
-        let scenario = match Scenario::from_file(&file, "hostile.toml", &recording_folder()) {
+        let scenario = match input::scenario(&file, "hostile.toml", &recording_folder()) {
             Ok(scenario) => scenario,
             Err(error) => return refused(error),
         };

@@ -1,7 +1,5 @@
 //! The paper's experiment over many seeds, each a whole team in this process (Figs. 3 and 4).
 
-use std::path::Path;
-
 use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::in_process::Team;
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
@@ -16,7 +14,7 @@ fn traces_m2(planner: &str) -> Vec<Vec<f64>> {
             let mut file =
                 ScenarioFile { seed: Some(seed), ..ScenarioFile::parse(DEFAULT_SCENARIO, "paper.toml").unwrap() };
             file.planner.get_or_insert_default().name = Some(planner.to_owned());
-            let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
+            let scenario = Scenario::from_file(&file, "test").unwrap();
             let mut team = Team::new(&scenario).unwrap();
             (0..=TICKS)
                 .map(|_| {

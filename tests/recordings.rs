@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
 use rangehound::in_process::Team;
+use rangehound::input;
 use rangehound::report::Truth;
 use rangehound::tables;
 use rangehound_shared::scenario::{
@@ -34,7 +35,7 @@ impl Case {
             target: Some(TargetTable { noise_psd: Some(self.accel_psd), ..TargetTable::default() }),
             ..ScenarioFile::default()
         };
-        Scenario::from_file(&file, "test", &self.folder).unwrap()
+        input::scenario(&file, "test", &self.folder).unwrap()
     }
 
     /// Position errors after the start, ascending, m.
@@ -118,15 +119,15 @@ fn bias_and_scale_of_one_sensor_are_its_own() {
         filter: Some(FilterTable { gate_sigma: Some(GateKey::Sigma(3.0)), ..FilterTable::default() }),
         ..ScenarioFile::default()
     };
-    let plain = Scenario::from_file(&file(None), "test", &shipped()).unwrap();
-    let special = Scenario::from_file(&file(Some(vec![sensor(0.5, 0.1)])), "test", &shipped()).unwrap();
+    let plain = input::scenario(&file(None), "test", &shipped()).unwrap();
+    let special = input::scenario(&file(Some(vec![sensor(0.5, 0.1)])), "test", &shipped()).unwrap();
     assert_eq!(plain.robots[..2], special.robots[..2]);
     assert_eq!((special.robots[2].calibration.bias_m, special.robots[2].range_std_m), (0.5, 0.3));
 
     let unknown = SensorTable::new("77".parse().unwrap());
-    let error = Scenario::from_file(&file(Some(vec![unknown])), "test", &shipped()).unwrap_err().to_string();
+    let error = input::scenario(&file(Some(vec![unknown])), "test", &shipped()).unwrap_err().to_string();
     assert!(error.contains("recording.sensor[0].id: expected a sensor of the recording (0, 1, 2), got 77"), "{error}");
     let twice = vec![sensor(0.1, 0.0), sensor(0.2, 0.0)];
-    let error = Scenario::from_file(&file(Some(twice)), "test", &shipped()).unwrap_err().to_string();
+    let error = input::scenario(&file(Some(twice)), "test", &shipped()).unwrap_err().to_string();
     assert!(error.contains("expected each sensor once, got 2 twice"), "{error}");
 }

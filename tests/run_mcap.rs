@@ -10,11 +10,11 @@ use std::time::Duration;
 
 use rangehound::frame::{Frame, Frames};
 use rangehound::in_process;
+use rangehound::input;
 use rangehound::run_mcap::read::FrameReader;
 use rangehound::run_mcap::write::FrameWriter;
+use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::{Heading, Heard, Judged, RangeUse};
-use rangehound_shared::rendezvous::RunDescription;
-use rangehound_shared::scenario::{Scenario, ScenarioFile};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
@@ -352,8 +352,8 @@ fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
 pub(crate) fn frames(file: &str, ticks: u64) -> (RunDescription, Vec<Frame>) {
     let folder = tempfile::tempdir().unwrap();
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios").join(file);
-    let parsed = ScenarioFile::read(&path).unwrap();
-    let mut scenario = Scenario::from_file(&parsed, file, path.parent().unwrap()).unwrap();
+    let parsed = input::scenario_file(&path).unwrap();
+    let mut scenario = input::scenario(&parsed, file, path.parent().unwrap()).unwrap();
     scenario.ticks = ticks;
     let description = RunDescription::new(scenario, folder.path().to_owned());
     in_process::run(&description, |_| {}).unwrap();

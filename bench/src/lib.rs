@@ -9,8 +9,6 @@
 //! It depends on the other members and none on it. It calls those steps directly, on teams made here or on what the
 //! planner is asked in the paper's runs, with no process or topic between: what those cost, `rangehound latency` tells.
 
-use std::path::Path;
-
 use nalgebra::Matrix2;
 use rangehound::in_process::Team;
 use rangehound_fusion::belief::Belief;
@@ -50,7 +48,7 @@ pub fn paper_problems(stand_off_m: f64) -> Option<Vec<Problem>> {
         let planner = file.planner.get_or_insert_with(PlannerTable::default);
         planner.name = Some("certified".to_owned());
         planner.stand_off_m = Some(stand_off_m);
-        let scenario = Scenario::from_file(&file, "paper.toml", Path::new("")).ok()?;
+        let scenario = Scenario::from_file(&file, "paper.toml").ok()?;
         let mut team = Team::new(&scenario).ok()?;
         for _ in 0..200 {
             if team.tick().is_err() {

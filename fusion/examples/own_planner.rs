@@ -9,8 +9,6 @@
 //! To have it in the tool: put it into a file in `fusion/src/planner/range_only/`, with a line in its `solver` and a variant of
 //! `PlannerSpec`. `rangehound run`, `plan` and `compare` then know it by its name.
 
-use std::path::Path;
-
 use rangehound_fusion::Centre;
 use rangehound_fusion::planner::range_only::{Problem, RangeOnly, Solution, Solver};
 use rangehound_fusion::planner::{Planner, Vector, for_team};
@@ -45,7 +43,7 @@ impl Solver for BestReplies {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let scenario = Scenario::from_file(&ScenarioFile::default(), "built in", Path::new(""))?;
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "built in")?;
     let built_in = |spec| for_team(spec, scenario.robots.len(), scenario.seed);
     let planners: [Box<dyn Planner>; 4] = [
         Box::new(RangeOnly::new(Box::new(BestReplies))),

@@ -451,7 +451,7 @@ mod tests {
         let text = "[target]\nmodel = \"custom\"\nstart = [0.0, 0.0]\nphi = [[2.0, 0.0], [0.0, 2.0]]\n\
                     qd = [[1.0, 0.0], [0.0, 1.0]]\n";
         let file = ScenarioFile::parse(text, "test").unwrap();
-        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
         let diverged = (0..1_000).find_map(|_| centre.update(0.0, &[None; 3]).err()).unwrap();
         assert!((20..100).contains(&diverged.tick), "{diverged}");
@@ -460,7 +460,7 @@ mod tests {
     /// A robot that falls silent is planned for as if it obeyed, for some ticks, and then told to stand.
     #[test]
     fn a_silent_robot_is_told_to_stand_after_some_ticks() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
         let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
         centre.update(0.0, &[heard; 3]).unwrap();
@@ -476,7 +476,7 @@ mod tests {
 
     fn of(text: &str) -> Centre {
         let file = ScenarioFile::parse(text, "test").unwrap();
-        let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
         Centre::new(&scenario).unwrap().keeping_the_past()
     }
 
@@ -486,7 +486,7 @@ mod tests {
 
     /// With the tracker of recordings.
     fn from_ranges() -> Centre {
-        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         (scenario.prior, scenario.gate_sigma) = (Prior::FromRanges, Some(4.0));
         Centre::new(&scenario).unwrap().keeping_the_past()
     }

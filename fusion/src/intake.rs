@@ -6,11 +6,11 @@
 
 use std::cmp::Ordering;
 
-use rangehound_shared::clock::range_deadline_ns;
 use rangehound_shared::message::{Header, Range, Refusal};
 use rangehound_shared::record::Judged;
 use rangehound_shared::scenario::bounds;
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
+use rangehound_shared::timing::range_deadline_ns;
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{Centre, Late};
@@ -426,7 +426,6 @@ mod tests {
     use super::*;
     use crate::leader::Leader;
     use rangehound_shared::scenario::ScenarioFile;
-    use std::path::Path;
 
     const DT_NS: u64 = 100_000_000;
 
@@ -440,7 +439,7 @@ mod tests {
         fn new(clock: &str) -> Self {
             let text = format!("clock = \"{clock}\"\nticks = 100\n");
             let file = ScenarioFile::parse(&text, "test").unwrap();
-            let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
+            let scenario = Scenario::from_file(&file, "test").unwrap();
             let mut team = Self { leader: Leader::new(&scenario).unwrap(), now_ns: 1_000 * DT_NS };
             team.tick(&[0, 1, 2]);
             team

@@ -9,7 +9,7 @@
 //!
 //! Each tick it takes the ranges of all robots, updates the target's estimate with an extended
 //! Kalman filter, predicts it one step ahead, and plans every robot's heading so that the next
-//! ranges tell most. [`Centre`] is the pure step; [`run`] is the process round it: ports, loop, log.
+//! ranges tell most. [`Centre`] is the pure step.
 //!
 //! | module | what |
 //! |---|---|
@@ -23,7 +23,6 @@
 //! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
 //! | [`leader`] | the protocol of the one that leads: what comes in, what to do out |
 //! | [`standby`] | when another takes the lead |
-//! | [`run`] | the process |
 
 pub mod belief;
 pub mod centre;
@@ -33,7 +32,6 @@ pub mod leader;
 mod past;
 pub mod planner;
 pub mod report;
-pub mod run;
 pub mod standby;
 pub mod tracker;
 mod tracking;

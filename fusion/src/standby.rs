@@ -61,7 +61,7 @@ mod tests {
     fn standby(planner: &str) -> Standby<u64> {
         let text = format!("[planner]\nname = \"{planner}\"\n");
         let file = rangehound_shared::scenario::ScenarioFile::parse(&text, "test").unwrap();
-        Standby::new(&Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap(), Some(7))
+        Standby::new(&Scenario::from_file(&file, "test").unwrap(), Some(7))
     }
 
     #[test]

@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
-use std::path::Path;
-
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Late;
 use rangehound_fusion::planner::Vector;
@@ -16,7 +14,7 @@ fn scenario(planner: &str, robots: u64) -> Scenario {
         robots: Some(RobotsTable { count: Some(robots), ..RobotsTable::default() }),
         ..ScenarioFile::default()
     };
-    Scenario::from_file(&file, "test", Path::new("")).unwrap()
+    Scenario::from_file(&file, "test").unwrap()
 }
 
 /// Ticks with robots on a circle round the origin, the target at its centre.

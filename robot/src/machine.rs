@@ -6,9 +6,9 @@
 
 use std::collections::VecDeque;
 
-use rangehound_shared::clock::heading_deadline_ns;
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::scenario::{Clock, Scenario};
+use rangehound_shared::timing::heading_deadline_ns;
 use rangehound_shared::wake::{Call, Notification, Sleeper};
 
 use crate::drive::{Controller, HOLD_TICKS};

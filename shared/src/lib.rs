@@ -7,7 +7,7 @@
 //!                                           `--estimate--> observers        sim --truth--> observers
 //! ```
 //!
-//! The members `sim`, `robot` and `fusion` depend on this crate and never on each other;
+//! The members `sim`, `robot` and `fusion` depend on this crate and never on each other. None of them does I/O;
 //! whatever two of them must share stands here once:
 //!
 //! | module | the one place for |
@@ -18,30 +18,17 @@
 //! | [`recording`] | range recordings in CSV |
 //! | [`radio`] | what ranging radios print |
 //! | [`message`] | what travels on each topic |
-//! | [`bus`] | topics and their iceoryx2 services |
 //! | [`wake`] | who can be woken, and why |
-//! | [`bells`] | wake-ups over shared memory |
-//! | [`block`] | words of shared memory that all processes of a run see |
-//! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`robot_set`] | a set of robots' ids |
-//! | [`tick_log`], [`record`] | files of fixed-size records, one for each tick |
+//! | [`record`] | what is put down of each tick |
 //! | [`digest`] | the rolling hash over all estimates |
-//! | [`sealed`], [`slots`], [`checkpoint`] | files that must be whole, the state of a killed node among them |
+//! | [`sealed`], [`slots`] | values that must be whole, the state of a killed node among them |
 //! | [`protocol`] | which builds understand each other |
-//! | [`bounded`] | reading no more of a file than it may have |
-//! | [`limits`] | which limit of the system a refusal is about |
-//! | [`resources`] | open files and shared memory: is there enough |
-//! | [`clock`], [`signal`] | monotonic time, termination requests |
+//! | [`timing`] | deadlines of a real-time tick |
+//! | [`run_name`] | names of runs |
 
-pub mod bells;
-pub mod block;
-pub mod bounded;
-pub mod bus;
-pub mod checkpoint;
-pub mod clock;
 pub mod digest;
 pub mod draws;
-pub mod limits;
 pub mod matrix;
 pub mod message;
 pub mod motion;
@@ -49,14 +36,12 @@ pub mod protocol;
 pub mod radio;
 pub mod record;
 pub mod recording;
-pub mod rendezvous;
-pub mod resources;
 pub mod robot_set;
+pub mod run_name;
 pub mod scenario;
 pub mod sealed;
-pub mod signal;
 pub mod slots;
-pub mod tick_log;
+pub mod timing;
 pub mod wake;
 
 /// Most robots in one run: sizes every service and every per-robot bit set.

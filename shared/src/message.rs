@@ -3,15 +3,16 @@
 //! Every message is a slice of one of the payloads below under a [`Header`]. A change of fields
 //! needs a new version in the type name: iceoryx2 compares names and sizes, not meanings.
 
+#[cfg(feature = "iceoryx2")]
 use iceoryx2::prelude::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
 use crate::{STATE_DIM_MAX, robot_set};
 
 /// What every message carries.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Header.v1"))]
 #[repr(C)]
-#[type_name("rangehound.Header.v1")]
 pub struct Header {
     /// Id of the run: a message of another run is ignored.
     pub run_id: u64,
@@ -37,9 +38,9 @@ pub struct Outgoing<T> {
 }
 
 /// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.WorldEntry.v2"))]
 #[repr(C)]
-#[type_name("rangehound.WorldEntry.v2")]
 pub struct WorldEntry {
     /// Position, m.
     pub x_m: f64,
@@ -93,9 +94,9 @@ impl RangeKind {
 }
 
 /// Topic `range`: one robot's range, or its word that it has none at this tick.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v2"))]
 #[repr(C)]
-#[type_name("rangehound.Range.v2")]
 pub struct Range {
     /// Id of the robot.
     pub robot: u64,
@@ -116,9 +117,9 @@ pub struct Range {
 }
 
 /// Topic `heading`, an entry for each robot: what it shall drive until the next tick.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Command.v1"))]
 #[repr(C)]
-#[type_name("rangehound.Command.v1")]
 pub struct Command {
     /// Heading, rad counter-clockwise from the x axis.
     pub heading_rad: f64,
@@ -127,9 +128,9 @@ pub struct Command {
 }
 
 /// Topic `drive`: what one robot carries out until the next tick.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Drive.v2"))]
 #[repr(C)]
-#[type_name("rangehound.Drive.v2")]
 pub struct Drive {
     /// Id of the robot.
     pub robot: u64,
@@ -184,9 +185,9 @@ impl Refusal {
 }
 
 /// Topic `estimate`: what fusion knows after a tick.
-#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v5"))]
 #[repr(C)]
-#[type_name("rangehound.Estimate.v5")]
 pub struct Estimate {
     /// Dimension n of the state.
     pub state_dim: u64,
@@ -234,9 +235,9 @@ pub struct Estimate {
 }
 
 /// When fusion came to each stage of a tick, monotonic ns; 0 where nobody looked at a clock.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Stages.v1"))]
 #[repr(C)]
-#[type_name("rangehound.Stages.v1")]
 pub struct Stages {
     /// The last of the tick's ranges was sent, as its robot says.
     pub last_range_ns: u64,
@@ -253,9 +254,9 @@ pub struct Stages {
 }
 
 /// Topic `truth`: what only the simulator knows.
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Truth.v1"))]
 #[repr(C)]
-#[type_name("rangehound.Truth.v1")]
 pub struct Truth {
     /// Dimension n of the state; 0 if there is no truth, as in a recording.
     pub state_dim: u64,

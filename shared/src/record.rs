@@ -1,24 +1,9 @@
-//! What fusion and simulator put down of each tick, as words of a [`tick_log`](crate::tick_log).
-
-use std::path::{Path, PathBuf};
+//! What fusion and simulator put down of each tick, as words of fixed width.
 
 use crate::message::{Command, Drive, Estimate, RangeKind, Refusal, Stages, WorldEntry};
 use crate::robot_set;
 use crate::scenario::Scenario;
-use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
 use serde::{Deserialize, Serialize};
-
-/// Where fusion's log lies in a run folder.
-#[must_use]
-pub fn estimate_log(out_dir: &Path) -> PathBuf {
-    out_dir.join("estimate.ticks")
-}
-
-/// Where the simulator's log lies in a run folder.
-#[must_use]
-pub fn world_log(out_dir: &Path) -> PathBuf {
-    out_dir.join("world.ticks")
-}
 
 /// Fusion's words of one tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -174,24 +159,10 @@ impl EstimateRecord {
         Self::TALLIES + state_dim + state_dim * state_dim
     }
 
-    fn words(scenario: &Scenario) -> usize {
+    /// Words of a tick.
+    #[must_use]
+    pub fn words(scenario: &Scenario) -> usize {
         Self::words_of_estimate(scenario.motion.state_dim()) + Self::WORDS_PER_ROBOT * scenario.robots.len()
-    }
-
-    /// Opens fusion's log for writing.
-    ///
-    /// # Errors
-    /// If the file cannot be opened.
-    pub fn writer(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogWriter, TickLogError> {
-        TickLogWriter::open(&estimate_log(out_dir), run_id, Self::words(scenario))
-    }
-
-    /// Opens fusion's log for reading.
-    ///
-    /// # Errors
-    /// If the file cannot be read.
-    pub fn reader(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogReader, TickLogError> {
-        TickLogReader::open(&estimate_log(out_dir), run_id, Self::words(scenario))
     }
 
     /// The record as words, with the parts with all robots in the order of their ids.
@@ -230,19 +201,10 @@ impl EstimateRecord {
         tallies.into_iter().chain(e.refused).chain(e.distrusted).chain(numbers).chain(robots)
     }
 
-    /// Puts down what was heard late of a robot, in the record of its own tick.
-    ///
-    /// # Errors
-    /// If the system refuses the write.
-    pub fn amend(
-        log: &mut TickLogWriter,
-        scenario: &Scenario,
-        tick: u64,
-        robot: usize,
-        heard: Heard,
-    ) -> Result<(), TickLogError> {
-        let first = Self::words_of_estimate(scenario.motion.state_dim()) + Self::WORDS_PER_ROBOT * robot;
-        log.amend(tick, first, heard.to_words())
+    /// Where in the words of a tick that begin which are of what was heard of a robot.
+    #[must_use]
+    pub fn heard_at(scenario: &Scenario, robot: usize) -> usize {
+        Self::words_of_estimate(scenario.motion.state_dim()) + Self::WORDS_PER_ROBOT * robot
     }
 
     /// The parts with all robots, in the order of their ids, in words that [`Self::to_words`] made.
@@ -297,7 +259,9 @@ impl EstimateRecord {
 }
 
 impl Heard {
-    fn to_words(self) -> [u64; EstimateRecord::WORDS_HEARD] {
+    /// The words that stand at [`EstimateRecord::heard_at`].
+    #[must_use]
+    pub fn to_words(self) -> [u64; EstimateRecord::WORDS_HEARD] {
         let Self { position_m: [x_m, y_m], height_m, range_m, taken_at, judged } = self;
         // No sensor has a standard deviation of zero.
         let (range_m, std_m) = range_m.unwrap_or_default();
@@ -326,7 +290,9 @@ impl Heard {
 impl WorldRecord {
     const WORDS_PER_ROBOT: usize = 10;
 
-    fn words(scenario: &Scenario) -> usize {
+    /// Words of a tick.
+    #[must_use]
+    pub fn words(scenario: &Scenario) -> usize {
         2 + Self::truth_dim(scenario) + Self::WORDS_PER_ROBOT * scenario.robots.len()
     }
 
@@ -335,22 +301,6 @@ impl WorldRecord {
             crate::scenario::Source::Simulated { .. } => scenario.motion.state_dim(),
             crate::scenario::Source::Recorded { .. } => 0,
         }
-    }
-
-    /// Opens the simulator's log for writing.
-    ///
-    /// # Errors
-    /// If the file cannot be opened.
-    pub fn writer(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogWriter, TickLogError> {
-        TickLogWriter::open(&world_log(out_dir), run_id, Self::words(scenario))
-    }
-
-    /// Opens the simulator's log for reading.
-    ///
-    /// # Errors
-    /// If the file cannot be read.
-    pub fn reader(out_dir: &Path, run_id: u64, scenario: &Scenario) -> Result<TickLogReader, TickLogError> {
-        TickLogReader::open(&world_log(out_dir), run_id, Self::words(scenario))
     }
 
     /// The words of a tick, from what the simulator holds, without building a record.

@@ -7,7 +7,7 @@ use xxhash_rust::xxh3::Xxh3;
 use crate::protocol::{OtherBuild, PROGRAM, PROTOCOL};
 
 /// First bytes of every sealed file.
-pub(crate) const MAGIC: [u8; 8] = *b"rhsealed";
+pub const MAGIC: [u8; 8] = *b"rhsealed";
 
 /// Room for the program's version, padded with zeros.
 const PROGRAM_LEN: usize = 16;

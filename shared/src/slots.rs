@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::sealed::{self, SealError};
 
 /// Bytes before the sealed state: its length.
-pub(crate) const LEN_BYTES: usize = 4;
+pub const LEN_BYTES: usize = 4;
 
 /// What a slot holds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -28,13 +28,20 @@ pub enum Call {
     Finished,
 }
 
-pub(crate) const CALLS: usize = 6;
+/// How many kinds of calls there are.
+pub const CALLS: usize = 6;
 
 /// What a wait returned: the calls that came, none if time ran out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Calls(pub(crate) [bool; CALLS]);
+pub struct Calls([bool; CALLS]);
 
 impl Calls {
+    /// The calls that came, in the order of [`Call`].
+    #[must_use]
+    pub fn new(came: [bool; CALLS]) -> Self {
+        Self(came)
+    }
+
     /// True if this call was among them.
     #[must_use]
     pub fn has(self, call: Call) -> bool {

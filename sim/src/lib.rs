@@ -17,33 +17,37 @@
 //! | [`simulation`] | a target that moves by its model, robots that move as they drive |
 //! | [`playback`] | recorded ranges in place of a simulation |
 //! | [`machine`] | the protocol: what comes in, what to do out |
-//! | [`run`] | the process |
 
 pub mod machine;
 pub mod playback;
-pub mod run;
 pub mod simulation;
 pub mod world;
 
-use std::path::Path;
+use std::sync::Arc;
 
-use rangehound_shared::scenario::{Scenario, Source};
+use rangehound_shared::recording::Recording;
+use rangehound_shared::scenario::{RecordedRanges, Scenario, Source};
 use rangehound_shared::with_state_dim;
 
-use playback::{Playback, PlaybackError};
+use playback::Playback;
 use simulation::Simulation;
 pub use world::World;
 
-/// The world of a scenario at tick 0. A recording that this process has not read itself is read from the copy in the run
-/// folder.
+/// The world of a scenario at tick 0. A recording that this process has not read itself is had from `read`.
 ///
 /// # Errors
-/// [`PlaybackError`] if that copy cannot be read, or is not what it was.
-pub fn world_of(scenario: &Scenario, run_folder: &Path) -> Result<Box<dyn World>, PlaybackError> {
+/// Those of `read`.
+pub fn world_of<E>(
+    scenario: &Scenario,
+    read: impl FnOnce(&RecordedRanges) -> Result<Arc<Recording>, E>,
+) -> Result<Box<dyn World>, E> {
     Ok(match &scenario.source {
         Source::Simulated { target_start } => {
             with_state_dim!(target_start.len(), N => Box::new(Simulation::<N>::new(scenario, target_start)))
         }
-        Source::Recorded(ranges) => Box::new(Playback::open(ranges, run_folder)?),
+        Source::Recorded(ranges) => {
+            let recording = ranges.already_read().map_or_else(|| read(ranges), Ok)?;
+            Box::new(Playback::new(recording, ranges.target_height_m))
+        }
     })
 }

@@ -1,28 +1,12 @@
 //! The recorded world: sensors where they were, ranges as they were measured.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
-use rangehound_shared::recording::{ReadOptions, RecordedRange, Recording, RecordingError};
-use rangehound_shared::scenario::{COPY, RecordedRanges};
+use rangehound_shared::recording::{RecordedRange, Recording};
 use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_sound};
-
-/// Why a recording cannot be played.
-#[derive(Debug, thiserror::Error)]
-pub enum PlaybackError {
-    /// The run folder's copy cannot be read.
-    #[error("the run's own copy of its recording cannot be read: {0}")]
-    Unreadable(#[from] RecordingError),
-    /// The run folder's copy says something else than when the run began.
-    #[error(
-        "{}: it has changed since the run began: expected the copy that the run made of its recording; start a new run",
-        .0.display()
-    )]
-    Changed(PathBuf),
-}
 
 /// A recording, one instant a tick from tick 1 on. As in a simulation, tick 0 carries no range.
 #[derive(Debug, Clone)]
@@ -35,22 +19,6 @@ pub struct Playback {
 }
 
 impl Playback {
-    /// Plays what this process has read already, or else the copy in the run folder, if it still is what was read.
-    ///
-    /// # Errors
-    /// [`PlaybackError`].
-    pub fn open(ranges: &RecordedRanges, run_folder: &Path) -> Result<Self, PlaybackError> {
-        if let Some(recording) = ranges.already_read() {
-            return Ok(Self::new(recording, ranges.target_height_m));
-        }
-        let path = run_folder.join(COPY);
-        let (recording, _) = Recording::read(&path, &ReadOptions::default())?;
-        if recording.digest() != ranges.digest {
-            return Err(PlaybackError::Changed(path));
-        }
-        Ok(Self::new(Arc::new(recording), ranges.target_height_m))
-    }
-
     /// Plays a recording from its start. With the target's height, sensors stand as much higher as the recording says.
     #[must_use]
     pub fn new(recording: Arc<Recording>, target_height_m: Option<f64>) -> Self {
@@ -117,6 +85,10 @@ impl World for Playback {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use rangehound_shared::recording::ReadOptions;
+
     use super::*;
 
     #[test]

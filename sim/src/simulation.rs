@@ -113,10 +113,8 @@ impl<const N: usize> World for Simulation<N> {
 mod tests {
     use super::*;
     use rangehound_shared::scenario::ScenarioFile;
-    use std::path::Path;
-
     fn paper() -> Scenario {
-        Scenario::from_file(&ScenarioFile::default(), "test", Path::new(".")).unwrap()
+        Scenario::from_file(&ScenarioFile::default(), "test").unwrap()
     }
 
     fn drive(heading_rad: f64, speed_mps: f64) -> Option<Drive> {

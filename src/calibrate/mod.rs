@@ -31,7 +31,7 @@ use crate::failure::{self, Failure};
 use crate::out_folder::{Kind, claim_or_number};
 use crate::report::Truth;
 use crate::watch::Progress;
-use crate::{tables, terminal, whole_file};
+use crate::{input, tables, terminal, whole_file};
 use model::{Model, Problem, Reading};
 use verdict::{Findings, Measured};
 
@@ -44,7 +44,7 @@ const OUT: &str = "runs/calibrate";
 /// [`Failure`]; also if nothing could be told.
 pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     let table = recording_table(&args.input)?;
-    let (recording, summary) = table.read(COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+    let (recording, summary) = input::recording_of(&table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
     if table.target_height_m.is_some() && !recording.has_heights() {
         let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
         return Err(Failure::input(format!("--target-height: {problem}")));

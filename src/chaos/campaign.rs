@@ -7,10 +7,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::{Process, Rendezvous, Role, RunDescription, RunName, files_of, living_runs};
-use rangehound_shared::signal::Termination;
-use rangehound_shared::tick_log::TickLogReader;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Process, Rendezvous, Role, RunDescription, files_of, living_runs};
+use rangehound_node::signal::Termination;
+use rangehound_node::tick_log::TickLogReader;
+use rangehound_shared::record::WorldRecord;
+use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::faults::{Fault, Faults, Kind};
@@ -491,13 +493,12 @@ impl<'a> Ticks<'a> {
     }
 
     fn look(&mut self) {
-        let RunDescription { run_id, scenario, out_dir } = self.description;
         // A log is there once its node has started.
         if self.world.is_none() {
-            self.world = WorldRecord::reader(out_dir, *run_id, scenario).ok();
+            self.world = logs::read_worlds(self.description).ok();
         }
         if self.estimate.is_none() {
-            self.estimate = EstimateRecord::reader(out_dir, *run_id, scenario).ok();
+            self.estimate = logs::read_estimates(self.description).ok();
         }
         let newest = |log: &TickLogReader| log.newest_tick().ok().flatten();
         if let Some(tick) = self.estimate.as_ref().and_then(newest) {
@@ -512,7 +513,7 @@ impl<'a> Ticks<'a> {
         while self.read.is_none_or(|read| read < tick) {
             let Some(Ok((read, words))) = log.next() else { break };
             self.read = Some(read);
-            let record = WorldRecord::from_words(words, scenario);
+            let record = WorldRecord::from_words(words, &self.description.scenario);
             for (heard, robot) in self.heard.iter_mut().zip(&record.robots) {
                 if robot.range_sent_ns.is_some() {
                     *heard = read;

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use rangehound_node::rendezvous::Role;
 use rangehound_shared::draws::{Draws, Stream};
-use rangehound_shared::rendezvous::Role;
 use serde::Serialize;
 
 use crate::cli::{ChaosArgs, KindArg, RoleArg};

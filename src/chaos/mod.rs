@@ -7,9 +7,9 @@ mod campaign;
 mod faults;
 mod outcome;
 
-use rangehound_shared::rendezvous::living_runs;
+use rangehound_node::rendezvous::living_runs;
+use rangehound_node::signal::Termination;
 use rangehound_shared::scenario::{Clock, PatienceKey, Scenario, Source};
-use rangehound_shared::signal::Termination;
 
 use crate::cli::{ChaosArgs, ClockArg, ExperimentArgs};
 use crate::experiment::{Experiment, Naming, Reserved, free_name};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rangehound_shared::rendezvous::Role;
+use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::{Clock, Scenario};
 use serde::Serialize;
 

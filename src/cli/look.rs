@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use rangehound_shared::rendezvous::{Role, RunName};
+use rangehound_node::rendezvous::Role;
+use rangehound_shared::run_name::RunName;
 
 use super::values::{PlannerName, number, port, speed};
 use super::{GateArgs, NodeArgs, RecordLimitArgs, ShowArgs};

@@ -1,7 +1,8 @@
 //! One node: `sim`, `fusion`, `robot`.
 
 use clap::Args;
-use rangehound_shared::rendezvous::{Role, RunName};
+use rangehound_node::rendezvous::Role;
+use rangehound_shared::run_name::RunName;
 
 use super::ExperimentArgs;
 use super::values::whole;

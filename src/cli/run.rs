@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use rangehound_shared::rendezvous::RunName;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{GateKey, PatienceKey};
 
 use super::ParentArgs;

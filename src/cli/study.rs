@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use rangehound_shared::rendezvous::RunName;
+use rangehound_shared::run_name::RunName;
 
 use super::values::{PlannerName, number, standbys, whole};
 use super::{ClockArg, ExperimentArgs, InputArgs};

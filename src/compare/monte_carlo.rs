@@ -15,6 +15,7 @@ use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioError, default
 
 use crate::experiment::Given;
 use crate::in_process::Team;
+use crate::input;
 use crate::report::{position_covariance, position_error};
 
 /// How often progress is shown.
@@ -79,7 +80,7 @@ impl Trials {
         let mut file = file.clone();
         file.seed = Some(self.first_seed.wrapping_add(run));
         file.planner.get_or_insert_with(PlannerTable::default).name = Some(planner.to_owned());
-        Scenario::from_file(&file, file_name, folder)
+        input::scenario(&file, file_name, folder)
     }
 
     /// Runs of all planners together.

@@ -10,13 +10,13 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rangehound_fusion::leader::{self, Leader, Notice};
 use rangehound_fusion::standby::{self, Standby};
+use rangehound_node::world::world_of;
 use rangehound_robot::machine as robot;
 use rangehound_robot::sensor::{Sensor, measure};
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::wake::{Call, Notification, Sleeper, When};
 use rangehound_sim::machine as sim;
-use rangehound_sim::world_of;
 
 use super::disk::Disk;
 use super::plan::{FaultKind, Plan};

@@ -14,7 +14,6 @@ mod witness;
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
-use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
 
@@ -116,7 +115,7 @@ impl Stage {
              [planner]\nname = \"greedy\"\n[robots]\ncount = {robots}\n"
         );
         let file = ScenarioFile::parse(&text, "explore").map_err(Failure::input)?;
-        let scenario = Scenario::from_file(&file, "explore", Path::new("")).map_err(Failure::input)?;
+        let scenario = Scenario::from_file(&file, "explore").map_err(Failure::input)?;
         self.scenarios.insert(key, scenario.clone());
         Ok(scenario)
     }

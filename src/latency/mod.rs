@@ -19,9 +19,9 @@ mod system;
 use std::path::{Path, PathBuf};
 
 use hdrhistogram::Histogram;
-use rangehound_shared::rendezvous::RunName;
+use rangehound_node::signal::Termination;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
-use rangehound_shared::signal::Termination;
 
 use crate::cli::{ClockArg, ExperimentArgs, LatencyArgs};
 use crate::experiment::{Experiment, Given, Naming};

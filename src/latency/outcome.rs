@@ -269,7 +269,7 @@ mod tests {
 
     fn outcome() -> Outcome {
         let file = ScenarioFile { clock: Some("lockstep".to_owned()), ..ScenarioFile::default() };
-        let scenario = Scenario::from_file(&file, "test", Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
         Outcome::new(&scenario, &Pin::None).unwrap()
     }
 

@@ -6,9 +6,10 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::signal::Termination;
 use rangehound_shared::record::{RobotRecord, WorldRecord};
-use rangehound_shared::rendezvous::RunDescription;
-use rangehound_shared::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::samples::Exchange;
@@ -92,8 +93,8 @@ pub(super) fn for_each_tick(
     description: &RunDescription,
     mut look: impl FnMut(u64, &WorldRecord),
 ) -> anyhow::Result<()> {
-    let RunDescription { run_id, scenario, out_dir } = description;
-    let mut worlds = WorldRecord::reader(out_dir, *run_id, scenario)?;
+    let scenario = &description.scenario;
+    let mut worlds = logs::read_worlds(description)?;
     while let Some(record) = worlds.next() {
         let (tick, words) = record?;
         if tick > 0 {

@@ -1,6 +1,6 @@
 //! What the page's buttons do to a process.
 
-use rangehound_shared::rendezvous::{Rendezvous, Role};
+use rangehound_node::rendezvous::{Rendezvous, Role};
 use rustix::process::Signal;
 
 use crate::failure::Failure;

@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
+use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::signal::Termination;
 use rangehound_shared::message::Estimate;
-use rangehound_shared::rendezvous::{Rendezvous, Role};
-use rangehound_shared::signal::Termination;
 use serde_json::Value;
 
 use super::LOOK;

@@ -29,9 +29,9 @@ use std::net::TcpListener;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::signal::Termination;
 use rangehound_shared::scenario::Scenario;
-use rangehound_shared::signal::Termination;
 use serde_json::json;
 
 use crate::cli::LiveArgs;
@@ -169,7 +169,6 @@ fn announce(what: &str, server: &Server) {
 mod tests {
     use std::io::{Read, Write};
     use std::net::TcpStream;
-    use std::path::Path;
 
     use rangehound_shared::scenario::ScenarioFile;
 
@@ -178,7 +177,7 @@ mod tests {
 
     #[test]
     fn frames_from_elsewhere_are_shown_to_their_end_and_have_no_processes() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let (listener, token) = new_address(None).unwrap();
         let (port, token_text) = (listener.local_addr().unwrap().port(), token.to_string());
         let scene = Scene::new("tape", "recording", &scenario);

@@ -335,7 +335,6 @@ pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
 
     use rangehound_shared::scenario::ScenarioFile;
 
@@ -353,7 +352,7 @@ mod tests {
 
     #[test]
     fn a_viewer_is_told_at_first_of_all_and_then_of_what_is_new() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let (mut scene, mut seen) = (Scene::new("a", "run", &scenario), Seen::default());
         let names = |events: &[(String, Value)]| events.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
         assert_eq!(names(&events(&scene, &mut seen)), ["about", "trails"]);
@@ -390,7 +389,7 @@ mod tests {
 
     #[test]
     fn numbers_that_are_none_are_told_as_unknown() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let (mut scene, mut seen) = (Scene::new("a\n\"b", "run", &scenario), Seen::default());
         let mut frame = frame_for_test(u64::MAX - 1, &scenario);
         frame.estimate.estimate.state = [f64::NAN; 8];

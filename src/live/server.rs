@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::Rendezvous;
 use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::guard::Token;

@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::Rendezvous;
 use tokio::sync::watch;
 
 use super::guard::Token;

@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn names_are_text_whatever_they_hold() {
         assert_eq!(escaped("<a href='x'>\"&\""), "&lt;a href=&#39;x&#39;&gt;&quot;&amp;&quot;");
-        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.name = "<script>".to_owned();
         let report = Tally::new().unwrap().report(&scenario, Background::default(), Vec::new());
         let html = page(&report, &Curves::default()).unwrap();
@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_run_without_ticks_has_a_page_without_pictures() {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new("")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let html =
             page(&Tally::new().unwrap().report(&scenario, Background::default(), Vec::new()), &Curves::default())
                 .unwrap();

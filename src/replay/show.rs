@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::time::{Duration, Instant};
 
+use rangehound_node::signal::Termination;
 use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::scenario::Scenario;
-use rangehound_shared::signal::Termination;
 
 use super::steps::Steps;
 use crate::failure::Failure;

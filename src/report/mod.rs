@@ -19,10 +19,11 @@ pub mod verdict;
 use std::path::Path;
 
 use nalgebra::Vector2;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::tick_log::TickLogError;
 use rangehound_shared::record::{EstimateRecord, WorldRecord};
-use rangehound_shared::rendezvous::RunDescription;
 use rangehound_shared::scenario::{Scenario, Source};
-use rangehound_shared::tick_log::TickLogError;
 
 use crate::whole_file;
 use verdict::{RecordingEvidence, TruthEvidence};
@@ -46,10 +47,10 @@ pub fn from_logs(
     truth: Option<&Truth>,
     nodes: Vec<NodeSummary>,
 ) -> anyhow::Result<Report> {
-    let RunDescription { run_id, scenario, out_dir } = description;
+    let scenario = &description.scenario;
     let mut tally = Tally::new()?;
     let mut worlds = Worlds::open(description)?;
-    let mut estimates = EstimateRecord::reader(out_dir, *run_id, scenario)?;
+    let mut estimates = logs::read_estimates(description)?;
     let state_dim = scenario.motion.state_dim();
     let mut overlap = truth.map(Overlap::of);
     while let Some(record) = estimates.next() {
@@ -111,14 +112,13 @@ impl Overlap {
 /// Walks through the simulator's log beside fusion's.
 struct Worlds<'a> {
     scenario: &'a Scenario,
-    reader: rangehound_shared::tick_log::TickLogReader,
+    reader: rangehound_node::tick_log::TickLogReader,
     last: Option<(u64, WorldRecord)>,
 }
 
 impl<'a> Worlds<'a> {
     fn open(description: &'a RunDescription) -> Result<Self, TickLogError> {
-        let RunDescription { run_id, scenario, out_dir } = description;
-        Ok(Self { scenario, reader: WorldRecord::reader(out_dir, *run_id, scenario)?, last: None })
+        Ok(Self { scenario: &description.scenario, reader: logs::read_worlds(description)?, last: None })
     }
 
     /// The record of a tick, if there is one; all up to it are added to the tally.

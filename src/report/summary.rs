@@ -1,10 +1,10 @@
 //! What a run came to: the keys of `report.json`.
 
 use hdrhistogram::Histogram;
+use rangehound_node::rendezvous::Role;
 use rangehound_shared::message::{Estimate, Refusal};
 use rangehound_shared::record::{Heading, RobotRecord};
 use rangehound_shared::recording::ReadSummary;
-use rangehound_shared::rendezvous::Role;
 use rangehound_shared::scenario::{Scenario, title_of};
 use serde::Serialize;
 

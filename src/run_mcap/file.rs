@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use mcap::McapError;
-use rangehound_shared::bounded;
-use rangehound_shared::rendezvous::RunDescription;
+use rangehound_node::bounded;
+use rangehound_node::rendezvous::RunDescription;
 use rustix::fs::OFlags;
 
 use super::SCENARIO;

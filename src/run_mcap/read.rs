@@ -6,7 +6,7 @@ use std::io::Read;
 use mcap::McapError;
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use rangehound_shared::rendezvous::RunDescription;
+use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::sealed::SealError;
 use serde::Serialize;
 

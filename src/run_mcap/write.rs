@@ -11,7 +11,7 @@ use foxglove::Encode;
 use foxglove::messages::{PointCloud, PosesInFrame, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
-use rangehound_shared::rendezvous::RunDescription;
+use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::{protocol, sealed};
 
 use super::messages::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode};

@@ -3,8 +3,8 @@
 use std::sync::mpsc::{self, Sender};
 use std::thread::Scope;
 
-use rangehound_shared::bus::Bus;
-use rangehound_shared::rendezvous::Rendezvous;
+use rangehound_node::bus::Bus;
+use rangehound_node::rendezvous::Rendezvous;
 
 use crate::failure::with_causes;
 

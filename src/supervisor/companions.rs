@@ -4,8 +4,8 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use rangehound_shared::rendezvous::{Rendezvous, RoleHold};
-use rangehound_shared::signal::Termination;
+use rangehound_node::rendezvous::{Rendezvous, RoleHold};
+use rangehound_node::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::nodes::describe;

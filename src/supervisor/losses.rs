@@ -6,9 +6,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-use rangehound_shared::checkpoint;
-use rangehound_shared::record::{estimate_log, world_log};
-use rangehound_shared::rendezvous::{Role, RunDescription};
+use rangehound_node::checkpoint;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Role, RunDescription};
 use rustix::fs::statvfs;
 
 use crate::watch::Newest;
@@ -40,8 +40,8 @@ impl Losses {
         let watched = |path, role, is_log| Watched { path, role, is_log, seen: None, is_lost: false };
         let checkpoint = |role| watched(out_dir.join(checkpoint::file_name(role)), role, false);
         let files = vec![
-            watched(world_log(out_dir), Role::Sim, true),
-            watched(estimate_log(out_dir), Role::Fusion, true),
+            watched(logs::worlds_path(out_dir), Role::Sim, true),
+            watched(logs::estimates_path(out_dir), Role::Fusion, true),
             checkpoint(Role::Sim),
             checkpoint(Role::Fusion),
         ];

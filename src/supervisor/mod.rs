@@ -9,8 +9,8 @@ pub mod restart;
 pub(crate) mod silence;
 
 use anyhow::anyhow;
-use rangehound_shared::rendezvous::Rendezvous;
-use rangehound_shared::signal::Termination;
+use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::signal::Termination;
 
 use crate::cli::{RecordingArgs, ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::experiment::{Experiment, Naming};

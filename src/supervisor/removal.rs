@@ -2,9 +2,9 @@
 //! end, the run is founded again under its own id, and they go on from its checkpoints as after `resume`.
 
 use anyhow::anyhow;
-use rangehound_shared::bus::Bus;
-use rangehound_shared::rendezvous::{Rendezvous, Role};
-use rangehound_shared::signal::Termination;
+use rangehound_node::bus::Bus;
+use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::signal::Termination;
 
 use super::cleaner::Cleaner;
 use super::companions::Companions;

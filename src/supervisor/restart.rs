@@ -1,6 +1,6 @@
 //! Which nodes are started again after they ended.
 
-use rangehound_shared::rendezvous::Role;
+use rangehound_node::rendezvous::Role;
 
 /// When a node that ended is started again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]

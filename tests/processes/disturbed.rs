@@ -233,7 +233,7 @@ fn the_nodes_of_a_killed_supervisor_end_and_its_name_is_free_again() {
 fn run_with_robot_1_stopped_for_a_while(run: &Run) {
     // One that is not to be started again is not killed for hanging either.
     let supervisor = run.lockstep("--ticks 100000000 --patience 0.2 --restart robot=never");
-    let scenario = Scenario::from_file(&ScenarioFile::default(), "default", "".as_ref()).unwrap();
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "default").unwrap();
     let is_heard = || {
         run.last_world().is_some_and(|(ticks, words)| {
             ticks > 1 && WorldRecord::from_words(&words, &scenario).robots[1].range_sent_ns.is_some()

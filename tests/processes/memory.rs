@@ -3,9 +3,10 @@
 use std::io::Read;
 use std::process::{Child, Command, Stdio};
 
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunDescription, RunName};
+use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_node::signal::Termination;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
-use rangehound_shared::signal::Termination;
 use rustix::process::Signal;
 
 use crate::support::Run;
@@ -33,9 +34,9 @@ fn node() {
     let termination = Termination::listen().unwrap();
     let run = Rendezvous::join(&name, &termination, || {}).unwrap();
     let counted = allocation_counter::measure(|| match role.parse().unwrap() {
-        Role::Sim => rangehound_sim::run::run(&run, &termination).unwrap(),
-        Role::Fusion => rangehound_fusion::run::run(&run, &termination).unwrap(),
-        Role::Robot(id) => rangehound_robot::run::run(&run, id, &termination).unwrap(),
+        Role::Sim => rangehound_node::sim::run(&run, &termination).unwrap(),
+        Role::Fusion => rangehound_node::fusion::run(&run, &termination).unwrap(),
+        Role::Robot(id) => rangehound_node::robot::run(&run, id, &termination).unwrap(),
         other => panic!("{other}"),
     });
     println!("allocations {}", counted.count_total);
@@ -46,7 +47,7 @@ fn allocations(ticks: u64) -> Vec<u64> {
     let run = Run::new();
     let text = format!("clock = \"lockstep\"\npatience_s = \"forever\"\nticks = {ticks}\n[robots]\ncount = 2\n");
     let file = ScenarioFile::parse(&text, "test").unwrap();
-    let scenario = Scenario::from_file(&file, "test", std::path::Path::new("")).unwrap();
+    let scenario = Scenario::from_file(&file, "test").unwrap();
     std::fs::create_dir(run.path("out")).unwrap();
     let founded =
         Rendezvous::found(&run.name.parse().unwrap(), RunDescription::new(scenario, run.path("out"))).unwrap();

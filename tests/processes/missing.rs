@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
-use rangehound_shared::bus::{Bus, Sleeper};
+use rangehound_node::bus::{Bus, Sleeper};
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::record::{Heading, RobotRecord, WorldRecord};
-use rangehound_shared::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 use rangehound_shared::sealed;
 use rustix::process::{Pid, Signal};
@@ -24,11 +25,11 @@ fn start(run: &Run, words: &str) -> Process {
 /// All that the simulator has put down.
 fn worlds(run: &Run) -> Vec<WorldRecord> {
     let sealed = std::fs::read(run.path("out/run.sealed")).unwrap();
-    let RunDescription { run_id, scenario, out_dir } = sealed::open(&sealed).unwrap();
-    let mut log = WorldRecord::reader(&out_dir, run_id, &scenario).unwrap();
+    let description: RunDescription = sealed::open(&sealed).unwrap();
+    let mut log = logs::read_worlds(&description).unwrap();
     let mut records = Vec::new();
     while let Some(Ok((_, words))) = log.next() {
-        records.push(WorldRecord::from_words(words, &scenario));
+        records.push(WorldRecord::from_words(words, &description.scenario));
     }
     records
 }
@@ -176,7 +177,7 @@ fn a_sleep_of_next_to_no_time_ends() {
     let (name, out_dir) = (run.name.parse().unwrap(), run.path("out"));
     let (send, ended) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "default", "".as_ref()).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "default").unwrap();
         let rendezvous = Rendezvous::found(&name, RunDescription::new(scenario, out_dir)).unwrap();
         let bed = Bus::connect(&rendezvous, "observer").unwrap().sleep_as(Sleeper::Sim);
         for nanoseconds in [0, 1, 999, 1_000] {

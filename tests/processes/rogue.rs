@@ -5,9 +5,10 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use rangehound_shared::bus::{Bus, Call, Sleeper};
+use rangehound_node::bus::{Bus, Call, Sleeper};
+use rangehound_node::rendezvous::Rendezvous;
 use rangehound_shared::message::{Command as Heading, Drive, Range, WorldEntry};
-use rangehound_shared::rendezvous::{Rendezvous, RunName};
+use rangehound_shared::run_name::RunName;
 use rustix::process::Signal;
 
 use crate::support::{Run, digest_in_process, signal};

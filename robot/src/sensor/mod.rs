@@ -12,7 +12,7 @@ pub use simulated::SimulatedSensor;
 /// What a robot measures its range to the target with.
 ///
 /// [`measure`](Self::measure) is on the control path: fusion waits for the range while it works. A sensor
-/// that takes its time is read in a thread of its own, as [`SerialSensor`](crate::serial::SerialSensor) does.
+/// that takes its time is read in a thread of its own, as `SerialSensor` in `rangehound-node` does.
 pub trait RangeSensor {
     /// Standard deviation of the range measured last, or of the next if there was none, m. Fusion takes it for what
     /// is left after calibration, independent from tick to tick.

@@ -44,10 +44,9 @@ impl RangeSensor for SimulatedSensor {
 mod tests {
     use super::*;
     use rangehound_shared::scenario::ScenarioFile;
-    use std::path::Path;
 
     fn sensor(robot: usize) -> SimulatedSensor {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test", Path::new(".")).unwrap();
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         SimulatedSensor::new(&scenario, robot).unwrap()
     }
 
@@ -69,8 +68,7 @@ mod tests {
     fn the_filter_can_be_told_another_noise_than_the_true_one() {
         let told = |text: &str| {
             let file = ScenarioFile::parse(text, "test").unwrap();
-            let mut sensor =
-                SimulatedSensor::new(&Scenario::from_file(&file, "test", Path::new(".")).unwrap(), 0).unwrap();
+            let mut sensor = SimulatedSensor::new(&Scenario::from_file(&file, "test").unwrap(), 0).unwrap();
             (sensor.measure(1, &entry(RangeKind::True)), sensor.std_m())
         };
         let (measured, told_std_m) = told("[filter]\nrange_std_m = 0.25\n");

@@ -84,7 +84,8 @@ proptest! {
             mixed.extend(fields[line][piece].iter().copied());
             from[line] = to;
         }
-        prop_assert!(is_true(format, &lines, mixed.trim_end_matches(',')), "{mixed}");
+        // The comma stays at the end: without it, a field that came twice is a range like any other.
+        prop_assert!(is_true(format, &lines, &mixed), "{mixed}");
     }
 
     #[test]

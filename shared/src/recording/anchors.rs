@@ -34,19 +34,11 @@ pub struct Anchor {
 }
 
 impl Anchors {
-    /// Reads an anchors file. Of the columns told, it takes `x`, `y` and `z`, and `sensor` if it has that one.
+    /// Parses an anchors file; `path` names it in errors. Of the columns told, it takes `x`, `y` and `z`, and `sensor` if
+    /// it has that one.
     ///
     /// # Errors
     /// [`RecordingError`] for the first thing that is wrong.
-    pub fn read(path: &Path, columns: &ColumnMap) -> Result<Self, RecordingError> {
-        let file = std::fs::File::open(path).map_err(|error| RecordingError::unreadable(path, &error))?;
-        Self::parse(file, path, columns)
-    }
-
-    /// Parses an anchors file from a reader; `path` names it in errors.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub fn parse(input: impl Read, path: &Path, columns: &ColumnMap) -> Result<Self, RecordingError> {
         let knows = |name: &str| Kind::Anchors.knows(name) || columns.names(name);
         let mut table = Table::open(input, path, None, &knows)?;

@@ -75,7 +75,9 @@ impl RecordingError {
         Self { file: file.to_owned(), problem: Box::new(problem) }
     }
 
-    pub(super) fn unreadable(file: &Path, error: &std::io::Error) -> Self {
+    /// The file cannot be opened or read.
+    #[must_use]
+    pub fn unreadable(file: &Path, error: &std::io::Error) -> Self {
         Self::new(file, Problem::Unreadable(error.to_string()))
     }
 

@@ -22,7 +22,6 @@ mod dialect;
 mod digest;
 mod error;
 mod gathering;
-mod input;
 mod layout;
 mod lines;
 
@@ -47,7 +46,7 @@ pub use name::SensorName;
 pub use options::ReadOptions;
 pub use port::PortLog;
 pub use summary::{Doubt, DoubtKind, ReadSummary};
-pub use track::{TrackPoint, parse_track, read_track};
+pub use track::{TrackPoint, parse_track};
 
 use std::io::{Read, Write};
 use std::path::Path;
@@ -89,20 +88,11 @@ struct Instant {
 }
 
 impl Recording {
-    /// Reads and checks a log: a file, a pipe, or standard input if the path is `-`.
+    /// Reads and checks a log from a reader, which may be a pipe; `path` names it in errors.
     ///
     /// # Errors
     /// [`RecordingError`] for the first thing that is wrong with the file. A row that is bad by itself is passed over
     /// and counted, unless most are, or the options are strict.
-    pub fn read(path: &Path, options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
-        let input::Input { reader, name } = input::open(path)?;
-        Self::parse(reader, &name, options)
-    }
-
-    /// Parses a log from a reader, which may be a pipe; `path` names it in errors.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub fn parse(input: impl Read, path: &Path, options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
         match options.port {
             Some(port) => port::read(input, path, port, options),
@@ -110,7 +100,7 @@ impl Recording {
         }
     }
 
-    /// Writes the recording as CSV that [`Self::read`] reads back, the same to the last bit.
+    /// Writes the recording as CSV that [`Self::parse`] reads back, the same to the last bit.
     ///
     /// # Errors
     /// If it cannot be written.

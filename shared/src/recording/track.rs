@@ -20,19 +20,10 @@ const NUMBER_MAX: f64 = 1e11;
 /// A place and when the target was there, s and m.
 pub type TrackPoint = (f64, [f64; 2]);
 
-/// Reads a track, in order of time.
+/// Parses a track, in order of time; `path` names it in errors.
 ///
 /// # Errors
 /// [`RecordingError`] for the first thing that is wrong.
-pub fn read_track(path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
-    let file = std::fs::File::open(path).map_err(|error| RecordingError::unreadable(path, &error))?;
-    parse_track(file, path)
-}
-
-/// Parses a track from a reader; `path` names it in errors.
-///
-/// # Errors
-/// As [`read_track`].
 pub fn parse_track(input: impl Read, path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
     let map = ColumnMap::default();
     let mut table = Table::open(input, path, None, &|name| Kind::Track.knows(name))?;

@@ -12,7 +12,6 @@ mod recorded;
 mod tests;
 mod validate;
 
-use std::path::Path;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -22,12 +21,8 @@ pub use file::*;
 pub use recorded::{COPY, RecordedRanges};
 
 use crate::ROBOTS_MAX;
-use crate::bounded;
 use crate::matrix::Matrix;
 use crate::motion::MotionModel;
-
-/// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
-const FILE_LEN_MAX: usize = 4 << 20;
 
 /// A validated experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -288,22 +283,10 @@ impl Scenario {
 }
 
 impl ScenarioFile {
-    /// Reads a scenario file without checking its values.
+    /// Parses the text of a scenario file without checking its values; `file` names it in errors.
     ///
     /// # Errors
-    /// If the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
-    pub fn read(path: &Path) -> Result<Self, ScenarioError> {
-        let unreadable = |source| ScenarioError::Unreadable { file: path.to_owned(), source };
-        let bytes = bounded::read(path, FILE_LEN_MAX).map_err(unreadable)?;
-        let text = String::from_utf8(bytes)
-            .map_err(|error| unreadable(std::io::Error::new(std::io::ErrorKind::InvalidData, error.utf8_error())))?;
-        Self::parse(&text, &path.display().to_string())
-    }
-
-    /// Parses the text of a scenario file; `file` names it in errors.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
+    /// If it is not TOML, has an unknown key or a value of the wrong type.
     pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
         let malformed = |key: String, error: &toml::de::Error| ScenarioError::Malformed {
             file: file.to_owned(),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{RecordingTable, ScenarioError};
 use crate::radio::Format;
-use crate::recording::{Anchors, ColumnMap, PortLog, ReadOptions, ReadSummary, Recording, RecordingDigest};
+use crate::recording::{ColumnMap, PortLog, ReadOptions, ReadSummary, Recording, RecordingDigest};
 
 /// The run folder's copy of the recording.
 pub const COPY: &str = "recording.csv";
@@ -67,12 +67,11 @@ impl RecordedRanges {
 }
 
 impl RecordingTable {
-    /// How the recording is to be read, with its anchors. Paths are relative to `folder`; `file` names the scenario in
-    /// errors.
+    /// How the recording is to be read, but for its anchors, which lie in another file. `file` names the scenario in errors.
     ///
     /// # Errors
     /// [`ScenarioError`] for the first thing that is wrong.
-    pub fn read_options(&self, file: &str, folder: &Path) -> Result<ReadOptions, ScenarioError> {
+    pub fn read_options(&self, file: &str) -> Result<ReadOptions, ScenarioError> {
         let refuse = |key: &str, problem: String| ScenarioError::Unfit {
             file: file.to_owned(),
             key: format!("recording.{key}"),
@@ -97,34 +96,13 @@ impl RecordingTable {
         if let Some(rate_hz) = self.rate_hz.filter(|rate_hz| !(1e-3..=1e6).contains(rate_hz)) {
             return Err(refuse("rate_hz", format!("expected a number from 0.001 to 1000000, got {rate_hz}")));
         }
-        let anchors = match &self.anchors {
-            None => None,
-            Some(path) => Some(Anchors::read(&folder.join(path), &columns)?),
-        };
         Ok(ReadOptions {
             strict: self.strict.unwrap_or(false),
             columns,
-            anchors,
+            anchors: None,
             target: self.target.clone(),
             port: format.map(|format| PortLog { format, rate_hz: self.rate_hz, stamp_unit }),
         })
-    }
-
-    /// Reads the recording that the table names: a file, a pipe, or `-` for standard input.
-    ///
-    /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong.
-    pub fn read(&self, file: &str, folder: &Path) -> Result<(Recording, ReadSummary), ScenarioError> {
-        let Some(ranges) = self.ranges_path(folder) else {
-            return Err(ScenarioError::Senseless {
-                file: file.to_owned(),
-                key: "recording.ranges".to_owned(),
-                expected: "the path of a file of ranges".to_owned(),
-                got: "nothing".to_owned(),
-            });
-        };
-        let options = self.read_options(file, folder)?;
-        Ok(Recording::read(&ranges, &options)?)
     }
 
     /// Where the recording is; `-` is standard input.
@@ -134,10 +112,16 @@ impl RecordingTable {
         Some(if ranges == "-" { PathBuf::from(ranges) } else { folder.join(ranges) })
     }
 
+    /// Where the anchors' file is, if there is one.
+    #[must_use]
+    pub fn anchors_path(&self, folder: &Path) -> Option<PathBuf> {
+        self.anchors.as_ref().map(|anchors| folder.join(anchors))
+    }
+
     /// Files that are read beside the scenario itself.
     pub fn inputs(&self, folder: &Path) -> impl Iterator<Item = PathBuf> {
         let ranges = self.ranges_path(folder).filter(|path| path != Path::new("-"));
-        ranges.into_iter().chain(self.anchors.as_ref().map(|anchors| folder.join(anchors)))
+        ranges.into_iter().chain(self.anchors_path(folder))
     }
 
     /// The table for the run folder's copy of the recording: what was said of the original's form is done with.

@@ -1,7 +1,5 @@
 //! What is written is read, and what is read is checked.
 
-use std::path::Path;
-
 use proptest::prelude::*;
 
 use super::*;
@@ -79,7 +77,7 @@ proptest! {
     /// Whatever stands in a file, it is a scenario or one line that says what was expected.
     #[test]
     fn every_file_is_accepted_or_refused_in_one_line(file in file()) {
-        if let Err(error) = Scenario::from_file(&file, "test", Path::new("")) {
+        if let Err(error) = Scenario::from_file(&file, "test") {
             let line = error.to_string();
             prop_assert!(line.starts_with("test: ") && line.contains("expected"), "{line}");
         }
@@ -92,7 +90,7 @@ proptest! {
 
     #[test]
     fn what_a_node_is_told_is_what_was_checked(file in file()) {
-        if let Ok(scenario) = Scenario::from_file(&file, "test", Path::new("")) {
+        if let Ok(scenario) = Scenario::from_file(&file, "test") {
             let sealed = crate::sealed::seal(&scenario).unwrap();
             prop_assert_eq!(crate::sealed::open::<Scenario>(&sealed), Ok(scenario));
         }
@@ -103,7 +101,7 @@ proptest! {
 #[test]
 fn the_default_file_says_what_an_empty_one_means() {
     let text = include_str!("../../../scenarios/paper.toml");
-    let of = |file: &ScenarioFile| Scenario::from_file(file, "test", Path::new("")).unwrap();
+    let of = |file: &ScenarioFile| Scenario::from_file(file, "test").unwrap();
     let (paper, empty) = (of(&ScenarioFile::parse(text, "paper.toml").unwrap()), of(&ScenarioFile::default()));
     assert_eq!((paper.planner.name(), paper.clearance), ("adaptive", Clearance::default()));
     assert_eq!((empty.planner.name(), empty.clearance.stand_off_sigma), ("certified", defaults::STAND_OFF_SIGMA));

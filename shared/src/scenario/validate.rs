@@ -2,7 +2,6 @@
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
-use std::path::Path;
 use std::time::Duration;
 
 use super::bounds::{
@@ -18,29 +17,31 @@ use crate::draws::{Draws, Stream};
 use crate::matrix::{Matrix, square_root};
 use crate::motion::MotionModel;
 use crate::recording::{ReadSummary, Recording};
-use crate::rendezvous::RunName;
+use crate::run_name::RunName;
 use crate::{ROBOTS_MAX, STATE_DIM_MAX, with_state_dim};
 
 impl Scenario {
-    /// Checks a scenario file. `file` names it in errors; paths in it are relative to `folder`.
+    /// Checks the scenario file of a simulated run. `file` names it in errors.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong.
-    pub fn from_file(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Self, ScenarioError> {
-        Checker { file }.scenario(raw, folder, None)
+    /// [`ScenarioError`] for the first thing that is wrong; a recording, which [`Self::from_file_with`] takes, among it.
+    pub fn from_file(raw: &ScenarioFile, file: &str) -> Result<Self, ScenarioError> {
+        Self::from_file_with(raw, file, |_| {
+            Err(Checker { file }.refuse("recording", "a simulated run", "a recorded one"))
+        })
     }
 
-    /// The same of a recording that has been read already, as [`RecordingTable::read`] does.
+    /// Checks a scenario file. `file` names it in errors. If it names a recording, that is read once all is checked that
+    /// can be without it: reading may take long, and a pipe can be read once.
     ///
     /// # Errors
     /// [`ScenarioError`] for the first thing that is wrong.
-    pub fn from_recording(
+    pub fn from_file_with(
         raw: &ScenarioFile,
         file: &str,
-        folder: &Path,
-        read: (Recording, ReadSummary),
+        read: impl FnOnce(&RecordingTable) -> Result<(Recording, ReadSummary), ScenarioError>,
     ) -> Result<Self, ScenarioError> {
-        Checker { file }.scenario(raw, folder, Some(read))
+        Checker { file }.scenario(raw, read)
     }
 }
 
@@ -73,8 +74,7 @@ impl Checker<'_> {
     fn scenario(
         &self,
         raw: &ScenarioFile,
-        folder: &Path,
-        read: Option<(Recording, ReadSummary)>,
+        read: impl FnOnce(&RecordingTable) -> Result<(Recording, ReadSummary), ScenarioError>,
     ) -> Result<Scenario, ScenarioError> {
         let name = raw.name.clone().unwrap_or_else(|| defaults::NAME.to_owned());
         if let Err(problem) = name.parse::<RunName>() {
@@ -103,7 +103,7 @@ impl Checker<'_> {
             distrust: raw.filter.as_ref().and_then(|table| table.distrust).unwrap_or(gate_sigma.is_some()),
         };
         if let Some(recording) = &raw.recording {
-            self.recorded(raw, recording, folder, read, &mut scenario)?;
+            self.recorded(raw, recording, read, &mut scenario)?;
         } else {
             let n = scenario.motion.state_dim();
             let target_start = self.target_start(raw.target.as_ref().and_then(|table| table.start.as_ref()), n)?;
@@ -135,8 +135,7 @@ impl Checker<'_> {
         &self,
         raw: &ScenarioFile,
         table: &RecordingTable,
-        folder: &Path,
-        read: Option<(Recording, ReadSummary)>,
+        read: impl FnOnce(&RecordingTable) -> Result<(Recording, ReadSummary), ScenarioError>,
         scenario: &mut Scenario,
     ) -> Result<(), ScenarioError> {
         let simulated_only = [
@@ -158,14 +157,10 @@ impl Checker<'_> {
                 return Err(self.refuse(key, format!("{instead} in a scenario with [recording]"), "this key"));
             }
         }
-        // What can be refused without reading comes first: reading may take long, and a pipe can be read once.
         let height = |height_m| self.number("recording.target_height_m", Some(height_m), height_m, COORDINATE);
         let target_height_m = table.target_height_m.map(height).transpose()?;
         let prior = self.known_start(table, &scenario.motion)?;
-        let (recording, summary) = match read {
-            Some(read) => read,
-            None => table.read(self.file, folder)?,
-        };
+        let (recording, summary) = read(table)?;
         if target_height_m.is_some() {
             self.look_for_heights(&recording)?;
         }

@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 use ::iceoryx2::prelude::ZeroCopySend;
 use anyhow::{anyhow, bail};
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
+use rangehound_node::block::{Block, BlockError};
+use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::signal::Termination;
 use rangehound_shared::ROBOTS_MAX;
-use rangehound_shared::block::{Block, BlockError};
-use rangehound_shared::rendezvous::Rendezvous;
-use rangehound_shared::signal::Termination;
 use rustix::io::Errno;
 use rustix::thread::futex;
 

@@ -13,9 +13,9 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::event::PortFactory as Event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
-use rangehound_shared::bus;
-use rangehound_shared::rendezvous::Rendezvous;
-use rangehound_shared::signal::Termination;
+use rangehound_node::bus;
+use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::signal::Termination;
 
 use super::{Command, RANGE_TICK, ROBOT, Range, TICK, WAIT};
 

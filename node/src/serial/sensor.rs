@@ -12,7 +12,7 @@ use rangehound_shared::scenario::Calibration;
 
 use super::choice::Choice;
 use super::{Radio, reader};
-use crate::sensor::{RangeSensor, calibrated_m};
+use rangehound_robot::sensor::{RangeSensor, calibrated_m};
 
 /// The newest range that came over a port.
 ///

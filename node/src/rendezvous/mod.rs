@@ -18,7 +18,6 @@
 //! next founder of any run does.
 
 mod holder;
-mod name;
 mod place;
 mod presence;
 mod roster;
@@ -34,17 +33,17 @@ use xxhash_rust::xxh3::xxh3_64;
 use crate::bells;
 use crate::block::BlockError;
 use crate::bounded;
-use crate::protocol::OtherBuild;
 use crate::resources::{self, Shortage};
-use crate::scenario::Scenario;
-use crate::sealed::{self, SealError};
 use crate::signal::Termination;
 use crate::tick_log::TickLogWriter;
 pub use holder::{Holder, Process};
-pub use name::{RunName, RunNameError};
 use place::{Place, run_names};
 pub use presence::Inspection;
 use presence::Presence;
+use rangehound_shared::protocol::OtherBuild;
+use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::Scenario;
+use rangehound_shared::sealed::{self, SealError};
 pub use roster::{RoleHold, Roster, Succession};
 
 /// How often a joiner looks whether its run has been founded.
@@ -564,8 +563,8 @@ fn remove_dead_runs(but: &RunName) {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 pub(crate) fn found_for_test(name: &str) -> Rendezvous {
-    use crate::scenario::ScenarioFile;
+    use rangehound_shared::scenario::ScenarioFile;
     let name = format!("{name}-{}", std::process::id()).parse().unwrap();
-    let scenario = Scenario::from_file(&ScenarioFile::default(), "test", std::path::Path::new("")).unwrap();
+    let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     Rendezvous::found(&name, RunDescription::new(scenario, PathBuf::new())).unwrap()
 }

@@ -9,8 +9,9 @@ use std::time::{Duration, Instant};
 use rustix::fs::OFlags;
 use xxhash_rust::xxh3::xxh3_64;
 
-use super::{RendezvousError, RunName};
+use super::RendezvousError;
 use crate::resources::SHARED_MEMORY;
+use rangehound_shared::run_name::RunName;
 
 /// How long to wait for whoever stands in the door, and how often to try.
 const DOOR: Duration = Duration::from_secs(10);

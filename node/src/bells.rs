@@ -16,7 +16,7 @@ use rustix::time::Timespec;
 
 use crate::block::{Block, BlockError};
 use crate::clock::monotonic_ns;
-use crate::wake::{CALLS, Call, Calls, Notification, Sleeper, When};
+use rangehound_shared::wake::{CALLS, Call, Calls, Notification, Sleeper, When};
 
 /// Name of the block that holds them.
 const NAME: &str = "bells";
@@ -166,7 +166,7 @@ impl Bed {
         let heard = self.heard.get();
         let now = std::array::from_fn(|call| words.calls[call].load(Acquire));
         self.heard.set(now);
-        Calls(std::array::from_fn(|call| now[call] != heard[call]))
+        Calls::new(std::array::from_fn(|call| now[call] != heard[call]))
     }
 
     /// Says how many answers this sleeper waits for: see [`Bell::ring_if_last`].

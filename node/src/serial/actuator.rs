@@ -8,7 +8,7 @@ use rangehound_shared::message::Command;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::writer;
-use crate::drive::Actuator;
+use rangehound_robot::drive::Actuator;
 
 /// Writes each command to a port as `heading_rad,speed_mps`.
 ///

@@ -2,20 +2,21 @@
 
 use std::time::Duration;
 
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
-use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
-use rangehound_shared::clock::{monotonic_ns, until};
+use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
+use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::clock::{monotonic_ns, until};
+use crate::logs;
+use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
+use crate::signal::Termination;
+use crate::tick_log::TickLogWriter;
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::Patience;
 use rangehound_shared::sealed::SealError;
-use rangehound_shared::signal::Termination;
-use rangehound_shared::tick_log::TickLogWriter;
 
-use crate::machine::{Action, Machine, Saved};
-use crate::playback::PlaybackError;
-use crate::world_of;
+use rangehound_sim::machine::{Action, Machine, Saved};
+
+use crate::world::{PlaybackError, world_of};
 
 /// How late a bed's time limit may come, which counts in the kernel's ticks: the rest of a real-time tick is slept
 /// out deaf, but on time.
@@ -80,9 +81,8 @@ impl<'a> Driver<'a> {
     fn new(rendezvous: &'a Rendezvous, bus: &Bus, hold: RoleHold) -> Result<Self, SimError> {
         let description = rendezvous.description();
         let scenario = &description.scenario;
-        let log = WorldRecord::writer(&description.out_dir, description.run_id, scenario)
-            .inspect_err(|error| log::warn!("goes on without a log: {error}"))
-            .ok();
+        let log =
+            logs::write_worlds(description).inspect_err(|error| log::warn!("goes on without a log: {error}")).ok();
         let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim, &hold)?;
         let mut machine = Machine::new(scenario, world_of(scenario, &description.out_dir)?);
         match restored {

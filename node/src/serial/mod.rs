@@ -7,7 +7,7 @@
 //! else (a FIFO, a file) and `-`, standard input, give ranges only, and the commands go to standard output. A device is
 //! taken as it is set up, for example by `stty -F /dev/ttyUSB0 115200 raw -echo clocal`.
 //!
-//! `robot/examples/serial_range.rs` makes a robot of the two.
+//! `node/examples/serial_range.rs` makes a robot of the two.
 
 mod actuator;
 mod choice;

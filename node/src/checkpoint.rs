@@ -18,8 +18,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
-use crate::sealed::{self, SealError};
-use crate::slots::{self, LEN_BYTES};
+use rangehound_shared::sealed::{self, SealError};
+use rangehound_shared::slots::{self, LEN_BYTES};
 
 /// File of a role's checkpoint in the run folder.
 #[must_use]
@@ -260,8 +260,8 @@ fn read_slot(file: &File, index: u64, file_len: u64) -> std::io::Result<Option<V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::protocol::PROTOCOL;
     use proptest::prelude::*;
+    use rangehound_shared::protocol::PROTOCOL;
 
     type State = (u64, Vec<f64>);
 

@@ -33,11 +33,11 @@ use crate::bells::Bells;
 pub use crate::bells::{Bed, Bell};
 use crate::block::BlockError;
 use crate::clock::monotonic_ns;
-use crate::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
-pub use crate::wake::{Call, Calls, Sleeper};
 use iceoryx2::service::ipc::Service;
+use rangehound_shared::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
+pub use rangehound_shared::wake::{Call, Calls, Sleeper};
 use senders::{Senders, Standing};
 
 /// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past

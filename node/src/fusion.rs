@@ -2,22 +2,23 @@
 
 use std::time::Instant;
 
-use rangehound_shared::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
-use rangehound_shared::checkpoint::{Checkpoint, CheckpointError};
-use rangehound_shared::clock::{monotonic_ns, until};
+use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
+use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::clock::{monotonic_ns, until};
+use crate::logs;
+use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
+use crate::signal::Termination;
+use crate::tick_log::{TickLogError, TickLogWriter};
 use rangehound_shared::message::{Command, Estimate, Range};
 use rangehound_shared::record::EstimateRecord;
-use rangehound_shared::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
-use rangehound_shared::signal::Termination;
-use rangehound_shared::tick_log::{TickLogError, TickLogWriter};
 
-use crate::centre::Diverged;
-use crate::leader::{Action, Leader, Notice, Saved};
-use crate::planner::PlannerError;
-use crate::standby::{LOOK, STANDBYS_MAX, Standby};
-use crate::trust::{FAILURES_MAX, RECENT};
+use rangehound_fusion::centre::Diverged;
+use rangehound_fusion::leader::{Action, Leader, Notice, Saved};
+use rangehound_fusion::planner::PlannerError;
+use rangehound_fusion::standby::{LOOK, STANDBYS_MAX, Standby};
+use rangehound_fusion::trust::{FAILURES_MAX, RECENT};
 
 /// Why fusion ended early.
 #[derive(Debug, thiserror::Error)]
@@ -182,9 +183,8 @@ impl<'a> Driver<'a> {
 
     fn go_on_from_checkpoint(&mut self, hold: &RoleHold) -> Result<(), FusionError> {
         let description = self.rendezvous.description();
-        self.log = EstimateRecord::writer(&description.out_dir, description.run_id, self.scenario)
-            .inspect_err(|error| log::warn!("goes on without a log: {error}"))
-            .ok();
+        self.log =
+            logs::write_estimates(description).inspect_err(|error| log::warn!("goes on without a log: {error}")).ok();
         let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion, hold)?;
         self.checkpoint = checkpoint;
         let Some(saved) = restored else {
@@ -296,7 +296,7 @@ fn write(log: &mut TickLogWriter, scenario: &Scenario, leader: &Leader, tick: u6
     let record = EstimateRecord { time_s: leader.centre().time_s(), estimate: *leader.estimate() };
     log.write(tick, record.to_words(leader.exchanges()))?;
     for late in leader.said_late() {
-        EstimateRecord::amend(log, scenario, late.tick, late.robot, late.report.heard(tick, late.judged))?;
+        logs::amend_estimates(log, scenario, late.tick, late.robot, late.report.heard(tick, late.judged))?;
     }
     Ok(())
 }

@@ -4,8 +4,8 @@ use std::cell::RefCell;
 
 use rustix::process::{Pid, test_kill_process};
 
-use crate::ROBOTS_MAX;
 use crate::rendezvous::{Role, Roster};
+use rangehound_shared::ROBOTS_MAX;
 
 /// Nodes that are known not to hold what they speak for; more are looked up again and again.
 const STRANGERS_MAX: usize = 64;

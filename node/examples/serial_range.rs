@@ -13,12 +13,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, ensure};
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
-use rangehound_robot::run::run_with;
-use rangehound_robot::serial::{Radio, SerialActuator, SerialSensor};
+use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::robot::run_with;
+use rangehound_node::serial::{Radio, SerialActuator, SerialSensor};
+use rangehound_node::signal::Termination;
 use rangehound_shared::radio::Format;
-use rangehound_shared::rendezvous::{Rendezvous, Role, RunName};
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Calibration, bounds};
-use rangehound_shared::signal::Termination;
 
 /// One robot of a run, with its range sensor and its drive on a serial port.
 ///

@@ -1,0 +1,37 @@
+//! A role in a process: what its machine says, done over shared memory, files and the kernel.
+//!
+//! The members `sim`, `robot` and `fusion` are pure: their machines take messages and the time, and say what to do. Here is
+//! the loop that carries it out, and all that a process needs for it:
+//!
+//! | module | what |
+//! |---|---|
+//! | [`sim`], [`robot`], [`fusion`] | the loop of each role |
+//! | [`world`] | the world that the simulator shows, a recording's copy among it |
+//! | [`serial`] | a robot's sensor and drive that speak lines of text over a port |
+//! | [`bus`] | topics and their iceoryx2 services |
+//! | [`bells`] | wake-ups over shared memory |
+//! | [`block`] | words of shared memory that all processes of a run see |
+//! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
+//! | [`checkpoint`] | the state of a killed node |
+//! | [`tick_log`], [`logs`] | files of fixed-size records, one for each tick |
+//! | [`bounded`] | reading no more of a file than it may have |
+//! | [`limits`], [`resources`] | which limit of the system a refusal is about, and whether there is enough |
+//! | [`clock`], [`signal`] | monotonic time, requests to end |
+
+pub mod bells;
+pub mod block;
+pub mod bounded;
+pub mod bus;
+pub mod checkpoint;
+pub mod clock;
+pub mod fusion;
+pub mod limits;
+pub mod logs;
+pub mod rendezvous;
+pub mod resources;
+pub mod robot;
+pub mod serial;
+pub mod signal;
+pub mod sim;
+pub mod tick_log;
+pub mod world;

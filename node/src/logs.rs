@@ -1,0 +1,73 @@
+//! What fusion and the simulator put down of each tick, as files of the run folder.
+
+use std::path::{Path, PathBuf};
+
+use rangehound_shared::record::{EstimateRecord, Heard, WorldRecord};
+use rangehound_shared::scenario::Scenario;
+
+use crate::rendezvous::RunDescription;
+use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
+
+/// Fusion's log in a run folder.
+pub const ESTIMATES: &str = "estimate.ticks";
+
+/// The simulator's log in a run folder.
+pub const WORLDS: &str = "world.ticks";
+
+/// Where fusion's log lies.
+#[must_use]
+pub fn estimates_path(out_dir: &Path) -> PathBuf {
+    out_dir.join(ESTIMATES)
+}
+
+/// Where the simulator's log lies.
+#[must_use]
+pub fn worlds_path(out_dir: &Path) -> PathBuf {
+    out_dir.join(WORLDS)
+}
+
+/// Opens fusion's log for writing.
+///
+/// # Errors
+/// If the file cannot be opened.
+pub fn write_estimates(run: &RunDescription) -> Result<TickLogWriter, TickLogError> {
+    TickLogWriter::open(&estimates_path(&run.out_dir), run.run_id, EstimateRecord::words(&run.scenario))
+}
+
+/// Opens fusion's log for reading.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn read_estimates(run: &RunDescription) -> Result<TickLogReader, TickLogError> {
+    TickLogReader::open(&estimates_path(&run.out_dir), run.run_id, EstimateRecord::words(&run.scenario))
+}
+
+/// Puts down what fusion heard late of a robot, in the record of its own tick.
+///
+/// # Errors
+/// If the system refuses the write.
+pub fn amend_estimates(
+    log: &mut TickLogWriter,
+    scenario: &Scenario,
+    tick: u64,
+    robot: usize,
+    heard: Heard,
+) -> Result<(), TickLogError> {
+    log.amend(tick, EstimateRecord::heard_at(scenario, robot), heard.to_words())
+}
+
+/// Opens the simulator's log for writing.
+///
+/// # Errors
+/// If the file cannot be opened.
+pub fn write_worlds(run: &RunDescription) -> Result<TickLogWriter, TickLogError> {
+    TickLogWriter::open(&worlds_path(&run.out_dir), run.run_id, WorldRecord::words(&run.scenario))
+}
+
+/// Opens the simulator's log for reading.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn read_worlds(run: &RunDescription) -> Result<TickLogReader, TickLogError> {
+    TickLogReader::open(&worlds_path(&run.out_dir), run.run_id, WorldRecord::words(&run.scenario))
+}

@@ -1,0 +1,88 @@
+//! What one process writes and another reads changes with the number of the protocol only.
+
+use std::path::{Path, PathBuf};
+
+use xxhash_rust::xxh3::xxh3_64;
+
+use rangehound_node::bus::Topic;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_shared::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
+use rangehound_shared::protocol::PROTOCOL;
+use rangehound_shared::recording::{ReadOptions, Recording};
+use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
+
+/// Every protocol so far with the digest of what it says. A new one is a new line, never a change of an old one.
+const HISTORY: [(u32, u64); 3] = [(1, 0x8a98_a0c7_e0b3_ca0d), (2, 0xf26b_d96f_19ad_d4f6), (3, 0x1db7_11f4_60fd_fd13)];
+
+/// The same of the description of a recorded run.
+const RECORDED: (u32, u64) = (3, 0xb7b7_5550_e8db_586e);
+
+/// The versioned names under which iceoryx2 compares what lies in shared memory; asking it for them would take `unsafe`.
+fn type_names() -> String {
+    let sources = [include_str!("../../shared/src/message.rs"), include_str!("../src/bells.rs")];
+    let lines = sources.into_iter().flat_map(str::lines).filter(|line| line.starts_with("#["));
+    let names = lines.filter_map(|line| line.split_once("type_name(")?.1.split_once(')'));
+    names.map(|(name, _)| format!("#[type_name({name})]")).collect()
+}
+
+/// Size and fields in order; `0` is an integer and `0.0` a float.
+fn layout<T: Default + std::fmt::Debug>() -> String {
+    format!("{} {} {:?}\n", size_of::<T>(), align_of::<T>(), T::default())
+}
+
+fn topic<T: Topic + Default>() -> String {
+    format!("{} {}", T::NAME, layout::<T>())
+}
+
+/// The fields of a description; of its numbers only that they are there.
+fn description() -> String {
+    let scenario = |text: &str| {
+        let text = format!("{text}\n[robots]\ncount = 1\n[filter]\ngate_sigma = 3.0\n");
+        Scenario::from_file(&ScenarioFile::parse(&text, "test").unwrap(), "test").unwrap()
+    };
+    let built_in = RunDescription { run_id: 7, scenario: scenario(""), out_dir: PathBuf::from("out") };
+    let rows = "[[1.0, 0.0], [0.0, 1.0]]";
+    let custom = format!("[target]\nmodel = \"custom\"\nphi = {rows}\nqd = {rows}\nstart = [0.0, 0.0]");
+    let planners = PLANNERS.map(|name| scenario(&format!("[planner]\nname = {name:?}")).planner);
+    let mut said = format!("{built_in:?} {:?} {planners:?}\n", scenario(&custom).motion);
+    said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
+    said
+}
+
+#[test]
+fn what_a_recorded_runs_description_says_changes_with_the_protocol_only() {
+    let text = "[recording]\nranges = \"r.csv\"\ntarget_height_m = 1.0\n[filter]\ngate_sigma = 3.0\n";
+    let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,sensor_z_m,range_m,other\n1,a,0,0,2,3,x\n1,a,0,0,2,z,x\n2,a,0,0,2,3,x\n";
+    let read = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
+    let file = ScenarioFile::parse(text, "test").unwrap();
+    let scenario = Scenario::from_file_with(&file, "test", |_| Ok(read)).unwrap();
+    let mut said = format!("{:?}", RunDescription { run_id: 7, scenario, out_dir: PathBuf::from("out") });
+    said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
+    let digest = xxh3_64(said.as_bytes());
+    assert_eq!(RECORDED, (PROTOCOL, digest), "as below, here {digest:#018x}\n{said}");
+}
+
+#[test]
+fn what_processes_say_to_each_other_changes_with_the_protocol_only() {
+    let said = [
+        type_names(),
+        layout::<Header>(),
+        topic::<WorldEntry>(),
+        topic::<Range>(),
+        topic::<Command>(),
+        topic::<Drive>(),
+        topic::<Estimate>(),
+        topic::<Truth>(),
+        description(),
+    ]
+    .concat();
+    let digest = xxh3_64(said.as_bytes());
+    assert_eq!(
+        HISTORY.last(),
+        Some(&(PROTOCOL, digest)),
+        "a message or the run's description has changed: give the changed messages a new version in their type names, \
+         count PROTOCOL up, and add the line ({}, {digest:#018x}) to HISTORY\n{said}",
+        PROTOCOL + 1
+    );
+    assert!(HISTORY.is_sorted_by(|before, after| before.0 < after.0 && before.1 != after.1));
+}
