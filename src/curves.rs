@@ -12,7 +12,6 @@ use rangehound_shared::scenario::Scenario;
 
 use crate::field::Paths;
 use crate::frame::{Frames, PutDown};
-use crate::least_trace::least_next_trace_m2;
 use crate::report::{Truth, position_covariance};
 
 /// Points of a curve: more would not be seen.
@@ -99,7 +98,7 @@ impl Curves {
 
     fn add(&mut self, put_down: PutDown<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
         let PutDown { tick, fusion, world } = put_down;
-        if let Some(FusionRecord { time_s, estimate, exchanges }) = fusion {
+        if let Some(FusionRecord { time_s, estimate, .. }) = fusion {
             self.add_to_stretch(tick, *time_s, estimate, thinning);
             if thinning.keeps(tick) {
                 let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
@@ -107,9 +106,10 @@ impl Curves {
                 self.paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
                 self.paths.covariances_m2.push(position_covariance(estimate));
                 self.paths.truths_m.push(simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s))));
-                let least_m2 = least_next_trace_m2(scenario, tick, estimate, exchanges.iter().copied());
-                let least_m2 = least_m2.filter(|least_m2| *least_m2 <= DRAWABLE_MAX);
-                self.least_traces_m2.extend(least_m2.map(|least_m2| (time_s + scenario.dt_s, least_m2)));
+                let least_m2 = estimate.least_trace_m2;
+                if least_m2 > 0.0 && least_m2 <= DRAWABLE_MAX {
+                    self.least_traces_m2.push((time_s + scenario.dt_s, least_m2));
+                }
             }
         }
         if let Some(WorldRecord { time_s, ended_ns, robots, .. }) = world {

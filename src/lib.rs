@@ -35,7 +35,6 @@
 //! | [`curves`] | what is drawn of a run: its logs, thinned |
 //! | [`chart`], [`field`], [`ellipse`], [`over_time`], [`percentiles`] | what all pictures are drawn with |
 //! | [`statistics`] | quantiles, means, intervals, fits |
-//! | [`least_trace`] | how well the target can be known at the next tick, whatever the headings |
 //! | [`shell`] | completions and manual pages |
 //! | [`out_folder`] | where results may go, and what may be replaced there |
 //! | [`whole_file`] | files that are there as a whole or not at all |
@@ -58,7 +57,6 @@ pub mod hops;
 pub mod in_process;
 pub mod input;
 pub mod latency;
-pub mod least_trace;
 pub mod live;
 pub mod node;
 pub mod out_folder;

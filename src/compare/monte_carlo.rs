@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use anyhow::Context;
 use nalgebra::Vector2;
-use rangehound_fusion::planner::certified::Certified;
+use rangehound_fusion::planner::range_only::certified::Certified;
+use rangehound_fusion::planner::range_only::{Problem, RangeOnly, hull_certificate};
 use rangehound_fusion::planner::{Plan, Planner};
 use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioError, defaults};
 
@@ -187,16 +188,18 @@ impl Trial {
     }
 }
 
-/// The certified optimum of the very problems that other planners were given.
+/// The certified optimum of the very situations that other planners were given.
 #[derive(Debug)]
 struct Yardstick {
-    optimiser: Certified,
+    optimiser: RangeOnly,
     optimum: Plan,
+    problem: Problem,
 }
 
 impl Default for Yardstick {
     fn default() -> Self {
-        Self { optimiser: Certified::new(defaults::NODES as u32), optimum: Plan::default() }
+        let optimiser = RangeOnly::new(Box::new(Certified::new(defaults::NODES as u32)));
+        Self { optimiser, optimum: Plan::default(), problem: Problem::default() }
     }
 }
 
@@ -210,18 +213,19 @@ struct Distance {
 
 impl Yardstick {
     fn measure(&mut self, team: &Team) -> Distance {
-        let (problem, plan) = (team.centre().problem(), team.centre().last_plan());
+        let (situation, plan) = (team.centre().situation(), team.centre().last_plan());
         // A plan that brings its own certificate needs no second.
-        let best = if plan.is_certified(problem) {
-            plan
-        } else {
-            self.optimiser.plan(0, problem, &mut self.optimum);
-            &self.optimum
-        };
+        let own = plan.certificate.filter(|proven| proven.is_optimal);
+        let best = own.or_else(|| {
+            self.optimiser.plan(0, situation, &mut self.optimum);
+            self.optimum.certificate
+        });
+        self.problem.pose(situation);
+        let best = best.unwrap_or_else(|| hull_certificate(&self.problem, &plan.worth));
         Distance {
-            gap: ((plan.objective - best.lower_bound) / problem.lambda_sum()).max(0.0),
-            trace_excess: (plan.position_trace_m2 / best.least_trace_m2() - 1.0).max(0.0),
-            certified: best.is_certified(problem),
+            gap: ((plan.worth.objective_per_m2 - best.lower_bound_per_m2) / self.problem.lambda_sum()).max(0.0),
+            trace_excess: (plan.worth.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
+            certified: best.is_optimal,
         }
     }
 }

@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
-use rangehound_fusion::planner::{self, Plan, Problem, TeamMember, Vector};
+use rangehound_fusion::belief::Belief;
+use rangehound_fusion::planner::{self, Plan, Situation, TeamMember, Vector};
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
@@ -76,19 +77,22 @@ impl Scaling {
     }
 }
 
-/// Median time of a step, us: posing the problem and solving it, as at a tick of a run. `None` if the
+/// Median time of a step, us: from a situation to commands, as at a tick of a run. `None` if the
 /// planner refuses a team of this size.
 fn measure_at(scenario: &Scenario, robots: usize) -> Option<f64> {
     let mut planner = planner::for_team(scenario.planner, robots, scenario.seed).ok()?;
-    let (mut problem, mut plan) = (Problem::default(), Plan::default());
+    let mut situation = Situation { clearance: scenario.clearance, step_s: scenario.dt_s, ..Situation::default() };
+    let mut plan = Plan::default();
     let mut times_us = Vec::with_capacity(STEPS_MAX);
     let began = Instant::now();
     while times_us.len() < STEPS_MAX && (times_us.len() < STEPS_MIN || began.elapsed() < BUDGET) {
         let step = times_us.len();
         let prior = prior_m2(step, robots);
         let step_began = Instant::now();
-        problem.pose(&prior, Vector::default(), scenario.dt_s, &scenario.clearance, team(scenario, step, robots));
-        planner.plan(step as u64, &problem, &mut plan);
+        situation.belief = Belief::of_position(Vector::default(), &prior);
+        situation.team.clear();
+        situation.team.extend(team(scenario, step, robots));
+        planner.plan(step as u64, &situation, &mut plan);
         times_us.push(step_began.elapsed().as_secs_f64() * 1e6);
     }
     Some(times_us.into_iter().collect::<Ascending>().quantile(0.5))
@@ -102,11 +106,7 @@ fn team(scenario: &Scenario, step: usize, robots: usize) -> impl Iterator<Item =
         let i = (step * robots + robot) as f64;
         let (nearest_m, farthest_m) = DISTANCES_M;
         let distance_m = nearest_m + (farthest_m - nearest_m) * (i * 0.618_034).fract();
-        TeamMember {
-            position_m: Vector::from_angle(i * 2.399_963) * distance_m,
-            max_speed_mps: kind.speed_mps,
-            range_std_m: kind.range_std_m,
-        }
+        TeamMember::ranging(Vector::from_angle(i * 2.399_963) * distance_m, kind.speed_mps, kind.range_std_m)
     })
 }
 

@@ -1,12 +1,10 @@
 //! What the page's curves show: the whole run in a bounded number of points.
 
 use rangehound_shared::record::FusionRecord;
-use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 use serde::ser::SerializeTuple;
 
 use crate::frame::Frame;
-use crate::least_trace::least_next_trace_m2;
 use crate::report::position_covariance;
 use crate::statistics::{Interval, chi_square_mean_bounds, median};
 
@@ -61,12 +59,12 @@ impl Default for History {
 }
 
 impl History {
-    pub(super) fn add(&mut self, frame: &Frame, scenario: &Scenario) {
+    pub(super) fn add(&mut self, frame: &Frame) {
         // Before the first range there is nothing to compare.
         if frame.tick == 0 {
             return;
         }
-        let point = Point::of(frame, scenario);
+        let point = Point::of(frame);
         match self.points.last_mut() {
             Some(last) if last.tick / self.stride == point.tick / self.stride => last.add(&point),
             _ => self.points.push(point),
@@ -102,9 +100,8 @@ impl History {
 }
 
 impl Point {
-    fn of(frame: &Frame, scenario: &Scenario) -> Self {
-        let Frame { tick, fusion, world } = frame;
-        let FusionRecord { time_s, estimate, exchanges } = fusion;
+    fn of(frame: &Frame) -> Self {
+        let Frame { tick, fusion: FusionRecord { time_s, estimate, .. }, world } = frame;
         let error_m = match *world.truth.as_slice() {
             [x_m, y_m, ..] => (estimate.state[0] - x_m).hypot(estimate.state[1] - y_m),
             _ => f64::NAN,
@@ -116,8 +113,7 @@ impl Point {
             time_s: *time_s,
             error_m,
             trace_m2: position_covariance(estimate).trace(),
-            least_next_m2: least_next_trace_m2(scenario, *tick, estimate, exchanges.iter().copied())
-                .unwrap_or(f64::NAN),
+            least_next_m2: Some(estimate.least_trace_m2).filter(|least_m2| *least_m2 > 0.0).unwrap_or(f64::NAN),
             nis: estimate.nis,
             fused: estimate.fused,
             latency_us: median(&mut latencies_us).unwrap_or(f64::NAN),
@@ -161,16 +157,10 @@ fn short(value: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-
     use rangehound_shared::message::Estimate;
     use rangehound_shared::record::{FusionRecord, WorldRecord};
-    use rangehound_shared::scenario::ScenarioFile;
 
     use super::*;
-
-    fn scenario() -> Scenario {
-        Scenario::from_file(&ScenarioFile::default(), "test").unwrap()
-    }
 
     fn frame(tick: u64) -> Frame {
         let estimate = Estimate { state_dim: 4, nis: 2.0, fused: 2, ..Estimate::default() };
@@ -180,9 +170,9 @@ mod tests {
 
     #[test]
     fn a_run_of_any_length_has_few_points_and_loses_no_tick() {
-        let (mut history, scenario) = (History::default(), scenario());
+        let mut history = History::default();
         for tick in 1..=100_000 {
-            history.add(&frame(tick), &scenario);
+            history.add(&frame(tick));
             assert!(history.points.len() < POINTS_MAX);
         }
         assert!(history.points.len() >= POINTS_MAX / 2 - 1 && history.points.is_sorted_by_key(|point| point.tick));
@@ -192,17 +182,16 @@ mod tests {
 
     #[test]
     fn ticks_that_lie_far_apart_are_few_points_too() {
-        let (mut history, scenario) = (History::default(), scenario());
-        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000), &scenario));
+        let mut history = History::default();
+        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000)));
         assert!(history.points.len() < POINTS_MAX);
     }
 
     #[test]
     fn who_follows_has_the_same_points_as_who_comes_late() {
         let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
-        let scenario = scenario();
         for tick in 1..=3_000 {
-            history.add(&frame(tick), &scenario);
+            history.add(&frame(tick));
             // Now and then one look is missed.
             if tick % 7 != 0 {
                 let News { from, points: new, .. } = history.news(&mut known);

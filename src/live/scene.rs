@@ -29,7 +29,6 @@ const RATE_SPAN: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(super) struct Scene {
     about: Value,
-    scenario: Scenario,
     trail_max: usize,
     newest: Option<Frame>,
     trails: VecDeque<Places>,
@@ -129,7 +128,6 @@ impl Scene {
         });
         Self {
             about,
-            scenario: scenario.clone(),
             trail_max,
             newest: None,
             trails: VecDeque::new(),
@@ -157,7 +155,7 @@ impl Scene {
 
     fn count(&mut self, frame: Frame) {
         self.count_ranges(frame.tick, &frame.fusion.estimate);
-        self.history.add(&frame, &self.scenario);
+        self.history.add(&frame);
         self.newest = Some(frame);
     }
 

@@ -204,6 +204,10 @@ pub struct Estimate {
     /// sensors fail together.
     #[prost(double, tag = "20")]
     pub noise_scale: f64,
+    /// No headings of this tick lead to a lesser trace of the position covariance at the next, m^2; 0 from planners that
+    /// prove nothing.
+    #[prost(double, tag = "21")]
+    pub least_trace_m2: f64,
 }
 
 /// Messages refused, by cause.

@@ -116,6 +116,7 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
         nis_all: estimate.nis_all,
         tested: estimate.tested,
         noise_scale: estimate.noise_scale,
+        least_trace_m2: estimate.least_trace_m2,
     }
 }
 
@@ -320,6 +321,7 @@ fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion>
         nis_all: message.nis_all,
         tested: message.tested,
         noise_scale: message.noise_scale,
+        least_trace_m2: message.least_trace_m2,
         ..EstimateOfFusion::default()
     };
     estimate.state[..n].copy_from_slice(&message.state);

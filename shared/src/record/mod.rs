@@ -185,6 +185,7 @@ impl Record for FusionRecord {
         fields.wholes("distrusted_bits", &mut estimate.distrusted);
         fields.number("objective", &mut estimate.objective);
         fields.number("lower_bound", &mut estimate.lower_bound);
+        fields.number("least_trace_m2", &mut estimate.least_trace_m2);
         fields.whole("last_range_ns", &mut stages.last_range_ns);
         fields.whole("began_ns", &mut stages.began_ns);
         fields.whole("filtered_ns", &mut stages.filtered_ns);
@@ -330,6 +331,7 @@ mod tests {
             distrusted: [15, 16, 17, 18],
             objective: 0.25,
             lower_bound: 0.125,
+            least_trace_m2: 0.75,
             digest: [19, 20],
             stages: Stages {
                 last_range_ns: 21,

@@ -5,12 +5,15 @@
 //! from below over the convex hulls of what is left, and the hull's nearest point names the robot whose
 //! arc to split next. `docs/certified.md` has the proofs.
 
+mod answer;
 mod bound;
+mod descent;
+mod parts;
 mod search;
 
 use super::pair::best_of_free;
 use super::relaxation::Relaxation;
-use super::{Plan, Planner, Problem, Vector};
+use super::{Problem, Solution, Solver, Vector};
 
 pub use bound::hull_bound;
 use search::Search;
@@ -44,46 +47,46 @@ impl Certified {
     }
 }
 
-impl Planner for Certified {
+impl Solver for Certified {
     fn name(&self) -> &'static str {
         "certified"
     }
 
-    fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
-        plan.directions.clear();
-        plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
-        if !best_of_free(problem.prior, &problem.arms, &mut plan.directions) {
-            self.start.relax(problem, &mut plan.directions);
+    fn solve(&mut self, _tick: u64, problem: &Problem, solution: &mut Solution) {
+        solution.directions.clear();
+        solution.directions.extend(problem.arms.iter().map(|arm| arm.centre));
+        if !best_of_free(problem.prior, &problem.arms, &mut solution.directions) {
+            self.start.relax(problem, &mut solution.directions);
         }
-        let lower_bound = self.search.improve(problem, &mut plan.directions);
-        plan.complete(problem);
-        plan.prove(lower_bound);
-        if problem.len() > 1 && problem.is_lopsided_at(plan.position_trace_m2) {
-            self.plan_lopsided(problem, plan);
+        let lower_bound = self.search.improve(problem, &mut solution.directions);
+        solution.complete(problem);
+        solution.prove(lower_bound);
+        if problem.len() > 1 && problem.is_lopsided_at(solution.position_trace_m2) {
+            self.solve_lopsided(problem, solution);
         }
     }
 }
 
 impl Certified {
-    /// Plans where next to all is known along one axis: `T - |S|` and with it the trace hang on what rounding leaves of
+    /// Solves where next to all is known along one axis: `T - |S|` and with it the trace hang on what rounding leaves of
     /// `|S|`. So `T - |S|` itself is searched for, from the better of relaxation and what was found by `|S|`.
     #[cold]
-    fn plan_lopsided(&mut self, problem: &Problem, plan: &mut Plan) {
-        let found = plan.least_information;
-        std::mem::swap(&mut plan.directions, &mut self.found);
-        plan.directions.clear();
-        plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
-        self.start.relax(problem, &mut plan.directions);
-        if problem.uncertainty(&plan.directions) <= found {
-            std::mem::swap(&mut plan.directions, &mut self.found);
+    fn solve_lopsided(&mut self, problem: &Problem, solution: &mut Solution) {
+        let found = solution.least_information;
+        std::mem::swap(&mut solution.directions, &mut self.found);
+        solution.directions.clear();
+        solution.directions.extend(problem.arms.iter().map(|arm| arm.centre));
+        self.start.relax(problem, &mut solution.directions);
+        if problem.uncertainty(&solution.directions) <= found {
+            std::mem::swap(&mut solution.directions, &mut self.found);
         }
-        let bound = self.search.improve_information(problem, &mut plan.directions);
-        plan.complete(problem);
-        plan.least_information_bound = bound.max(plan.least_information);
+        let bound = self.search.improve_information(problem, &mut solution.directions);
+        solution.complete(problem);
+        solution.least_information_bound = bound.max(solution.least_information);
         // As a length the bound has what rounding leaves of it.
-        let sum = plan.least_information + plan.objective;
+        let sum = solution.least_information + solution.objective;
         let rounding = 4.0 * f64::EPSILON * (problem.len() as f64 + 1.0) * sum;
-        plan.lower_bound = (sum - plan.least_information_bound - rounding).clamp(0.0, plan.objective);
+        solution.lower_bound = (sum - solution.least_information_bound - rounding).clamp(0.0, solution.objective);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Adaptive relaxation (Eqs. 28, 29) and standard relaxation, its case `alpha = 0`.
 
-use super::vector::Vector;
-use super::{Plan, Planner, Problem};
+use super::{Problem, Solution, Solver};
+use crate::planner::Vector;
 
 /// The paper's solver: turns one robot's vector after the other to where `|S + V|` is least, the
 /// others held, with the perturbation `V = -alpha S_old` of the cycle's start against local minima.
@@ -72,16 +72,16 @@ impl Relaxation {
     }
 }
 
-impl Planner for Relaxation {
+impl Solver for Relaxation {
     fn name(&self) -> &'static str {
         self.name
     }
 
-    fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
-        plan.directions.clear();
-        plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
-        self.relax(problem, &mut plan.directions);
-        plan.complete(problem);
+    fn solve(&mut self, _tick: u64, problem: &Problem, solution: &mut Solution) {
+        solution.directions.clear();
+        solution.directions.extend(problem.arms.iter().map(|arm| arm.centre));
+        self.relax(problem, &mut solution.directions);
+        solution.complete(problem);
     }
 }
 

@@ -2,8 +2,8 @@
 
 use std::f64::consts::PI;
 
-use super::vector::Vector;
-use super::{Arm, Extent, Plan, Planner, PlannerError, Problem};
+use super::{Arm, Extent, PlannerError, Problem, Solution, Solver};
+use crate::planner::Vector;
 
 /// Candidates beyond which a step would take longer than anybody waits (about a nanosecond each).
 const CANDIDATES_MAX: f64 = 2e9;
@@ -91,21 +91,21 @@ impl Grid {
     }
 }
 
-impl Planner for Grid {
+impl Solver for Grid {
     fn name(&self) -> &'static str {
         "grid"
     }
 
-    fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
+    fn solve(&mut self, _tick: u64, problem: &Problem, solution: &mut Solution) {
         self.points.clear();
         self.ends.clear();
         for arm in &problem.arms {
             self.lay(arm);
         }
-        plan.directions.clear();
-        plan.directions.extend(problem.arms.iter().map(|arm| arm.centre));
-        self.search(problem, &mut plan.directions);
-        plan.complete(problem);
+        solution.directions.clear();
+        solution.directions.extend(problem.arms.iter().map(|arm| arm.centre));
+        self.search(problem, &mut solution.directions);
+        solution.complete(problem);
     }
 }
 
@@ -138,8 +138,8 @@ mod tests {
     fn the_innermost_loop_sees_every_combination() {
         // Three free robots of equal weight and no prior: the optimum is a balanced triangle.
         let problem = Problem::of_arms(Vector::default(), vec![Arm::circle(1.0, Vector::new(1.0, 0.0)); 3]);
-        let mut plan = Plan::default();
-        Grid::for_team(PI / 30.0, 3).unwrap().plan(0, &problem, &mut plan);
-        assert!(plan.objective < 1e-12, "{plan:?}");
+        let mut solution = Solution::default();
+        Grid::for_team(PI / 30.0, 3).unwrap().solve(0, &problem, &mut solution);
+        assert!(solution.objective < 1e-12, "{solution:?}");
     }
 }

@@ -1,12 +1,15 @@
+use super::super::Arm;
 use super::super::greedy::Greedy;
 use super::super::grid::Grid;
-use super::super::{Arm, TeamMember, Vector};
 use super::*;
 use nalgebra::Matrix2;
 use proptest::prelude::*;
 use rand::SeedableRng as _;
-use rangehound_shared::scenario::{Clearance, defaults};
+use rangehound_shared::scenario::defaults;
 use std::f64::consts::PI;
+
+use crate::belief::Belief;
+use crate::planner::{Situation, TeamMember};
 
 /// Arcs, lengths and prior at random, as hard as they come.
 fn hard_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
@@ -22,10 +25,10 @@ fn hard_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
     Problem::of_arms(prior, arms)
 }
 
-fn solve(planner: &mut impl Planner, problem: &Problem) -> Plan {
-    let mut plan = Plan::default();
-    planner.plan(0, problem, &mut plan);
-    plan
+fn solve(solver: &mut impl Solver, problem: &Problem) -> Solution {
+    let mut solution = Solution::default();
+    solver.solve(0, problem, &mut solution);
+    solution
 }
 
 fn certified() -> Certified {
@@ -53,7 +56,7 @@ const TWISTS: [fn(&mut Problem); 6] = [
 #[test]
 fn hard_problems_are_solved_and_proven() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
-    let mut planner = certified();
+    let mut solver = certified();
     let relaxations = [Relaxation::adaptive(20, 0.5), Relaxation::standard(20)];
     let mut excesses = [const { Vec::new() }; 2];
     for (robots, problems) in (1..=10).map(|robots| (robots, 500)).chain([(25, 100), (60, 60), (150, 30)]) {
@@ -61,16 +64,16 @@ fn hard_problems_are_solved_and_proven() {
         for (k, twist) in TWISTS.iter().flat_map(|twist| std::iter::repeat_n(twist, problems)).enumerate() {
             let mut problem = hard_problem(&mut random, robots);
             twist(&mut problem);
-            let plan = solve(&mut planner, &problem);
-            nodes_max = nodes_max.max(planner.search.looked_into());
-            assert!(plan.is_certified(&problem), "{} {} {problem:?}", plan.objective, plan.lower_bound);
+            let solution = solve(&mut solver, &problem);
+            nodes_max = nodes_max.max(solver.search.looked_into());
+            assert!(solution.is_certified(&problem), "{} {} {problem:?}", solution.objective, solution.lower_bound);
             // What relaxation is worth on the problems that are hard without a twist.
             let compared = relaxations.clone().into_iter().zip(&mut excesses).filter(|_| k < problems && robots <= 10);
             for (mut relaxation, excesses) in compared {
                 let relaxed = solve(&mut relaxation, &problem);
-                excesses.push(100.0 * (relaxed.position_trace_m2 / plan.position_trace_m2 - 1.0));
+                excesses.push(100.0 * (relaxed.position_trace_m2 / solution.position_trace_m2 - 1.0));
             }
-            for (arm, direction) in problem.arms.iter().zip(&plan.directions) {
+            for (arm, direction) in problem.arms.iter().zip(&solution.directions) {
                 assert!((arm.nearest(*direction, *direction) - *direction).norm() < 1e-9, "outside its arc");
             }
         }
@@ -125,10 +128,10 @@ fn a_robot_that_outweighs_the_others_is_no_trouble() {
         Arm::with_half_width(lambda, Vector::from_angle(centre), Vector::from_angle(half_width))
     };
     let arms = vec![arm(10.0, 0.0, 2.4), arm(1.9, 2.0, 0.85), arm(4.4, 3.0, 1.2)];
-    let mut planner = certified();
+    let mut solver = certified();
     let problem = Problem::of_arms(Vector::new(1.2, 1.2), arms);
-    assert!(solve(&mut planner, &problem).is_certified(&problem));
-    assert!(planner.search.looked_into() < 20, "{}", planner.search.looked_into());
+    assert!(solve(&mut solver, &problem).is_certified(&problem));
+    assert!(solver.search.looked_into() < 20, "{}", solver.search.looked_into());
 }
 
 /// Groups of robots that are alike, with arcs of more than half a turn: cut in order, none may be lost.
@@ -144,8 +147,13 @@ fn groups_of_alike_robots_with_wide_arcs_reach_zero() {
         std::iter::repeat_n(arm, count)
     });
     let problem = Problem::of_arms(Vector::new(-10.551_803_167_099_35, -7.578_521_696_350_839_5), arms.collect());
-    let plan = solve(&mut certified(), &problem);
-    assert!(plan.objective < 1e-9 && plan.is_certified(&problem), "{} {}", plan.objective, plan.lower_bound);
+    let solution = solve(&mut certified(), &problem);
+    assert!(
+        solution.objective < 1e-9 && solution.is_certified(&problem),
+        "{} {}",
+        solution.objective,
+        solution.lower_bound
+    );
 }
 
 fn decades(random: &mut impl rand::Rng, low: f64, high: f64) -> f64 {
@@ -164,15 +172,15 @@ fn lopsided_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
     let prior = Matrix2::new(covariance(x, x), covariance(x, y), covariance(x, y), covariance(y, y));
     let common = decades(random, -4.0, 5.0);
     let team: Vec<TeamMember> = (0..robots)
-        .map(|_| TeamMember {
-            position_m: Vector::from_angle(random.random_range(-PI..PI)) * decades(random, -0.5, 4.0),
-            max_speed_mps: if random.random_bool(0.1) { 0.0 } else { decades(random, -2.0, 2.0) },
-            range_std_m: if random.random_bool(0.3) { common } else { decades(random, -4.0, 5.0) },
+        .map(|_| {
+            let position_m = Vector::from_angle(random.random_range(-PI..PI)) * decades(random, -0.5, 4.0);
+            let max_speed_mps = if random.random_bool(0.1) { 0.0 } else { decades(random, -2.0, 2.0) };
+            let range_std_m = if random.random_bool(0.3) { common } else { decades(random, -4.0, 5.0) };
+            TeamMember::ranging(position_m, max_speed_mps, range_std_m)
         })
         .collect();
-    let mut problem = Problem::default();
-    problem.pose(&prior, Vector::default(), 0.1, &Clearance::default(), team);
-    problem
+    let belief = Belief::of_position(Vector::default(), &prior);
+    Problem::of(&Situation { belief, team, step_s: 0.1, ..Situation::default() })
 }
 
 /// The trace counts, not `|S|`, of which rounding leaves nothing here.
@@ -181,15 +189,18 @@ fn nothing_is_better_in_trace_however_unequal_the_robots() {
     let cases = std::env::var("RANGEHOUND_LOPSIDED_CASES").ok().and_then(|text| text.parse().ok()).unwrap_or(400);
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let (mut lopsided, mut certified_count, mut nodes_max) = (0, 0, 0);
-    let mut planner = certified();
+    let mut solver = certified();
     for robots in 1..=5 {
         for _ in 0..cases {
             let problem = lopsided_problem(&mut random, robots);
-            let plan = solve(&mut planner, &problem);
-            nodes_max = nodes_max.max(planner.search.looked_into());
-            lopsided += u32::from(problem.is_lopsided_at(plan.position_trace_m2));
-            certified_count += u32::from(plan.is_certified(&problem));
-            assert!(plan.least_information <= plan.least_information_bound && plan.lower_bound <= plan.objective);
+            let solution = solve(&mut solver, &problem);
+            nodes_max = nodes_max.max(solver.search.looked_into());
+            lopsided += u32::from(problem.is_lopsided_at(solution.position_trace_m2));
+            certified_count += u32::from(solution.is_certified(&problem));
+            assert!(
+                solution.least_information <= solution.least_information_bound
+                    && solution.lower_bound <= solution.objective
+            );
             let mut rivals = vec![
                 solve(&mut Relaxation::adaptive(20, 0.5), &problem),
                 solve(&mut Relaxation::standard(20), &problem),
@@ -206,14 +217,14 @@ fn nothing_is_better_in_trace_however_unequal_the_robots() {
                     2 => arm.centre,
                     _ => arm.nearest(Vector::from_angle(random.random_range(-PI..PI)), arm.centre),
                 });
-                let mut rival = Plan { directions: directions.collect(), ..Plan::default() };
+                let mut rival = Solution { directions: directions.collect(), ..Solution::default() };
                 rival.complete(&problem);
                 rivals.push(rival);
             }
             for rival in rivals {
-                let (ours, theirs) = (plan.position_trace_m2, rival.position_trace_m2);
+                let (ours, theirs) = (solution.position_trace_m2, rival.position_trace_m2);
                 assert!(ours <= theirs * (1.0 + 1e-8), "{robots}: {ours} {theirs} {problem:?}");
-                let bound = plan.least_trace_m2();
+                let bound = solution.least_trace_m2();
                 assert!(bound <= theirs * (1.0 + 1e-9), "{robots}: {bound} {theirs} {problem:?}");
             }
         }
@@ -226,18 +237,16 @@ fn nothing_is_better_in_trace_however_unequal_the_robots() {
 #[test]
 fn a_precise_robot_does_not_hide_what_the_others_know() {
     let team = [(6.95, 5.35, 24.3, 1e-4), (-21.7, 41.8, 23.6, 20_000.0), (50.9, -25.0, 15.3, 57_000.0)];
-    let team = team.map(|(x, y, max_speed_mps, range_std_m)| TeamMember {
-        position_m: Vector::new(x, y),
-        max_speed_mps,
-        range_std_m,
-    });
-    let prior = Matrix2::new(1.6e7, -7e6, -7e6, 1.56e7);
-    let mut problem = Problem::default();
-    problem.pose(&prior, Vector::new(6.24, 4.21), 0.1, &Clearance::default(), team);
-    let plan = solve(&mut certified(), &problem);
+    let team = team.map(|(x, y, max_speed_mps, std_m)| TeamMember::ranging(Vector::new(x, y), max_speed_mps, std_m));
+    let belief = Belief::of_position(Vector::new(6.24, 4.21), &Matrix2::new(1.6e7, -7e6, -7e6, 1.56e7));
+    let problem = Problem::of(&Situation { belief, team: team.into(), step_s: 0.1, ..Situation::default() });
+    let solution = solve(&mut certified(), &problem);
     let standard = solve(&mut Relaxation::standard(20), &problem);
-    assert!(plan.position_trace_m2 <= standard.position_trace_m2 * (1.0 + 1e-9), "{plan:?} {standard:?}");
-    assert!(plan.is_certified(&problem) && plan.least_trace_m2() > 0.999_999 * plan.position_trace_m2, "{plan:?}");
+    assert!(solution.position_trace_m2 <= standard.position_trace_m2 * (1.0 + 1e-9), "{solution:?} {standard:?}");
+    assert!(
+        solution.is_certified(&problem) && solution.least_trace_m2() > 0.999_999 * solution.position_trace_m2,
+        "{solution:?}"
+    );
 }
 
 proptest! {
@@ -248,16 +257,16 @@ proptest! {
     fn nothing_else_is_better(seed in any::<u64>(), robots in 1..4_usize) {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let problem = hard_problem(&mut random, robots);
-        let plan = solve(&mut certified(), &problem);
+        let solution = solve(&mut certified(), &problem);
         let adaptive = solve(&mut Relaxation::adaptive(20, 0.5), &problem);
         let grid = solve(&mut Grid::for_team(0.03, robots).unwrap(), &problem);
         let rounding = 1e-14 * problem.lambda_sum();
-        prop_assert!(plan.objective <= adaptive.objective + rounding, "{plan:?} {adaptive:?}");
-        prop_assert!(plan.objective <= grid.objective + GAP_MAX * problem.lambda_sum(), "{plan:?} {grid:?}");
-        prop_assert!(plan.lower_bound <= grid.objective.min(adaptive.objective) + rounding);
-        prop_assert!(hull_bound(&problem) <= plan.objective + rounding);
+        prop_assert!(solution.objective <= adaptive.objective + rounding, "{solution:?} {adaptive:?}");
+        prop_assert!(solution.objective <= grid.objective + GAP_MAX * problem.lambda_sum(), "{solution:?} {grid:?}");
+        prop_assert!(solution.lower_bound <= grid.objective.min(adaptive.objective) + rounding);
+        prop_assert!(hull_bound(&problem) <= solution.objective + rounding);
         // The grid is as near the optimum as its step is wide.
         let resolution = 0.03 * problem.arms().iter().map(|arm| arm.lambda).sum::<f64>();
-        prop_assert!(grid.objective <= plan.objective + resolution);
+        prop_assert!(grid.objective <= solution.objective + resolution);
     }
 }

@@ -1,28 +1,17 @@
 //! One step's optimisation (Eqs. 14-26): from positions and covariance to a sum of plane vectors.
 
 use nalgebra::Matrix2;
-use rangehound_shared::scenario::Clearance;
+use rangehound_shared::message::Command;
 
 use super::arm::Arm;
 use super::reach::{Limit, Reach, stand_off_m};
-use super::vector::Vector;
+use crate::planner::{Sensor, Situation, TeamMember, Vector};
 
 /// Part of `T - |S|` that rounding of `|S|` may make up before `T - |S|` itself is what is compared.
 const ROUNDED_MAX: f64 = 1e-8;
 
 /// Determinant of a covariance over the product of its variances below which the products cancel.
 const FLAT: f64 = 1e-4;
-
-/// A robot as the planner sees it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct TeamMember {
-    /// Where it is, m.
-    pub position_m: Vector,
-    /// Its speed limit, m/s.
-    pub max_speed_mps: f64,
-    /// Standard deviation of its range, m.
-    pub range_std_m: f64,
-}
 
 /// Minimise `|S|`, `S = V_0 + sum_i lambda_i u_i`, each unit vector `u_i` within its arc (Eqs. 25, 26).
 ///
@@ -60,35 +49,32 @@ impl Problem {
         Self { prior, information_trace, covariance_m2, inverse_determinant, is_flat, arms, ..Self::default() }
     }
 
-    /// Poses the problem for one step, reusing this value's memory.
-    ///
-    /// `prior_position_covariance_m2` is `P'_11` (after prediction), `target_m` the predicted target,
-    /// `time_step_s` the time that robots move before they measure, `clearance` what they keep off
-    /// from, at the end of the step.
-    pub fn pose(
-        &mut self,
-        prior_position_covariance_m2: &Matrix2<f64>,
-        target_m: Vector,
-        time_step_s: f64,
-        clearance: &Clearance,
-        team: impl IntoIterator<Item = TeamMember>,
-    ) {
-        let p = prior_position_covariance_m2;
-        let scale = 1.0 / determinant(p).max(f64::MIN_POSITIVE);
+    /// The problem of a situation.
+    #[must_use]
+    pub fn of(situation: &Situation) -> Self {
+        let mut problem = Self::default();
+        problem.pose(situation);
+        problem
+    }
+
+    /// Poses the problem of a situation, reusing this value's memory.
+    pub fn pose(&mut self, situation: &Situation) {
+        let Situation { belief, team, clearance, step_s, .. } = situation;
+        let (p, target_m) = (belief.position_covariance_m2(), belief.position_m());
+        let scale = 1.0 / determinant(&p).max(f64::MIN_POSITIVE);
         // A = adj(P) / |P|.
         self.prior = Vector::new((p[(1, 1)] - p[(0, 0)]) * scale, -2.0 * p[(0, 1)] * scale);
         self.information_trace = (p[(0, 0)] + p[(1, 1)]) * scale;
-        self.covariance_m2 = *p;
-        (self.inverse_determinant, self.is_flat) = (scale, is_flat(p));
+        self.covariance_m2 = p;
+        (self.inverse_determinant, self.is_flat) = (scale, is_flat(&p));
         self.arms.clear();
         self.reaches.clear();
         self.corners_m.clear();
         self.positions_m.clear();
         let stand_off_m = stand_off_m(clearance, p[(0, 0)] + p[(1, 1)]);
         for member in team {
-            let reach = Reach::new(&member, target_m, time_step_s, stand_off_m);
-            let lambda = if reach.is_blind() { 0.0 } else { 1.0 / (member.range_std_m * member.range_std_m) };
-            let arm = reach.arm(lambda, &[]);
+            let reach = Reach::new(member, target_m, *step_s, stand_off_m);
+            let arm = reach.arm(if reach.is_blind() { 0.0 } else { lambda(member) }, &[]);
             self.information_trace += arm.lambda;
             self.positions_m.push(member.position_m);
             self.reaches.push(reach);
@@ -124,26 +110,17 @@ impl Problem {
         self.arms.is_empty()
     }
 
-    /// Heading, as a unit vector, and speed (m/s) after which robot `i` has this doubled bearing, which
-    /// must lie in its arc.
-    #[must_use]
-    pub fn motion(&self, i: usize, direction: Vector) -> (Vector, f64) {
-        self.reaches[i].motion(direction, &self.corners_m)
-    }
-
-    /// Doubled bearing and speed (m/s) of robot `i` after a step along this heading, which is turned if
-    /// it would not keep clear.
-    pub(super) fn after_heading(&self, i: usize, heading_rad: &mut f64) -> (Vector, f64) {
+    /// Doubled bearing of robot `i` after a step along this heading, which is turned if it would not keep clear, and the
+    /// command for it.
+    pub(super) fn after_heading(&self, i: usize, heading_rad: f64) -> (Vector, Command) {
         let reach = &self.reaches[i];
-        let heading = Vector::from_angle(*heading_rad);
+        let heading = Vector::from_angle(heading_rad);
         let direction = reach.direction_after(heading);
         if reach.is_clear_after(heading, &self.corners_m) {
-            return (direction, reach.speed_mps);
+            return (direction, Command { heading_rad, speed_mps: reach.speed_mps });
         }
         let direction = self.arms[i].nearest(direction, self.arms[i].centre);
-        let (heading, speed_mps) = self.motion(i, direction);
-        *heading_rad = heading.angle_rad();
-        (direction, speed_mps)
+        (direction, reach.command(direction, &self.corners_m))
     }
 
     /// The robots' vectors.
@@ -222,6 +199,12 @@ impl Problem {
     }
 }
 
+/// What a robot's measurement tells, `sigma^-2`, 1/m^2.
+fn lambda(member: &TeamMember) -> f64 {
+    let Sensor::Range { std_m } = member.sensor;
+    if member.is_fused { 1.0 / (std_m * std_m) } else { 0.0 }
+}
+
 /// `tr(P+_11) = 4 T / (T^2 - |S|^2)` from `T - |S|` and `|S|`, m^2.
 #[inline]
 pub(super) fn trace_m2(least: f64, length: f64) -> f64 {
@@ -255,6 +238,7 @@ fn is_flat(p: &Matrix2<f64>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::belief::Belief;
     use proptest::prelude::*;
 
     fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
@@ -270,10 +254,12 @@ mod tests {
         ) {
             let b = correlation * (a * c).sqrt();
             let prior = Matrix2::new(a, b, b, c);
-            let mut problem = Problem::default();
-            problem.pose(&prior, Vector::new(1.0, 2.0), 0.1, &Clearance::default(), robots.iter().map(|&(x, y, range_std_m, _)| TeamMember {
-                position_m: Vector::new(x, y), max_speed_mps: 10.0, range_std_m,
-            }));
+            let problem = Problem::of(&Situation {
+                belief: Belief::of_position(Vector::new(1.0, 2.0), &prior),
+                team: robots.iter().map(|&(x, y, std_m, _)| TeamMember::ranging(Vector::new(x, y), 10.0, std_m)).collect(),
+                step_s: 0.1,
+                ..Situation::default()
+            });
             let bearings: Vec<Vector> = robots.iter().map(|&(.., theta)| Vector::from_angle(theta)).collect();
             let directions: Vec<Vector> = bearings.iter().map(|e| e.doubled()).collect();
             let mut information = inverse(prior);
