@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
-use rangehound::in_process::Team;
-use rangehound::input;
-use rangehound::report::Truth;
-use rangehound::tables;
+use rangehound::files::input;
+use rangehound::results::report::Truth;
+use rangehound::results::tables;
+use rangehound::run::in_process::Team;
 use rangehound_shared::scenario::{
     FilterTable, GateKey, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable,
 };

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use rangehound::frame::{Frame, Frames};
-use rangehound::in_process;
-use rangehound::input;
-use rangehound::run_mcap::read::FrameReader;
-use rangehound::run_mcap::write::FrameWriter;
+use rangehound::files::input;
+use rangehound::results::frame::{Frame, Frames};
+use rangehound::results::run_mcap::read::FrameReader;
+use rangehound::results::run_mcap::write::FrameWriter;
+use rangehound::run::in_process;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::{Heading, Heard, Judged, RangeUse};
 use rustix::process::{Pid, Signal};

@@ -10,7 +10,7 @@
 //! planner is asked in the paper's runs, with no process or topic between: what those cost, `rangehound latency` tells.
 
 use nalgebra::Matrix2;
-use rangehound::in_process::Team;
+use rangehound::run::in_process::Team;
 use rangehound_fusion::belief::Belief;
 use rangehound_fusion::planner::range_only::Problem;
 use rangehound_fusion::planner::{Situation, TeamMember, Vector};

@@ -10,9 +10,9 @@ use serde_json::Value;
 use super::LOOK;
 use super::scene::Scene;
 use super::server::Server;
-use crate::frame::{Frame, Frames};
-use crate::remote::{ENDING, Status};
-use crate::watch;
+use crate::results::frame::{Frame, Frames};
+use crate::run::remote::{ENDING, Status};
+use crate::run::watch;
 
 /// How often the processes are looked at, and how much rarer for each robot.
 const NODES: Duration = Duration::from_millis(250);

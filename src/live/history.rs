@@ -4,8 +4,8 @@ use rangehound_shared::record::FusionRecord;
 use serde::Serialize;
 use serde::ser::SerializeTuple;
 
-use crate::frame::Frame;
-use crate::report::position_covariance;
+use crate::results::frame::Frame;
+use crate::results::report::position_covariance;
 use crate::statistics::{Interval, chi_square_mean_bounds, median};
 
 /// Points at which neighbours are put together: more would not be seen.

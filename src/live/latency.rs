@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use crate::frame::Frame;
+use crate::results::frame::Frame;
 use crate::statistics::Samples;
 
 /// Half of what "the last seconds" are.

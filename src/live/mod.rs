@@ -36,8 +36,8 @@ use serde_json::json;
 
 use crate::cli::LiveArgs;
 use crate::failure::{Failure, print_json, tell};
-use crate::frame::Frame;
-use crate::node::look_on;
+use crate::results::frame::Frame;
+use crate::run::node::look_on;
 use guard::Token;
 use scene::Scene;
 use server::Server;

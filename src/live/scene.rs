@@ -12,9 +12,9 @@ use serde_json::{Value, json};
 
 use super::history::{History, Known, News};
 use super::latency::{Latencies, Latency};
-use crate::chart::{self, COLOURS};
-use crate::frame::{Frame, UNSETTLED_TICKS};
-use crate::report::{RangeSummary, position_covariance};
+use crate::draw::chart::{self, COLOURS};
+use crate::results::frame::{Frame, UNSETTLED_TICKS};
+use crate::results::report::{RangeSummary, position_covariance};
 
 /// Places of all robots' trails together.
 const TRAIL_PLACES_MAX: usize = 8_000;

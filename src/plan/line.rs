@@ -14,8 +14,8 @@ use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
 use serde::{Serialize, Serializer};
 
-use crate::experiment::COMMAND_LINE;
 use crate::failure::one_short_line;
+use crate::run::experiment::COMMAND_LINE;
 
 use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 

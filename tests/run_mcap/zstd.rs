@@ -2,8 +2,8 @@
 
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader};
-use rangehound::frame::Frame;
-use rangehound::run_mcap::read::FrameReader;
+use rangehound::results::frame::Frame;
+use rangehound::results::run_mcap::read::FrameReader;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::{frames, recorded, replay, replayed};

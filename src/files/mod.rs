@@ -1,0 +1,11 @@
+//! Files: those that users give, and where results go.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`input`] | scenarios, recordings, anchors, true tracks |
+//! | [`out_folder`] | where results may go, and what may be replaced there |
+//! | [`whole_file`] | files that are there as a whole or not at all |
+
+pub mod input;
+pub mod out_folder;
+pub mod whole_file;
