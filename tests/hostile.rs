@@ -19,9 +19,10 @@ use rangehound::failure::one_short_line;
 use rangehound::files::input;
 use rangehound::plan::line::Desk;
 use rangehound::results::report;
+use rangehound::results::report::Truth;
 use rangehound::results::run_mcap::read::FrameReader;
 use rangehound::results::run_mcap::scene::Scene;
-use rangehound::results::tables;
+use rangehound::results::{made, tables};
 use rangehound::run::in_process::{self, Team};
 use rangehound::run::supervisor::restart::Rule;
 use rangehound::study::replay::steps::{Steps, difference};
@@ -152,7 +153,7 @@ fn long_input_is_taken_or_refused_too() {
                 ScenarioFile::parse(&text, "long.toml").inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"), &ReadOptions::default())
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
-            let _ = tables::parse_truth(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
+            let _ = Truth::parse(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
             let mut desk = Desk::new(PlannerTable::default(), 1).unwrap();
             desk.answer(1, text.as_bytes(), &mut Vec::new());
         }
@@ -248,7 +249,7 @@ fn hostile_columns() {
 fn hostile_true_tracks() {
     let documents =
         [head_of("truth.csv", 12), b"# mocap\nt_ms;z_m;X (mm);Y (mm)\n0;0;1500;2000\n1000;0;3000;4500,0\n".to_vec()];
-    attack_parser("true tracks", 1.0, &documents, |bytes| match tables::parse_truth(bytes) {
+    attack_parser("true tracks", 1.0, &documents, |bytes| match Truth::parse(bytes) {
         Ok(truth) => {
             for time_s in [0.0, 0.1, 1.0, f64::NAN, f64::INFINITY] {
                 assert!(truth.at(time_s).is_none_or(|place| place.iter().all(|number| number.is_finite())));
@@ -503,7 +504,7 @@ fn hostile_logs() {
             tables::write_estimate_csv(&description)?;
             tables::write_recording(&description)?;
             // Slow, and mostly the same.
-            if dice.chance(0.02) { tables::draw(&report, &description, None) } else { Ok(()) }
+            if dice.chance(0.02) { made::draw(&report, &description, None) } else { Ok(()) }
         });
         match done {
             Ok(()) => Verdict::Taken,

@@ -14,8 +14,8 @@ use rangehound_node::rendezvous::{Rendezvous, living_runs};
 
 use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 use crate::failure::{self, Failure};
-use crate::run::watch;
 use crate::files::whole_file::{PARTIAL, rename_to_free, with_ending};
+use crate::run::watch;
 
 /// Longest manual page that is looked at.
 const PAGE_LEN_MAX: usize = 1 << 20;

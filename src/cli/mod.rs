@@ -6,11 +6,12 @@
 //! | `node` | one node |
 //! | `look` | what looks at runs, or acts on them |
 //! | `study` | what measures and compares |
-//! | `shell` | what a shell asks for |
+//! | `shell`, [`complete`] | what a shell asks for: completions, names, manual pages |
 //! | `input` | how a recording is read |
 //! | `values` | values as they are written behind flags |
 //! | `examples` | what `--help` and the manual add to each command |
 
+pub mod complete;
 mod examples;
 mod input;
 mod look;

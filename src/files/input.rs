@@ -15,6 +15,8 @@ use rangehound_shared::recording::{
 };
 use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, ScenarioFile};
 
+use crate::failure::Failure;
+
 /// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 
@@ -23,6 +25,16 @@ const STANDARD_INPUT: &str = "-";
 
 /// After so long without a byte the user is told what is waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
+
+/// A path as text, which is how the files of a run and its processes tell it each other.
+///
+/// # Errors
+/// [`Failure::Input`], with the path, if it is none in UTF-8.
+pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
+    path.to_str().ok_or_else(|| {
+        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
+    })
+}
 
 /// Reads a scenario file without checking its values.
 ///

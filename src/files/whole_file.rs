@@ -145,7 +145,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         let names = || std::fs::read_dir(folder.path()).unwrap().count() - 1;
-        let _claim = out_folder::claim(folder.path(), out_folder::Kind::Run, &[]).unwrap();
+        let _claim = out_folder::claim(folder.path(), crate::files::layout::Kind::Run, &[]).unwrap();
         write(&path, "first").unwrap();
         let mut second = WholeFile::create(&path).unwrap();
         second.write_all(b"second").unwrap();

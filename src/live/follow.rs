@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, Role};
 use rangehound_node::signal::Termination;
 use rangehound_shared::message::Estimate;
 use serde_json::Value;
@@ -11,7 +11,7 @@ use super::LOOK;
 use super::scene::Scene;
 use super::server::Server;
 use crate::results::frame::{Frame, Frames};
-use crate::run::remote::{ENDING, Status};
+use crate::run::remote::Status;
 use crate::run::watch;
 
 /// How often the processes are looked at, and how much rarer for each robot.
@@ -83,7 +83,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
 fn is_ending(run: &Rendezvous) -> bool {
     let asked = Instant::now();
     loop {
-        if run.note(ENDING).is_some() {
+        if run.note(ENDING_NOTE).is_some() {
             return true;
         }
         // Of a run by hand nobody says it.

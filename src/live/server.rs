@@ -1,6 +1,6 @@
 //! The server of the page: one thread, a bounded number of connections, one request each.
 
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::TcpListener;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -106,11 +106,6 @@ impl Drop for Server {
             let _ = thread.join();
         }
     }
-}
-
-/// A socket at a port of this machine that no other machine reaches; any free one if none is given.
-pub(super) fn listen(port: Option<u16>) -> std::io::Result<TcpListener> {
-    TcpListener::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port.unwrap_or(0))))
 }
 
 async fn accept(listener: TcpListener, router: Router) {

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`frame`] | a run tick by tick: the one reader of the logs |
 //! | [`report`], [`hops`], [`percentiles`] | `report.json` and what it is added up from |
+//! | [`made`] | all that is made of the logs of a run that is over |
 //! | [`tables`] | CSV |
 //! | [`curves`], [`page`], [`picture`] | what is drawn: `report.html`, a picture |
 //! | [`run_mcap`] | the run in one file that viewers open |
@@ -11,6 +12,7 @@
 pub mod curves;
 pub mod frame;
 pub mod hops;
+pub mod made;
 pub mod page;
 pub mod percentiles;
 pub mod picture;

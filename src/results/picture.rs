@@ -6,10 +6,8 @@ use plotters::prelude::*;
 
 use crate::draw::chart::{self, Area, Drawn, ESTIMATE, TARGET};
 use crate::draw::over_time::{Line, OverTime};
+use crate::files::layout::PICTURE;
 use crate::results::curves::Curves;
-
-/// File name of the picture in a run folder.
-pub const FILE_NAME: &str = "picture.svg";
 
 /// Width of the field; its height is what its key needs beside.
 const FIELD: u32 = 1_000;
@@ -26,7 +24,7 @@ pub fn draw(curves: &Curves, out_dir: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     let (width, height) = curves.paths.whole_size(FIELD);
-    chart::draw_to_file(&out_dir.join(FILE_NAME), (width + GRAPH, height), |area| {
+    chart::draw_to_file(&out_dir.join(PICTURE), (width + GRAPH, height), |area| {
         let (field, graph) = area.split_horizontally(width);
         curves.paths.draw_whole(&field)?;
         draw_errors(curves, &graph)

@@ -13,7 +13,8 @@ use rangehound_shared::scenario::{
 
 use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};
 use crate::failure::{self, Failure};
-use crate::files::input;
+use crate::files::input::{self, in_utf8};
+use crate::files::layout::RUNS;
 use crate::files::out_folder::NUMBERS_END;
 use crate::run::node::input_or_running;
 
@@ -22,9 +23,6 @@ pub const DEFAULT_SCENARIO: &str = include_str!("../../scenarios/paper.toml");
 
 /// What complaints about flags name in place of a scenario file.
 pub(crate) const COMMAND_LINE: &str = "command line";
-
-/// Where run folders go unless told otherwise.
-const RUNS: &str = "runs";
 
 /// How a run gets its name when the user gives none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -111,9 +109,9 @@ impl Experiment {
         let mut accel_psd = args.accel_psd;
         let read = input::recording_of(&recording, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
         if let Some(path) = &args.calibration {
-            let calibration = crate::study::calibrate::file::read(path)?;
+            let calibration = crate::files::calibration::read(path)?;
             let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
-            crate::study::calibrate::file::merge(&calibration, &known, &mut recording, &mut accel_psd);
+            crate::files::calibration::merge(&calibration, &known, &mut recording, &mut accel_psd);
         }
         let file = ScenarioFile {
             name: Some(name_after(&args.input.ranges)),
@@ -253,16 +251,6 @@ pub fn recording_table(args: &InputArgs) -> Result<RecordingTable, Failure> {
         strict: args.strict.then_some(true),
         target_height_m: args.target_height,
         ..RecordingTable::default()
-    })
-}
-
-/// A path as text, which is how the files of a run and its processes tell it each other.
-///
-/// # Errors
-/// [`Failure::Input`], with the path, if it is none in UTF-8.
-pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
-    path.to_str().ok_or_else(|| {
-        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
     })
 }
 

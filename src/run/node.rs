@@ -17,10 +17,10 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 use crate::cli::{ExperimentArgs, FusionArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 use crate::failure::{self, Failure};
 use crate::files::input;
+use crate::files::layout::SCENARIO;
 use crate::files::out_folder::Claim;
-use crate::results::run_mcap::SCENARIO;
-use crate::results::tables;
 use crate::run::experiment::{Experiment, Naming, override_with};
+use crate::run::folder;
 
 /// Of who looks on.
 const LEAST_PRIORITY: i32 = 19;
@@ -87,12 +87,12 @@ fn found(args: &SimArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<
         refuse_other_experiment(&args.experiment, experiment, living.description())?;
         failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
         // Its supervisor may have the folder, if there is one.
-        let folder = tables::look_for_writable(living.description()).ok();
+        let folder = folder::look_for_writable(living.description()).ok();
         return Ok((living, folder));
     }
     let name = &experiment.name;
     // Before nodes can join the run and write into its folder.
-    let folder = tables::prepare_folder(experiment)?;
+    let folder = folder::prepare_folder(experiment)?;
     let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
     let robots = rendezvous.description().scenario.robots.len();
     failure::tell(format!(

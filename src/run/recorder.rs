@@ -14,12 +14,13 @@ use serde::Serialize;
 
 use crate::cli::RecordArgs;
 use crate::failure::{self, Failure};
+use crate::files::layout::RECORDING;
 use crate::files::out_folder;
 use crate::results::frame::{Frames, UNSETTLED_TICKS};
-use crate::results::run_mcap::FILE_NAME;
+use crate::results::made;
 use crate::results::run_mcap::file::{Poorer, RunFile, unusable};
 use crate::results::run_mcap::write::Written;
-use crate::results::tables;
+use crate::run::folder;
 use crate::run::node;
 use crate::run::watch::{self, LOOK, Progress};
 
@@ -36,7 +37,7 @@ const UNEXPLAINED: Duration = Duration::from_secs(1);
 pub fn record(args: &RecordArgs) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     if let Some(folder) = &args.folder {
-        let description = tables::read_description(folder)?;
+        let description = folder::read_description(folder)?;
         // A run that goes on writes the recording in its folder itself.
         let _alone = args.out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
         let recorded = record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination)?;
@@ -139,7 +140,7 @@ struct Recorder<'a> {
 
 impl<'a> Recorder<'a> {
     fn begin(description: &'a RunDescription, out: Option<&Path>, bytes_max: u64) -> Result<Self, Failure> {
-        let path = out.map_or_else(|| description.out_dir.join(FILE_NAME), Path::to_owned);
+        let path = out.map_or_else(|| description.out_dir.join(RECORDING), Path::to_owned);
         if path.is_dir() {
             return Err(Failure::input(format!("--out: expected a file, {} is a folder", path.display())));
         }
@@ -195,7 +196,7 @@ impl<'a> Recorder<'a> {
                     log::warn!(
                         "asked to end before all of the run is recorded: tick {} and later are not in the file; `rangehound record {}` makes a whole one",
                         self.next,
-                        tables::from_here(&self.description.out_dir).display()
+                        made::from_here(&self.description.out_dir).display()
                     );
                     break;
                 }
@@ -246,7 +247,7 @@ impl<'a> Recorder<'a> {
             })?;
         }
         Ok(Recorded {
-            file: last.map(|_| tables::from_here(&path).display().to_string()),
+            file: last.map(|_| made::from_here(&path).display().to_string()),
             scenario: description.scenario.name.clone(),
             ticks: last,
             ticks_of_run: description.scenario.ticks,

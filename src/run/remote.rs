@@ -5,7 +5,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_node::logs;
-use rangehound_node::rendezvous::{Holder, Process, Rendezvous, Role, living_runs};
+use rangehound_node::rendezvous::{ENDING_NOTE, Holder, Process, Rendezvous, Role, living_runs};
 use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal};
 use serde::Serialize;
@@ -23,9 +23,6 @@ const POLL: Duration = Duration::from_millis(10);
 
 /// Time without a sign of life after which a process that runs is shown as hung.
 const HUNG: Duration = Duration::from_secs(1);
-
-/// Note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
-pub(crate) const ENDING: &str = "ending";
 
 /// State of a node that lives where it cannot be looked at: in another PID namespace.
 pub(crate) const ELSEWHERE: &str = "elsewhere";
@@ -220,7 +217,7 @@ impl Status {
         let log = logs::read_worlds(description).ok();
         let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
         let roster = run.roster();
-        let is_ending = run.is_finished() || run.note(ENDING).is_some();
+        let is_ending = run.is_finished() || run.note(ENDING_NOTE).is_some();
         // One that leads now stood by before: its place then is not worth a line.
         let standbys: Vec<Role> = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| roster.is_held(*role)).collect();
         let roles = watch::roles(scenario.robots.len()).chain(standbys.iter().copied()).chain([Role::Supervisor]);

@@ -10,8 +10,8 @@ use rangehound_shared::message::{Estimate, Truth};
 
 use crate::cli::WatchArgs;
 use crate::failure::{self, Failure};
+use crate::results::made::{self, Keep};
 use crate::results::report::{NodeSummary, position_covariance};
-use crate::results::tables::{self, Keep};
 use crate::run::node;
 use crate::run::node::input_or_running;
 use crate::terminal;
@@ -219,9 +219,9 @@ fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bo
     let keep = Keep { json: args.json, ..Keep::default() };
     if roster.starts(Role::Supervisor) > 0 {
         // The supervisor writes the report, and knows more of the nodes.
-        return tables::print_report(description, &keep, nodes).map(|_| true);
+        return made::print_report(description, &keep, nodes).map(|_| true);
     }
-    tables::report_and_tables(description, &keep, nodes).map(|_| true)
+    made::report_and_tables(description, &keep, nodes).map(|_| true)
 }
 
 /// Waits for fusion, which puts its last tick down after it has published it. False if it goes on: the run does, or it hangs.

@@ -57,6 +57,12 @@ const DYING: Duration = Duration::from_millis(500);
 /// Longest note, bytes.
 const NOTE_LEN_MAX: usize = 1 << 10;
 
+/// The note with port and token of the page that shows the run, so that a page that is started again is found where it was.
+pub const LIVE_NOTE: &str = "live";
+
+/// The note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
+pub const ENDING_NOTE: &str = "ending";
+
 /// A role in a run: one living process each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Role {

@@ -11,93 +11,18 @@ use std::io;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-use rangehound_node::checkpoint::{self, Checkpoint};
+use rangehound_node::checkpoint::Checkpoint;
 use rangehound_node::logs;
 use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::COPY;
 use rustix::fs::OFlags;
 
 use crate::failure::Failure;
-use crate::files::whole_file::PARTIAL;
-use crate::results::page;
-use crate::results::picture;
-use crate::results::report;
-use crate::results::run_mcap;
-use crate::results::tables;
-use crate::study::calibrate;
-use crate::study::chaos;
-use crate::study::compare;
-use crate::study::latency;
+use crate::files::layout::{DESCRIPTION, Kind, LOGS, RECORDING, SCENARIO};
 pub use ledger::{MARK, is_ours, note_finished, note_growing};
-
-/// The folder of the nodes' logs in a run folder.
-pub const LOGS: &str = "logs";
 
 /// Numbered names end before this.
 pub const NUMBERS_END: u32 = 10_000;
-
-/// What an output folder holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    /// A run: report, tables, logs.
-    Run,
-    /// The figures and pictures of a comparison.
-    Compare,
-    /// The findings of a calibration.
-    Calibrate,
-    /// The figures of a latency measurement, and the folders of its runs.
-    Latency,
-    /// The outcome of a campaign of faults, and the folders of its runs.
-    Chaos,
-}
-
-impl Kind {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Run => "run",
-            Self::Compare => "compare",
-            Self::Calibrate => "calibrate",
-            Self::Latency => "latency",
-            Self::Chaos => "chaos",
-        }
-    }
-
-    /// True if results of this kind go to a file of this name, or what a kill left of making one.
-    fn writes(self, name: &str) -> bool {
-        let name = name.strip_suffix(PARTIAL).map_or(name, without_number);
-        let numbered = |start: &str, end: &str| is_numbered(name, start, end);
-        match self {
-            Self::Run => {
-                let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
-                let results = [report::FILE_NAME, page::FILE_NAME, picture::FILE_NAME, run_mcap::FILE_NAME];
-                results.contains(&name) || tables::FILE_NAMES.contains(&name) || checkpoints.iter().any(|it| it == name)
-            }
-            Self::Calibrate => name == calibrate::file::FILE_NAME || name == calibrate::picture::FILE_NAME,
-            Self::Compare => name == compare::FILE_NAME || compare::pictures::FILE_NAMES.contains(&name),
-            Self::Latency => {
-                latency::FILE_NAMES.contains(&name)
-                    || numbered("system-", ".toml")
-                    || numbered("system-", ".log")
-                    || numbered("iceoryx2-", ".log")
-                    || numbered("futex-", ".log")
-            }
-            Self::Chaos => name == chaos::FILE_NAME || numbered("round-", ".toml") || numbered("round-", ".log"),
-        }
-    }
-}
-
-/// A name without the process's number that whole files have while they are made.
-fn without_number(name: &str) -> &str {
-    match name.rsplit_once('.') {
-        Some((before, number)) if number.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-') => before,
-        _ => name,
-    }
-}
-
-fn is_numbered(name: &str, start: &str, end: &str) -> bool {
-    let number = name.strip_prefix(start).and_then(|rest| rest.strip_suffix(end));
-    number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
-}
 
 /// Why a folder cannot be had.
 #[derive(Debug)]
@@ -184,9 +109,9 @@ pub fn claim_again(folder: &Path) -> Result<Claim, Refusal> {
     }
     // What the nodes go on with is told by the run's number in it.
     let goes_on = |name: &str| name.ends_with(".ticks") || name.ends_with(".checkpoint");
-    let kept = [tables::DESCRIPTION, run_mcap::SCENARIO, COPY];
+    let kept = [DESCRIPTION, SCENARIO, COPY];
     for name in entries(folder).filter(|name| kind_of_result(name)) {
-        if !goes_on(&name) && !kept.contains(&name.as_str()) && !name.starts_with(run_mcap::FILE_NAME) {
+        if !goes_on(&name) && !kept.contains(&name.as_str()) && !name.starts_with(RECORDING) {
             claim.refuse_stranger(&folder.join(&name))?;
         }
     }

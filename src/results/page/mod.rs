@@ -12,6 +12,7 @@ use std::path::Path;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use crate::files::layout::PAGE;
 use crate::files::whole_file;
 use crate::results::curves::Curves;
 use crate::results::report::Report;
@@ -19,9 +20,6 @@ use crate::results::report::verdict::Verdict;
 
 /// Width of all pictures, px: labels can be read on a phone.
 const WIDTH: u32 = 1_000;
-
-/// File name of the page in a run folder.
-pub const FILE_NAME: &str = "report.html";
 
 const STYLE: &str = include_str!("style.css");
 
@@ -41,7 +39,7 @@ struct Section {
 /// # Errors
 /// If a picture cannot be drawn, or the file not be written.
 pub fn write(report: &Report, curves: &Curves, out_dir: &Path) -> anyhow::Result<()> {
-    whole_file::write(&out_dir.join(FILE_NAME), page(report, curves)?)
+    whole_file::write(&out_dir.join(PAGE), page(report, curves)?)
 }
 
 fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {

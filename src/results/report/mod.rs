@@ -23,6 +23,7 @@ use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::Source;
 
+use crate::files::layout::REPORT;
 use crate::files::whole_file;
 use crate::results::frame::{Frames, PutDown};
 use verdict::{RecordingEvidence, TruthEvidence};
@@ -33,9 +34,6 @@ pub use summary::{
 };
 pub use tally::{Background, Tally, position_covariance, position_error};
 pub use truth::Truth;
-
-/// File name of the report in a run folder.
-pub const FILE_NAME: &str = "report.json";
 
 /// Computes the report of a run from its logs.
 ///
@@ -110,5 +108,5 @@ impl Overlap {
 /// # Errors
 /// If the file cannot be written.
 pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
-    whole_file::write(&out_dir.join(FILE_NAME), serde_json::to_string_pretty(report)? + "\n")
+    whole_file::write(&out_dir.join(REPORT), serde_json::to_string_pretty(report)? + "\n")
 }

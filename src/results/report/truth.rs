@@ -1,16 +1,41 @@
 //! A true track, which the tracker never saw.
 
+use std::io::Read;
+use std::path::Path;
+
 use nalgebra::Vector2;
+use rangehound_shared::recording::{TrackPoint, parse_track};
+
+use crate::failure::Failure;
+use crate::files::input;
 
 /// A true track: positions by time, from a file that the tracker never saw.
 #[derive(Debug, Clone)]
 pub struct Truth(Vec<(f64, Vector2<f64>)>);
 
+impl From<Vec<TrackPoint>> for Truth {
+    /// A track in order of time.
+    fn from(points: Vec<TrackPoint>) -> Self {
+        Self(points.into_iter().map(|(time_s, [x_m, y_m])| (time_s, Vector2::new(x_m, y_m))).collect())
+    }
+}
+
 impl Truth {
-    /// A track of (time, position), in order of time.
-    #[must_use]
-    pub fn new(points: Vec<(f64, Vector2<f64>)>) -> Self {
-        Self(points)
+    /// Reads a true track, `time_s,x_m,y_m` in any of the forms that a recording may have, in order of time.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] with file and row of the first thing that is wrong.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        Ok(input::track(path).map_err(Failure::input)?.into())
+    }
+
+    /// Parses a true track from a reader.
+    ///
+    /// # Errors
+    /// What is wrong first, in one line.
+    pub fn parse(input: impl Read) -> Result<Self, String> {
+        let track = parse_track(input, Path::new("the true track")).map_err(|problem| problem.to_string())?;
+        Ok(track.into())
     }
 
     /// First and last time, s.

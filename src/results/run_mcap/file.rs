@@ -12,10 +12,10 @@ use rangehound_node::bounded;
 use rangehound_node::rendezvous::RunDescription;
 use rustix::fs::OFlags;
 
-use super::SCENARIO;
 use super::count::{Found, look, ticks_told};
 use super::write::{FrameWriter, Written};
 use crate::failure::Failure;
+use crate::files::layout::SCENARIO;
 use crate::files::out_folder;
 use crate::files::whole_file::{self, PARTIAL, with_ending};
 use crate::results::frame::Frame;

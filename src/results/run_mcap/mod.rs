@@ -20,12 +20,3 @@ mod zstd;
 
 /// Marks files as ours: the MCAP profile, and the name of the metadata record.
 pub const PROFILE: &str = "rangehound";
-
-/// The attachment that says what the run is: its sealed description.
-pub const DESCRIPTION: &str = "run.sealed";
-
-/// The attachment with the scenario, for people.
-pub const SCENARIO: &str = "scenario.toml";
-
-/// The file in a run folder.
-pub const FILE_NAME: &str = "run.mcap";

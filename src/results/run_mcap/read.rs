@@ -10,10 +10,11 @@ use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::sealed::SealError;
 use serde::Serialize;
 
+use super::PROFILE;
 use super::messages::{OnTopic, TOPICS};
 use super::topics::{Gathering, Senseless};
 use super::zstd::ZstdDecoder;
-use super::{DESCRIPTION, PROFILE, SCENARIO};
+use crate::files::layout::{DESCRIPTION, SCENARIO};
 use crate::results::frame::Frame;
 
 /// Longest record, compressed or not: a dozen times what the recorder writes, as other tools have longer chunks.

@@ -14,10 +14,11 @@ use mcap::{Attachment, Compression, McapError, WriteOptions};
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::{protocol, sealed};
 
+use super::PROFILE;
 use super::messages::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode};
 use super::scene::{self, Scene};
 use super::topics::messages_of;
-use super::{DESCRIPTION, PROFILE, SCENARIO};
+use crate::files::layout::{DESCRIPTION, SCENARIO};
 use crate::results::frame::Frame;
 
 /// A chunk is written once it has so many bytes before compression.

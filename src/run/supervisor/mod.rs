@@ -15,11 +15,13 @@ use rangehound_node::signal::Termination;
 use crate::cli::{RecordingArgs, ResumeArgs, RunArgs, SupervisionArgs, TrackArgs};
 use crate::failure::Failure;
 use crate::files::out_folder::{self, Claim};
-use crate::live;
-use crate::results::tables::{self, Keep};
+use crate::results::made::{self, Keep};
+use crate::results::report::Truth;
 use crate::run::experiment::{Experiment, Naming};
+use crate::run::folder;
 use crate::run::in_process;
 use crate::run::node::{end_with, input_or_running};
+use crate::run::port;
 use crate::run::recorder;
 use crate::run::watch::Progress;
 use removal::go_on_until_the_end;
@@ -41,7 +43,7 @@ pub fn run(args: &RunArgs) -> Result<(), Failure> {
 /// [`Failure`].
 pub fn track(args: &TrackArgs) -> Result<(), Failure> {
     // Before a folder is made for the name.
-    let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
+    let truth = args.truth.as_deref().map(Truth::read).transpose()?;
     let experiment = Experiment::from_track(args)?;
     let keep = Keep { ranges: false, truth, json: args.json, strict: args.input.strict };
     execute(experiment, args.in_process, &args.supervision, &args.recording, &keep)
@@ -52,14 +54,14 @@ pub fn track(args: &TrackArgs) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn resume(args: &ResumeArgs) -> Result<(), Failure> {
-    let description = tables::read_description(&args.folder)?;
+    let description = folder::read_description(&args.folder)?;
     let name = match &args.name {
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
     let found = || {
         let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
-        Ok((rendezvous, tables::look_for_writable(&description)?))
+        Ok((rendezvous, folder::look_for_writable(&description)?))
     };
     let keep = Keep { json: args.json, ..Keep::default() };
     supervise(&args.supervision, &args.recording, &keep, found)
@@ -74,7 +76,7 @@ fn execute(
 ) -> Result<(), Failure> {
     if in_process {
         let description = &experiment.description;
-        let _folder = tables::prepare_folder(&experiment)?;
+        let _folder = folder::prepare_folder(&experiment)?;
         let mut progress = Progress::new("tick", description.scenario.ticks);
         in_process::run(description, |tick| {
             if tick > 0 && tick % 4_096 == 0 {
@@ -85,7 +87,7 @@ fn execute(
         if !recording.no_record {
             recorder::record_logs(description, None, recording.limit.bytes(), &Termination::listen()?)?;
         }
-        let reported = tables::report_and_tables(description, keep, Vec::new());
+        let reported = made::report_and_tables(description, keep, Vec::new());
         out_folder::seal(&description.out_dir);
         return reported.map(drop);
     }
@@ -93,7 +95,7 @@ fn execute(
     supervise(supervision, recording, keep, move || {
         // Only who has the name may touch the folder.
         let rendezvous = experiment.found()?;
-        let folder = tables::prepare_folder(&experiment)?;
+        let folder = folder::prepare_folder(&experiment)?;
         Ok((rendezvous, folder))
     })
 }
@@ -108,12 +110,12 @@ fn supervise(
     let termination = Termination::listen()?;
     supervision.pin.apply().map_err(Failure::input)?;
     if let Some(Some(port)) = supervision.show.live {
-        live::look_for(port)?;
+        port::listen(Some(port))?;
     }
     let (rendezvous, _folder) = found()?;
     let description = &rendezvous.description().clone();
     let (summaries, outcome) = go_on_until_the_end(rendezvous, supervision, recording, &termination)?;
-    let reported = tables::report_and_tables(description, keep, summaries);
+    let reported = made::report_and_tables(description, keep, summaries);
     out_folder::seal(&description.out_dir);
     // Why the run ended early comes first.
     outcome?;

@@ -3,7 +3,7 @@
 
 use anyhow::anyhow;
 use rangehound_node::bus::Bus;
-use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::rendezvous::{ENDING_NOTE, LIVE_NOTE, Rendezvous, Role};
 use rangehound_node::signal::Termination;
 
 use super::cleaner::Cleaner;
@@ -12,10 +12,8 @@ use super::losses::Losses;
 use super::nodes::{Ended, Nodes};
 use crate::cli::{RecordingArgs, SupervisionArgs};
 use crate::failure::Failure;
-use crate::live;
 use crate::results::report::NodeSummary;
 use crate::run::node::input_or_running;
-use crate::run::remote;
 use crate::run::watch::Watch;
 
 /// Shared memory that is removed so often in a row, each time before a tick is over, is not made again.
@@ -96,7 +94,7 @@ fn live_once(
         if let Some(port) = supervision.show.live {
             // The page is found where it was.
             if let Some(address) = &past.live_address {
-                let _ = rendezvous.leave_note(live::ADDRESS_FILE, address);
+                let _ = rendezvous.leave_note(LIVE_NOTE, address);
             }
             let port = port.map(|port| ["--port".to_owned(), port.to_string()]);
             companions.start("live", port.into_iter().flatten().collect());
@@ -113,7 +111,7 @@ fn live_once(
             losses.look(watch.newest_ticks());
             companions.look();
             if supervision.show.live.is_some() {
-                past.live_address = rendezvous.note(live::ADDRESS_FILE).or_else(|| past.live_address.take());
+                past.live_address = rendezvous.note(LIVE_NOTE).or_else(|| past.live_address.take());
             }
         });
         past.newest_tick = watch.newest_ticks().fusion;
@@ -123,7 +121,7 @@ fn live_once(
             nodes.kill()?;
         } else {
             // Without the note, whoever looks on takes it for a run whose nodes have died.
-            let _ = rendezvous.leave_note(remote::ENDING, "");
+            let _ = rendezvous.leave_note(ENDING_NOTE, "");
             nodes.end(rendezvous.is_finished());
             watch.finish();
             companions.end(termination);

@@ -7,17 +7,17 @@
 //! | [`search`] | from ranges alone to all models' fits |
 //! | [`verdict`] | which model is believed, and what the data cannot tell |
 //! | [`regression`] | errors against a known track |
-//! | [`mod@file`] | `calibration.toml` |
+//! | `text` | `calibration.toml` |
 //! | [`picture`] | residuals over range |
 
-pub mod file;
 pub mod model;
 pub mod picture;
 pub mod regression;
 pub mod search;
 #[allow(clippy::needless_range_loop, reason = "matrices by row and column, as in the equations")]
 pub mod smoother;
-pub mod verdict;
+pub mod text;
+mod verdict;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -27,10 +27,11 @@ use rangehound_shared::recording::Recording;
 use crate::cli::CalibrateArgs;
 use crate::failure::{self, Failure};
 use crate::files::input;
-use crate::files::out_folder::{Kind, claim_or_number};
+use crate::files::layout::Kind;
+use crate::files::layout::{CALIBRATION, RESIDUALS};
+use crate::files::out_folder::claim_or_number;
 use crate::files::whole_file;
 use crate::results::report::Truth;
-use crate::results::tables;
 use crate::run::experiment::{COMMAND_LINE, recording_table};
 use crate::run::watch::Progress;
 use crate::statistics::median;
@@ -58,7 +59,7 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
     let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Calibrate, &inputs)?;
     let out = claim.path();
-    let truth = args.truth.as_deref().map(tables::read_truth).transpose()?;
+    let truth = args.truth.as_deref().map(Truth::read).transpose()?;
     let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
     let readings = readings(&recording, args.input.target_height);
     let problem = Problem::new(&readings, names.len());
@@ -72,7 +73,7 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     };
     let found = findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && findings.accel_psd.is_some();
     if found {
-        whole_file::write(&out.join(file::FILE_NAME), file::text(&findings, &names))?;
+        whole_file::write(&out.join(CALIBRATION), text::text(&findings, &names))?;
         picture::draw(&points, &names, out)?;
     }
     if args.json {
@@ -186,11 +187,11 @@ fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Pat
         let _ = writeln!(text, "cannot tell {line}");
     }
     if found {
-        let path = out.join(file::FILE_NAME);
+        let path = out.join(CALIBRATION);
         let ranges = args.input.ranges.display();
         let _ = writeln!(text, "\nuse it:\n  rangehound track {ranges} --calibration {}", path.display());
         let _ = writeln!(text, "or as flags:\n  {}", flags(findings, names));
-        let _ = writeln!(text, "residuals over range in {}", out.join(picture::FILE_NAME).display());
+        let _ = writeln!(text, "residuals over range in {}", out.join(RESIDUALS).display());
     }
     text
 }

@@ -5,9 +5,7 @@ use std::path::Path;
 use plotters::prelude::*;
 
 use crate::draw::chart::{self, Area, Drawn};
-
-/// File name of the picture in the output folder.
-pub const FILE_NAME: &str = "residuals.svg";
+use crate::files::layout::RESIDUALS;
 
 const WIDTH: u32 = 1_800;
 const PANEL: u32 = 420;
@@ -30,7 +28,7 @@ pub fn draw(points: &[Vec<(f64, f64)>], names: &[String], folder: &Path) -> anyh
         .collect();
     let rows = panels.len().div_ceil(2).max(1);
     let size = (WIDTH, PANEL * rows as u32);
-    chart::draw_to_file(&folder.join(FILE_NAME), size, |area| {
+    chart::draw_to_file(&folder.join(RESIDUALS), size, |area| {
         for ((name, points), area) in panels.iter().zip(area.split_evenly((rows, 2))) {
             draw_panel(&area, name, points)?;
         }

@@ -62,7 +62,7 @@ impl Findings {
 
 /// Why the ranges alone cannot tell, before anything is fitted.
 #[must_use]
-pub fn obstacle(readings: &[Reading], sensors: usize) -> Option<String> {
+pub(super) fn obstacle(readings: &[Reading], sensors: usize) -> Option<String> {
     if readings.len() < READINGS_MIN {
         return Some(format!(
             "bias, scale and noise: {} ranges are too few; {READINGS_MIN} are needed at least",
@@ -99,7 +99,7 @@ fn line_spread(points: impl Iterator<Item = [f64; 2]> + Clone) -> (f64, f64) {
 /// How many successive residuals of a sensor tell as much as one: their correlation time, in ranges; as one sees it who
 /// remembers so many of them.
 #[must_use]
-pub fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
+pub(super) fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for left in by_sensor.iter().filter(|left| left.len() >= 20) {
         let n = left.len();
@@ -142,7 +142,7 @@ fn by_sensor(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
 
 /// Judges the fits: the best one whose errors are all told, or why there is none.
 #[must_use]
-pub fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
+pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
     let counts: Vec<usize> = (0..problem.sensors)
         .map(|sensor| problem.observations.iter().filter(|o| o.reading.sensor == sensor).count())
         .collect();

@@ -543,8 +543,8 @@ fn tally(description: &RunDescription) -> anyhow::Result<Tally> {
 /// The same run left alone, composed in this process.
 fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
     let out_dir = description.out_dir.join("alone");
-    let claim =
-        out_folder::claim(&out_dir, out_folder::Kind::Run, &[]).map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
+    let claim = out_folder::claim(&out_dir, crate::files::layout::Kind::Run, &[])
+        .map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
     claim.clear().map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
     let alone = RunDescription { out_dir, ..description.clone() };
     in_process::run(&alone, |_| {})?;

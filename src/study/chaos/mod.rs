@@ -13,15 +13,13 @@ use rangehound_shared::scenario::{Clock, PatienceKey, Scenario, Source};
 
 use crate::cli::{ChaosArgs, ClockArg, ExperimentArgs};
 use crate::failure::{self, Failure};
-use crate::files::out_folder::{self, Kind};
+use crate::files::layout::Kind;
+use crate::files::out_folder;
 use crate::run::experiment::{Experiment, Naming, Reserved, free_name};
 use crate::terminal;
 use campaign::Campaign;
 use faults::Faults;
 use outcome::Outcome;
-
-/// File name of the outcome in the output folder.
-pub const FILE_NAME: &str = outcome::FILE_NAME;
 
 /// `rangehound chaos`.
 ///

@@ -8,13 +8,11 @@ use serde::Serialize;
 
 use super::faults::Kind;
 use crate::cli::ChaosArgs;
+use crate::files::layout::CHAOS;
 use crate::files::whole_file;
 use crate::results::report::{HeadingSummary, RangeSummary};
 use crate::statistics::Ascending;
 use crate::terminal::{BAD, GOOD, TITLE, field};
-
-/// File name of the outcome in the campaign's folder.
-pub(super) const FILE_NAME: &str = "chaos.json";
 
 /// What a campaign came to; its fields are the keys of `chaos.json`.
 #[derive(Debug, Clone, Serialize)]
@@ -277,7 +275,7 @@ impl Outcome {
     /// # Errors
     /// If the file cannot be written.
     pub(super) fn write(&self, out_dir: &Path) -> anyhow::Result<()> {
-        whole_file::write(&out_dir.join(FILE_NAME), serde_json::to_string_pretty(self)? + "\n")
+        whole_file::write(&out_dir.join(CHAOS), serde_json::to_string_pretty(self)? + "\n")
     }
 }
 

@@ -20,16 +20,15 @@ use rangehound_shared::scenario::{PLANNERS, Scenario};
 
 use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::failure::{self, Failure};
-use crate::files::out_folder::{Kind, claim_or_number};
+use crate::files::layout::COMPARISON;
+use crate::files::layout::Kind;
+use crate::files::out_folder::claim_or_number;
 use crate::files::whole_file;
 use crate::run::experiment::Given;
 use crate::run::watch::Progress;
 
 use monte_carlo::Trials;
 use summary::{Comparison, Summary};
-
-/// File name of the figures in the output folder.
-pub const FILE_NAME: &str = "compare.json";
 
 /// Where they go unless told otherwise.
 const OUT: &str = "runs/compare";
@@ -71,7 +70,7 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
         planners: summaries.map(|(name, trials)| Summary::new(name, trials, first.ticks)).collect(),
         planning_time: scenarios.iter().map(planning_time::measure).collect(),
     };
-    whole_file::write(&out.join(FILE_NAME), serde_json::to_string_pretty(&comparison)? + "\n")?;
+    whole_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
     pictures::draw(&comparison, &scenarios, out)?;
     if args.json {
         return failure::print_json(&comparison);

@@ -12,12 +12,10 @@ use super::summary::{Comparison, Summary};
 use crate::draw::chart::{self, Area, COLOURS, Drawn, KeyEntry, LogAxis};
 use crate::draw::field::{self, Paths, Square};
 use crate::draw::over_time::{Band, Line, OverTime};
+use crate::files::layout::COMPARISON_PICTURES;
 use crate::results::report::position_covariance;
 use crate::run::in_process::Team;
 use crate::statistics::Interval;
-
-/// The file names.
-pub const FILE_NAMES: [&str; 5] = ["trace.svg", "paths.svg", "consistency.svg", "gap.svg", "planning_time.svg"];
 
 const SIZE: (u32, u32) = (1_800, 1_100);
 const TALL: (u32, u32) = (1_800, 1_500);
@@ -37,7 +35,7 @@ const ANEES_MOST: f64 = 10.0;
 /// If a picture cannot be written.
 pub fn draw(comparison: &Comparison, scenarios: &[Scenario], folder: &Path) -> anyhow::Result<()> {
     let paths: Vec<Paths> = scenarios.iter().map(paths_of).collect::<anyhow::Result<_>>()?;
-    let [trace, field, consistency, gap, planning_time] = FILE_NAMES.map(|name| folder.join(name));
+    let [trace, field, consistency, gap, planning_time] = COMPARISON_PICTURES.map(|name| folder.join(name));
     chart::draw_to_file(&trace, SIZE, |area| draw_trace(comparison, area))?;
     chart::draw_to_file(&field, paths_size(&paths), |area| draw_paths(comparison, &paths, area))?;
     chart::draw_to_file(&consistency, TALL, |area| draw_consistency(comparison, area))?;

@@ -24,7 +24,8 @@ use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
 
 use crate::cli::{ClockArg, ExperimentArgs, LatencyArgs};
 use crate::failure::{self, Failure};
-use crate::files::out_folder::{self, Kind, claim_or_number};
+use crate::files::layout::Kind;
+use crate::files::out_folder::{self, claim_or_number};
 use crate::results::frame::{Frames, PutDown};
 use crate::results::hops::HopSummary;
 use crate::run::experiment::{Experiment, Given, Naming};
@@ -33,9 +34,6 @@ use crate::statistics::Samples;
 use outcome::{Contender, Each, Outcome};
 use reference::Reference;
 use samples::Waits;
-
-/// Files in the output folder.
-pub(crate) const FILE_NAMES: [&str; 2] = [outcome::FILE_NAME, picture::FILE_NAME];
 
 /// Where they go unless told otherwise.
 const OUT: &str = "runs/latency";

@@ -7,6 +7,7 @@ use serde::{Serialize, Serializer};
 
 use super::reference::Reference;
 use super::warm_up_ticks;
+use crate::files::layout::LATENCY;
 use crate::files::whole_file;
 use crate::results::hops::{self, HopSummary};
 use crate::results::percentiles::{self, Point};
@@ -14,9 +15,6 @@ use crate::results::report::LatencySummary;
 use crate::run::pin::Pin;
 use crate::statistics::{Ascending, Percentiles, Samples};
 use crate::terminal::{TITLE, wrapped};
-
-/// File name of the figures in the output folder.
-pub(super) const FILE_NAME: &str = "latency.json";
 
 /// Who is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -207,7 +205,7 @@ impl Outcome {
     /// # Errors
     /// If the file cannot be written.
     pub(super) fn write(&self, folder: &Path) -> anyhow::Result<()> {
-        whole_file::write(&folder.join(FILE_NAME), serde_json::to_string_pretty(self)? + "\n")
+        whole_file::write(&folder.join(LATENCY), serde_json::to_string_pretty(self)? + "\n")
     }
 }
 

@@ -6,10 +6,8 @@ use plotters::prelude::*;
 
 use super::outcome::{Contender, Each, Outcome};
 use crate::draw::chart::{self, Area, COLOURS, Drawn, KeyEntry};
+use crate::files::layout::LATENCY_PICTURE;
 use crate::results::percentiles::{self, Point};
-
-/// File name of the picture in the output folder.
-pub(super) const FILE_NAME: &str = "latency.svg";
 
 const SIZE: (u32, u32) = (1_800, 1_300);
 
@@ -21,7 +19,7 @@ const BARS: u32 = 300;
 /// # Errors
 /// If it cannot be written.
 pub(super) fn draw(outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
-    chart::draw_to_file(&folder.join(FILE_NAME), SIZE, |area| draw_on(outcome, area))
+    chart::draw_to_file(&folder.join(LATENCY_PICTURE), SIZE, |area| draw_on(outcome, area))
 }
 
 fn colours() -> Each<RGBColor> {

@@ -13,12 +13,12 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::samples::Exchange;
 use crate::failure::Failure;
+use crate::files::layout::REPORT;
 use crate::files::out_folder;
 use crate::files::whole_file;
 use crate::results::hops::HopSummary;
-use crate::results::report;
-use crate::results::tables;
 use crate::run::experiment::Experiment;
+use crate::run::folder;
 use crate::run::node::this_program;
 
 /// How often the run is looked at: seldom, for it is being measured.
@@ -84,7 +84,7 @@ pub(super) fn run(
         let is_input = status.code() == Some(2);
         return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });
     }
-    tables::read_description(folder)
+    folder::read_description(folder)
 }
 
 /// The run's hops, as it has reported them.
@@ -96,7 +96,7 @@ pub(super) fn hops_us(description: &RunDescription) -> anyhow::Result<HopSummary
     struct Reported {
         hops_us: HopSummary,
     }
-    let path = description.out_dir.join(report::FILE_NAME);
+    let path = description.out_dir.join(REPORT);
     let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
     Ok(serde_json::from_str::<Reported>(&text).with_context(|| path.display().to_string())?.hops_us)
 }

@@ -1,20 +1,15 @@
 //! `calibration.toml`, version 1: what `calibrate` writes and `track --calibration` reads.
 
-use std::fmt::Write as _;
 use std::path::Path;
 
 use rangehound_shared::recording::SensorName;
 use rangehound_shared::scenario::{RecordingTable, SensorTable};
 use serde::Deserialize;
 
-use super::verdict::{Findings, Measured};
 use crate::failure::{self, Failure};
-use crate::statistics::median;
 
-/// Its name in the output folder.
-pub const FILE_NAME: &str = "calibration.toml";
-
-const VERSION: u64 = 1;
+/// Version of the format.
+pub const VERSION: u64 = 1;
 
 /// Largest file that is read, bytes.
 const LEN_MAX: u64 = 1 << 20;
@@ -46,33 +41,6 @@ pub struct SensorCalibration {
     pub scale: Option<f64>,
     /// Standard deviation of a range, m.
     pub range_std_m: Option<f64>,
-}
-
-/// The file's text.
-#[must_use]
-pub fn text(findings: &Findings, names: &[String]) -> String {
-    let mut text =
-        format!("# measured = (1 + scale) true + bias_m; +- is half of the 95 % interval\nversion = {VERSION}\n");
-    let mut stds: Vec<f64> = findings.sensors.iter().filter_map(|s| s.range_std_m.map(|m| m.value)).collect();
-    if let Some(std_m) = median(&mut stds) {
-        let _ = writeln!(text, "range_std_m = {std_m:?}");
-    }
-    if let Some(Measured { value, half_width }) = findings.accel_psd {
-        let _ = writeln!(text, "accel_psd = {value:?} # +- {half_width:.2e}");
-    }
-    for (name, errors) in names.iter().zip(&findings.sensors) {
-        let _ = writeln!(text, "\n[[sensor]]\nid = {}", toml::Value::from(name.as_str()));
-        let mut line = |key: &str, measured: Option<Measured>| {
-            let _ = match measured {
-                Some(Measured { value, half_width }) => writeln!(text, "{key} = {value:?} # +- {half_width:.2e}"),
-                None => writeln!(text, "# {key}: not determined"),
-            };
-        };
-        line("bias_m", errors.bias_m);
-        line("scale", errors.scale);
-        line("range_std_m", errors.range_std_m);
-    }
-    text
 }
 
 /// Reads a file, strictly.
