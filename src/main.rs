@@ -4,13 +4,25 @@ use std::process::ExitCode;
 
 use clap::FromArgMatches;
 use clap::error::ErrorKind;
+use rangehound::cli::complete;
 use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
-use rangehound::experiment::DEFAULT_SCENARIO;
 use rangehound::failure::{self, Failure};
-use rangehound::{
-    calibrate, chaos, compare, explore, latency, live, node, plan, recorder, remote, replay, shell, status, supervisor,
-    terminal, watch,
-};
+use rangehound::live;
+use rangehound::plan;
+use rangehound::run::experiment::DEFAULT_SCENARIO;
+use rangehound::run::node;
+use rangehound::run::recorder;
+use rangehound::run::remote;
+use rangehound::run::status;
+use rangehound::run::supervisor;
+use rangehound::run::watch;
+use rangehound::study::calibrate;
+use rangehound::study::chaos;
+use rangehound::study::compare;
+use rangehound::study::explore;
+use rangehound::study::latency;
+use rangehound::study::replay;
+use rangehound::terminal;
 
 fn main() -> ExitCode {
     terminal::start_log();
@@ -53,9 +65,9 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Calibrate(args) => calibrate::calibrate(&args),
         Command::Latency(args) => latency::latency(&args),
         Command::LatencyNode(args) => latency::reference::latency_node(&args),
-        Command::Completions(args) => shell::completions(&args),
-        Command::Names(args) => shell::names(&args),
-        Command::Man(args) => shell::man(&args),
+        Command::Completions(args) => complete::completions(&args),
+        Command::Names(args) => complete::names(&args),
+        Command::Man(args) => complete::man(&args),
         Command::Scenario => failure::print(DEFAULT_SCENARIO),
     }
 }

@@ -1,8 +1,8 @@
 //! A robot whose sensor fails for a while, over many seeds, each a whole team in this process.
 
 use nalgebra::Vector2;
-use rangehound::in_process::Team;
-use rangehound::report::position_error;
+use rangehound::results::report::position_error;
+use rangehound::run::in_process::Team;
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
 const SEEDS: u64 = 100;

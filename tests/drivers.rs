@@ -7,7 +7,6 @@ use std::path::PathBuf;
 
 use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_shared::record::EstimateRecord;
 use rangehound_shared::sealed;
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat};
 use rustix::process::Signal;
@@ -44,7 +43,7 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     let mut say_until_tick = |line: &str, tick: u64| {
         run.wait_until(&format!("tick {tick}"), || {
             let _ = radio.write(line.as_bytes());
-            run.last_world().is_some_and(|(ticks, _)| ticks >= tick)
+            run.ticks_done() >= tick
         });
     };
     say_until_tick("A,15.0\n", 50);
@@ -85,9 +84,8 @@ fn heard_m(run: &Run) -> Vec<f64> {
     let description: RunDescription = sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap();
     let mut log = logs::read_estimates(&description).unwrap();
     let mut heard = Vec::new();
-    while let Some(Ok((_, words))) = log.next() {
-        let robots = EstimateRecord::exchanges(words, description.scenario.motion.state_dim());
-        heard.extend(robots.filter_map(|robot| robot.heard?.range_m));
+    while let Some(Ok((_, record))) = log.next() {
+        heard.extend(record.exchanges.iter().filter_map(|robot| robot.heard?.range_m));
     }
     heard.into_iter().map(|(range_m, _)| range_m).collect()
 }
@@ -114,7 +112,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
                  DIST,1,AN0,15BA,0.00,8.03,0.00,700.00,POS,6.95,5.37,-1.97,52\r\n";
     run.wait_until("the run is over", || {
         let _ = radio.write(lines.as_bytes());
-        run.last_world().is_some_and(|(ticks, _)| ticks >= 101)
+        run.ticks_done() >= 101
     });
     drop(radio);
     let outcome = robot.finish().succeeded();

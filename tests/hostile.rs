@@ -19,7 +19,7 @@ use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use proptest::test_runner::{RngSeed, TestRunner};
 use rangehound::plan::line::Desk;
-use rangehound::tables;
+use rangehound::results::report::Truth;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::world::world_of;
 use rangehound_robot::drive::Controller;
@@ -208,7 +208,7 @@ fn long_input_is_taken_or_refused_too() {
                 ScenarioFile::parse(&text, "long.toml").inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"), &ReadOptions::default())
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
-            let _ = tables::parse_truth(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
+            let _ = Truth::parse(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
             let mut desk = Desk::new(PlannerTable::default(), 1).unwrap();
             desk.answer(1, text.as_bytes(), &mut Vec::new());
         }

@@ -1,7 +1,7 @@
 //! The paper's experiment over many seeds, each a whole team in this process (Figs. 3 and 4).
 
-use rangehound::experiment::DEFAULT_SCENARIO;
-use rangehound::in_process::Team;
+use rangehound::run::experiment::DEFAULT_SCENARIO;
+use rangehound::run::in_process::Team;
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
 const SEEDS: u64 = 200;

@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector2;
-use rangehound::in_process::Team;
-use rangehound::input;
-use rangehound::report::Truth;
-use rangehound::tables;
+use rangehound::files::input;
+use rangehound::results::report::Truth;
+use rangehound::run::in_process::Team;
 use rangehound_shared::scenario::{
     FilterTable, GateKey, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable,
 };
@@ -40,7 +39,7 @@ impl Case {
 
     /// Position errors after the start, ascending, m.
     fn errors_m(&self) -> Vec<f64> {
-        let truth = tables::read_truth(&self.folder.join("truth.csv")).unwrap();
+        let truth = Truth::read(&self.folder.join("truth.csv")).unwrap();
         let mut errors = errors_m(&self.scenario(), &truth, self.start_s);
         errors.sort_by(f64::total_cmp);
         errors

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use rangehound::run_mcap::read::FrameReader;
+use rangehound::results::run_mcap::read::FrameReader;
 use rangehound_shared::record::{Heading, Heard, Judged, RangeUse};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
@@ -77,7 +77,7 @@ fn others_read_what_a_run_with_kills_was_and_it_replays_to_the_bit() {
     let run = Run::new();
     let supervisor = run.lockstep("--record --ticks 8000 --patience forever");
     for (start, role) in [(1, "fusion"), (2, "fusion"), (1, "sim"), (1, "robot-1"), (3, "fusion")] {
-        let ticks = run.last_world().map_or(0, |(ticks, _)| ticks);
+        let ticks = run.ticks_done();
         run.wait_for_ticks(ticks + 500);
         signal(run.pid_of(role, start), Signal::KILL);
     }
@@ -350,8 +350,8 @@ fn every_frame_comes_back_to_the_bit() {
         let (description, mut all) = frames(file, 12);
         // What lock step does not have.
         let strange = &mut all[7];
-        strange.exchanges[0].heard = None;
-        strange.exchanges[1].heard = Some(Heard {
+        strange.fusion.exchanges[0].heard = None;
+        strange.fusion.exchanges[1].heard = Some(Heard {
             position_m: [-0.0, 1e-300],
             range_m: Some((-0.5, 1.5)),
             taken_at: 9,
@@ -359,9 +359,9 @@ fn every_frame_comes_back_to_the_bit() {
             judged: None,
         });
         let heard = Heard { position_m: [0.0; 2], range_m: None, taken_at: 7, height_m: 2.5, judged: None };
-        strange.exchanges[2].heard = Some(heard);
+        strange.fusion.exchanges[2].heard = Some(heard);
         let judged = Judged { used: RangeUse::Distrusted, normalised_square: None };
-        all[8].exchanges[0].heard =
+        all[8].fusion.exchanges[0].heard =
             Some(Heard { judged: Some(judged), range_m: Some((2.0, 0.1)), taken_at: 8, ..heard });
         let strange = &mut all[7];
         strange.world.robots[0].range_sent_ns = Some(5);
@@ -369,7 +369,7 @@ fn every_frame_comes_back_to_the_bit() {
         strange.world.robots[1].heading = Heading::Late;
         strange.world.robots[2].heading = Heading::Unknown;
         strange.world.robots[2].range_m = None;
-        let estimate = &mut strange.estimate.estimate;
+        let estimate = &mut strange.fusion.estimate;
         (estimate.late, estimate.fused_late, estimate.rejected_late, estimate.missing) = (4, 2, 1, 1);
         (estimate.nis_all, estimate.tested, estimate.noise_scale) = (12.5, 4, 1.75);
         (estimate.refused, estimate.distrusted[0]) = ([1, 2, 3, 4, 5, 6], 5);

@@ -94,7 +94,7 @@ fn another_user_can_neither_look_nor_touch_nor_signal() {
         assert!(said.contains(&run.name), "{words}: {said}");
     }
 
-    let before = run.last_world().unwrap().0;
+    let before = run.ticks_done();
     run.wait_for_ticks(before + 10);
     assert!(roles[1..].iter().all(|role| run.starts(role) == 1));
     supervisor.signal(Signal::INT);
@@ -153,7 +153,7 @@ fn two_versions_in_one_run_refuse_each_other_and_the_run_goes_on() {
         let outcome = run.node(words).finish();
         assert_one_line(&outcome, 2, &[&run.name, &other, &this, "use one version"]);
     }
-    let before = run.last_world().unwrap().0;
+    let before = run.ticks_done();
     run.wait_for_ticks(before + 10);
     supervisor.signal(Signal::INT);
     supervisor.finish();
@@ -210,10 +210,10 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
         assert_one_line(&outcome, 1, &["sim.checkpoint: ", reason, "sim.checkpoint.refused", "expected a new run"]);
         assert_eq!(std::fs::read(run.path("out/sim.checkpoint.refused")).unwrap(), bytes);
         // A second try finds no state and does not start anew over the ticks so far.
-        let ticks = run.last_world().unwrap().0;
+        let ticks = run.ticks_done();
         let again = run.start(&["resume", "out", "--name", &run.name]).finish();
         assert_one_line(&again, 1, &["sim of run", "left no state"]);
-        assert_eq!(run.last_world().unwrap().0, ticks);
+        assert_eq!(run.ticks_done(), ticks);
         run.assert_nothing_left();
     }
 }

@@ -6,12 +6,14 @@
 use std::cell::Cell;
 use std::fs::File;
 use std::io::Write;
-use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use rangehound_node::logs;
+use rangehound_shared::record::WorldRecord;
+use rangehound_shared::sealed;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -199,24 +201,21 @@ impl Run {
         text.split(' ').next().and_then(|starts| starts.parse().ok()).unwrap_or(0)
     }
 
-    /// Ticks that the simulator has put down, and the words of the last one's record.
-    pub(crate) fn last_world(&self) -> Option<(u64, Vec<u64>)> {
-        let file = File::open(self.path("out/world.ticks")).ok()?;
-        let words = |offset: u64, count: usize| {
-            let mut bytes = vec![0; 8 * count];
-            file.read_exact_at(&mut bytes, offset).ok()?;
-            Some(bytes.as_chunks::<8>().0.iter().map(|word| u64::from_le_bytes(*word)).collect::<Vec<u64>>())
-        };
-        let header = words(0, 3)?;
-        let record_words = 1 + header[2] as usize;
-        let ticks = (file.metadata().ok()?.len() - 24) / (8 * record_words as u64);
-        Some((ticks, words(24 + ticks.checked_sub(1)? * 8 * record_words as u64, record_words)?.split_off(1)))
+    /// The newest tick that the simulator has put down.
+    pub(crate) fn last_world(&self) -> Option<(u64, WorldRecord)> {
+        let description = sealed::open(&std::fs::read(self.path("out/run.sealed")).ok()?).ok()?;
+        let mut log = logs::read_worlds(&description).ok()?;
+        let tick = log.newest_tick().ok()??;
+        Some((tick, log.at(tick).ok()??.clone()))
+    }
+
+    /// Ticks that the simulator has put down.
+    pub(crate) fn ticks_done(&self) -> u64 {
+        self.last_world().map_or(0, |(tick, _)| tick + 1)
     }
 
     pub(crate) fn wait_for_ticks(&self, ticks: u64) {
-        self.wait_until(&format!("{ticks} ticks are done"), || {
-            self.last_world().is_some_and(|(done, _)| done >= ticks)
-        });
+        self.wait_until(&format!("{ticks} ticks are done"), || self.ticks_done() >= ticks);
     }
 
     /// How the names of the run's shared memory start, once it has been founded.

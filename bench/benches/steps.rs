@@ -6,8 +6,10 @@ use std::time::Instant;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
+use rangehound_fusion::belief::Belief;
 use rangehound_fusion::filter::{Estimate, RangeInformation};
-use rangehound_fusion::planner::{self, Arm, Plan, Problem, Vector};
+use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
+use rangehound_fusion::planner::{self, Plan, Sensor, Situation, Vector};
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{Clearance, PlannerSpec};
 
@@ -30,7 +32,8 @@ fn filter(criterion: &mut Criterion) {
     for robots in [3, 10, 100, 1_000] {
         let readings: Vec<_> = team(robots)
             .map(|robot| {
-                (Vector2::new(robot.position_m.x, robot.position_m.y), robot.position_m.norm(), robot.range_std_m)
+                let Sensor::Range { std_m } = robot.sensor;
+                (Vector2::new(robot.position_m.x, robot.position_m.y), robot.position_m.norm(), std_m)
             })
             .collect();
         group.throughput(Throughput::Elements(robots as u64));
@@ -47,17 +50,17 @@ fn filter(criterion: &mut Criterion) {
     }
 }
 
-/// Every planner whose work grows slower than exponentially, from a problem to headings.
+/// Every planner whose work grows slower than exponentially, from a problem to commands.
 fn planners(criterion: &mut Criterion) {
     for spec in PLANNERS {
         let mut group = criterion.benchmark_group(spec.name());
         for robots in [3, 10, 100, 1_000, 10_000] {
             let problem = problem(robots);
-            let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
-            let mut plan = Plan::default();
+            let Ok(mut solver) = solver(spec, robots, 1) else { continue };
+            let mut solution = Solution::default();
             group.throughput(Throughput::Elements(robots as u64));
             group.bench_with_input(BenchmarkId::from_parameter(robots), &problem, |bencher, problem| {
-                bencher.iter(|| planner.plan(0, black_box(problem), &mut plan));
+                bencher.iter(|| solver.solve(0, black_box(problem), &mut solution));
             });
         }
     }
@@ -69,13 +72,13 @@ fn along_the_papers_trajectories(criterion: &mut Criterion) {
     for (name, stand_off_m) in [("paper", 0.0), ("stand-off 2 m", 2.0)] {
         let Some(problems) = paper_problems(stand_off_m) else { continue };
         for spec in PLANNERS {
-            let Ok(mut planner) = planner::for_team(spec, 3, 1) else { continue };
-            let mut plan = Plan::default();
+            let Ok(mut solver) = solver(spec, 3, 1) else { continue };
+            let mut solution = Solution::default();
             let mut nanoseconds: Vec<u128> = problems
                 .iter()
                 .map(|problem| {
                     let began = Instant::now();
-                    planner.plan(0, black_box(problem), &mut plan);
+                    solver.solve(0, black_box(problem), &mut solution);
                     began.elapsed().as_nanos()
                 })
                 .collect();
@@ -84,25 +87,28 @@ fn along_the_papers_trajectories(criterion: &mut Criterion) {
             println!("{} on {name}: p50 {} ns, p99 {} ns, max {} ns", spec.name(), at(50), at(99), at(100));
             let mut next = problems.iter().cycle();
             group.bench_function(BenchmarkId::new(spec.name(), name), |bencher| {
-                bencher.iter(|| next.next().map(|problem| planner.plan(0, black_box(problem), &mut plan)));
+                bencher.iter(|| next.next().map(|problem| solver.solve(0, black_box(problem), &mut solution)));
             });
         }
     }
 }
 
-/// Posing the problem and planning, as fusion does each tick.
+/// From a situation to commands, as fusion does each tick.
 fn pose_and_plan(criterion: &mut Criterion) {
     for spec in PLANNERS {
         let mut group = criterion.benchmark_group(format!("pose and plan, {}", spec.name()));
         for robots in [3, 10, 100] {
             let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
-            let (mut problem, mut plan) = (Problem::default(), Plan::default());
             let clearance = Clearance { stand_off_m: 2.0, ..Clearance::default() };
+            let mut situation = Situation { clearance, step_s: 0.1, ..Situation::default() };
+            let mut plan = Plan::default();
             group.bench_function(BenchmarkId::from_parameter(robots), |bencher| {
                 bencher.iter(|| {
                     let prior = black_box(Matrix2::new(0.4, 0.1, 0.1, 0.2));
-                    problem.pose(&prior, Vector::default(), 0.1, &clearance, team(robots));
-                    planner.plan(0, &problem, &mut plan);
+                    situation.belief = Belief::of_position(Vector::default(), &prior);
+                    situation.team.clear();
+                    situation.team.extend(team(robots));
+                    planner.plan(0, &situation, &mut plan);
                 });
             });
         }
@@ -118,13 +124,13 @@ fn grid(criterion: &mut Criterion) {
         let free = problem(robots).arms().iter().map(|arm| Arm::circle(arm.lambda, arm.centre)).collect();
         let problem = Problem::of_arms(Vector::new(-2.0, -2.0), free);
         for spec in [PlannerSpec::Grid { step_rad: std::f64::consts::PI / 200.0 }, CERTIFIED] {
-            let Ok(mut planner) = planner::for_team(spec, robots, 1) else { continue };
-            let mut plan = Plan::default();
-            planner.plan(0, &problem, &mut plan);
-            let gap = plan.objective / problem.lambda_sum();
+            let Ok(mut solver) = solver(spec, robots, 1) else { continue };
+            let mut solution = Solution::default();
+            solver.solve(0, &problem, &mut solution);
+            let gap = solution.objective / problem.lambda_sum();
             println!("{} of {robots} robots: |S| is {gap:.1e} of the sum of all lambda", spec.name());
             group.bench_with_input(BenchmarkId::new(spec.name(), robots), &problem, |bencher, problem| {
-                bencher.iter(|| planner.plan(0, black_box(problem), &mut plan));
+                bencher.iter(|| solver.solve(0, black_box(problem), &mut solution));
             });
         }
     }

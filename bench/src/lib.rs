@@ -10,9 +10,11 @@
 //! planner is asked in the paper's runs, with no process or topic between: what those cost, `rangehound latency` tells.
 
 use nalgebra::Matrix2;
-use rangehound::in_process::Team;
-use rangehound_fusion::planner::{Problem, TeamMember, Vector};
-use rangehound_shared::scenario::{Clearance, PlannerTable, Scenario, ScenarioFile};
+use rangehound::run::in_process::Team;
+use rangehound_fusion::belief::Belief;
+use rangehound_fusion::planner::range_only::Problem;
+use rangehound_fusion::planner::{Situation, TeamMember, Vector};
+use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioFile};
 
 /// A team of `robots` round a target: as far away as in the paper's runs, within reach of a step now
 /// and then, each with noise of its own.
@@ -20,11 +22,8 @@ pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
     (0..robots).map(|i| {
         let (i, golden_angle) = (i as f64, 2.399_963);
         let distance_m = 0.5 + 25.0 * (i * 0.618_034).fract();
-        TeamMember {
-            position_m: Vector::from_angle(i * golden_angle) * distance_m,
-            max_speed_mps: 10.0,
-            range_std_m: 0.5 + (i * 0.414_214).fract(),
-        }
+        let position_m = Vector::from_angle(i * golden_angle) * distance_m;
+        TeamMember::ranging(position_m, 10.0, 0.5 + (i * 0.414_214).fract())
     })
 }
 
@@ -32,10 +31,9 @@ pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
 /// larger the team: in steady state the prior informs as much as a few ticks' ranges do.
 #[must_use]
 pub fn problem(robots: usize) -> Problem {
-    let mut problem = Problem::default();
     let prior = Matrix2::new(0.4, 0.1, 0.1, 0.2) * (3.0 / robots as f64);
-    problem.pose(&prior, Vector::default(), 0.1, &Clearance::default(), team(robots));
-    problem
+    let belief = Belief::of_position(Vector::default(), &prior);
+    Problem::of(&Situation { belief, team: team(robots).collect(), step_s: 0.1, ..Situation::default() })
 }
 
 /// What the planner was asked along the paper's trajectories: 20 runs of 200 ticks of its scenario.
@@ -56,7 +54,7 @@ pub fn paper_problems(stand_off_m: f64) -> Option<Vec<Problem>> {
             if team.tick().is_err() {
                 break;
             }
-            problems.push(team.centre().problem().clone());
+            problems.push(Problem::of(team.centre().situation()));
             team.advance();
         }
     }

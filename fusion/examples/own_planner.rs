@@ -4,11 +4,14 @@
 //! cargo run --release -p rangehound-fusion --example own_planner
 //! ```
 //!
-//! To have it in the tool: put it into a file in `fusion/src/planner/`, with a line in its `for_team` and a variant of
+//! It turns the vectors of the range-only problem; one that needs another view of the situation implements `Planner` itself.
+//!
+//! To have it in the tool: put it into a file in `fusion/src/planner/range_only/`, with a line in its `solver` and a variant of
 //! `PlannerSpec`. `rangehound run`, `plan` and `compare` then know it by its name.
 
 use rangehound_fusion::Centre;
-use rangehound_fusion::planner::{Plan, Planner, Problem, Vector, for_team};
+use rangehound_fusion::planner::range_only::{Problem, RangeOnly, Solution, Solver};
+use rangehound_fusion::planner::{Planner, Vector, for_team};
 use rangehound_fusion::report::Report;
 use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioFile};
@@ -18,24 +21,24 @@ use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioFile};
 #[derive(Debug)]
 struct BestReplies;
 
-impl Planner for BestReplies {
+impl Solver for BestReplies {
     fn name(&self) -> &'static str {
         "best replies"
     }
 
-    fn plan(&mut self, _tick: u64, problem: &Problem, plan: &mut Plan) {
+    fn solve(&mut self, _tick: u64, problem: &Problem, solution: &mut Solution) {
         let arms = problem.arms();
         // At first nobody moves: the middle of an arc is where its robot looks now.
-        plan.directions.clear();
-        plan.directions.extend(arms.iter().map(|arm| arm.centre));
-        let mut sum = problem.sum(&plan.directions);
-        for (arm, direction) in arms.iter().zip(&mut plan.directions) {
+        solution.directions.clear();
+        solution.directions.extend(arms.iter().map(|arm| arm.centre));
+        let mut sum = problem.sum(&solution.directions);
+        for (arm, direction) in arms.iter().zip(&mut solution.directions) {
             let others = sum - *direction * arm.lambda;
             *direction = arm.nearest(-others, arm.centre);
             sum = others + *direction * arm.lambda;
         }
         // Headings, speeds and worth follow from the directions.
-        plan.complete(problem);
+        solution.complete(problem);
     }
 }
 
@@ -43,7 +46,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scenario = Scenario::from_file(&ScenarioFile::default(), "built in")?;
     let built_in = |spec| for_team(spec, scenario.robots.len(), scenario.seed);
     let planners: [Box<dyn Planner>; 4] = [
-        Box::new(BestReplies),
+        Box::new(RangeOnly::new(Box::new(BestReplies))),
         built_in(PlannerSpec::Certified { nodes: 2_000 })?,
         built_in(PlannerSpec::Greedy)?,
         built_in(PlannerSpec::Random)?,

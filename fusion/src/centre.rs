@@ -6,12 +6,12 @@ use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::record::{Exchange, Judged};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{Clearance, Scenario, Source};
+use rangehound_shared::scenario::{Scenario, Source};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
 use crate::past::Past;
-use crate::planner::{self, Plan, Planner, PlannerError, Problem, TeamMember, Vector};
+use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Sensor, Situation, TeamMember, Vector, Worth};
 use crate::report::Report;
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
@@ -45,7 +45,6 @@ pub enum Late {
 pub struct Centre {
     recorded: bool,
     dt_s: f64,
-    clearance: Clearance,
     speed_limits_mps: Vec<f64>,
     /// Standard deviations of the robots' ranges before they have said any, m.
     told_stds_m: Vec<f64>,
@@ -61,7 +60,7 @@ pub struct Centre {
     judged: Vec<Option<Judged>>,
     missing: u64,
     bodies: Vec<Option<Body>>,
-    problem: Problem,
+    situation: Situation,
     planned: Vec<usize>,
     plan: Plan,
     commands: Vec<Command>,
@@ -77,8 +76,8 @@ pub struct Saved<'a> {
     fit: Fit,
     judged: Cow<'a, [Option<Judged>]>,
     missing: u64,
-    objective: f64,
-    lower_bound: f64,
+    worth: Worth,
+    certificate: Option<Certificate>,
     bodies: Cow<'a, [Option<Body>]>,
     commands: Cow<'a, [Command]>,
     tracker: Cow<'a, [u8]>,
@@ -112,7 +111,6 @@ impl Centre {
         Ok(Self {
             recorded: matches!(scenario.source, Source::Recorded { .. }),
             dt_s: scenario.dt_s,
-            clearance: scenario.clearance,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
             told_stds_m: scenario.robots.iter().map(|robot| robot.told_std_m).collect(),
             tracking: Tracking::new(scenario),
@@ -125,7 +123,13 @@ impl Centre {
             judged: vec![None; robots],
             missing: 0,
             bodies: vec![None; robots],
-            problem: Problem::default(),
+            situation: Situation {
+                motion: scenario.filter_motion.clone(),
+                team: Vec::with_capacity(robots),
+                clearance: scenario.clearance,
+                step_s: scenario.dt_s,
+                ..Situation::default()
+            },
             planned: Vec::with_capacity(robots),
             plan: Plan::default(),
             commands: vec![Command::default(); robots],
@@ -159,8 +163,8 @@ impl Centre {
             fit: self.fit,
             judged: Cow::Borrowed(&self.judged),
             missing: self.missing,
-            objective: self.plan.objective,
-            lower_bound: self.plan.lower_bound,
+            worth: self.plan.worth,
+            certificate: self.plan.certificate,
             bodies: Cow::Borrowed(&self.bodies),
             commands: Cow::Borrowed(&self.commands),
             tracker: Cow::Borrowed(&self.tracker_bytes),
@@ -194,8 +198,8 @@ impl Centre {
         self.fit = restored.fit;
         self.judged = restored.judged.into_owned();
         self.missing = restored.missing;
-        self.plan.objective = restored.objective;
-        self.plan.lower_bound = restored.lower_bound;
+        self.plan.worth = restored.worth;
+        self.plan.certificate = restored.certificate;
         self.bodies = restored.bodies.into_owned();
         self.commands = restored.commands.into_owned();
         Ok(())
@@ -307,15 +311,14 @@ impl Centre {
     /// were heard lately; the others are told to stand. Sensors of a recording go their own way.
     ///
     /// It plans with what will be fused: with the standard deviations that the robots' last messages report, and with
-    /// nothing of robots that are distrusted. Those are members whose range tells nothing, `lambda = 0`: they change
-    /// neither the objective nor its bound, and are turned to where their range would tell most beside the others', were
+    /// nothing of robots that are distrusted. Those are turned to where their range would tell most beside the others', were
     /// it fused, so that they are of use as soon as they are trusted again.
     pub fn plan(&mut self) -> &[Command] {
         if self.recorded {
             return &self.commands;
         }
         let tick = self.next_tick.saturating_sub(1);
-        let (target, covariance) = self.tracking.tracker.predicted_position(self.dt_s);
+        self.tracking.tracker.predict_into(self.dt_s, &mut self.situation.belief);
         self.planned.clear();
         for (id, body) in self.bodies.iter().enumerate() {
             if body.is_some_and(|body| tick - body.heard_at <= SILENCE_TICKS_MAX) {
@@ -325,21 +328,22 @@ impl Centre {
         let (distrusted, noise_scale) = (self.tracking.trust.distrusted(), self.tracking.trust.noise_scale());
         let team = self.planned.iter().filter_map(|&id| {
             let Body { position_m, range_std_m, .. } = self.bodies[id]?;
-            let told_m = range_std_m.unwrap_or(self.told_stds_m[id]) * noise_scale;
-            let range_std_m = if distrusted.contains(id) { f64::INFINITY } else { told_m };
-            Some(TeamMember { position_m, max_speed_mps: self.speed_limits_mps[id], range_std_m })
+            Some(TeamMember {
+                position_m,
+                max_speed_mps: self.speed_limits_mps[id],
+                sensor: Sensor::Range { std_m: range_std_m.unwrap_or(self.told_stds_m[id]) * noise_scale },
+                is_fused: !distrusted.contains(id),
+            })
         });
-        self.problem.pose(&covariance, Vector::new(target[0], target[1]), self.dt_s, &self.clearance, team);
-        self.planner.plan(tick, &self.problem, &mut self.plan);
+        self.situation.team.clear();
+        self.situation.team.extend(team);
+        self.planner.plan(tick, &self.situation, &mut self.plan);
         self.commands.fill(Command::default());
-        for ((&id, heading_rad), speed_mps) in
-            self.planned.iter().zip(&self.plan.headings_rad).zip(&self.plan.speeds_mps)
-        {
-            let command = Command { heading_rad: *heading_rad, speed_mps: *speed_mps };
-            self.commands[id] = command;
+        for (&id, command) in self.planned.iter().zip(&self.plan.commands) {
+            self.commands[id] = *command;
             if let Some(body) = &mut self.bodies[id] {
                 // Where it will be if it obeys; what it says next replaces this.
-                body.position_m = moved(body.position_m, command, self.dt_s);
+                body.position_m = moved(body.position_m, *command, self.dt_s);
             }
         }
         if let Some(past) = self.past.as_mut().and_then(Past::newest) {
@@ -348,10 +352,10 @@ impl Centre {
         &self.commands
     }
 
-    /// The problem that the last [`Self::plan`] solved.
+    /// What the last [`Self::plan`] asked the planner.
     #[must_use]
-    pub fn problem(&self) -> &Problem {
-        &self.problem
+    pub fn situation(&self) -> &Situation {
+        &self.situation
     }
 
     /// Commands of the last [`Self::plan`].
@@ -407,7 +411,7 @@ impl Centre {
     /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
-        let digest = self.digest.to_bits();
+        let (digest, certificate) = (self.digest.to_bits(), self.plan.certificate);
         let mut estimate = Estimate {
             state_dim: self.state().len() as u64,
             nis: self.fit.nis,
@@ -418,8 +422,9 @@ impl Centre {
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             distrusted: self.distrusted().to_bits(),
-            objective: self.plan.objective,
-            lower_bound: self.plan.lower_bound,
+            objective: self.plan.worth.objective_per_m2,
+            lower_bound: certificate.map_or(f64::NEG_INFINITY, |proven| proven.lower_bound_per_m2),
+            least_trace_m2: certificate.map_or(0.0, |proven| proven.least_trace_m2),
             digest: [digest as u64, (digest >> 64) as u64],
             ..Estimate::default()
         };
@@ -443,6 +448,8 @@ fn moved(position_m: Vector, command: Command, dt_s: f64) -> Vector {
 mod tests {
     use super::*;
     use crate::past::LATE_TICKS_MAX;
+    use crate::planner::range_only::certified::Certified;
+    use crate::planner::range_only::{Problem, Solution, Solver as _};
     use rangehound_shared::scenario::{Prior, ScenarioFile};
 
     /// A state that doubles each tick: said as such, long before numbers run out.
@@ -656,7 +663,7 @@ mod tests {
 
     /// What the last plan was posed with: each member's `lambda`.
     fn lambdas(centre: &Centre) -> Vec<f64> {
-        centre.problem().arms().iter().map(|arm| arm.lambda).collect()
+        Problem::of(centre.situation()).arms().iter().map(|arm| arm.lambda).collect()
     }
 
     #[test]
@@ -693,17 +700,65 @@ mod tests {
         assert_eq!(lambdas(&centre), [1.0, 1.0, 0.0, 1.0]);
         // The certificate is that of the problem of the other three.
         let plan = centre.last_plan();
-        assert!(plan.is_certified(centre.problem()) && plan.lower_bound <= plan.objective);
-        let trusted = [0, 1, 3].map(|id| (centre.problem().arms()[id].lambda, plan.directions[id]));
-        let prior = centre.problem().sum(&plan.directions)
-            + trusted.iter().fold(Vector::default(), |sum, (lambda, u)| sum + *u * -*lambda);
-        assert!((prior.norm() - (centre.problem().lambda_sum() - 3.0)).abs() < 1e-9, "{prior:?}");
+        let proven = plan.certificate.unwrap();
+        assert!(proven.is_optimal && proven.lower_bound_per_m2 <= plan.worth.objective_per_m2);
+        let (problem, mut solution) = (Problem::of(centre.situation()), Solution::default());
+        Certified::new(2_000).solve(0, &problem, &mut solution);
+        assert_eq!(solution.commands, plan.commands);
+        let directions = solution.directions;
+        let trusted = [0, 1, 3].map(|id| (problem.arms()[id].lambda, directions[id]));
+        let sum = problem.sum(&directions);
+        let prior = sum + trusted.iter().fold(Vector::default(), |sum, (lambda, u)| sum + *u * -*lambda);
+        assert!((prior.norm() - (problem.lambda_sum() - 3.0)).abs() < 1e-9, "{prior:?}");
         // It is led to where its range would tell most beside theirs.
-        let sum = centre.problem().sum(&plan.directions);
-        let best = centre.problem().arms()[2].nearest(-sum, plan.directions[2]);
-        assert!((plan.directions[2] - best).norm() < 1e-6 && centre.commands()[2].speed_mps > 0.0);
+        let best = problem.arms()[2].nearest(-sum, directions[2]);
+        assert!((directions[2] - best).norm() < 1e-6 && centre.commands()[2].speed_mps > 0.0);
         // All measure as before: what was planned is what comes, but for the target's move.
         assert!(centre.estimate().rejected == 1 && centre.estimate().tested == 4);
+    }
+
+    /// By tick, from 1 on: the trace, and the least that it could have been, of robots that go where they are told. Robot 0 is
+    /// not heard at the tick that is missed.
+    fn traces_m2(planner: &str, missed: u64) -> Vec<(f64, f64)> {
+        let mut centre = of(&format!("[prior]\nmean = \"start\"\n[planner]\nname = \"{planner}\"\n"));
+        let mut positions_m = [0.0, 2.0, 4.0].map(|angle_rad| Vector::from_angle(angle_rad) * 20.0);
+        let (mut traces_m2, mut least_m2) = (Vec::new(), 0.0);
+        for k in 0..=60 {
+            let mut reports = positions_m.map(|position_m| {
+                let range_m = (k > 0).then(|| (position_m.norm() + 0.5 * (k as f64).sin(), 1.0));
+                Some(Report { position_m, height_m: 0.0, range_m })
+            });
+            reports[0] = reports[0].filter(|_| k != missed);
+            tick(&mut centre, &reports);
+            let trace_m2 = centre.covariance()[0] + centre.covariance()[5];
+            traces_m2.push((trace_m2, least_m2));
+            // What is proven survives a kill.
+            let mut after = of("");
+            after.restore(centre.saved().unwrap()).unwrap();
+            least_m2 = after.estimate().least_trace_m2;
+            assert_eq!(after.estimate(), centre.estimate());
+            for (position_m, command) in positions_m.iter_mut().zip(centre.commands()) {
+                *position_m = moved(*position_m, *command, 0.1);
+            }
+        }
+        traces_m2.split_off(1)
+    }
+
+    #[test]
+    fn a_certified_team_reaches_the_least_trace_unless_a_range_is_missing() {
+        for (tick, (trace_m2, least_m2)) in (1..).zip(traces_m2("certified", 30)) {
+            let above = trace_m2 / least_m2 - 1.0;
+            if tick == 30 {
+                assert!(above > 1e-3, "{above}");
+            } else {
+                assert!(above.abs() < 1e-5, "tick {tick}: {above}");
+            }
+        }
+    }
+
+    #[test]
+    fn who_proves_nothing_has_no_least_trace() {
+        assert!(traces_m2("adaptive", u64::MAX).iter().all(|(_, least_m2)| *least_m2 == 0.0));
     }
 
     /// Three robots of which all read five times as noisy as they say: nobody is blamed, and the estimate keeps to it.

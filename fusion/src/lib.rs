@@ -16,6 +16,7 @@
 //! | [`filter`] | prediction and joint update of one Gaussian estimate (Eqs. 1-13) |
 //! | [`tracker`] | the estimate over time: gate, start from ranges alone, way out of lock-out |
 //! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until it mends |
+//! | [`belief`] | what trackers tell planners of the target |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
 //! | [`report`] | what one robot said at a tick |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
@@ -23,6 +24,7 @@
 //! | [`leader`] | the protocol of the one that leads: what comes in, what to do out |
 //! | [`standby`] | when another takes the lead |
 
+pub mod belief;
 pub mod centre;
 pub mod filter;
 pub mod intake;

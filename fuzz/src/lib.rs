@@ -15,17 +15,17 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use clap::Parser;
-use rangehound::calibrate::file as calibration;
 use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
-use rangehound::in_process::Team;
-use rangehound::input;
+use rangehound::files::{calibration, input};
 use rangehound::plan::line::Desk;
-use rangehound::replay::steps::{Steps, difference};
-use rangehound::run_mcap::read::FrameReader;
-use rangehound::run_mcap::scene::Scene;
-use rangehound::supervisor::restart::Rule;
-use rangehound::{report, tables};
+use rangehound::results::report::{self, Truth};
+use rangehound::results::run_mcap::read::FrameReader;
+use rangehound::results::run_mcap::scene::Scene;
+use rangehound::results::{made as pictures, tables};
+use rangehound::run::in_process::Team;
+use rangehound::run::supervisor::restart::Rule;
+use rangehound::study::replay::steps::{Steps, difference};
 use rangehound_fusion::{Centre, centre};
 use rangehound_node::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_node::rendezvous::{Role, RunDescription};
@@ -181,7 +181,7 @@ pub fn calibrations(bytes: &[u8]) -> Verdict {
 
 /// A table of the target's places.
 pub fn true_tracks(bytes: &[u8]) -> Verdict {
-    let truth = tables::parse_truth(bytes)?;
+    let truth = Truth::parse(bytes)?;
     for time_s in [0.0, 0.1, 1.0, f64::NAN, f64::INFINITY] {
         assert!(truth.at(time_s).is_none_or(|place| place.iter().all(|number| number.is_finite())));
     }
@@ -311,7 +311,7 @@ fn results(description: &RunDescription, logs: [&[u8]; 2]) -> Verdict {
     tables::write_recording(&description)?;
     // Slow, and mostly the same.
     if logs.concat().len() % 50 == 0 {
-        tables::draw(&report, &description, None)?;
+        pictures::draw(&report, &description, None)?;
     }
     Ok(())
 }

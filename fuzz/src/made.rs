@@ -6,9 +6,10 @@ use std::sync::LazyLock;
 
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader};
-use rangehound::frame::{Frame, Frames};
-use rangehound::run_mcap::write::FrameWriter;
-use rangehound::{in_process, input};
+use rangehound::files::input;
+use rangehound::results::frame::{Frame, Frames};
+use rangehound::results::run_mcap::write::FrameWriter;
+use rangehound::run::in_process;
 use rangehound_fusion::Centre;
 use rangehound_node::checkpoint::Checkpoint;
 use rangehound_node::rendezvous::RunDescription;

@@ -10,7 +10,7 @@ use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use crate::signal::Termination;
 use crate::tick_log::{TickLogError, TickLogWriter};
 use rangehound_shared::message::{Command, Estimate, Range};
-use rangehound_shared::record::EstimateRecord;
+use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
 
@@ -92,7 +92,7 @@ struct Driver<'a> {
     scenario: &'a Scenario,
     leader: Leader,
     checkpoint: Option<Checkpoint>,
-    log: Option<TickLogWriter>,
+    log: Option<TickLogWriter<FusionRecord>>,
     ranges: Subscriber<Range>,
     headings: Publisher<Command>,
     estimates: Publisher<Estimate>,
@@ -261,7 +261,7 @@ impl<'a> Driver<'a> {
 
     fn record(&mut self, tick: u64) {
         if let Some(log) = &mut self.log
-            && let Err(error) = write(log, self.scenario, &self.leader, tick)
+            && let Err(error) = write(log, &self.leader, tick)
         {
             log::warn!("goes on without a log: {error}");
             self.log = None;
@@ -292,11 +292,14 @@ impl<'a> Driver<'a> {
 }
 
 /// Records a tick, with all that it takes to go through it again: what was heard of each robot, in time or late.
-fn write(log: &mut TickLogWriter, scenario: &Scenario, leader: &Leader, tick: u64) -> Result<(), TickLogError> {
-    let record = EstimateRecord { time_s: leader.centre().time_s(), estimate: *leader.estimate() };
-    log.write(tick, record.to_words(leader.exchanges()))?;
+fn write(log: &mut TickLogWriter<FusionRecord>, leader: &Leader, tick: u64) -> Result<(), TickLogError> {
+    log.write(tick, |record| record.set(leader.centre().time_s(), leader.estimate(), leader.exchanges()))?;
     for late in leader.said_late() {
-        logs::amend_estimates(log, scenario, late.tick, late.robot, late.report.heard(tick, late.judged))?;
+        log.amend(late.tick, |record| {
+            if let Some(exchange) = record.exchanges.get_mut(late.robot) {
+                exchange.heard = Some(late.report.heard(tick, late.judged));
+            }
+        })?;
     }
     Ok(())
 }

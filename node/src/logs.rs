@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rangehound_shared::record::{EstimateRecord, Heard, WorldRecord};
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::record::{FusionRecord, WorldRecord};
 
 use crate::rendezvous::RunDescription;
 use crate::tick_log::{TickLogError, TickLogReader, TickLogWriter};
@@ -30,44 +29,30 @@ pub fn worlds_path(out_dir: &Path) -> PathBuf {
 ///
 /// # Errors
 /// If the file cannot be opened.
-pub fn write_estimates(run: &RunDescription) -> Result<TickLogWriter, TickLogError> {
-    TickLogWriter::open(&estimates_path(&run.out_dir), run.run_id, EstimateRecord::words(&run.scenario))
+pub fn write_estimates(run: &RunDescription) -> Result<TickLogWriter<FusionRecord>, TickLogError> {
+    TickLogWriter::open(&estimates_path(&run.out_dir), run.run_id, FusionRecord::of(&run.scenario))
 }
 
 /// Opens fusion's log for reading.
 ///
 /// # Errors
 /// If the file cannot be read.
-pub fn read_estimates(run: &RunDescription) -> Result<TickLogReader, TickLogError> {
-    TickLogReader::open(&estimates_path(&run.out_dir), run.run_id, EstimateRecord::words(&run.scenario))
-}
-
-/// Puts down what fusion heard late of a robot, in the record of its own tick.
-///
-/// # Errors
-/// If the system refuses the write.
-pub fn amend_estimates(
-    log: &mut TickLogWriter,
-    scenario: &Scenario,
-    tick: u64,
-    robot: usize,
-    heard: Heard,
-) -> Result<(), TickLogError> {
-    log.amend(tick, EstimateRecord::heard_at(scenario, robot), heard.to_words())
+pub fn read_estimates(run: &RunDescription) -> Result<TickLogReader<FusionRecord>, TickLogError> {
+    TickLogReader::open(&estimates_path(&run.out_dir), run.run_id, FusionRecord::of(&run.scenario))
 }
 
 /// Opens the simulator's log for writing.
 ///
 /// # Errors
 /// If the file cannot be opened.
-pub fn write_worlds(run: &RunDescription) -> Result<TickLogWriter, TickLogError> {
-    TickLogWriter::open(&worlds_path(&run.out_dir), run.run_id, WorldRecord::words(&run.scenario))
+pub fn write_worlds(run: &RunDescription) -> Result<TickLogWriter<WorldRecord>, TickLogError> {
+    TickLogWriter::open(&worlds_path(&run.out_dir), run.run_id, WorldRecord::of(&run.scenario))
 }
 
 /// Opens the simulator's log for reading.
 ///
 /// # Errors
 /// If the file cannot be read.
-pub fn read_worlds(run: &RunDescription) -> Result<TickLogReader, TickLogError> {
-    TickLogReader::open(&worlds_path(&run.out_dir), run.run_id, WorldRecord::words(&run.scenario))
+pub fn read_worlds(run: &RunDescription) -> Result<TickLogReader<WorldRecord>, TickLogError> {
+    TickLogReader::open(&worlds_path(&run.out_dir), run.run_id, WorldRecord::of(&run.scenario))
 }

@@ -68,7 +68,7 @@ struct Driver<'a> {
     hold: RoleHold,
     machine: Machine,
     checkpoint: Option<Checkpoint>,
-    log: Option<TickLogWriter>,
+    log: Option<TickLogWriter<WorldRecord>>,
     worlds: Publisher<WorldEntry>,
     truths: Publisher<Truth>,
     drives: Subscriber<Drive>,
@@ -163,9 +163,10 @@ impl<'a> Driver<'a> {
     fn record(&mut self) {
         let (machine, Some(log)) = (&self.machine, &mut self.log) else { return };
         let world = machine.world();
-        let words =
-            WorldRecord::to_words(world.time_s(), monotonic_ns(), world.truth(), world.entries(), machine.drives());
-        if let Err(error) = log.write(machine.tick(), words) {
+        let fill = |record: &mut WorldRecord| {
+            record.set(world.time_s(), monotonic_ns(), world.truth(), world.entries(), machine.drives());
+        };
+        if let Err(error) = log.write(machine.tick(), fill) {
             log::warn!("goes on without a log: {error}");
             self.log = None;
         }

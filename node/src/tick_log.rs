@@ -1,19 +1,22 @@
-//! Logs with one record of fixed size for each tick, at the place that its tick gives it.
+//! Logs with one record of fixed width for each tick, at the place that its tick gives it.
 //!
-//! Because a record's place depends on its tick alone, writing a tick twice leaves the file as it
-//! was: a node that is started again after a kill repeats its last record and loses none. The
-//! report and every table are made from these files, never from what an observer caught.
+//! Because a record's place depends on its tick alone, writing a tick twice leaves the file as it was: a node that is
+//! started again after a kill repeats its last record and loses none. The report and every table are made from these
+//! files, never from what an observer caught.
+//!
+//! A log says by itself what is in it. It begins with three words: a magic number, the run's id, and the length of the
+//! description that follows, which is JSON in the form of a NumPy `dtype`. Each record begins with its tick plus one; one
+//! that was never written is zeros.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufReader, Read};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// Starts every log.
-const MAGIC: u64 = u64::from_le_bytes(*b"rhticks1");
+use rangehound_shared::record::{Record, describe, put, take};
 
-/// Words of the header: magic, run id, words a record.
-const HEADER_WORDS: usize = 3;
+/// Starts every log.
+const MAGIC: u64 = u64::from_le_bytes(*b"rhticks2");
 
 /// A log file could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -29,30 +32,67 @@ impl TickLogError {
     }
 }
 
-/// Writes records.
-#[derive(Debug)]
-pub struct TickLogWriter {
-    file: File,
-    path: PathBuf,
-    bytes: Vec<u8>,
-    record_words: usize,
+/// How a log is laid out.
+#[derive(Debug, Clone)]
+struct Layout {
+    header: Vec<u8>,
+    /// Bytes of a record with its mark.
+    record_len: usize,
 }
 
-impl TickLogWriter {
-    /// Opens the log of this run, or starts it anew if the file is another run's.
+impl Layout {
+    fn of(run_id: u64, record: &mut impl Record) -> Self {
+        let mut description = format!(r#"[["tick_plus_1","<u8"],{}]"#, describe(record));
+        // Records stand at whole words.
+        description.extend(std::iter::repeat_n(' ', description.len().next_multiple_of(8) - description.len()));
+        let words = [MAGIC, run_id, description.len() as u64];
+        let mut header: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        header.extend(description.bytes());
+        let mut bytes = Vec::new();
+        put(record, &mut bytes);
+        Self { header, record_len: 8 + bytes.len() }
+    }
+
+    /// Where a tick's record is; `None` where no file reaches.
+    fn offset(&self, tick: u64) -> Option<u64> {
+        let offset = tick.checked_mul(self.record_len as u64)?.checked_add(self.header.len() as u64)?;
+        (offset <= i64::MAX as u64).then_some(offset)
+    }
+
+    /// The newest tick that a file of this length has room for.
+    fn newest_tick(&self, file: &File) -> std::io::Result<Option<u64>> {
+        let records = file.metadata()?.len().saturating_sub(self.header.len() as u64) / self.record_len as u64;
+        Ok(records.checked_sub(1))
+    }
+}
+
+/// Writes records.
+#[derive(Debug)]
+pub struct TickLogWriter<R> {
+    file: File,
+    path: PathBuf,
+    layout: Layout,
+    bytes: Vec<u8>,
+    /// The record that is filled or changed.
+    record: R,
+}
+
+impl<R: Record> TickLogWriter<R> {
+    /// Opens the log of this run, or starts it anew if the file is another run's. `record` is any with as many items as
+    /// the run's.
     ///
     /// # Errors
     /// If the file cannot be opened or written.
-    pub fn open(path: &Path, run_id: u64, record_words: usize) -> Result<Self, TickLogError> {
+    pub fn open(path: &Path, run_id: u64, mut record: R) -> Result<Self, TickLogError> {
         let failed = |error: std::io::Error| TickLogError::new(path, error);
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(failed)?;
-        let header: Vec<u8> = [MAGIC, run_id, record_words as u64].iter().flat_map(|word| word.to_le_bytes()).collect();
-        let mut present = vec![0; header.len()];
-        if file.read_exact_at(&mut present, 0).is_err() || present != header {
+        let layout = Layout::of(run_id, &mut record);
+        let mut present = vec![0; layout.header.len()];
+        if file.read_exact_at(&mut present, 0).is_err() || present != layout.header {
             file.set_len(0).map_err(failed)?;
-            file.write_all_at(&header, 0).map_err(failed)?;
+            file.write_all_at(&layout.header, 0).map_err(failed)?;
         }
-        Ok(Self { file, path: path.to_owned(), bytes: Vec::with_capacity(8 * (record_words + 1)), record_words })
+        Ok(Self { file, path: path.to_owned(), bytes: Vec::with_capacity(layout.record_len), layout, record })
     }
 
     /// True if no tick has been written.
@@ -60,71 +100,104 @@ impl TickLogWriter {
     /// # Errors
     /// If the system does not tell.
     pub fn is_empty(&self) -> Result<bool, TickLogError> {
-        let metadata = self.file.metadata().map_err(|error| TickLogError::new(&self.path, error))?;
-        Ok(metadata.len() <= 8 * HEADER_WORDS as u64)
+        let newest = self.layout.newest_tick(&self.file).map_err(|error| TickLogError::new(&self.path, error))?;
+        Ok(newest.is_none())
     }
 
-    /// Writes the record of one tick. Of `words`, as many as a record has are kept; if there are fewer,
-    /// the rest is zero.
+    /// Writes the record of one tick, which `fill` puts in the place of another one's.
     ///
     /// # Errors
     /// If the system refuses the write.
-    pub fn write(&mut self, tick: u64, words: impl IntoIterator<Item = u64>) -> Result<(), TickLogError> {
-        self.bytes.clear();
-        // Marks the record as written: a hole in the file reads as zero.
-        self.bytes.extend((tick + 1).to_le_bytes());
-        for word in words.into_iter().take(self.record_words) {
-            self.bytes.extend(word.to_le_bytes());
-        }
-        self.bytes.resize(8 * (self.record_words + 1), 0);
-        self.file.write_all_at(&self.bytes, self.offset(tick)).map_err(|error| TickLogError::new(&self.path, error))
+    pub fn write(&mut self, tick: u64, fill: impl FnOnce(&mut R)) -> Result<(), TickLogError> {
+        let Self { file, path, layout, bytes, record } = self;
+        fill(record);
+        write_record(file, layout, bytes, tick, record).map_err(|error| TickLogError::new(path, error))
     }
 
-    /// Writes over some words of a record, from its `first` on.
+    /// Changes the record of a tick, if it was written.
     ///
     /// # Errors
-    /// If the system refuses the write.
-    pub fn amend(&mut self, tick: u64, first: usize, words: impl IntoIterator<Item = u64>) -> Result<(), TickLogError> {
-        self.bytes.clear();
-        for word in words.into_iter().take(self.record_words.saturating_sub(first)) {
-            self.bytes.extend(word.to_le_bytes());
-        }
-        let offset = self.offset(tick) + 8 * (first as u64 + 1);
-        self.file.write_all_at(&self.bytes, offset).map_err(|error| TickLogError::new(&self.path, error))
-    }
-
-    fn offset(&self, tick: u64) -> u64 {
-        8 * (HEADER_WORDS as u64 + tick * (self.record_words as u64 + 1))
+    /// If the system refuses to read or to write.
+    pub fn amend(&mut self, tick: u64, change: impl FnOnce(&mut R)) -> Result<(), TickLogError> {
+        let Self { file, path, layout, bytes, record } = self;
+        let amend = || {
+            if read_record(file, layout, bytes, tick, record)? {
+                change(record);
+                write_record(file, layout, bytes, tick, record)?;
+            }
+            Ok(())
+        };
+        amend().map_err(|error: std::io::Error| TickLogError::new(path, error))
     }
 }
 
-/// Reads records in tick order.
+fn write_record(
+    file: &File,
+    layout: &Layout,
+    bytes: &mut Vec<u8>,
+    tick: u64,
+    record: &mut impl Record,
+) -> std::io::Result<()> {
+    let offset = layout.offset(tick).ok_or(std::io::ErrorKind::FileTooLarge)?;
+    bytes.clear();
+    // Marks the record as written: a hole in the file reads as zero.
+    bytes.extend((tick + 1).to_le_bytes());
+    put(record, bytes);
+    file.write_all_at(bytes, offset)
+}
+
+/// Reads the record of a tick; false if it was not written.
+fn read_record(
+    file: &File,
+    layout: &Layout,
+    bytes: &mut Vec<u8>,
+    tick: u64,
+    record: &mut impl Record,
+) -> std::io::Result<bool> {
+    let Some(offset) = layout.offset(tick) else { return Ok(false) };
+    bytes.resize(layout.record_len, 0);
+    match file.read_exact_at(bytes, offset) {
+        Ok(()) => Ok(take_marked(bytes, tick, record)),
+        Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Takes a record from its bytes; false if they are not of this tick.
+fn take_marked(bytes: &[u8], tick: u64, record: &mut impl Record) -> bool {
+    let Some((mark, words)) = bytes.split_first_chunk::<8>() else { return false };
+    let is_written = u64::from_le_bytes(*mark) == tick + 1;
+    if is_written {
+        take(record, words);
+    }
+    is_written
+}
+
+/// Reads records in tick order, or any.
 #[derive(Debug)]
-pub struct TickLogReader {
+pub struct TickLogReader<R> {
     input: BufReader<File>,
     path: PathBuf,
-    words: Vec<u64>,
+    layout: Layout,
     bytes: Vec<u8>,
+    record: R,
     tick: u64,
 }
 
-impl TickLogReader {
-    /// Opens the log of a run.
+impl<R: Record> TickLogReader<R> {
+    /// Opens the log of a run. `record` is any with as many items as the run's.
     ///
     /// # Errors
     /// If the file cannot be read or is not a log of this run with such records.
-    pub fn open(path: &Path, run_id: u64, record_words: usize) -> Result<Self, TickLogError> {
+    pub fn open(path: &Path, run_id: u64, mut record: R) -> Result<Self, TickLogError> {
         let file = File::open(path).map_err(|error| TickLogError::new(path, error))?;
+        let layout = Layout::of(run_id, &mut record);
         let mut input = BufReader::with_capacity(1 << 16, file);
-        for expected in [MAGIC, run_id, record_words as u64] {
-            let mut word = [0; 8];
-            let read = input.read_exact(&mut word);
-            if read.is_err() || u64::from_le_bytes(word) != expected {
-                return Err(TickLogError::new(path, "not a log of this run"));
-            }
+        let mut header = vec![0; layout.header.len()];
+        if input.read_exact(&mut header).is_err() || header != layout.header {
+            return Err(TickLogError::new(path, "not a log of this run"));
         }
-        let bytes = vec![0; 8 * (record_words + 1)];
-        Ok(Self { input, path: path.to_owned(), words: vec![0; record_words], bytes, tick: 0 })
+        Ok(Self { input, path: path.to_owned(), bytes: vec![0; layout.record_len], layout, record, tick: 0 })
     }
 
     /// The newest tick that has room in the log, written or not; `None` before the first.
@@ -132,17 +205,15 @@ impl TickLogReader {
     /// # Errors
     /// If the system does not tell.
     pub fn newest_tick(&self) -> Result<Option<u64>, TickLogError> {
-        let metadata = self.input.get_ref().metadata().map_err(|error| TickLogError::new(&self.path, error))?;
-        let records = metadata.len().saturating_sub(8 * HEADER_WORDS as u64) / self.bytes.len() as u64;
-        Ok(records.checked_sub(1))
+        self.layout.newest_tick(self.input.get_ref()).map_err(|error| TickLogError::new(&self.path, error))
     }
 
     /// The next tick that was written, with its record; `None` at the end.
     ///
     /// # Errors
     /// If the file cannot be read.
-    #[expect(clippy::should_implement_trait, reason = "lends its buffer, which an iterator cannot")]
-    pub fn next(&mut self) -> Option<Result<(u64, &[u64]), TickLogError>> {
+    #[expect(clippy::should_implement_trait, reason = "lends its record, which an iterator cannot")]
+    pub fn next(&mut self) -> Option<Result<(u64, &R), TickLogError>> {
         loop {
             match self.input.read_exact(&mut self.bytes) {
                 Ok(()) => {}
@@ -151,8 +222,8 @@ impl TickLogReader {
             }
             let tick = self.tick;
             self.tick += 1;
-            if self.decode(tick) {
-                return Some(Ok((tick, &self.words)));
+            if take_marked(&self.bytes, tick, &mut self.record) {
+                return Some(Ok((tick, &self.record)));
             }
         }
     }
@@ -162,39 +233,39 @@ impl TickLogReader {
     ///
     /// # Errors
     /// If the file cannot be read.
-    pub fn at(&mut self, tick: u64) -> Result<Option<&[u64]>, TickLogError> {
-        // Where no file reaches there is nothing.
-        let offset =
-            tick.checked_mul(self.bytes.len() as u64).and_then(|bytes| bytes.checked_add(8 * HEADER_WORDS as u64));
-        let Some(offset) = offset.filter(|offset| *offset <= i64::MAX as u64) else { return Ok(None) };
-        match self.input.get_ref().read_exact_at(&mut self.bytes, offset) {
-            Ok(()) => Ok(self.decode(tick).then_some(&*self.words)),
-            Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(None),
-            Err(error) => Err(TickLogError::new(&self.path, error)),
-        }
-    }
-
-    /// Turns the bytes that were read into words; false if they are not the record of this tick.
-    fn decode(&mut self, tick: u64) -> bool {
-        let (chunks, _) = self.bytes.as_chunks::<8>();
-        let Some((mark, record)) = chunks.split_first() else { return false };
-        for (word, chunk) in self.words.iter_mut().zip(record) {
-            *word = u64::from_le_bytes(*chunk);
-        }
-        u64::from_le_bytes(*mark) == tick + 1
+    pub fn at(&mut self, tick: u64) -> Result<Option<&R>, TickLogError> {
+        let Self { input, path, layout, bytes, record, .. } = self;
+        let is_written = read_record(input.get_ref(), layout, bytes, tick, record);
+        Ok(is_written.map_err(|error| TickLogError::new(path, error))?.then_some(&*record))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::record::Fields;
+
     use super::*;
 
-    fn read_all(path: &Path) -> Vec<(u64, Vec<u64>)> {
-        let mut reader = TickLogReader::open(path, 7, 2).unwrap();
+    #[derive(Debug, Clone, Copy, PartialEq, Default)]
+    struct Pair(u64, f64);
+
+    impl Record for Pair {
+        fn fields(&mut self, fields: &mut impl Fields) {
+            fields.whole("a", &mut self.0);
+            fields.number("b", &mut self.1);
+        }
+    }
+
+    fn writer(path: &Path, run_id: u64) -> TickLogWriter<Pair> {
+        TickLogWriter::open(path, run_id, Pair::default()).unwrap()
+    }
+
+    fn read_all(path: &Path) -> Vec<(u64, Pair)> {
+        let mut reader = TickLogReader::open(path, 7, Pair::default()).unwrap();
         let mut records = Vec::new();
         while let Some(record) = reader.next() {
-            let (tick, words) = record.unwrap();
-            records.push((tick, words.to_vec()));
+            let (tick, record) = record.unwrap();
+            records.push((tick, *record));
         }
         records
     }
@@ -203,37 +274,45 @@ mod tests {
     fn records_stand_at_their_tick_however_often_they_are_written() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log");
-        let mut log = TickLogWriter::open(&path, 7, 2).unwrap();
-        log.write(3, [30, 31]).unwrap();
-        log.write(0, [1]).unwrap();
+        let mut log = writer(&path, 7);
+        assert!(log.is_empty().unwrap());
+        log.write(3, |pair| *pair = Pair(30, 3.1)).unwrap();
+        log.write(0, |pair| *pair = Pair(1, 0.0)).unwrap();
         drop(log);
-        let mut again = TickLogWriter::open(&path, 7, 2).unwrap();
-        again.write(3, [30, 31]).unwrap();
-        again.amend(0, 1, [2, 9]).unwrap();
-        assert_eq!(read_all(&path), [(0, vec![1, 2]), (3, vec![30, 31])]);
-        let mut reader = TickLogReader::open(&path, 7, 2).unwrap();
-        let records = [3, 0, 1, 4, u64::MAX - 1].map(|tick| reader.at(tick).unwrap().map(<[u64]>::to_vec));
-        assert_eq!(records, [Some(vec![30, 31]), Some(vec![1, 2]), None, None, None]);
+        let mut again = writer(&path, 7);
+        assert!(!again.is_empty().unwrap());
+        again.write(3, |pair| *pair = Pair(30, 3.1)).unwrap();
+        again.amend(0, |pair| pair.1 = 2.0).unwrap();
+        again.amend(1, |pair| pair.1 = 9.0).unwrap();
+        assert_eq!(read_all(&path), [(0, Pair(1, 2.0)), (3, Pair(30, 3.1))]);
+        let mut reader = TickLogReader::open(&path, 7, Pair::default()).unwrap();
+        let records = [3, 0, 1, 4, u64::MAX - 1].map(|tick| reader.at(tick).unwrap().copied());
+        assert_eq!(records, [Some(Pair(30, 3.1)), Some(Pair(1, 2.0)), None, None, None]);
     }
 
     #[test]
     fn a_log_of_another_run_is_started_anew_and_refused_by_readers() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log");
-        TickLogWriter::open(&path, 6, 2).unwrap().write(5, [1, 2]).unwrap();
-        assert!(TickLogReader::open(&path, 7, 2).is_err());
-        TickLogWriter::open(&path, 7, 2).unwrap().write(0, [8, 9]).unwrap();
-        assert_eq!(read_all(&path), [(0, vec![8, 9])]);
+        writer(&path, 6).write(5, |pair| *pair = Pair(1, 2.0)).unwrap();
+        assert!(TickLogReader::open(&path, 7, Pair::default()).is_err());
+        writer(&path, 7).write(0, |pair| *pair = Pair(8, 9.0)).unwrap();
+        assert_eq!(read_all(&path), [(0, Pair(8, 9.0))]);
     }
 
     #[test]
-    fn a_cut_record_ends_the_log() {
+    fn a_log_says_what_is_in_it_and_a_cut_record_ends_it() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log");
-        let mut log = TickLogWriter::open(&path, 7, 2).unwrap();
-        log.write(0, [1, 2]).unwrap();
-        log.write(1, [3, 4]).unwrap();
-        OpenOptions::new().write(true).open(&path).unwrap().set_len(24 + 24 + 10).unwrap();
-        assert_eq!(read_all(&path), [(0, vec![1, 2])]);
+        let mut log = writer(&path, 7);
+        log.write(0, |pair| *pair = Pair(1, 2.0)).unwrap();
+        log.write(1, |pair| *pair = Pair(3, 4.0)).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let len = u64::from_le_bytes(bytes[16..24].try_into().unwrap()) as usize;
+        let description = std::str::from_utf8(&bytes[24..24 + len]).unwrap();
+        assert_eq!(description.trim_end(), r#"[["tick_plus_1","<u8"],["a","<u8"],["b","<f8"]]"#);
+        assert!(len.is_multiple_of(8) && bytes.len() == 24 + len + 2 * 24);
+        OpenOptions::new().write(true).open(&path).unwrap().set_len(24 + len as u64 + 24 + 10).unwrap();
+        assert_eq!(read_all(&path), [(0, Pair(1, 2.0))]);
     }
 }

@@ -186,7 +186,7 @@ impl Refusal {
 
 /// Topic `estimate`: what fusion knows after a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v4"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v5"))]
 #[repr(C)]
 pub struct Estimate {
     /// Dimension n of the state.
@@ -224,6 +224,10 @@ pub struct Estimate {
     pub objective: f64,
     /// Lower bound on it; `-inf` from planners that prove none.
     pub lower_bound: f64,
+    /// No headings of this tick lead to a lesser trace of the position covariance at the next, m^2, if those who are planned
+    /// for then measure; 0 from planners that prove nothing. Only a late range, of which the plan did not know, can bring it
+    /// below.
+    pub least_trace_m2: f64,
     /// When fusion came to each stage of the tick.
     pub stages: Stages,
     /// Rolling digest after this tick, low and high half.
@@ -284,6 +288,7 @@ impl Default for Estimate {
             distrusted: [0; robot_set::WORDS],
             objective: 0.0,
             lower_bound: f64::NEG_INFINITY,
+            least_trace_m2: 0.0,
             stages: Stages::default(),
             digest: [0; 2],
         }
@@ -308,7 +313,7 @@ const _: () = {
     assert!(size_of::<Range>() == 64);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
-    assert!(size_of::<Estimate>() == 824);
+    assert!(size_of::<Estimate>() == 832);
     assert!(size_of::<Truth>() == 88);
 };
 

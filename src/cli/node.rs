@@ -6,7 +6,7 @@ use rangehound_shared::run_name::RunName;
 
 use super::ExperimentArgs;
 use super::values::whole;
-use crate::latency::reference::Reference;
+use crate::study::latency::reference::Reference;
 
 /// `sim`.
 #[derive(Debug, Args)]

@@ -9,8 +9,8 @@ use rangehound_shared::scenario::{GateKey, PatienceKey};
 use super::ParentArgs;
 use super::input::InputArgs;
 use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole};
-use crate::pin::Pin;
-use crate::supervisor::restart::Rule;
+use crate::run::pin::Pin;
+use crate::run::supervisor::restart::Rule;
 
 /// What is run, under which name, and where its folder is.
 #[derive(Debug, Default, Args)]

@@ -7,7 +7,7 @@ use rangehound_shared::run_name::RunName;
 
 use super::values::{PlannerName, number, standbys, whole};
 use super::{ClockArg, ExperimentArgs, InputArgs};
-use crate::pin::Pin;
+use crate::run::pin::Pin;
 
 /// `plan`.
 #[derive(Debug, Default, Args)]

@@ -4,7 +4,7 @@ use rangehound_node::rendezvous::{Rendezvous, Role};
 use rustix::process::Signal;
 
 use crate::failure::Failure;
-use crate::remote;
+use crate::run::remote;
 
 /// What may be done to a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

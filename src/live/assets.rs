@@ -9,7 +9,6 @@ pub(super) const REFUSED: &str = include_str!("page/refused.html");
 /// Its script, for whom there is nothing to hide.
 pub(super) const REFUSED_SCRIPT: &str = include_str!("page/refused.js");
 
-pub(super) const HTML: &str = "text/html; charset=utf-8";
 pub(super) const SCRIPT: &str = "text/javascript; charset=utf-8";
 const STYLE: &str = "text/css; charset=utf-8";
 

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, Role};
 use rangehound_node::signal::Termination;
 use rangehound_shared::message::Estimate;
 use serde_json::Value;
@@ -10,9 +10,9 @@ use serde_json::Value;
 use super::LOOK;
 use super::scene::Scene;
 use super::server::Server;
-use crate::frame::{Frame, Frames};
-use crate::remote::{ENDING, Status};
-use crate::watch;
+use crate::results::frame::{Frame, Frames};
+use crate::run::remote::Status;
+use crate::run::watch;
 
 /// How often the processes are looked at, and how much rarer for each robot.
 const NODES: Duration = Duration::from_millis(250);
@@ -83,7 +83,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
 fn is_ending(run: &Rendezvous) -> bool {
     let asked = Instant::now();
     loop {
-        if run.note(ENDING).is_some() {
+        if run.note(ENDING_NOTE).is_some() {
             return true;
         }
         // Of a run by hand nobody says it.

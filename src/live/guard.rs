@@ -7,11 +7,20 @@
 //! | names that are made to lead here (DNS rebinding) | `Host` is 127.0.0.1 or localhost with this port |
 //! | other pages in the same browser | `Origin`, where there is one, is this page's; actions need the token in a header, which no form can set |
 
-use hyper::HeaderMap;
-use hyper::header::{self, HeaderName, HeaderValue};
+use std::sync::Arc;
+
+use axum::extract::{FromRequestParts, Request, State};
+use axum::http::header::{self, HeaderName, HeaderValue};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::Next;
+use axum::response::{Html, IntoResponse, Response};
+
+use super::assets;
+use super::shared::Shared;
 
 /// Header of the token of an action.
-pub(super) const TOKEN_HEADER: &str = "x-rangehound-token";
+const TOKEN_HEADER: &str = "x-rangehound-token";
 
 /// With every answer: nothing is kept, nothing is loaded from elsewhere or shown in another page's frame.
 const ANSWER_HEADERS: [(HeaderName, &str); 7] = [
@@ -88,11 +97,46 @@ pub(super) fn where_from_here(port: u16) -> String {
     )
 }
 
-/// Puts the headers of every answer.
-pub(super) fn protect(headers: &mut HeaderMap) {
-    for (name, value) in ANSWER_HEADERS {
-        headers.insert(name, HeaderValue::from_static(value));
+/// Lets in whom [`is_from_here`] lets in, and puts the headers of every answer.
+pub(super) async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
+    let answer = if is_from_here(request.headers(), shared.port) {
+        next.run(request).await
+    } else {
+        (StatusCode::FORBIDDEN, where_from_here(shared.port)).into_response()
+    };
+    (ANSWER_HEADERS, answer).into_response()
+}
+
+/// Who may look: has the token in the address.
+pub(super) struct MayLook(pub(super) Arc<Shared>);
+
+impl FromRequestParts<Arc<Shared>> for MayLook {
+    type Rejection = Refusal;
+
+    async fn from_request_parts(parts: &mut Parts, shared: &Arc<Shared>) -> Result<Self, Refusal> {
+        let query = parts.uri.query().unwrap_or_default();
+        let mut tokens = query.split('&').filter_map(|pair| pair.strip_prefix("token="));
+        if tokens.any(|text| shared.token.is(text)) { Ok(Self(Arc::clone(shared))) } else { Err(refuse()) }
     }
+}
+
+/// Who may act: has the token in a header.
+pub(super) struct MayAct(pub(super) Arc<Shared>);
+
+impl FromRequestParts<Arc<Shared>> for MayAct {
+    type Rejection = Refusal;
+
+    async fn from_request_parts(parts: &mut Parts, shared: &Arc<Shared>) -> Result<Self, Refusal> {
+        let token = parts.headers.get(TOKEN_HEADER).and_then(|value| value.to_str().ok());
+        if token.is_some_and(|text| shared.token.is(text)) { Ok(Self(Arc::clone(shared))) } else { Err(refuse()) }
+    }
+}
+
+type Refusal = (StatusCode, Html<&'static str>);
+
+/// The answer to somebody without the token.
+pub(super) fn refuse() -> Refusal {
+    (StatusCode::FORBIDDEN, Html(assets::REFUSED))
 }
 
 #[cfg(test)]

@@ -1,13 +1,12 @@
 //! What the page's curves show: the whole run in a bounded number of points.
 
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::record::FusionRecord;
 use serde::Serialize;
 use serde::ser::SerializeTuple;
 
-use crate::compare::statistics::{Interval, chi_square_mean_bounds};
-use crate::frame::Frame;
-use crate::least_trace::least_next_trace_m2;
-use crate::report::position_covariance;
+use crate::results::frame::Frame;
+use crate::results::report::position_covariance;
+use crate::statistics::{Interval, chi_square_mean_bounds, median};
 
 /// Points at which neighbours are put together: more would not be seen.
 const POINTS_MAX: usize = 600;
@@ -60,12 +59,12 @@ impl Default for History {
 }
 
 impl History {
-    pub(super) fn add(&mut self, frame: &Frame, scenario: &Scenario) {
+    pub(super) fn add(&mut self, frame: &Frame) {
         // Before the first range there is nothing to compare.
         if frame.tick == 0 {
             return;
         }
-        let point = Point::of(frame, scenario);
+        let point = Point::of(frame);
         match self.points.last_mut() {
             Some(last) if last.tick / self.stride == point.tick / self.stride => last.add(&point),
             _ => self.points.push(point),
@@ -101,27 +100,24 @@ impl History {
 }
 
 impl Point {
-    fn of(frame: &Frame, scenario: &Scenario) -> Self {
-        let Frame { tick, estimate: record, world, exchanges } = frame;
-        let estimate = &record.estimate;
+    fn of(frame: &Frame) -> Self {
+        let Frame { tick, fusion: FusionRecord { time_s, estimate, .. }, world } = frame;
         let error_m = match *world.truth.as_slice() {
             [x_m, y_m, ..] => (estimate.state[0] - x_m).hypot(estimate.state[1] - y_m),
             _ => f64::NAN,
         };
-        let mut latencies_ns: Vec<u64> = world.robots.iter().filter_map(|robot| robot.latency_ns()).collect();
-        latencies_ns.sort_unstable();
-        let us = |ns: Option<&u64>| ns.map_or(f64::NAN, |ns| *ns as f64 / 1e3);
+        let latencies_ns = world.robots.iter().filter_map(|robot| robot.latency_ns());
+        let mut latencies_us: Vec<f64> = latencies_ns.map(|ns| ns as f64 / 1e3).collect();
         Self {
             tick: *tick,
-            time_s: record.time_s,
+            time_s: *time_s,
             error_m,
             trace_m2: position_covariance(estimate).trace(),
-            least_next_m2: least_next_trace_m2(scenario, *tick, estimate, exchanges.iter().copied())
-                .unwrap_or(f64::NAN),
+            least_next_m2: Some(estimate.least_trace_m2).filter(|least_m2| *least_m2 > 0.0).unwrap_or(f64::NAN),
             nis: estimate.nis,
             fused: estimate.fused,
-            latency_us: us(latencies_ns.get(latencies_ns.len() / 2)),
-            latency_max_us: us(latencies_ns.last()),
+            latency_us: median(&mut latencies_us).unwrap_or(f64::NAN),
+            latency_max_us: latencies_us.into_iter().fold(f64::NAN, f64::max),
         }
     }
 
@@ -161,28 +157,22 @@ fn short(value: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-
     use rangehound_shared::message::Estimate;
-    use rangehound_shared::record::{EstimateRecord, WorldRecord};
-    use rangehound_shared::scenario::ScenarioFile;
+    use rangehound_shared::record::{FusionRecord, WorldRecord};
 
     use super::*;
 
-    fn scenario() -> Scenario {
-        Scenario::from_file(&ScenarioFile::default(), "test").unwrap()
-    }
-
     fn frame(tick: u64) -> Frame {
         let estimate = Estimate { state_dim: 4, nis: 2.0, fused: 2, ..Estimate::default() };
-        let estimate = EstimateRecord { time_s: tick as f64 * 0.1, estimate };
-        Frame { tick, estimate, exchanges: Vec::new(), world: WorldRecord::default() }
+        let fusion = FusionRecord { time_s: tick as f64 * 0.1, estimate, exchanges: Vec::new() };
+        Frame { tick, fusion, world: WorldRecord::default() }
     }
 
     #[test]
     fn a_run_of_any_length_has_few_points_and_loses_no_tick() {
-        let (mut history, scenario) = (History::default(), scenario());
+        let mut history = History::default();
         for tick in 1..=100_000 {
-            history.add(&frame(tick), &scenario);
+            history.add(&frame(tick));
             assert!(history.points.len() < POINTS_MAX);
         }
         assert!(history.points.len() >= POINTS_MAX / 2 - 1 && history.points.is_sorted_by_key(|point| point.tick));
@@ -192,17 +182,16 @@ mod tests {
 
     #[test]
     fn ticks_that_lie_far_apart_are_few_points_too() {
-        let (mut history, scenario) = (History::default(), scenario());
-        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000), &scenario));
+        let mut history = History::default();
+        (1..5_000).for_each(|tick| history.add(&frame(tick * 1_000)));
         assert!(history.points.len() < POINTS_MAX);
     }
 
     #[test]
     fn who_follows_has_the_same_points_as_who_comes_late() {
         let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
-        let scenario = scenario();
         for tick in 1..=3_000 {
-            history.add(&frame(tick), &scenario);
+            history.add(&frame(tick));
             // Now and then one look is missed.
             if tick % 7 != 0 {
                 let News { from, points: new, .. } = history.news(&mut known);

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::frame::Frame;
+use crate::results::frame::Frame;
+use crate::statistics::Samples;
 
 /// Half of what "the last seconds" are.
 const HALF: Duration = Duration::from_secs(5);
@@ -18,10 +18,10 @@ pub(super) struct Latencies {
 
 #[derive(Debug)]
 struct Histograms {
-    all: Histogram<u64>,
+    all: Samples,
     /// The half before, full, and the half that is being filled.
-    before: Histogram<u64>,
-    now: Histogram<u64>,
+    before: Samples,
+    now: Samples,
     since: Instant,
 }
 
@@ -43,10 +43,10 @@ struct Percentiles {
 
 impl Default for Latencies {
     fn default() -> Self {
-        let histogram = || Histogram::new(3).ok();
-        let histograms = histogram().zip(histogram()).zip(histogram());
         let since = Instant::now();
-        Self { histograms: histograms.map(|((all, before), now)| Histograms { all, before, now, since }) }
+        let histograms =
+            Samples::new().map(|none| Histograms { all: none.clone(), before: none.clone(), now: none, since });
+        Self { histograms: histograms.ok() }
     }
 }
 
@@ -55,12 +55,12 @@ impl Latencies {
         let Some(Histograms { all, before, now, since }) = &mut self.histograms else { return };
         if since.elapsed() >= HALF {
             std::mem::swap(before, now);
-            now.reset();
+            now.clear();
             *since = Instant::now();
         }
         for latency_ns in frame.world.robots.iter().filter_map(|robot| robot.latency_ns()) {
-            // They resize as needed, so nothing can be out of their bounds.
-            let _ = (all.record(latency_ns), now.record(latency_ns));
+            all.add(latency_ns);
+            now.add(latency_ns);
         }
     }
 
@@ -68,23 +68,21 @@ impl Latencies {
     pub(super) fn recall(&mut self, frame: &Frame) {
         let Some(Histograms { all, .. }) = &mut self.histograms else { return };
         for latency_ns in frame.world.robots.iter().filter_map(|robot| robot.latency_ns()) {
-            let _ = all.record(latency_ns);
+            all.add(latency_ns);
         }
     }
 
     pub(super) fn summary(&self) -> Latency {
         let Some(Histograms { all, before, now, .. }) = &self.histograms else { return Latency::default() };
         let mut recent = before.clone();
-        // They are alike, so that it cannot fail.
-        let _ = recent.add(now);
+        recent.add_all(now);
         Latency { all: Percentiles::of(all), recent: Percentiles::of(&recent) }
     }
 }
 
 impl Percentiles {
-    fn of(histogram: &Histogram<u64>) -> Option<Self> {
-        let at = |quantile| histogram.value_at_quantile(quantile) as f64 / 1e3;
-        let max = histogram.max() as f64 / 1e3;
-        (!histogram.is_empty()).then(|| Self { count: histogram.len(), p50: at(0.5), p90: at(0.9), p99: at(0.99), max })
+    fn of(us: &Samples) -> Option<Self> {
+        let count = us.count();
+        (count > 0).then(|| Self { count, p50: us.at(0.5), p90: us.at(0.9), p99: us.at(0.99), max: us.max() })
     }
 }

@@ -29,15 +29,16 @@ use std::net::TcpListener;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::{LIVE_NOTE, Rendezvous};
 use rangehound_node::signal::Termination;
 use rangehound_shared::scenario::Scenario;
 use serde_json::json;
 
 use crate::cli::LiveArgs;
 use crate::failure::{Failure, print_json, tell};
-use crate::frame::Frame;
-use crate::node::look_on;
+use crate::results::frame::Frame;
+use crate::run::node::look_on;
+use crate::run::port::listen;
 use guard::Token;
 use scene::Scene;
 use server::Server;
@@ -47,9 +48,6 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// A further robot makes pictures longer, and them rarer by this.
 const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
-
-/// In the run's own folder: so that a page that is started again is found where it was.
-pub(crate) const ADDRESS_FILE: &str = "live";
 
 /// `rangehound live`.
 ///
@@ -65,7 +63,7 @@ pub fn live(args: &LiveArgs) -> Result<(), Failure> {
     let scene = Scene::new(&run.name().to_string(), "run", scenario);
     let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
     // Without it the page is found at another address after a kill.
-    let _ = run.leave_note(ADDRESS_FILE, &note);
+    let _ = run.leave_note(LIVE_NOTE, &note);
     if args.json {
         print_json(&json!({ "name": run.name().to_string(), "address": server.address() }))?;
     } else {
@@ -126,32 +124,17 @@ fn feed(
     Ok(())
 }
 
-/// Looks whether a page could have this port.
-///
-/// # Errors
-/// [`Failure::Input`] if somebody else has it.
-pub fn look_for(port: u16) -> Result<(), Failure> {
-    listen(Some(port)).map(drop)
-}
-
 /// A port and a token that nobody has.
 fn new_address(port: Option<u16>) -> Result<(TcpListener, Token), Failure> {
     Ok((listen(port)?, Token::new()?))
 }
 
-fn listen(port: Option<u16>) -> Result<TcpListener, Failure> {
-    server::listen(port).map_err(|error| match port {
-        Some(port) => Failure::input(format!("port {port}: expected one that is free on 127.0.0.1: {error}")),
-        None => Failure::from(error),
-    })
-}
-
 /// Where the page of this run was until it was killed, if that is free.
 fn address_of_before(run: &Rendezvous, port: Option<u16>) -> Option<(TcpListener, Token)> {
-    let note = run.note(ADDRESS_FILE)?;
+    let note = run.note(LIVE_NOTE)?;
     let (before, token) = note.split_once(' ')?;
     let before = before.parse().ok().filter(|before| port.is_none_or(|port| port == *before || port == 0))?;
-    Some((server::listen(Some(before)).ok()?, Token::from_text(token)?))
+    Some((listen(Some(before)).ok()?, Token::from_text(token)?))
 }
 
 fn pace(scenario: &Scenario) -> Duration {

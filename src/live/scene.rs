@@ -12,9 +12,9 @@ use serde_json::{Value, json};
 
 use super::history::{History, Known, News};
 use super::latency::{Latencies, Latency};
-use crate::chart::{self, COLOURS};
-use crate::frame::{Frame, UNSETTLED_TICKS};
-use crate::report::{RangeSummary, position_covariance};
+use crate::draw::chart::{self, COLOURS};
+use crate::results::frame::{Frame, UNSETTLED_TICKS};
+use crate::results::report::{RangeSummary, position_covariance};
 
 /// Places of all robots' trails together.
 const TRAIL_PLACES_MAX: usize = 8_000;
@@ -29,7 +29,6 @@ const RATE_SPAN: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(super) struct Scene {
     about: Value,
-    scenario: Scenario,
     trail_max: usize,
     newest: Option<Frame>,
     trails: VecDeque<Places>,
@@ -129,7 +128,6 @@ impl Scene {
         });
         Self {
             about,
-            scenario: scenario.clone(),
             trail_max,
             newest: None,
             trails: VecDeque::new(),
@@ -156,8 +154,8 @@ impl Scene {
     }
 
     fn count(&mut self, frame: Frame) {
-        self.count_ranges(frame.tick, &frame.estimate.estimate);
-        self.history.add(&frame, &self.scenario);
+        self.count_ranges(frame.tick, &frame.fusion.estimate);
+        self.history.add(&frame);
         self.newest = Some(frame);
     }
 
@@ -224,12 +222,12 @@ impl Scene {
 
     fn picture(&self, frame: &Frame, known: &mut Known) -> Picture<'_> {
         let Places { tick, target_m, estimate_m, .. } = Places::of(frame);
-        let p: Matrix2<f64> = position_covariance(&frame.estimate.estimate);
-        let distrusted = RobotSet::from_bits(frame.estimate.estimate.distrusted);
-        let robots = frame.world.robots.iter().zip(&frame.exchanges).enumerate();
+        let p: Matrix2<f64> = position_covariance(&frame.fusion.estimate);
+        let distrusted = RobotSet::from_bits(frame.fusion.estimate.distrusted);
+        let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges).enumerate();
         Picture {
             tick,
-            time_s: frame.estimate.time_s,
+            time_s: frame.fusion.time_s,
             ticks_per_s: self.ticks_per_s(),
             target_m,
             estimate_m,
@@ -288,7 +286,7 @@ impl Tally {
 
 impl Places {
     fn of(frame: &Frame) -> Self {
-        let state = &frame.estimate.estimate.state;
+        let state = &frame.fusion.estimate.state;
         Self {
             tick: frame.tick,
             target_m: match *frame.world.truth.as_slice() {
@@ -323,16 +321,10 @@ fn hex(colour: plotters::style::RGBColor) -> String {
 /// A tick in which nothing is known but the team.
 #[cfg(test)]
 pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
-    use rangehound_shared::record::{EstimateRecord, Exchange, RobotRecord, WorldRecord};
+    use rangehound_shared::record::{FusionRecord, WorldRecord};
 
-    let estimate = Estimate { state_dim: scenario.motion.state_dim() as u64, ..Estimate::default() };
-    let robots = vec![RobotRecord::default(); scenario.robots.len()];
-    Frame {
-        tick,
-        estimate: EstimateRecord { time_s: tick as f64 * scenario.dt_s, estimate },
-        exchanges: vec![Exchange::default(); scenario.robots.len()],
-        world: WorldRecord { robots, ..WorldRecord::default() },
-    }
+    let fusion = FusionRecord { time_s: tick as f64 * scenario.dt_s, ..FusionRecord::of(scenario) };
+    Frame { tick, fusion, world: WorldRecord { truth: Vec::new(), ..WorldRecord::of(scenario) } }
 }
 
 #[cfg(test)]
@@ -394,9 +386,9 @@ mod tests {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let (mut scene, mut seen) = (Scene::new("a\n\"b", "run", &scenario), Seen::default());
         let mut frame = frame_for_test(u64::MAX - 1, &scenario);
-        frame.estimate.estimate.state = [f64::NAN; 8];
-        frame.estimate.estimate.covariance = [f64::INFINITY; 64];
-        frame.estimate.estimate.fused = u64::MAX;
+        frame.fusion.estimate.state = [f64::NAN; 8];
+        frame.fusion.estimate.covariance = [f64::INFINITY; 64];
+        frame.fusion.estimate.fused = u64::MAX;
         frame.world.robots[0].position_m = [f64::NAN; 2];
         scene.add(frame.clone());
         scene.add(frame);

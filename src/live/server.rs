@@ -1,15 +1,15 @@
 //! The server of the page: one thread, a bounded number of connections, one request each.
 
-use std::convert::Infallible;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::TcpListener;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
-use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
 use rangehound_node::rendezvous::Rendezvous;
 use tokio::sync::{Semaphore, oneshot, watch};
 
@@ -59,7 +59,7 @@ impl Server {
         let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
             runtime.block_on(async {
                 tokio::select! {
-                    () = accept(listener, served) => {}
+                    () = accept(listener, routes::router(&served)) => {}
                     _ = ended => {}
                 }
             });
@@ -108,12 +108,7 @@ impl Drop for Server {
     }
 }
 
-/// A socket at a port of this machine that no other machine reaches; any free one if none is given.
-pub(super) fn listen(port: Option<u16>) -> std::io::Result<TcpListener> {
-    TcpListener::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port.unwrap_or(0))))
-}
-
-async fn accept(listener: TcpListener, shared: Arc<Shared>) {
+async fn accept(listener: TcpListener, router: Router) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
     let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     loop {
@@ -128,24 +123,21 @@ async fn accept(listener: TcpListener, shared: Arc<Shared>) {
                 stream.try_write(b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
             continue;
         };
-        let shared = Arc::clone(&shared);
+        let router = router.clone();
         tokio::spawn(async move {
-            serve(stream, shared).await;
+            serve(stream, router).await;
             drop(place);
         });
     }
 }
 
-/// Answers one request. The connection ends when its time is up, or its stream's viewer takes nothing any more.
-async fn serve(stream: tokio::net::TcpStream, shared: Arc<Shared>) {
+/// Answers one request. The connection ends when its time is up, or its stream's viewer takes nothing any more. By hyper itself,
+/// as `axum::serve` bounds neither a request's head nor its time.
+async fn serve(stream: tokio::net::TcpStream, router: Router) {
     // A picture at once, not when the one before has been acknowledged.
     let _ = stream.set_nodelay(true);
     let life = Arc::new(Life::new(REQUEST));
-    let answered = Arc::clone(&life);
-    let service = service_fn(move |request| {
-        let answer = routes::answer(&request, &shared, &answered);
-        async move { Ok::<_, Infallible>(answer) }
-    });
+    let service = TowerToHyperService::new(router.layer(Extension(Arc::clone(&life))));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(REQUEST)

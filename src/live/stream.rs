@@ -3,18 +3,21 @@
 //! What a viewer is sent is made when it has taken what came before. So one that reads slowly sees fewer pictures, and
 //! one that does not read at all costs two of them in memory until its time is up.
 
-use std::pin::Pin;
+use std::convert::Infallible;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, OnceLock};
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use hyper::Response;
-use hyper::body::{Body as HttpBody, Bytes, Frame, SizeHint};
-use hyper::header::{self, HeaderValue};
-use tokio::sync::{mpsc, watch};
-use tokio::time::Instant;
+use axum::Extension;
+use axum::body::Body;
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use futures_util::stream::unfold;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until, timeout};
 
+use super::guard::MayLook;
 use super::scene::Seen;
 use super::shared::Shared;
 
@@ -26,41 +29,6 @@ const STALLED: Duration = Duration::from_secs(30);
 
 /// Without news something is sent all the same: a viewer that is gone is noticed.
 const QUIET: Duration = Duration::from_secs(5);
-
-/// An answer's contents.
-#[derive(Debug)]
-pub(super) enum Body {
-    /// All at once.
-    Whole(Option<Bytes>),
-    /// As it comes, until its end.
-    Events(mpsc::Receiver<Bytes>),
-}
-
-impl HttpBody for Body {
-    type Data = Bytes;
-    type Error = std::convert::Infallible;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
-        match &mut *self {
-            Self::Whole(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
-            Self::Events(events) => events.poll_recv(context).map(|event| event.map(|bytes| Ok(Frame::data(bytes)))),
-        }
-    }
-
-    fn is_end_stream(&self) -> bool {
-        matches!(self, Self::Whole(None))
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        match self {
-            Self::Whole(bytes) => SizeHint::with_exact(bytes.as_ref().map_or(0, |bytes| bytes.len() as u64)),
-            Self::Events(_) => SizeHint::default(),
-        }
-    }
-}
 
 /// One of the viewers that there may be, for as long as it is one.
 pub(super) struct Place(Arc<Shared>);
@@ -96,57 +64,54 @@ impl Life {
         self.end.send_replace(Instant::now() + time);
     }
 
-    pub(super) fn keep(&self, place: Place) {
-        // There is one request, so there is one place.
-        let _ = self.place.set(place);
-    }
-
     pub(super) async fn is_over(&self) {
         loop {
             let end = *self.end.borrow();
             if end <= Instant::now() {
                 return;
             }
-            tokio::time::sleep_until(end).await;
+            sleep_until(end).await;
         }
     }
 }
 
-/// Opens a stream; `None` if there are too many viewers.
-pub(super) fn open(shared: &Arc<Shared>, life: &Arc<Life>) -> Option<Response<Body>> {
-    let place = Place::take(shared)?;
-    let (send, events) = mpsc::channel(1);
-    life.keep(place);
-    tokio::spawn(feed(Arc::clone(shared), Arc::clone(life), send));
-    let mut response = Response::new(Body::Events(events));
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
-    Some(response)
+/// Opens a stream, unless there are too many viewers.
+pub(super) async fn open(MayLook(shared): MayLook, Extension(life): Extension<Arc<Life>>) -> Response {
+    let Some(place) = Place::take(&shared) else {
+        return (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another one.").into_response();
+    };
+    // There is one request on a connection, so there is one place.
+    let _ = life.place.set(place);
+    let mut changes = shared.changes.clone();
+    changes.mark_changed();
+    let viewer = Viewer { shared, life, changes, seen: Seen::default(), due: Instant::now() };
+    let events = unfold(Some(viewer), |viewer| async move { viewer?.next().await });
+    ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
 }
 
-/// Sends what is new whenever the viewer has room for it; ends with the viewer, or with the run.
-async fn feed(shared: Arc<Shared>, life: Arc<Life>, send: mpsc::Sender<Bytes>) {
-    let mut changes = shared.changes.clone();
-    let mut seen = Seen::default();
-    changes.mark_changed();
-    loop {
-        // Room first, then the news: what waits is never old. The connection's end makes this one fail.
-        let Ok(room) = send.reserve().await else { return };
-        life.lasts(STALLED);
-        let is_quiet = tokio::select! {
-            change = changes.changed() => match change {
-                Ok(()) => false,
-                // The server is about to end.
-                Err(_) => return,
-            },
-            () = tokio::time::sleep(QUIET) => true,
-            () = send.closed() => return,
+/// Who is sent what is new.
+struct Viewer {
+    shared: Arc<Shared>,
+    life: Arc<Life>,
+    changes: watch::Receiver<u64>,
+    seen: Seen,
+    /// Not before this is anything sent.
+    due: Instant,
+}
+
+impl Viewer {
+    /// What is sent next. It is asked for when there is room for it, so what waits is never old. `None` at the end of all;
+    /// no viewer after the last of a run.
+    async fn next(mut self) -> Option<(Result<String, Infallible>, Option<Self>)> {
+        self.life.lasts(STALLED);
+        sleep_until(self.due).await;
+        let (events, is_last) = match timeout(QUIET, self.changes.changed()).await {
+            Ok(Ok(())) => self.shared.scene().news(&mut self.seen),
+            // The server is about to end.
+            Ok(Err(_)) => return None,
+            Err(_) => (": still here\n\n".to_owned(), false),
         };
-        let (events, is_last) =
-            if is_quiet { (": still here\n\n".to_owned(), false) } else { shared.scene().news(&mut seen) };
-        room.send(Bytes::from(events));
-        if is_last {
-            return;
-        }
-        tokio::time::sleep(shared.pace).await;
+        self.due = Instant::now() + self.shared.pace;
+        Some((Ok(events), (!is_last).then_some(self)))
     }
 }

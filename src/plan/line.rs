@@ -5,14 +5,17 @@ use std::ops::RangeInclusive;
 use std::time::Instant;
 
 use nalgebra::Matrix2;
-use rangehound_fusion::planner::{self, Plan, Planner, Problem, TeamMember, Vector, certified};
+use rangehound_fusion::belief::Belief;
+use rangehound_fusion::planner::range_only::{Problem, hull_certificate};
+use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Vector, Worth};
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::matrix::Matrix;
+use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
-use crate::experiment::COMMAND_LINE;
 use crate::failure::one_short_line;
+use crate::run::experiment::COMMAND_LINE;
 
 use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 
@@ -22,9 +25,9 @@ pub struct Desk {
     table: PlannerTable,
     seed: u64,
     kept: Vec<Kept>,
-    team: Vec<TeamMember>,
-    problem: Problem,
+    situation: Situation,
     plan: Plan,
+    problem: Problem,
 }
 
 /// A planner and the team size that it was made for.
@@ -39,8 +42,8 @@ struct Kept {
 #[derive(Debug, Serialize)]
 struct Answer<'a> {
     planner: &'static str,
-    headings_rad: &'a [f64],
-    speeds_mps: &'a [f64],
+    headings_rad: EachOf<'a>,
+    speeds_mps: EachOf<'a>,
     objective: f64,
     lower_bound: f64,
     certified: bool,
@@ -48,14 +51,14 @@ struct Answer<'a> {
     plan_us: f64,
 }
 
-/// A problem that has been checked.
+/// One number of each command, as a list.
 #[derive(Debug)]
-struct Step {
-    covariance_m2: Matrix2<f64>,
-    target_m: Vector,
-    time_step_s: f64,
-    spec: PlannerSpec,
-    clearance: Clearance,
+struct EachOf<'a>(&'a [Command], fn(&Command) -> f64);
+
+impl Serialize for EachOf<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter().map(self.1))
+    }
 }
 
 impl Desk {
@@ -66,8 +69,8 @@ impl Desk {
     /// [`ScenarioError`] if the table makes no sense.
     pub fn new(table: PlannerTable, seed: u64) -> Result<Self, ScenarioError> {
         PlannerSpec::from_table(&table, COMMAND_LINE)?;
-        let kept = Vec::new();
-        Ok(Self { table, seed, kept, team: Vec::new(), problem: Problem::default(), plan: Plan::default() })
+        let (situation, plan, problem) = Default::default();
+        Ok(Self { table, seed, kept: Vec::new(), situation, plan, problem })
     }
 
     /// Appends the answer to this line, itself one line; if the line makes no sense its answer says why,
@@ -82,46 +85,47 @@ impl Desk {
     }
 
     fn try_answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Result<(), String> {
-        let step = self.check(&ProblemLine::parse(line)?)?;
-        let robots = self.team.len();
-        let kept = kept_planner(&mut self.kept, step.spec, robots, self.seed)?;
+        let spec = self.check(&ProblemLine::parse(line)?)?;
+        let Self { kept, situation, plan, problem, .. } = self;
+        let kept = kept_planner(kept, spec, situation.team.len(), self.seed)?;
         let began = Instant::now();
-        let team = self.team.iter().copied();
-        self.problem.pose(&step.covariance_m2, step.target_m, step.time_step_s, &step.clearance, team);
-        kept.planner.plan(number, &self.problem, &mut self.plan);
+        kept.planner.plan(number, situation, plan);
         let plan_us = began.elapsed().as_nanos() as f64 / 1e3;
 
-        let (problem, plan) = (&self.problem, &mut self.plan);
-        if !matches!(step.spec, PlannerSpec::Certified { .. }) {
-            plan.prove(hull_bound(problem));
-        }
-        let numbers = [plan.objective, plan.lower_bound, plan.position_trace_m2];
-        if !numbers.iter().chain(&plan.headings_rad).chain(&plan.speeds_mps).all(|number| number.is_finite()) {
+        let Worth { objective_per_m2: objective, position_trace_m2, .. } = plan.worth;
+        // A bound for those too who prove none.
+        let proven = plan.certificate.unwrap_or_else(|| {
+            problem.pose(situation);
+            hull_certificate(problem, &plan.worth)
+        });
+        let Certificate { lower_bound_per_m2: lower_bound, is_optimal: certified, .. } = proven;
+        let commanded = plan.commands.iter().flat_map(|command| [command.heading_rad, command.speed_mps]);
+        if !commanded.chain([objective, lower_bound, position_trace_m2]).all(f64::is_finite) {
             return Err("expected numbers whose products are finite, got others".to_owned());
         }
         let answered = Answer {
-            planner: step.spec.name(),
-            headings_rad: &plan.headings_rad,
-            speeds_mps: &plan.speeds_mps,
-            objective: plan.objective,
-            lower_bound: plan.lower_bound,
-            certified: plan.is_certified(problem),
-            position_trace_m2: plan.position_trace_m2,
+            planner: spec.name(),
+            headings_rad: EachOf(&plan.commands, |command| command.heading_rad),
+            speeds_mps: EachOf(&plan.commands, |command| command.speed_mps),
+            objective,
+            lower_bound,
+            certified,
+            position_trace_m2,
             plan_us,
         };
         write_line(&answered, answer);
         Ok(())
     }
 
-    /// Checks every value; leaves the robots in `self.team`.
-    fn check(&mut self, raw: &ProblemLine) -> Result<Step, String> {
+    /// Checks every value, and leaves them in `self.situation`.
+    fn check(&mut self, raw: &ProblemLine) -> Result<PlannerSpec, String> {
         let covariance_m2 = covariance(raw.prior_position_covariance)?;
-        let target_m = place("target", raw.target)?;
-        let time_step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
+        self.situation.belief = Belief::of_position(place("target", raw.target)?, &covariance_m2);
+        self.situation.step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
         let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "nothing"))?;
-        self.team.clear();
+        self.situation.team.clear();
         for (i, Object(robot)) in robots.iter().enumerate() {
-            self.team.push(member(robot).map_err(|problem| format!("robots[{i}].{problem}"))?);
+            self.situation.team.push(member(robot).map_err(|problem| format!("robots[{i}].{problem}"))?);
         }
         let mut table = self.table.clone();
         if let Some(name) = &raw.planner {
@@ -137,7 +141,8 @@ impl Desk {
             let none = format!("0 in a team of more than {ROBOTS_MAX} robots");
             return Err(expected("separation_m", none, format!("{} with {}", clearance.separation_m, robots.len())));
         }
-        Ok(Step { covariance_m2, target_m, time_step_s, spec, clearance })
+        self.situation.clearance = clearance;
+        Ok(spec)
     }
 }
 
@@ -171,12 +176,6 @@ fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u6
     Ok(&mut kept[at])
 }
 
-/// The bound that holds whatever a planner proves, with room for what its sums have rounded away.
-fn hull_bound(problem: &Problem) -> f64 {
-    let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * problem.lambda_sum();
-    (certified::hull_bound(problem) - rounding).max(0.0)
-}
-
 fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> {
     let key = "prior_position_covariance";
     let Some(Pair([Pair([Number(xx), Number(xy)]), Pair([Number(yx), Number(yy)])])) = rows else {
@@ -199,11 +198,10 @@ fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> 
 }
 
 fn member(robot: &RobotLine) -> Result<TeamMember, String> {
-    Ok(TeamMember {
-        position_m: place("position", robot.position)?,
-        max_speed_mps: number("max_speed", robot.max_speed, bounds::SPEED_MPS)?,
-        range_std_m: number("range_std", robot.range_std, bounds::STD_M)?,
-    })
+    let position_m = place("position", robot.position)?;
+    let max_speed_mps = number("max_speed", robot.max_speed, bounds::SPEED_MPS)?;
+    let range_std_m = number("range_std", robot.range_std, bounds::STD_M)?;
+    Ok(TeamMember::ranging(position_m, max_speed_mps, range_std_m))
 }
 
 fn place(key: &str, pair: Option<Pair<Number>>) -> Result<Vector, String> {

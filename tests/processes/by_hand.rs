@@ -120,7 +120,7 @@ fn killed_nodes_are_replaced_by_hand_and_change_nothing() {
         [SIM, "robot --id 0", "robot --id 1", "robot --id 2", "watch"].map(|words| start(&run, words)).into();
     nodes.push(start(&run, "fusion"));
     for (role, words) in [("fusion", "fusion"), ("sim", SIM), ("robot-1", "robot --id 1"), ("fusion", "fusion")] {
-        let ticks = run.last_world().map_or(0, |(ticks, _)| ticks);
+        let ticks = run.ticks_done();
         run.wait_for_ticks(ticks + 100);
         let starts = run.starts(role);
         signal(run.pid_of(role, starts), Signal::KILL);

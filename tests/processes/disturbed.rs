@@ -1,7 +1,5 @@
 //! Runs whose processes are ended, stopped, or crowded by another run of their name.
 
-use rangehound_shared::record::WorldRecord;
-use rangehound_shared::scenario::{Scenario, ScenarioFile};
 use rustix::process::{Pid, Signal};
 
 use crate::support::{Run, digest_in_process, is_alive, signal};
@@ -93,7 +91,7 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
     {
         signal(run.pid_of(role, start), Signal::KILL);
     }
-    let ticks = run.last_world().unwrap().0;
+    let ticks = run.ticks_done();
     run.wait_for_ticks(ticks + 200);
     // All at once.
     for (role, start) in [("sim", 3), ("fusion", 3), ("robot-0", 2), ("robot-1", 3), ("robot-2", 1)] {
@@ -159,7 +157,7 @@ fn other_terminals_can_look_at_a_run_and_act_on_it() {
     assert_ne!(run.pid_of("robot-2", 2), robot);
     run.node("restart fusion").finish().succeeded();
     run.pid_of("fusion", 2);
-    let ticks = run.last_world().unwrap().0;
+    let ticks = run.ticks_done();
     run.wait_for_ticks(ticks + 10);
     signal(run.pid_of("robot-0", 1), Signal::STOP);
     assert_eq!(states(&status())[2], "stopped");
@@ -233,18 +231,13 @@ fn the_nodes_of_a_killed_supervisor_end_and_its_name_is_free_again() {
 fn run_with_robot_1_stopped_for_a_while(run: &Run) {
     // One that is not to be started again is not killed for hanging either.
     let supervisor = run.lockstep("--ticks 100000000 --patience 0.2 --restart robot=never");
-    let scenario = Scenario::from_file(&ScenarioFile::default(), "default").unwrap();
-    let is_heard = || {
-        run.last_world().is_some_and(|(ticks, words)| {
-            ticks > 1 && WorldRecord::from_words(&words, &scenario).robots[1].range_sent_ns.is_some()
-        })
-    };
+    let is_heard = || run.last_world().is_some_and(|(tick, world)| tick > 0 && world.robots[1].range_sent_ns.is_some());
     run.wait_until("robot 1 is heard", is_heard);
     let robot = run.pid_of("robot-1", 1);
     signal(robot, Signal::STOP);
     run.wait_until("the simulator goes on without robot 1", || !is_heard());
     // Fusion may have heard it at that tick, but at none of the next.
-    let ticks = run.last_world().unwrap().0;
+    let ticks = run.ticks_done();
     run.wait_for_ticks(ticks + 50);
     signal(robot, Signal::CONT);
     run.wait_until("robot 1 is heard again", is_heard);

@@ -28,8 +28,8 @@ fn worlds(run: &Run) -> Vec<WorldRecord> {
     let description: RunDescription = sealed::open(&sealed).unwrap();
     let mut log = logs::read_worlds(&description).unwrap();
     let mut records = Vec::new();
-    while let Some(Ok((_, words))) = log.next() {
-        records.push(WorldRecord::from_words(words, &description.scenario));
+    while let Some(Ok((_, record))) = log.next() {
+        records.push(record.clone());
     }
     records
 }
@@ -40,7 +40,7 @@ fn robot(run: &Run, id: usize) -> Vec<RobotRecord> {
 }
 
 fn wait_for_more_ticks(run: &Run, more: u64) -> usize {
-    let ticks = run.last_world().map_or(0, |(ticks, _)| ticks);
+    let ticks = run.ticks_done();
     run.wait_for_ticks(ticks + more);
     (ticks + more) as usize
 }
@@ -260,7 +260,7 @@ fn a_robot_that_comes_late_takes_part_from_then_on() {
     let mut nodes = vec![run.command("sim slow.toml")];
     nodes.extend(["fusion", "robot --id 0", "robot --id 2"].map(|words| run.node(words)));
     run.pid_of("robot-2", 1);
-    assert_eq!(run.last_world(), None, "the run waits for its whole team");
+    assert_eq!(run.ticks_done(), 0, "the run waits for its whole team");
     nodes.push(run.node("robot --id 1"));
     run.wait_for_ticks(10);
     nodes[4].signal(Signal::KILL);

@@ -45,7 +45,7 @@ fn wait_for_next(run: &Run, starts: u64) {
     for role in ROLES {
         run.pid_of(role, starts);
     }
-    let done = run.last_world().map_or(0, |(done, _)| done);
+    let done = run.ticks_done();
     run.wait_for_ticks(done + 200);
 }
 
@@ -62,7 +62,7 @@ fn a_run_goes_on_however_often_its_shared_memory_is_removed() {
         // A greater incarnation than before: the count goes on.
         run.pid_of("sim", removals + 1);
         run.pid_of("robot-2", removals + 1);
-        let done = run.last_world().map_or(0, |(done, _)| done);
+        let done = run.ticks_done();
         run.wait_for_ticks(done + 200);
     }
     supervisor.finish().succeeded();

@@ -7,7 +7,7 @@ use crate::support::{Run, digest_in_process, is_alive, signal};
 /// Waits until the lead has been taken for this time, and the run goes on under it.
 fn wait_for_lead(run: &Run, start: u64) {
     run.pid_of("fusion", start);
-    let (ticks, _) = run.last_world().unwrap();
+    let ticks = run.ticks_done();
     run.wait_for_ticks(ticks + 20);
 }
 

@@ -1,7 +1,7 @@
 //! Recordings whose chunks another tool has compressed with zstd.
 
-use rangehound::frame::Frame;
-use rangehound::run_mcap::read::FrameReader;
+use rangehound::results::frame::Frame;
+use rangehound::results::run_mcap::read::FrameReader;
 
 use super::{replay, replayed};
 use crate::hostile::targets::made::{chunk_of, frames, recorded, with_zstd};

@@ -5,13 +5,13 @@
 //! side; the likelihood of the ranges says which fits, and each step starts both from what they know
 //! together (Blom & Bar-Shalom, "The Interacting Multiple Model Algorithm", 1988).
 
-use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::record::Judged;
 use rangehound_shared::sealed::{self, SealError};
 
 use super::bank::{Bank, Hypothesis, Saved, mixture};
 use super::{Fit, Gate, Reading, Tracker};
+use crate::belief::Belief;
 use crate::filter::Estimate;
 
 /// Noise of the calm model as a share of the given one, which is taken as the manoeuvring target's. The
@@ -145,15 +145,15 @@ impl<const N: usize> Tracker for Imm<N> {
         Ok(())
     }
 
-    fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>) {
-        let predicted = self.estimate.predict(&self.motion.transition(dt_s));
-        (predicted.position(), predicted.position_covariance())
+    fn predict_into(&self, dt_s: f64, belief: &mut Belief) {
+        belief.assign(&self.estimate.predict(&self.motion.transition(dt_s)));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector2;
 
     /// Ranges from four corners, ten a second, to a target that drives straight, then in circles.
     fn probabilities_of_the_calm_model() -> (f64, f64) {

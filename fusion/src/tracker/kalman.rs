@@ -1,6 +1,5 @@
 //! The tracker for a Gaussian prior: one extended Kalman filter.
 
-use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::matrix::Matrix;
 use rangehound_shared::motion::{MotionModel, Transition};
@@ -9,6 +8,7 @@ use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::sealed::{self, SealError};
 
 use super::{Fit, Gate, Reading, Tracker, judged_room, use_of};
+use crate::belief::Belief;
 use crate::filter::{Estimate, Innovation, RangeInformation};
 
 /// One extended Kalman filter with a gate.
@@ -110,12 +110,11 @@ impl<const N: usize> Tracker for Kalman<N> {
         Ok(())
     }
 
-    fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>) {
-        let predicted = if self.transition.0 == dt_s {
+    fn predict_into(&self, dt_s: f64, belief: &mut Belief) {
+        belief.assign(&if self.transition.0 == dt_s {
             self.estimate.predict(&self.transition.1)
         } else {
             self.estimate.predict(&self.motion.transition(dt_s))
-        };
-        (predicted.position(), predicted.position_covariance())
+        });
     }
 }

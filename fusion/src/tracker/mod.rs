@@ -9,7 +9,7 @@ pub mod bank;
 pub mod imm;
 pub mod kalman;
 
-use nalgebra::{Matrix2, SVector, Vector2};
+use nalgebra::{SVector, Vector2};
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;
@@ -18,6 +18,7 @@ use rangehound_shared::sealed::SealError;
 use rangehound_shared::with_state_dim;
 use serde::{Deserialize, Serialize};
 
+use crate::belief::Belief;
 use crate::filter::Estimate;
 
 /// One range, as fused: calibrated, with the place it was measured from.
@@ -85,8 +86,8 @@ pub trait Tracker: std::fmt::Debug + Send {
     /// If the bytes are not such.
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError>;
 
-    /// Position and its covariance predicted over `dt_s` seconds (k+1|k), for the planner.
-    fn predicted_position(&self, dt_s: f64) -> (Vector2<f64>, Matrix2<f64>);
+    /// Predicts over `dt_s` seconds (k+1|k), for the planner.
+    fn predict_into(&self, dt_s: f64, belief: &mut Belief);
 }
 
 /// Room for what a tracker says of a tick's readings: no step allocates.

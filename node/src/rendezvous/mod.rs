@@ -41,6 +41,7 @@ use place::{Place, run_names};
 pub use presence::Inspection;
 use presence::Presence;
 use rangehound_shared::protocol::OtherBuild;
+use rangehound_shared::record::Record;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::{self, SealError};
@@ -55,6 +56,12 @@ const DYING: Duration = Duration::from_millis(500);
 
 /// Longest note, bytes.
 const NOTE_LEN_MAX: usize = 1 << 10;
+
+/// The note with port and token of the page that shows the run, so that a page that is started again is found where it was.
+pub const LIVE_NOTE: &str = "live";
+
+/// The note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
+pub const ENDING_NOTE: &str = "ending";
 
 /// A role in a run: one living process each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -445,7 +452,11 @@ impl Rendezvous {
     ///
     /// # Errors
     /// [`RendezvousError::StateLost`].
-    pub fn refuse_lost_state(&self, role: Role, log: Option<&TickLogWriter>) -> Result<(), RendezvousError> {
+    pub fn refuse_lost_state<R: Record>(
+        &self,
+        role: Role,
+        log: Option<&TickLogWriter<R>>,
+    ) -> Result<(), RendezvousError> {
         match log.map(TickLogWriter::is_empty) {
             Some(Ok(true)) => Ok(()),
             None if self.roster.starts(role) <= 1 => Ok(()),

@@ -1,0 +1,46 @@
+//! What is believed of the target: one Gaussian, of any dimension that there is code for.
+
+use nalgebra::{Matrix2, SMatrix, SVector};
+use rangehound_shared::STATE_DIM_MAX;
+
+use crate::filter::Estimate;
+use crate::planner::Vector;
+
+/// A Gaussian of the target's state, position first. Beyond the dimension of its motion model all entries are zero.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Belief {
+    /// Mean: m, m/s and so on.
+    pub mean: SVector<f64, STATE_DIM_MAX>,
+    /// Covariance of the mean.
+    pub covariance: SMatrix<f64, STATE_DIM_MAX, STATE_DIM_MAX>,
+}
+
+impl Belief {
+    /// Of a target of which nothing but a position is known.
+    #[must_use]
+    pub fn of_position(position_m: Vector, covariance_m2: &Matrix2<f64>) -> Self {
+        let mut belief = Self::default();
+        belief.mean[0] = position_m.x;
+        belief.mean[1] = position_m.y;
+        belief.covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(covariance_m2);
+        belief
+    }
+
+    /// Becomes a filter's estimate; of one dimension as long as it lives.
+    pub fn assign<const N: usize>(&mut self, estimate: &Estimate<N>) {
+        self.mean.rows_mut(0, N).copy_from(&estimate.x);
+        self.covariance.view_mut((0, 0), (N, N)).copy_from(&estimate.p);
+    }
+
+    /// Where the target is believed to be, m.
+    #[must_use]
+    pub fn position_m(&self) -> Vector {
+        Vector::new(self.mean[0], self.mean[1])
+    }
+
+    /// Covariance of that, m^2.
+    #[must_use]
+    pub fn position_covariance_m2(&self) -> Matrix2<f64> {
+        self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
+    }
+}

@@ -1,0 +1,67 @@
+//! What a planner is asked.
+
+use rangehound_shared::motion::MotionModel;
+use rangehound_shared::scenario::Clearance;
+
+use super::Vector;
+use crate::belief::Belief;
+
+/// What is known before a step: of the target, of the robots, and of what they keep clear of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Situation {
+    /// The target when the robots measure next, predicted: with none of those measurements.
+    pub belief: Belief,
+    /// How it goes on from there; of the belief's dimension.
+    pub motion: MotionModel,
+    /// Who moves and measures.
+    pub team: Vec<TeamMember>,
+    /// What the robots keep off from, at the end of a step.
+    pub clearance: Clearance,
+    /// A step of the horizon, s: how long the robots move before they measure. How many steps ahead it looks is the
+    /// planner's own affair.
+    pub step_s: f64,
+}
+
+/// A robot as a planner sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TeamMember {
+    /// Where it is, m.
+    pub position_m: Vector,
+    /// Its speed limit, m/s.
+    pub max_speed_mps: f64,
+    /// What it measures with.
+    pub sensor: Sensor,
+    /// True if its measurements will be fused. Otherwise it is led to where they would tell most, and counts for nothing.
+    pub is_fused: bool,
+}
+
+/// What a robot measures with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Sensor {
+    /// The distance to the target.
+    Range {
+        /// Standard deviation, m.
+        std_m: f64,
+    },
+}
+
+impl Default for Situation {
+    /// Nobody there, and a target that stays where it is.
+    fn default() -> Self {
+        Self {
+            belief: Belief::default(),
+            motion: MotionModel::IntegratorChain { order: 1, noise_psd: 0.0 },
+            team: Vec::new(),
+            clearance: Clearance::default(),
+            step_s: 0.0,
+        }
+    }
+}
+
+impl TeamMember {
+    /// A robot that measures ranges of this standard deviation, all to be fused.
+    #[must_use]
+    pub fn ranging(position_m: Vector, max_speed_mps: f64, range_std_m: f64) -> Self {
+        Self { position_m, max_speed_mps, sensor: Sensor::Range { std_m: range_std_m }, is_fused: true }
+    }
+}

@@ -1,0 +1,395 @@
+//! What fusion and simulator put down of each tick.
+
+mod fields;
+
+pub use fields::{Fields, Record, describe, put, take};
+
+use serde::{Deserialize, Serialize};
+
+use crate::STATE_DIM_MAX;
+use crate::message::{Command, Drive, Estimate, RangeKind, WorldEntry};
+use crate::scenario::{Scenario, Source};
+
+/// Fusion's record of one tick.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FusionRecord {
+    /// Time that the estimate is valid for, s.
+    pub time_s: f64,
+    /// The estimate and its tallies.
+    pub estimate: Estimate,
+    /// What it heard of each robot, and told it.
+    pub exchanges: Vec<Exchange>,
+}
+
+/// Fusion's part with one robot at one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Exchange {
+    /// What it took from the robot's message of this tick, if one came in time to be used.
+    pub heard: Option<Heard>,
+    /// What it told the robot.
+    pub command: Command,
+}
+
+/// What fusion took from a robot's message.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Heard {
+    /// Where the robot was, m.
+    pub position_m: [f64; 2],
+    /// Height of its sensor above the plane in which the target moves, m.
+    pub height_m: f64,
+    /// Its range and the range's standard deviation, m; `None` if its sensor had none.
+    pub range_m: Option<(f64, f64)>,
+    /// The first tick whose estimate knows of it: the message's own, or a later one if it came late.
+    pub taken_at: u64,
+    /// What fusion did with the range; `None` without one, and at tick 0.
+    pub judged: Option<Judged>,
+}
+
+/// What fusion did with a range, and how well the range agreed with what was predicted of it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Judged {
+    /// What was done with it.
+    pub used: RangeUse,
+    /// Its own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` where nothing was known that
+    /// could predict it.
+    pub normalised_square: Option<f64>,
+}
+
+/// What fusion did with a range.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RangeUse {
+    /// It was fused.
+    Fused,
+    /// It failed the gate.
+    Rejected,
+    /// Its robot was distrusted.
+    Distrusted,
+}
+
+impl RangeUse {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Fused, Self::Rejected, Self::Distrusted];
+
+    /// What it is called in recordings.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fused => "fused",
+            Self::Rejected => "rejected",
+            Self::Distrusted => "distrusted",
+        }
+    }
+}
+
+/// The simulator's words of one tick.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct WorldRecord {
+    /// Time of the tick, s.
+    pub time_s: f64,
+    /// When the tick was over, monotonic ns.
+    pub ended_ns: u64,
+    /// The target's true state; empty for a recording.
+    pub truth: Vec<f64>,
+    /// Each robot's part in the tick.
+    pub robots: Vec<RobotRecord>,
+}
+
+/// One robot's part in one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RobotRecord {
+    /// Where it was, m.
+    pub position_m: [f64; 2],
+    /// Height of its sensor above the plane in which the target moves, m.
+    pub height_m: f64,
+    /// What the world told its sensor, m, if anything: the true range, or a recorded one.
+    pub range_m: Option<f64>,
+    /// When it published its range, monotonic ns, if its sensor had one.
+    pub range_sent_ns: Option<u64>,
+    /// When it held the tick's heading, monotonic ns, if it did.
+    pub heading_held_ns: Option<u64>,
+    /// What it drove by.
+    pub heading: Heading,
+    /// What it drove; standing if it did not answer.
+    pub driven: Command,
+    /// Headings that it refused, since the tick before.
+    pub headings_refused: u64,
+}
+
+impl RobotRecord {
+    /// From publishing the range to holding the heading computed from it, ns; `None` without either.
+    #[must_use]
+    pub fn latency_ns(&self) -> Option<u64> {
+        self.heading_held_ns?.checked_sub(self.range_sent_ns?)
+    }
+}
+
+/// What a robot drove by in one tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Heading {
+    /// Nothing is known: it did not answer.
+    #[default]
+    Unknown,
+    /// This tick's heading.
+    Fresh,
+    /// This tick's heading, which came when it was overdue.
+    Late,
+    /// None for this tick: it held the last one, or stood.
+    None,
+}
+
+impl Heading {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Unknown, Self::Fresh, Self::Late, Self::None];
+
+    fn of(drive: Option<Drive>) -> Self {
+        match drive {
+            None => Self::Unknown,
+            Some(drive) if drive.heading_held_ns == 0 => Self::None,
+            Some(drive) if drive.heading_late != 0 => Self::Late,
+            Some(_) => Self::Fresh,
+        }
+    }
+}
+
+impl FusionRecord {
+    /// A record with room for what there is to say of a run of this scenario.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        let estimate = Estimate { state_dim: scenario.motion.state_dim() as u64, ..Estimate::default() };
+        Self { time_s: 0.0, estimate, exchanges: vec![Exchange::default(); scenario.robots.len()] }
+    }
+
+    /// Puts a tick in the place of what was there. As many exchanges are kept as there were.
+    pub fn set(&mut self, time_s: f64, estimate: &Estimate, exchanges: impl Iterator<Item = Exchange>) {
+        (self.time_s, self.estimate) = (time_s, *estimate);
+        self.exchanges.iter_mut().zip(exchanges).for_each(|(slot, exchange)| *slot = exchange);
+    }
+}
+
+impl Record for FusionRecord {
+    fn fields(&mut self, fields: &mut impl Fields) {
+        let Self { time_s, estimate, exchanges } = self;
+        let Estimate { stages, .. } = estimate;
+        fields.number("time_s", time_s);
+        fields.number("nis", &mut estimate.nis);
+        fields.whole("fused", &mut estimate.fused);
+        fields.number("nis_all", &mut estimate.nis_all);
+        fields.whole("tested", &mut estimate.tested);
+        fields.number("noise_scale", &mut estimate.noise_scale);
+        fields.whole("rejected", &mut estimate.rejected);
+        fields.whole("missing", &mut estimate.missing);
+        fields.whole("late", &mut estimate.late);
+        fields.whole("fused_late", &mut estimate.fused_late);
+        fields.whole("rejected_late", &mut estimate.rejected_late);
+        fields.wholes("refused", &mut estimate.refused);
+        fields.wholes("distrusted_bits", &mut estimate.distrusted);
+        fields.number("objective", &mut estimate.objective);
+        fields.number("lower_bound", &mut estimate.lower_bound);
+        fields.number("least_trace_m2", &mut estimate.least_trace_m2);
+        fields.whole("last_range_ns", &mut stages.last_range_ns);
+        fields.whole("began_ns", &mut stages.began_ns);
+        fields.whole("filtered_ns", &mut stages.filtered_ns);
+        fields.whole("planned_ns", &mut stages.planned_ns);
+        fields.whole("saved_ns", &mut stages.saved_ns);
+        fields.whole("sent_ns", &mut stages.sent_ns);
+        fields.wholes("digest", &mut estimate.digest);
+        let n = (estimate.state_dim as usize).min(STATE_DIM_MAX);
+        fields.numbers("state", &mut estimate.state[..n]);
+        fields.numbers("covariance", &mut estimate.covariance[..n * n]);
+        fields.each("robots", exchanges, Exchange::fields);
+    }
+}
+
+impl Exchange {
+    fn fields(&mut self, fields: &mut impl Fields) {
+        let Heard { position_m: [mut x_m, mut y_m], mut height_m, range_m, taken_at, judged } =
+            self.heard.unwrap_or_default();
+        // No sensor has a standard deviation of zero, and a range that nothing predicted has no square.
+        let (mut range_m, mut std_m) = range_m.unwrap_or_default();
+        let mut taken = self.heard.map_or(0, |_| taken_at + 1);
+        let mut used = judged.map_or(0, |judged| judged.used as u64 + 1);
+        let mut square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
+        fields.number("x_m", &mut x_m);
+        fields.number("y_m", &mut y_m);
+        fields.number("height_m", &mut height_m);
+        fields.number("range_m", &mut range_m);
+        fields.number("range_std_m", &mut std_m);
+        fields.whole("taken_at_plus_1", &mut taken);
+        fields.whole("used", &mut used);
+        fields.number("normalised_square", &mut square);
+        fields.number("heading_rad", &mut self.command.heading_rad);
+        fields.number("speed_mps", &mut self.command.speed_mps);
+        let used = used.checked_sub(1).and_then(|used| RangeUse::ALL.get(usize::try_from(used).ok()?).copied());
+        let normalised_square = Some(square).filter(|square| !square.is_nan());
+        self.heard = taken.checked_sub(1).map(|taken_at| Heard {
+            position_m: [x_m, y_m],
+            height_m,
+            range_m: (std_m.to_bits() != 0).then_some((range_m, std_m)),
+            taken_at,
+            judged: used.map(|used| Judged { used, normalised_square }),
+        });
+    }
+}
+
+impl WorldRecord {
+    /// A record with room for what there is to say of a run of this scenario.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        let truth_dim = match scenario.source {
+            Source::Simulated { .. } => scenario.motion.state_dim(),
+            Source::Recorded { .. } => 0,
+        };
+        let robots = vec![RobotRecord::default(); scenario.robots.len()];
+        Self { time_s: 0.0, ended_ns: 0, truth: vec![0.0; truth_dim], robots }
+    }
+
+    /// Puts a tick in the place of what was there. As many numbers and robots are kept as there were.
+    pub fn set(&mut self, time_s: f64, ended_ns: u64, truth: &[f64], world: &[WorldEntry], drives: &[Option<Drive>]) {
+        (self.time_s, self.ended_ns) = (time_s, ended_ns);
+        self.truth.iter_mut().zip(truth).for_each(|(slot, value)| *slot = *value);
+        for ((slot, entry), drive) in self.robots.iter_mut().zip(world).zip(drives) {
+            *slot = RobotRecord::of(entry, *drive);
+        }
+    }
+}
+
+impl Record for WorldRecord {
+    fn fields(&mut self, fields: &mut impl Fields) {
+        fields.number("time_s", &mut self.time_s);
+        fields.whole("ended_ns", &mut self.ended_ns);
+        fields.numbers("truth", &mut self.truth);
+        fields.each("robots", &mut self.robots, RobotRecord::fields);
+    }
+}
+
+impl RobotRecord {
+    fn of(entry: &WorldEntry, drive: Option<Drive>) -> Self {
+        let stamp = |ns: u64| (ns != 0).then_some(ns);
+        Self {
+            position_m: [entry.x_m, entry.y_m],
+            height_m: entry.height_m,
+            range_m: (entry.range_kind != RangeKind::Absent.to_bits()).then_some(entry.range_m),
+            range_sent_ns: drive.and_then(|drive| stamp(drive.range_sent_ns)),
+            heading_held_ns: drive.and_then(|drive| stamp(drive.heading_held_ns)),
+            heading: Heading::of(drive),
+            driven: drive.map_or_else(Command::default, |drive| Command {
+                heading_rad: drive.heading_rad,
+                speed_mps: drive.speed_mps,
+            }),
+            headings_refused: drive.map_or(0, |drive| drive.headings_refused),
+        }
+    }
+
+    fn fields(&mut self, fields: &mut impl Fields) {
+        let mut range_m = self.range_m.unwrap_or(f64::NAN);
+        let [mut sent_ns, mut held_ns] = [self.range_sent_ns, self.heading_held_ns].map(Option::unwrap_or_default);
+        let mut heading = self.heading as u64;
+        let [x_m, y_m] = &mut self.position_m;
+        fields.number("x_m", x_m);
+        fields.number("y_m", y_m);
+        fields.number("height_m", &mut self.height_m);
+        fields.number("range_m", &mut range_m);
+        fields.whole("range_sent_ns", &mut sent_ns);
+        fields.whole("heading_held_ns", &mut held_ns);
+        fields.whole("heading", &mut heading);
+        fields.number("heading_rad", &mut self.driven.heading_rad);
+        fields.number("speed_mps", &mut self.driven.speed_mps);
+        fields.whole("headings_refused", &mut self.headings_refused);
+        let stamp = |ns: u64| (ns != 0).then_some(ns);
+        self.range_m = Some(range_m).filter(|range_m| !range_m.is_nan());
+        (self.range_sent_ns, self.heading_held_ns) = (stamp(sent_ns), stamp(held_ns));
+        self.heading = usize::try_from(heading).ok().and_then(|i| Heading::ALL.get(i).copied()).unwrap_or_default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::Stages;
+
+    fn through_words<R: Record>(record: &mut R, other: &mut R) {
+        let mut bytes = Vec::new();
+        put(record, &mut bytes);
+        take(other, &bytes);
+    }
+
+    #[test]
+    fn what_fusion_puts_down_comes_back_from_its_words() {
+        let mut estimate = Estimate {
+            state_dim: 2,
+            nis: 1.5,
+            fused: 3,
+            nis_all: 2.5,
+            tested: 27,
+            noise_scale: 1.75,
+            rejected: 4,
+            missing: 5,
+            late: 6,
+            fused_late: 7,
+            rejected_late: 8,
+            refused: [9, 10, 11, 12, 13, 14],
+            distrusted: [15, 16, 17, 18],
+            objective: 0.25,
+            lower_bound: 0.125,
+            least_trace_m2: 0.75,
+            digest: [19, 20],
+            stages: Stages {
+                last_range_ns: 21,
+                began_ns: 22,
+                filtered_ns: 23,
+                planned_ns: 24,
+                saved_ns: 25,
+                sent_ns: 26,
+            },
+            ..Estimate::default()
+        };
+        estimate.state[..2].copy_from_slice(&[0.5, -0.5]);
+        estimate.covariance[..4].copy_from_slice(&[4.0, 1.0, 1.0, 2.0]);
+        let heard = Heard::default();
+        let judged = [(RangeUse::Rejected, Some(20.0)), (RangeUse::Fused, None), (RangeUse::Distrusted, Some(0.5))]
+            .map(|(used, normalised_square)| Some(Judged { used, normalised_square }));
+        let late = Heard {
+            position_m: [1.0, -2.0],
+            range_m: Some((-0.5, 1.5)),
+            taken_at: 12,
+            height_m: 3.5,
+            judged: judged[0],
+        };
+        let [fused, distrusted] = [1, 2].map(|i| Heard { judged: judged[i], ..late });
+        let command = Command { heading_rad: -3.0, speed_mps: 4.0 };
+        let exchanges =
+            [None, Some(heard), Some(late), Some(fused), Some(distrusted)].map(|heard| Exchange { heard, command });
+        let mut record = FusionRecord { time_s: 0.7, estimate, exchanges: exchanges.to_vec() };
+        let estimate = Estimate { state_dim: 2, ..Estimate::default() };
+        let mut other = FusionRecord { time_s: 0.0, estimate, exchanges: vec![Exchange::default(); 5] };
+        through_words(&mut record, &mut other);
+        assert_eq!(other, record);
+    }
+
+    #[test]
+    fn what_the_simulator_puts_down_comes_back_from_its_words() {
+        let driven = Command { heading_rad: 0.5, speed_mps: 1.5 };
+        let silent = RobotRecord { position_m: [1.0, 2.0], height_m: 3.0, ..RobotRecord::default() };
+        let heading = Heading::Late;
+        let busy = RobotRecord {
+            range_m: Some(-0.5),
+            range_sent_ns: Some(7),
+            heading_held_ns: Some(9),
+            heading,
+            driven,
+            headings_refused: 4,
+            ..silent
+        };
+        let mut record = WorldRecord { time_s: 0.1, ended_ns: 5, truth: vec![1.0, 2.0], robots: vec![silent, busy] };
+        let mut other =
+            WorldRecord { time_s: 0.0, ended_ns: 0, truth: vec![0.0; 2], robots: vec![RobotRecord::default(); 2] };
+        through_words(&mut record, &mut other);
+        assert_eq!(other, record);
+        let described = describe(&mut record);
+        assert!(
+            described
+                .starts_with(r#"["time_s","<f8"],["ended_ns","<u8"],["truth","<f8",[2]],["robots",[["x_m","<f8"],"#)
+        );
+        assert!(described.ends_with(r#"["headings_refused","<u8"]],[2]]"#), "{described}");
+    }
+}

@@ -1,0 +1,161 @@
+//! What a shell wants to know of the tool: completions and manual pages, made of what the command line is read with.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::{IsTerminal, Write};
+use std::path::Path;
+
+use clap::Command;
+use clap_complete::Shell;
+use clap_mangen::Man;
+use clap_mangen::roff::{Roff, roman};
+use rangehound_node::bounded;
+use rangehound_node::rendezvous::{Rendezvous, living_runs};
+
+use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
+use crate::failure::{self, Failure};
+use crate::files::whole_file::{PARTIAL, rename_to_free, with_ending};
+use crate::run::watch;
+
+/// Longest manual page that is looked at.
+const PAGE_LEN_MAX: usize = 1 << 20;
+
+/// On a terminal, which shows no page as it is written.
+const HOW_TO_READ: &str = "\
+rangehound man | man -l -                      reads the manual page
+rangehound man ~/.local/share/man/man1         writes those of all commands; then:
+man rangehound-run                             reads one of them
+";
+
+/// `rangehound completions`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut visible(&cli::command()), "rangehound", &mut script);
+    failure::print(with_names(args.shell, String::from_utf8(script)?))
+}
+
+/// A script that also asks for what no command line tells: the names of runs and nodes.
+fn with_names(shell: Shell, script: String) -> String {
+    match shell {
+        Shell::Bash => script + include_str!("complete/names.bash"),
+        Shell::Fish => script + include_str!("complete/names.fish"),
+        Shell::Zsh => script
+            .replace(":NAME:_default", ":NAME:_rangehound_runs")
+            .replace("robot-N:_default", "robot-N:_rangehound_nodes")
+            .replacen("_rangehound() {", concat!(include_str!("complete/names.zsh"), "_rangehound() {"), 1),
+        _ => script,
+    }
+}
+
+/// `rangehound names`: what these scripts ask for, one a line.
+///
+/// # Errors
+/// [`Failure`].
+pub fn names(args: &NamesArgs) -> Result<(), Failure> {
+    let names: BTreeSet<String> = match args.of {
+        NamesOf::Runs => living_runs().iter().map(ToString::to_string).collect(),
+        NamesOf::Nodes => {
+            // A run of another version is no reason to be silent about the others.
+            let runs = living_runs().into_iter().filter_map(|name| Rendezvous::join_if_alive(&name).ok().flatten());
+            runs.flat_map(|run| watch::roles(run.description().scenario.robots.len()))
+                .map(|role| role.to_string())
+                .collect()
+        }
+    };
+    failure::print(names.into_iter().map(|name| name + "\n").collect::<String>())
+}
+
+/// `rangehound man`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn man(args: &ManArgs) -> Result<(), Failure> {
+    // A page of its own for `help` would say nothing.
+    let mut command = cli::command().disable_help_subcommand(true);
+    command.build();
+    let Some(folder) = &args.folder else {
+        if std::io::stdout().is_terminal() {
+            return failure::print(HOW_TO_READ);
+        }
+        return failure::print(String::from_utf8(page(&command)?)?);
+    };
+    std::fs::create_dir_all(folder).map_err(|error| not_writable(folder, &error))?;
+    let of_each = command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set());
+    let of_each = of_each.chain([&command]).map(|command| {
+        let file = folder.join(Man::new(command.clone()).get_filename());
+        Ok::<_, Failure>((file, page(command)?))
+    });
+    let pages = of_each.collect::<Result<Vec<_>, _>>()?;
+    if let Some((file, _)) = pages.iter().find(|(file, _)| file.symlink_metadata().is_ok() && !is_page(file)) {
+        let problem = "expected a free name or a page that rangehound made: choose another folder, or move it away";
+        return Err(Failure::input(format!("DIR: {}: {problem}", file.display())));
+    }
+    for (file, page) in pages {
+        write_page(&file, &page).map_err(|error| not_writable(&file, &error))?;
+    }
+    failure::print(format!("manual pages in {}\n", folder.display()))
+}
+
+/// True if the file is a manual page that this program has made, of whatever version.
+fn is_page(file: &Path) -> bool {
+    let is_file = file.symlink_metadata().is_ok_and(|file| file.is_file());
+    let text = if is_file { bounded::read(file, PAGE_LEN_MAX).unwrap_or_default() } else { Vec::new() };
+    let text = String::from_utf8_lossy(&text);
+    let title = text.lines().take(8).find(|line| line.starts_with(".TH "));
+    title.is_some_and(|title| title.starts_with(".TH rangehound") && title.contains("rangehound "))
+}
+
+/// Writes a page beside its place, and gives it its name: what had that before may have other names, and keeps its content.
+fn write_page(file: &Path, page: &[u8]) -> std::io::Result<()> {
+    let partial = with_ending(file, &format!(".{}{PARTIAL}", std::process::id()));
+    let mut out = File::create_new(&partial)?;
+    let named = out
+        .write_all(page)
+        .and_then(|()| if is_page(file) { std::fs::rename(&partial, file) } else { rename_to_free(&partial, file) });
+    named.inspect_err(|_| drop(std::fs::remove_file(&partial)))
+}
+
+fn not_writable(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::input(format!("DIR: expected a folder that can be written, {}: {error}", path.display()))
+}
+
+/// The manual page of a command.
+fn page(command: &Command) -> std::io::Result<Vec<u8>> {
+    let man = Man::new(command.clone()).source(concat!("rangehound ", env!("CARGO_PKG_VERSION"))).manual("rangehound");
+    let mut page = Vec::new();
+    man.render_title(&mut page)?;
+    man.render_name_section(&mut page)?;
+    man.render_synopsis_section(&mut page)?;
+    man.render_description_section(&mut page)?;
+    man.render_options_section(&mut page)?;
+    if command.has_subcommands() {
+        man.render_subcommands_section(&mut page)?;
+    }
+    if let Some(examples) = command.get_after_help() {
+        let mut roff = Roff::default();
+        // Line by line as it is, and from the margin, as it is as wide as a terminal.
+        roff.control("SH", ["EXAMPLES"]).control("in", ["0"]).control("nf", []);
+        for line in examples.to_string().lines() {
+            roff.text([roman(line)]);
+        }
+        roff.control("fi", []).to_writer(&mut page)?;
+    }
+    Ok(page)
+}
+
+/// A command without what is hidden in it, which completions would tell.
+fn visible(command: &Command) -> Command {
+    let args = command.get_arguments().filter(|arg| !arg.is_hide_set()).cloned();
+    let subcommands = command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set()).map(visible);
+    let mut visible = Command::new(command.get_name().to_owned()).args(args).subcommands(subcommands);
+    if let Some(about) = command.get_about() {
+        visible = visible.about(about.clone());
+    }
+    match command.get_version() {
+        Some(version) => visible.version(version.to_owned()),
+        None => visible,
+    }
+}

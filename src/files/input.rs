@@ -1,0 +1,186 @@
+//! The files that users give: scenarios, recordings with their anchors, true tracks. A recording may be a pipe, whose writer
+//! may be slow, or standard input.
+
+use std::fs::File;
+use std::io::{Error, ErrorKind, Read};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use rangehound_node::bounded;
+use rangehound_shared::recording::{
+    Anchors, ColumnMap, ReadOptions, ReadSummary, Recording, RecordingError, TrackPoint, parse_track,
+};
+use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, ScenarioFile};
+
+use crate::failure::Failure;
+
+/// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
+const SCENARIO_LEN_MAX: usize = 4 << 20;
+
+/// Standard input, as a path.
+const STANDARD_INPUT: &str = "-";
+
+/// After so long without a byte the user is told what is waited for.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// A path as text, which is how the files of a run and its processes tell it each other.
+///
+/// # Errors
+/// [`Failure::Input`], with the path, if it is none in UTF-8.
+pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
+    path.to_str().ok_or_else(|| {
+        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
+    })
+}
+
+/// Reads a scenario file without checking its values.
+///
+/// # Errors
+/// If the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
+pub fn scenario_file(path: &Path) -> Result<ScenarioFile, ScenarioError> {
+    let unreadable = |source| ScenarioError::Unreadable { file: path.to_owned(), source };
+    let bytes = bounded::read(path, SCENARIO_LEN_MAX).map_err(unreadable)?;
+    let text =
+        String::from_utf8(bytes).map_err(|error| unreadable(Error::new(ErrorKind::InvalidData, error.utf8_error())))?;
+    ScenarioFile::parse(&text, &path.display().to_string())
+}
+
+/// Checks a scenario file, and reads the recording that it names. `file` names it in errors; paths in it are relative to
+/// `folder`.
+///
+/// # Errors
+/// [`ScenarioError`] for the first thing that is wrong.
+pub fn scenario(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Scenario, ScenarioError> {
+    Scenario::from_file_with(raw, file, |table| recording_of(table, file, folder))
+}
+
+/// Reads the recording that a scenario names, with its anchors: a file, a pipe, or `-` for standard input. `file` names the
+/// scenario in errors.
+///
+/// # Errors
+/// [`ScenarioError`] for the first thing that is wrong.
+pub fn recording_of(
+    table: &RecordingTable,
+    file: &str,
+    folder: &Path,
+) -> Result<(Recording, ReadSummary), ScenarioError> {
+    let Some(ranges) = table.ranges_path(folder) else {
+        return Err(ScenarioError::Senseless {
+            file: file.to_owned(),
+            key: "recording.ranges".to_owned(),
+            expected: "the path of a file of ranges".to_owned(),
+            got: "nothing".to_owned(),
+        });
+    };
+    let mut options = table.read_options(file)?;
+    options.anchors = table.anchors_path(folder).map(|path| anchors(&path, &options.columns)).transpose()?;
+    Ok(recording(&ranges, &options)?)
+}
+
+/// Reads a recording: a file, a pipe, or standard input if the path is `-`.
+///
+/// # Errors
+/// [`RecordingError`] for the first thing that is wrong with it.
+pub fn recording(path: &Path, options: &ReadOptions) -> Result<(Recording, ReadSummary), RecordingError> {
+    let Input { reader, name } = open(path)?;
+    Recording::parse(reader, &name, options)
+}
+
+/// Reads a file of anchors.
+///
+/// # Errors
+/// [`RecordingError`] for the first thing that is wrong with it.
+pub fn anchors(path: &Path, columns: &ColumnMap) -> Result<Anchors, RecordingError> {
+    Anchors::parse(open_file(path)?, path, columns)
+}
+
+/// Reads a track, in order of time.
+///
+/// # Errors
+/// [`RecordingError`] for the first thing that is wrong with it.
+pub fn track(path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
+    parse_track(open_file(path)?, path)
+}
+
+fn open_file(path: &Path) -> Result<File, RecordingError> {
+    File::open(path).map_err(|error| RecordingError::unreadable(path, &error))
+}
+
+/// What is read, and what errors call it.
+struct Input {
+    reader: Box<dyn Read>,
+    name: PathBuf,
+}
+
+/// Opens a recording. Who may have to wait for a pipe's writer is told so.
+fn open(path: &Path) -> Result<Input, RecordingError> {
+    let is_standard_input = path == Path::new(STANDARD_INPUT);
+    let name = if is_standard_input { PathBuf::from("standard input") } else { path.to_owned() };
+    let kind = std::fs::metadata(if is_standard_input { Path::new("/dev/stdin") } else { path }).ok();
+    let may_wait = kind.is_some_and(|kind| kind.file_type().is_fifo() || kind.file_type().is_char_device());
+    // From before it is opened: that alone waits for a writer.
+    let watched = may_wait.then(|| watch(&name));
+    let reader: Box<dyn Read> =
+        if is_standard_input { Box::new(std::io::stdin().lock()) } else { Box::new(open_file(path)?) };
+    Ok(match watched {
+        None => Input { reader, name },
+        Some(bytes) => Input { reader: Box::new(Counted { reader, bytes }), name },
+    })
+}
+
+/// Says what is waited for whenever nothing has come for a while, until what is returned is let go of.
+fn watch(name: &Path) -> Arc<AtomicU64> {
+    let bytes = Arc::new(AtomicU64::new(0));
+    let (weak, name) = (Arc::downgrade(&bytes), name.to_owned());
+    let watch = move || {
+        let (mut before, mut is_told) = (0, false);
+        loop {
+            std::thread::sleep(PATIENCE);
+            let Some(bytes) = weak.upgrade() else { return };
+            let now = bytes.load(Ordering::Relaxed);
+            if now == before && !is_told {
+                let given = if now == 0 { "nothing".to_owned() } else { format!("{now} bytes") };
+                log::warn!("waiting for the writer of {}, which has given {given} so far", name.display());
+            }
+            is_told = now == before;
+            before = now;
+        }
+    };
+    // Where no thread can be had, it is waited in silence.
+    let _ = std::thread::Builder::new().name("input-watch".to_owned()).spawn(watch);
+    bytes
+}
+
+struct Counted {
+    reader: Box<dyn Read>,
+    bytes: Arc<AtomicU64>,
+}
+
+impl Read for Counted {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.reader.read(buffer)?;
+        self.bytes.fetch_add(read as u64, Ordering::Relaxed);
+        Ok(read)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_not_there_is_named() {
+        let missing = Path::new("/nonexistent/r.csv");
+        let errors = [
+            recording(missing, &ReadOptions::default()).unwrap_err(),
+            anchors(missing, &ColumnMap::default()).unwrap_err(),
+            track(missing).unwrap_err(),
+        ];
+        for error in errors {
+            assert!(error.to_string().starts_with("/nonexistent/r.csv: expected a table that can be read"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! What lies where in the folders that results go to: each name stands here once.
+//!
+//! A run folder has
+//!
+//! | file | what |
+//! |---|---|
+//! | `scenario.toml` | the scenario as it was run, command line included |
+//! | `recording.csv` | of a recorded run: the recording as it was read, which the simulator plays |
+//! | `report.json`, `report.html`, `picture.svg` | the report, for programs and for people |
+//! | `estimate.csv` | the track: a row for each tick |
+//! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
+//! | `run.mcap` | the whole run in one file |
+//! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_node::tick_log` |
+//! | `run.sealed` | what the run is, for `resume` |
+//! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_node::checkpoint` |
+//! | `logs/NODE.log` | what a node had to say |
+
+use rangehound_node::rendezvous::Role;
+use rangehound_node::{checkpoint, logs};
+use rangehound_shared::scenario::COPY;
+
+use super::whole_file::PARTIAL;
+
+/// Where run folders go unless told otherwise; other results go below it too.
+pub const RUNS: &str = "runs";
+
+/// The scenario as it was run.
+pub const SCENARIO: &str = "scenario.toml";
+
+/// What the run is, for `resume`.
+pub const DESCRIPTION: &str = "run.sealed";
+
+/// The report, for programs.
+pub const REPORT: &str = "report.json";
+
+/// The report, for people.
+pub const PAGE: &str = "report.html";
+
+/// The picture of a run.
+pub const PICTURE: &str = "picture.svg";
+
+/// The track.
+pub const ESTIMATES: &str = "estimate.csv";
+
+/// Ranges as a recording.
+pub const RANGES: &str = "ranges.csv";
+
+/// The true track.
+pub const TRUTH: &str = "truth.csv";
+
+/// The whole run in one file.
+pub const RECORDING: &str = "run.mcap";
+
+/// The folder of the nodes' logs.
+pub const LOGS: &str = "logs";
+
+/// The figures of a comparison.
+pub const COMPARISON: &str = "compare.json";
+
+/// Its pictures.
+pub const COMPARISON_PICTURES: [&str; 5] =
+    ["trace.svg", "paths.svg", "consistency.svg", "gap.svg", "planning_time.svg"];
+
+/// The findings of a calibration.
+pub const CALIBRATION: &str = "calibration.toml";
+
+/// Their picture.
+pub const RESIDUALS: &str = "residuals.svg";
+
+/// The figures of a latency measurement.
+pub const LATENCY: &str = "latency.json";
+
+/// Their picture.
+pub const LATENCY_PICTURE: &str = "latency.svg";
+
+/// The outcome of a campaign of faults.
+pub const CHAOS: &str = "chaos.json";
+
+/// What an output folder holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A run: report, tables, logs.
+    Run,
+    /// The figures and pictures of a comparison.
+    Compare,
+    /// The findings of a calibration.
+    Calibrate,
+    /// The figures of a latency measurement, and the folders of its runs.
+    Latency,
+    /// The outcome of a campaign of faults, and the folders of its runs.
+    Chaos,
+}
+
+impl Kind {
+    /// What a folder's mark calls it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Run => "run",
+            Self::Compare => "compare",
+            Self::Calibrate => "calibrate",
+            Self::Latency => "latency",
+            Self::Chaos => "chaos",
+        }
+    }
+
+    /// True if results of this kind go to a file of this name, or what a kill left of making one.
+    #[must_use]
+    pub fn writes(self, name: &str) -> bool {
+        let name = name.strip_suffix(PARTIAL).map_or(name, without_number);
+        let numbered = |start: &str, end: &str| is_numbered(name, start, end);
+        match self {
+            Self::Run => {
+                let made_first = [SCENARIO, DESCRIPTION, COPY, logs::ESTIMATES, logs::WORLDS];
+                let results = [REPORT, PAGE, PICTURE, ESTIMATES, RANGES, TRUTH, RECORDING];
+                let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
+                made_first.contains(&name) || results.contains(&name) || checkpoints.iter().any(|it| it == name)
+            }
+            Self::Calibrate => name == CALIBRATION || name == RESIDUALS,
+            Self::Compare => name == COMPARISON || COMPARISON_PICTURES.contains(&name),
+            Self::Latency => {
+                name == LATENCY
+                    || name == LATENCY_PICTURE
+                    || numbered("system-", ".toml")
+                    || ["system-", "iceoryx2-", "futex-"].iter().any(|start| numbered(start, ".log"))
+            }
+            Self::Chaos => name == CHAOS || numbered("round-", ".toml") || numbered("round-", ".log"),
+        }
+    }
+}
+
+/// A name without the process's number that whole files have while they are made.
+fn without_number(name: &str) -> &str {
+    match name.rsplit_once('.') {
+        Some((before, number)) if number.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-') => before,
+        _ => name,
+    }
+}
+
+fn is_numbered(name: &str, start: &str, end: &str) -> bool {
+    let number = name.strip_prefix(start).and_then(|rest| rest.strip_suffix(end));
+    number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
+}

@@ -1,0 +1,162 @@
+//! Files that are there as a whole or not at all: nobody reads half of one, and a full disk leaves none without its content.
+//!
+//! They take the place of nothing but what rangehound itself has written, see [`crate::files::out_folder`].
+
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{CWD, RenameFlags, renameat_with};
+use rustix::io::Errno;
+
+use crate::files::out_folder;
+
+/// How the names of files end that are not finished.
+pub const PARTIAL: &str = ".partial";
+
+/// The path of a file beside this one, whose name has more at its end.
+#[must_use]
+pub fn with_ending(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
+
+/// A file in the making, beside its place. It gets its name when it is finished; otherwise it is taken away.
+#[derive(Debug)]
+pub struct WholeFile {
+    out: BufWriter<File>,
+    path: PathBuf,
+    partial: PathBuf,
+}
+
+/// Writes a whole file.
+///
+/// # Errors
+/// With its name, if the system refuses.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
+    write_with_mode(path, content, MODE)
+}
+
+/// The same, for the owner alone to read.
+///
+/// # Errors
+/// As [`write()`].
+pub fn write_for_owner(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
+    write_with_mode(path, content, 0o600)
+}
+
+fn write_with_mode(path: &Path, content: impl AsRef<[u8]>, mode: u32) -> anyhow::Result<()> {
+    let mut file = WholeFile::create_with_mode(path, mode)?;
+    file.write_all(content.as_ref())?;
+    file.finish()
+}
+
+/// Gives a finished file its name. It replaces only what rangehound has written.
+///
+/// # Errors
+/// If the system refuses, or another file has that name.
+pub fn give_name(file: &File, partial: &Path, path: &Path) -> std::io::Result<()> {
+    out_folder::note_finished(path, file)?;
+    // Between this look and the change of names nobody else comes in a folder that is claimed.
+    if out_folder::is_ours(path) {
+        return std::fs::rename(partial, path);
+    }
+    rename_to_free(partial, path)
+}
+
+/// Gives a file a name that nothing has.
+///
+/// # Errors
+/// If the system refuses, or something has that name.
+pub fn rename_to_free(partial: &Path, path: &Path) -> std::io::Result<()> {
+    match renameat_with(CWD, partial, CWD, path, RenameFlags::NOREPLACE) {
+        Err(Errno::EXIST) => Err(std::io::Error::new(
+            ErrorKind::AlreadyExists,
+            "a file has that name that is not as rangehound wrote it: it is kept",
+        )),
+        // A file system that does not know of such a rename.
+        Err(Errno::INVAL | Errno::NOSYS) if path.symlink_metadata().is_err() => std::fs::rename(partial, path),
+        renamed => Ok(renamed?),
+    }
+}
+
+/// What a new file may be used for, less what the user forbids.
+const MODE: u32 = 0o666;
+
+impl WholeFile {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// With its name, if the system refuses.
+    pub fn create(path: &Path) -> anyhow::Result<Self> {
+        Self::create_with_mode(path, MODE)
+    }
+
+    fn create_with_mode(path: &Path, mode: u32) -> anyhow::Result<Self> {
+        // Another process may be writing the same, as `watch` does beside a run's supervisor: whoever is last has the name.
+        let partial = with_ending(path, &format!(".{}{PARTIAL}", std::process::id()));
+        let file = File::options().write(true).create_new(true).mode(mode).open(&partial);
+        let file = file.map_err(|error| named(path, &error))?;
+        let made = Self { out: BufWriter::new(file), path: path.to_owned(), partial };
+        out_folder::note_growing(&made.partial).map_err(|error| named(path, &error))?;
+        Ok(made)
+    }
+
+    /// Gives it its name.
+    ///
+    /// # Errors
+    /// With its name, if the system refuses.
+    pub fn finish(mut self) -> anyhow::Result<()> {
+        self.flush()?;
+        give_name(self.out.get_ref(), &self.partial, &self.path).map_err(|error| named(&self.path, &error))?;
+        Ok(())
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.out.write(bytes).map_err(|error| named(&self.path, &error))
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.out.flush().map_err(|error| named(&self.path, &error))
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        // Not there any more if it was finished.
+        let _ = std::fs::remove_file(&self.partial);
+    }
+}
+
+fn named(path: &Path, error: &std::io::Error) -> std::io::Error {
+    std::io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_finished_leaves_what_was_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        let names = || std::fs::read_dir(folder.path()).unwrap().count() - 1;
+        let _claim = out_folder::claim(folder.path(), crate::files::layout::Kind::Run, &[]).unwrap();
+        write(&path, "first").unwrap();
+        let mut second = WholeFile::create(&path).unwrap();
+        second.write_all(b"second").unwrap();
+        drop(second);
+        assert_eq!((std::fs::read_to_string(&path).unwrap(), names()), ("first".to_owned(), 1));
+        write(&path, "third").unwrap();
+        assert_eq!((std::fs::read_to_string(&path).unwrap(), names()), ("third".to_owned(), 1));
+        std::fs::write(&path, "somebody's").unwrap();
+        assert!(write(&path, "fourth").unwrap_err().to_string().contains("it is kept"));
+        assert_eq!((std::fs::read_to_string(&path).unwrap(), names()), ("somebody's".to_owned(), 1));
+        let error = write(&path.join("below"), "").unwrap_err().to_string();
+        assert!(error.contains("file/below: "), "{error}");
+    }
+}

@@ -1,0 +1,243 @@
+//! What is drawn of a run: the logs of its nodes, thinned.
+
+use std::ops::Range;
+
+use nalgebra::Vector2;
+use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_shared::message::Estimate;
+use rangehound_shared::record::{FusionRecord, Heading, WorldRecord};
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::Scenario;
+
+use crate::draw::field::Paths;
+use crate::results::frame::{Frames, PutDown};
+use crate::results::report::{Truth, position_covariance};
+
+/// Points of a curve: more would not be seen.
+const POINTS_MAX: u64 = 1_500;
+
+/// Points of all robots' paths together: a page stays small enough to be sent to somebody.
+const ROBOT_POINTS_MAX: u64 = 50_000;
+
+/// Stretches that a run is cut into.
+const STRETCHES_MAX: u64 = 300;
+
+/// Largest number that axes can be made for.
+pub const DRAWABLE_MAX: f64 = 1e15;
+
+/// Every so many ticks of a run.
+#[derive(Debug, Clone, Default)]
+pub struct Curves {
+    /// Their times, s.
+    pub times_s: Vec<f64>,
+    /// Who was where.
+    pub paths: Paths,
+    /// The least that the trace could have been, where that is proven: time and trace, s and m^2.
+    pub least_traces_m2: Vec<(f64, f64)>,
+    /// All ticks, added up.
+    pub stretches: Vec<Stretch>,
+    /// When ticks were over, monotonic ns, and their times, s.
+    ended_ns: Vec<(u64, f64)>,
+}
+
+/// Some ticks in a row, added up.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Stretch {
+    first_tick: u64,
+    /// Time of its first tick, s.
+    pub time_s: f64,
+    /// Ticks.
+    pub ticks: u64,
+    /// Normalised innovation squared.
+    pub nis: f64,
+    /// Ranges fused in time: degrees of freedom of the NIS.
+    pub fused: u64,
+    /// Robots not heard, or too late to be used.
+    pub missing: u64,
+    /// Ranges that came after their tick.
+    pub late: u64,
+    /// Robots that were distrusted.
+    pub distrusted: u64,
+    /// Robots that drove without a heading.
+    pub without_heading: u64,
+}
+
+impl Stretch {
+    fn add(&mut self, estimate: &Estimate) {
+        // What a damaged log holds may be any number.
+        let add = |sum: &mut u64, count: u64| *sum = sum.saturating_add(count);
+        self.ticks += 1;
+        self.nis += estimate.nis;
+        add(&mut self.fused, estimate.fused);
+        add(&mut self.missing, estimate.missing);
+        add(&mut self.late, estimate.late);
+        add(&mut self.distrusted, RobotSet::from_bits(estimate.distrusted).iter().count() as u64);
+    }
+}
+
+impl Curves {
+    /// Reads them from the logs of a run; `truth` is the target's true track where the logs do not hold one.
+    ///
+    /// # Errors
+    /// If a log cannot be read, or holds numbers that cannot be drawn.
+    pub fn read(description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<Self> {
+        let mut curves = Self { paths: Paths::of_team(&description.scenario), ..Self::default() };
+        let thinning = Thinning::of(&description.scenario);
+        Frames::open(description)?.for_each(|put_down| {
+            if put_down.tick > 0 {
+                curves.add(put_down, &description.scenario, thinning, truth);
+            }
+            Ok(())
+        })?;
+        if !curves.can_be_drawn() {
+            anyhow::bail!("the logs hold numbers that cannot be drawn");
+        }
+        Ok(curves)
+    }
+
+    fn add(&mut self, put_down: PutDown<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
+        let PutDown { tick, fusion, world } = put_down;
+        if let Some(FusionRecord { time_s, estimate, .. }) = fusion {
+            self.add_to_stretch(tick, *time_s, estimate, thinning);
+            if thinning.keeps(tick) {
+                let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
+                self.times_s.push(*time_s);
+                self.paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
+                self.paths.covariances_m2.push(position_covariance(estimate));
+                self.paths.truths_m.push(simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s))));
+                let least_m2 = estimate.least_trace_m2;
+                if least_m2 > 0.0 && least_m2 <= DRAWABLE_MAX {
+                    self.least_traces_m2.push((time_s + scenario.dt_s, least_m2));
+                }
+            }
+        }
+        if let Some(WorldRecord { time_s, ended_ns, robots, .. }) = world {
+            if let Some(stretch) = self.stretches.last_mut() {
+                let without = robots.iter().filter(|robot| robot.heading == Heading::None);
+                stretch.without_heading += without.count() as u64;
+            }
+            if thinning.keeps(tick) {
+                self.ended_ns.push((*ended_ns, *time_s));
+                for (path, robot) in self.paths.robots_m.iter_mut().zip(robots) {
+                    path.push(Vector2::from(robot.position_m));
+                }
+            }
+        }
+    }
+
+    fn add_to_stretch(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
+        let Self { stretches, .. } = self;
+        if stretches.last().is_none_or(|last| tick - last.first_tick >= thinning.stretch) {
+            stretches.push(Stretch { first_tick: tick, time_s, ..Stretch::default() });
+        }
+        if let Some(stretch) = stretches.last_mut() {
+            stretch.add(estimate);
+        }
+        // What came late was not missing after all, though it was when its own tick was told of: here or just before.
+        let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
+        for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
+            let found = came.min(stretch.missing);
+            stretch.missing -= found;
+            came -= found;
+        }
+    }
+
+    /// True if no number is one that axes or ellipses could not be made of: their loops would not end.
+    fn can_be_drawn(&self) -> bool {
+        let Paths { estimates_m, covariances_m2, .. } = &self.paths;
+        let places = estimates_m.iter().chain(self.paths.bodies()).flat_map(|place| place.iter());
+        let stretches = self.stretches.iter().map(|stretch| &stretch.time_s);
+        let numbers = places.chain(covariances_m2.iter().flat_map(|covariance| covariance.iter()));
+        let ends = self.ended_ns.iter().map(|(_, time_s)| time_s);
+        numbers.chain(&self.times_s).chain(stretches).chain(ends).all(|number| number.abs() <= DRAWABLE_MAX)
+            && self.times_s.is_sorted()
+    }
+
+    /// True if there is something over time.
+    #[must_use]
+    pub fn has_length(&self) -> bool {
+        self.times_s.len() >= 2
+    }
+
+    /// From the first tick to the last, s.
+    #[must_use]
+    pub fn span_s(&self) -> Range<f64> {
+        let first = self.times_s.first().copied().unwrap_or_default();
+        let last = self.times_s.last().copied().unwrap_or_default();
+        first..last.max(first + first.abs() * 1e-9 + 1e-3)
+    }
+
+    /// Position errors where the truth is known: time and error, s and m.
+    pub fn errors_m(&self) -> impl Iterator<Item = (f64, Vector2<f64>)> {
+        let errors = self.times_s.iter().zip(&self.paths.estimates_m).zip(&self.paths.truths_m);
+        errors.filter_map(|((time_s, estimate_m), truth_m)| Some((*time_s, estimate_m - truth_m.as_ref()?)))
+    }
+
+    /// Traces of the position covariance: time and trace, s and m^2.
+    pub fn traces_m2(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.times_s.iter().zip(&self.paths.covariances_m2).map(|(time_s, p)| (*time_s, p.trace()))
+    }
+
+    /// The run's time at a monotonic time: that of the tick that was going on, or the nearest. `None` without ticks.
+    #[must_use]
+    pub fn time_s_at(&self, monotonic_ns: u64) -> Option<f64> {
+        let after = self.ended_ns.partition_point(|(ended_ns, _)| *ended_ns < monotonic_ns);
+        let before = after.checked_sub(1).and_then(|before| self.ended_ns.get(before));
+        match (before, self.ended_ns.get(after)) {
+            (Some((from_ns, from_s)), Some((to_ns, to_s))) => {
+                let passed = monotonic_ns.saturating_sub(*from_ns) as f64;
+                let part = passed / to_ns.saturating_sub(*from_ns).max(1) as f64;
+                Some(from_s + (to_s - from_s) * part.clamp(0.0, 1.0))
+            }
+            (Some((_, time_s)), None) | (None, Some((_, time_s))) => Some(*time_s),
+            (None, None) => None,
+        }
+    }
+}
+
+/// Which ticks of a run are drawn.
+#[derive(Debug, Clone, Copy)]
+struct Thinning {
+    /// One of so many, and
+    every: u64,
+    /// the last.
+    last: u64,
+    /// Ticks of a stretch.
+    stretch: u64,
+}
+
+impl Thinning {
+    fn of(scenario: &Scenario) -> Self {
+        let points = (ROBOT_POINTS_MAX / scenario.robots.len().max(1) as u64).clamp(1, POINTS_MAX);
+        let last = scenario.ticks;
+        Self { every: last / points + 1, last, stretch: last / STRETCHES_MAX + 1 }
+    }
+
+    fn keeps(self, tick: u64) -> bool {
+        tick.is_multiple_of(self.every) || tick == self.last
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_happened_between_two_ticks_has_a_time_between_theirs() {
+        let curves = Curves { ended_ns: vec![(1_000, 0.1), (3_000, 0.2), (9_000, 0.3)], ..Curves::default() };
+        let near = |at_ns, expected: f64| (curves.time_s_at(at_ns).unwrap() - expected).abs() < 1e-12;
+        assert!(near(0, 0.1) && near(2_000, 0.15) && near(3_000, 0.2) && near(6_000, 0.25) && near(u64::MAX, 0.3));
+        assert_eq!(Curves::default().time_s_at(5), None);
+    }
+
+    #[test]
+    fn long_runs_and_large_teams_are_thinned_down_to_the_last_tick() {
+        for (ticks, every) in [(1, 1), (1_499, 1), (1_500, 2), (200_000, 134)] {
+            let thinning = Thinning { every: ticks / POINTS_MAX + 1, last: ticks, stretch: 1 };
+            assert_eq!(thinning.every, every);
+            let kept = (1..=ticks).filter(|tick| thinning.keeps(*tick)).count() as u64;
+            assert!(thinning.keeps(ticks) && kept <= POINTS_MAX + 1, "{ticks} {kept}");
+        }
+    }
+}

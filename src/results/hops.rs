@@ -1,0 +1,127 @@
+//! Where the time between a range and its heading goes: the hops of one way through the system.
+//!
+//! The stamps ride in the messages, all of one monotonic clock: robots tell theirs in `drive`, fusion its own in
+//! `estimate`. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
+
+use rangehound_shared::message::Stages;
+use rangehound_shared::record::RobotRecord;
+use serde::{Deserialize, Serialize};
+
+use crate::statistics::{Percentiles, Samples};
+
+/// Hops of a way.
+const COUNT: usize = 7;
+
+/// What each is called where there is room, in their order.
+pub const NAMES: [&str; COUNT] =
+    ["wait for the team", "fusion awake", "filter", "planner", "checkpoint", "publish", "robot awake"];
+
+/// Durations of the hops of many robots and ticks.
+#[derive(Debug)]
+pub struct Hops([Samples; COUNT]);
+
+/// Percentiles of each hop, us. Medians do not add up to the median of the whole.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct HopSummary {
+    /// From a robot's sending its range to the last robot's sending its own.
+    pub wait_for_team: Percentiles,
+    /// From there to fusion's having taken it.
+    pub fusion_awake: Percentiles,
+    /// Prediction and update.
+    pub filter: Percentiles,
+    /// Choice of the headings.
+    pub planner: Percentiles,
+    /// What a kill must not make forget is written.
+    pub checkpoint: Percentiles,
+    /// The headings are sent.
+    pub publish: Percentiles,
+    /// From there to the robot's holding its own.
+    pub robot_awake: Percentiles,
+}
+
+impl HopSummary {
+    /// The hops in order, as [`NAMES`] calls them.
+    #[must_use]
+    pub fn in_order(&self) -> [Percentiles; COUNT] {
+        let Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake } = *self;
+        [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake]
+    }
+
+    /// A summary of hops in order.
+    #[must_use]
+    pub fn from_order(hops: [Percentiles; COUNT]) -> Self {
+        let [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake] = hops;
+        Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake }
+    }
+}
+
+impl Hops {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// If a histogram cannot be made.
+    pub fn new() -> anyhow::Result<Self> {
+        let none = Samples::new()?;
+        Ok(Self(std::array::from_fn(|_| none.clone())))
+    }
+
+    /// Adds one robot's way in one tick, if all of its stamps are known.
+    pub fn add(&mut self, stages: &Stages, robot: &RobotRecord) {
+        let Some(durations_ns) = durations_ns(stages, robot) else { return };
+        for (samples, duration_ns) in self.0.iter_mut().zip(durations_ns) {
+            samples.add(duration_ns);
+        }
+    }
+
+    /// Percentiles of what was added.
+    #[must_use]
+    pub fn summary(&self) -> HopSummary {
+        HopSummary::from_order(self.0.each_ref().map(Samples::percentiles))
+    }
+}
+
+/// Each hop's duration; `None` if a stamp is missing, or older than the one before it, as after a restart.
+fn durations_ns(stages: &Stages, robot: &RobotRecord) -> Option<[u64; COUNT]> {
+    let Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } = *stages;
+    let (first_ns, held_ns) = (robot.range_sent_ns?, robot.heading_held_ns?);
+    let stamps = [first_ns, last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns, held_ns];
+    let mut durations_ns = [0; COUNT];
+    for (duration_ns, pair) in durations_ns.iter_mut().zip(stamps.windows(2)) {
+        *duration_ns = pair[1].checked_sub(pair[0])?;
+    }
+    Some(durations_ns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STAGES: Stages = Stages {
+        last_range_ns: 1_010,
+        began_ns: 1_030,
+        filtered_ns: 1_060,
+        planned_ns: 1_100,
+        saved_ns: 1_150,
+        sent_ns: 1_210,
+    };
+
+    #[test]
+    fn hops_add_up_to_the_end_to_end_latency() {
+        let robot = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
+        let durations_ns = durations_ns(&STAGES, &robot).unwrap();
+        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70]);
+        assert_eq!(Some(durations_ns.iter().sum()), robot.latency_ns());
+    }
+
+    #[test]
+    fn a_way_with_stamps_missing_or_out_of_order_is_left_out() {
+        let whole = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
+        let mut hops = Hops::new().unwrap();
+        hops.add(&STAGES, &RobotRecord { heading_held_ns: None, ..whole });
+        hops.add(&STAGES, &RobotRecord { range_sent_ns: Some(1_020), ..whole });
+        hops.add(&Stages { saved_ns: 0, ..STAGES }, &whole);
+        assert_eq!(hops.summary(), HopSummary::default());
+        hops.add(&STAGES, &whole);
+        assert_eq!(hops.summary().in_order().map(|hop| hop.p50), [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07]);
+    }
+}

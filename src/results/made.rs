@@ -1,0 +1,102 @@
+//! What is made of a run's logs: the report, printed and written, tables, the page and the picture.
+
+use std::path::Path;
+
+use rangehound_node::rendezvous::RunDescription;
+
+use super::curves::Curves;
+use super::report::{self, NodeSummary, Report, Truth};
+use super::tables::{write_estimate_csv, write_recording};
+use super::{page, picture};
+use crate::failure::{self, Failure};
+use crate::terminal;
+
+/// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
+const LONG: u64 = 1_000_000;
+
+/// What is done with a run's logs beyond its report, and how that is printed.
+#[derive(Debug, Default)]
+pub struct Keep {
+    /// The ranges and the true track are written as a recording.
+    pub ranges: bool,
+    /// The true track to compare with, where the run itself knows none.
+    pub truth: Option<Truth>,
+    /// The report is printed as JSON.
+    pub json: bool,
+    /// A result that is not sound is a failure.
+    pub strict: bool,
+}
+
+/// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
+///
+/// # Errors
+/// [`Failure::Running`] with the first file that could not be read or written.
+pub fn report_and_tables(
+    description: &RunDescription,
+    keep: &Keep,
+    nodes: Vec<NodeSummary>,
+) -> Result<Report, Failure> {
+    let &Keep { ranges, ref truth, strict, .. } = keep;
+    let truth = truth.as_ref();
+    let (report, printed) = make_report(description, keep, nodes)?;
+    let written = report::write(&report, &description.out_dir);
+    let table = write_estimate_csv(description);
+    let recorded = if ranges { write_recording(description) } else { Ok(()) };
+    if let Err(error) = draw(&report, description, truth) {
+        log::warn!("there is no picture, or no page: {error}");
+    }
+    written.and(table).and(recorded)?;
+    printed?;
+    if strict && !report.verdict.sound {
+        return Err(Failure::Running(anyhow::anyhow!("the result is not sound, and --strict was given")));
+    }
+    Ok(report)
+}
+
+/// Prints the report of a run that another process writes down.
+///
+/// # Errors
+/// [`Failure::Running`] if a log cannot be read, or standard output not written.
+pub fn print_report(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<Report, Failure> {
+    let (report, printed) = make_report(description, keep, nodes)?;
+    printed.map(|()| report)
+}
+
+/// A run's report, and whether it could be printed.
+fn make_report(
+    description: &RunDescription,
+    keep: &Keep,
+    nodes: Vec<NodeSummary>,
+) -> anyhow::Result<(Report, Result<(), Failure>)> {
+    let &Keep { ref truth, json, .. } = keep;
+    let truth = truth.as_ref();
+    let scenario = &description.scenario;
+    if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
+        failure::tell("the run is over, its report is made");
+    }
+    let report = report::from_logs(description, truth, nodes)?;
+    let printed = if json {
+        failure::print_json(&report)
+    } else {
+        let folder = terminal::field("run folder", from_here(&description.out_dir).display());
+        failure::print(format!("{report}\n{folder}\n"))
+    };
+    Ok((report, printed))
+}
+
+/// A path as one would type it here.
+pub(crate) fn from_here(path: &Path) -> &Path {
+    let here = std::env::current_dir().ok();
+    let below = here.and_then(|here| path.strip_prefix(here).ok()).filter(|below| !below.as_os_str().is_empty());
+    below.unwrap_or(path)
+}
+
+/// Draws what people look at: the page, and the picture.
+///
+/// # Errors
+/// If a log cannot be read, holds numbers that cannot be drawn, or a file cannot be written.
+pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<()> {
+    let curves = Curves::read(description, truth)?;
+    picture::draw(&curves, &description.out_dir)?;
+    page::write(report, &curves, &description.out_dir)
+}

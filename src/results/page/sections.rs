@@ -1,0 +1,186 @@
+//! The pictures of the page, each under its heading: drawn by what draws all others.
+
+use std::fmt::Write;
+
+use maud::Markup;
+use plotters::prelude::*;
+
+use super::{Section, WIDTH, faults};
+use crate::draw::chart::{self, COLOURS, ESTIMATE, TARGET};
+use crate::draw::ellipse::Ellipse;
+use crate::draw::over_time::{Band, Line, OverTime};
+use crate::results::curves::{Curves, DRAWABLE_MAX, Stretch};
+use crate::results::percentiles;
+use crate::results::report::Report;
+use crate::statistics::{Ascending, Interval, chi_square_mean_bounds};
+
+const HEIGHT: u32 = 600;
+
+/// All sections that there are data for.
+pub(super) fn of(report: &Report, curves: &Curves) -> anyhow::Result<Vec<Section>> {
+    let mut sections = Vec::new();
+    if curves.has_length() {
+        sections.push(paths(curves)?);
+        sections.extend(errors(curves)?);
+        sections.push(trace(curves)?);
+        sections.extend(nis(curves)?);
+    }
+    if report.latency_us.count > 0 {
+        sections.push(latency(report)?);
+        sections.push(hops(report)?);
+    }
+    if curves.has_length() {
+        sections.push(faults::section(report, curves)?);
+    }
+    Ok(sections)
+}
+
+fn section(heading: &'static str, text: impl Into<String>, picture: String) -> Section {
+    Section { heading, text: text.into(), picture, below: Markup::default() }
+}
+
+fn paths(curves: &Curves) -> anyhow::Result<Section> {
+    let size = curves.paths.whole_size(WIDTH);
+    let picture = chart::draw_to_string(size, |area| curves.paths.draw_whole(area))?;
+    let mut text = "The field from above, with 3 sigma ellipses of the estimate. Marks are where all ended.".to_owned();
+    // On a large field no ellipse is large enough to be seen.
+    let last = curves.paths.estimates_m.last().zip(curves.paths.covariances_m2.last());
+    if let Some((centre_m, covariance_m2)) = last {
+        let [one_m, other_m] = Ellipse::new(*centre_m, covariance_m2, 3.0).half_m();
+        let (long, short) = (chart::short(one_m.max(other_m)), chart::short(one_m.min(other_m)));
+        write!(text, " The half axes of the last ellipse are {long} m and {short} m.")?;
+    }
+    Ok(section("Paths", text, picture))
+}
+
+/// The error in x and in y, each on what the filter believes of it; `None` where no truth is known.
+fn errors(curves: &Curves) -> anyhow::Result<Option<Section>> {
+    if curves.errors_m().next().is_none() {
+        return Ok(None);
+    }
+    let limit_m = error_limit_m(curves);
+    let picture = chart::draw_to_string((WIDTH, 2 * HEIGHT), |area| {
+        let (upper, lower) = area.split_vertically(HEIGHT + 30);
+        let limits = || -limit_m..limit_m;
+        error_of_axis(curves, 0, "x: estimate − truth, m", true).draw(&upper, curves.span_s(), limits())?;
+        error_of_axis(curves, 1, "y: estimate − truth, m", false).draw(&lower, curves.span_s(), limits())
+    })?;
+    let text = "On the filter's own standard deviations: if it is right about itself, the error is within 1 sigma \
+                two thirds of the time, and hardly ever beyond 3. What is beyond an edge lies on it.";
+    Ok(Some(section("Position error", text, picture)))
+}
+
+fn error_of_axis(curves: &Curves, axis: usize, label: &str, is_named: bool) -> OverTime {
+    let name = |name: &str| is_named.then(|| name.to_owned());
+    let band = |sigmas: f64, strength: f64| {
+        let covariances = curves.times_s.iter().zip(&curves.paths.covariances_m2);
+        let limit = |(time_s, p): (&f64, &nalgebra::Matrix2<f64>)| {
+            let limit_m = sigmas * p[(axis, axis)].max(0.0).sqrt();
+            (*time_s, -limit_m, limit_m)
+        };
+        Band {
+            name: name(&format!("{sigmas} sigma")),
+            colour: ESTIMATE.mix(strength),
+            points: covariances.map(limit).collect(),
+        }
+    };
+    let error = Line {
+        name: name("error"),
+        style: TARGET.stroke_width(2),
+        points: curves.errors_m().map(|(time_s, error_m)| (time_s, error_m[axis])).collect(),
+    };
+    OverTime { label: label.to_owned(), bands: vec![band(3.0, 0.15), band(1.0, 0.25)], lines: vec![error] }
+}
+
+/// Where the axes of the errors end.
+fn error_limit_m(curves: &Curves) -> f64 {
+    let deviations = curves.paths.covariances_m2.iter().flat_map(|p| [p[(0, 0)], p[(1, 1)]]);
+    let deviations = deviations.map(|variance| 3.0 * variance.max(0.0).sqrt());
+    let errors = curves.errors_m().flat_map(|(_, error_m)| [error_m.x.abs(), error_m.y.abs()]);
+    limit(&deviations.chain(errors).collect())
+}
+
+/// Where an axis ends that shows these extents: a poor start or a short loss must not hide the rest.
+fn limit(extents: &Ascending) -> f64 {
+    (1.05 * extents.quantile(1.0)).min(2.0 * extents.quantile(0.95)).max(1e-6)
+}
+
+fn trace(curves: &Curves) -> anyhow::Result<Section> {
+    // The bound on the tick after the last is of nothing.
+    let end_s = curves.span_s().end;
+    let least_m2: Vec<(f64, f64)> =
+        curves.least_traces_m2.iter().copied().filter(|(time_s, _)| *time_s <= end_s).collect();
+    let is_proven = !least_m2.is_empty();
+    let name = |name: &str| is_proven.then(|| name.to_owned());
+    let trace = Line { name: name("trace"), style: ESTIMATE.stroke_width(3), points: curves.traces_m2().collect() };
+    // Thin and on top: mostly the trace lies on it.
+    let least =
+        is_proven.then(|| Line { name: name("least by any headings"), style: BLACK.stroke_width(1), points: least_m2 });
+    let lines = [trace].into_iter().chain(least).collect();
+    let chart = OverTime { label: "trace, m²".to_owned(), lines, ..OverTime::default() };
+    let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw_log(area, curves.span_s()))?;
+    let mut text = "Trace of the position covariance: what the planner minimises.".to_owned();
+    if is_proven {
+        text.push_str(
+            " The thin line is the planner's proven bound: the least that any headings at the tick before could have led to, \
+             with all ranges fused.",
+        );
+    }
+    Ok(section("Trace", text, picture))
+}
+
+/// Innovations against what the filter believes of them; `None` if no range was fused.
+fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
+    let fused: Vec<&Stretch> =
+        curves.stretches.iter().filter(|stretch| stretch.fused > 0 && stretch.nis.abs() <= DRAWABLE_MAX).collect();
+    let Some(first) = fused.first() else { return Ok(None) };
+    let point = |stretch: &&Stretch| (stretch.time_s, stretch.nis / stretch.fused as f64);
+    let band = |stretch: &&Stretch| {
+        let Interval { low, high } = chi_square_mean_bounds(1, stretch.fused as usize);
+        (stretch.time_s, low, high)
+    };
+    let points: Vec<(f64, f64)> = fused.iter().map(point).collect();
+    let bounds: Vec<(f64, f64, f64)> = fused.iter().map(band).collect();
+    let values = points.iter().map(|(_, nis)| *nis).chain(bounds.iter().flat_map(|(_, low, high)| [*low, *high]));
+    // From the ideal to both sides: over many ticks what is consistent lies close to it.
+    let limit = limit(&values.map(|nis| (nis - 1.0).abs()).collect());
+    let limits = (1.0 - limit).max(0.0)..1.0 + limit;
+    let span_s = curves.span_s();
+    let chart = OverTime {
+        label: "NIS for each range".to_owned(),
+        bands: vec![Band {
+            name: Some("95 % of consistent filters".to_owned()),
+            colour: BLACK.mix(0.15),
+            points: bounds,
+        }],
+        lines: vec![
+            Line {
+                name: None,
+                style: BLACK.mix(0.5).stroke_width(2),
+                points: [span_s.start, span_s.end].map(|time_s| (time_s, 1.0)).into(),
+            },
+            Line { name: Some("NIS".to_owned()), style: COLOURS[0].stroke_width(2), points },
+        ],
+    };
+    let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw(area, span_s, limits))?;
+    let ticks = first.ticks;
+    let each = if ticks > 1 { format!(" Each point is the mean of {ticks} ticks.") } else { String::new() };
+    let text =
+        format!("Innovations squared over their covariance: 1 is ideal, more is a filter too sure of itself.{each}");
+    Ok(Some(section("NIS", text, picture)))
+}
+
+fn latency(report: &Report) -> anyhow::Result<Section> {
+    let curve = (report.percentiles.as_slice(), COLOURS[6]);
+    let samples = report.latency_us.count;
+    let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| percentiles::draw_curves(area, &[curve], samples))?;
+    let text = format!("From publishing a range to holding the heading computed from it: {samples} samples.");
+    Ok(section("Latency", text, picture))
+}
+
+fn hops(report: &Report) -> anyhow::Result<Section> {
+    let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| {
+        percentiles::draw_hops(area, &report.hops_us, COLOURS[6], "µs: median, and pale up to 99 %")
+    })?;
+    Ok(section("Hops", "Where that time goes, on a logarithmic axis.", picture))
+}

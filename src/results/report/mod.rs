@@ -1,0 +1,112 @@
+//! The report of a run, computed from the logs of its nodes.
+//!
+//! | module | what |
+//! |---|---|
+//! | `summary` | the figures: the keys of `report.json` |
+//! | `tally` | adding them up tick by tick |
+//! | `consistency` | how far NIS and ANEES may be from 1 by chance |
+//! | `verdict` | whether the result can be believed, and why not |
+//! | `truth` | a true track to compare with |
+//! | `print` | the report on the terminal |
+
+pub mod consistency;
+mod print;
+mod summary;
+mod tally;
+mod truth;
+pub mod verdict;
+
+use std::path::Path;
+
+use nalgebra::Vector2;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_shared::record::FusionRecord;
+use rangehound_shared::scenario::Source;
+
+use crate::files::layout::REPORT;
+use crate::files::whole_file;
+use crate::results::frame::{Frames, PutDown};
+use verdict::{RecordingEvidence, TruthEvidence};
+
+pub use summary::{
+    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
+    SensorSummary, TraceSummary,
+};
+pub use tally::{Background, Tally, position_covariance, position_error};
+pub use truth::Truth;
+
+/// Computes the report of a run from its logs.
+///
+/// # Errors
+/// If a log cannot be read.
+pub fn from_logs(
+    description: &RunDescription,
+    truth: Option<&Truth>,
+    nodes: Vec<NodeSummary>,
+) -> anyhow::Result<Report> {
+    let scenario = &description.scenario;
+    let mut tally = Tally::new()?;
+    let mut overlap = truth.map(Overlap::of);
+    Frames::open(description)?.for_each(|PutDown { tick, fusion, world }| {
+        if let Some(world) = world {
+            tally.add_world(world.ended_ns, &world.robots);
+        }
+        let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return Ok(()) };
+        tally.add_untold(exchanges, world.map_or(&[][..], |world| &world.robots));
+        tally.add_sensors(exchanges);
+        if let Some(world) = world {
+            tally.add_hops(&estimate.stages, &world.robots);
+        }
+        let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
+        let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s)));
+        if let Some(overlap) = overlap.as_mut().filter(|_| tick > 0) {
+            overlap.add(*time_s, truth_m.is_some());
+        }
+        tally.add_estimate(tick, estimate, truth_m);
+        Ok(())
+    })?;
+    let recording = match &scenario.source {
+        Source::Recorded(ranges) => Some(RecordingEvidence {
+            doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),
+            has_unused_heights: ranges.has_heights && ranges.target_height_m.is_none(),
+        }),
+        Source::Simulated { .. } => None,
+    };
+    let background = Background { truth: overlap.map(Overlap::evidence), recording };
+    Ok(tally.report(scenario, background, nodes))
+}
+
+/// How a true track overlaps a run.
+struct Overlap {
+    evidence: TruthEvidence,
+    ticks: u64,
+    covered: u64,
+}
+
+impl Overlap {
+    fn of(truth: &Truth) -> Self {
+        Self { evidence: TruthEvidence { span_s: truth.span_s(), ..TruthEvidence::default() }, ticks: 0, covered: 0 }
+    }
+
+    fn add(&mut self, time_s: f64, is_covered: bool) {
+        let [first_s, last_s] = &mut self.evidence.run_span_s;
+        if self.ticks == 0 {
+            *first_s = time_s;
+        }
+        *last_s = time_s;
+        self.ticks += 1;
+        self.covered += u64::from(is_covered);
+    }
+
+    fn evidence(self) -> TruthEvidence {
+        TruthEvidence { covered_share: self.covered as f64 / self.ticks.max(1) as f64, ..self.evidence }
+    }
+}
+
+/// Writes `report.json`.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
+    whole_file::write(&out_dir.join(REPORT), serde_json::to_string_pretty(report)? + "\n")
+}

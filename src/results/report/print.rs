@@ -1,0 +1,122 @@
+//! The report as it is printed.
+
+use super::{
+    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
+    TraceSummary,
+};
+use rangehound_shared::scenario::{name_of, printable};
+
+use crate::results::hops;
+use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
+
+/// Share of a sensor's ranges that were not fused above which it is told.
+const DOUBTFUL_SHARE: f64 = 0.1;
+
+/// Times of distrust that are told one by one in print; the file has all.
+const DISTRUST_LINES_MAX: usize = 5;
+
+impl std::fmt::Display for Report {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { ranges, headings, latency_us, .. } = self;
+        let Self { scenario, robots, planner, seed, .. } = self;
+        writeln!(f, "{TITLE}{scenario}{TITLE:#}: {robots} robots, {planner} planner, seed {seed}")?;
+        let Self { clock, ticks, wall_s, ticks_per_s, .. } = self;
+        writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {wall_s:.2} s ({ticks_per_s:.0} ticks/s)")))?;
+        if let Some(rmse_m) = self.position_rmse_m {
+            writeln!(f, "{}", field("position error", format_args!("{rmse_m:.3} m RMS")))?;
+        }
+        let ratio = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{value:.2}"));
+        // Of all ranges too, where not all were fused.
+        let all = if self.ranges.rejected > 0 {
+            format!(" ({} with the rejected)", ratio(self.nis_all_mean))
+        } else {
+            String::new()
+        };
+        let consistency = format!("ANEES {}, NIS {}{all}; 1 is ideal", ratio(self.anees), ratio(self.nis_mean));
+        writeln!(f, "{}", field("consistency", consistency))?;
+        let TraceSummary { r#final: end, median } = self.position_trace_m2;
+        writeln!(f, "{}", field("position trace", format_args!("{end:.3} m^2 at the end, {median:.3} median")))?;
+        writeln!(f, "{}\n{}", field("ranges", ranges), field("headings", headings))?;
+        self.fmt_doubtful_messages(f)?;
+        self.fmt_doubtful_sensors(f)?;
+        if latency_us.count > 0 {
+            let LatencySummary { p50, p90, p99, p99_9, max, .. } = latency_us;
+            let waits = format!("{p50:.0} us p50, {p90:.0} p90, {p99:.0} p99, {p99_9:.0} p99.9, {max:.0} max");
+            writeln!(f, "{}", field("range to heading", waits))?;
+            let hops = hops::NAMES.iter().zip(self.hops_us.in_order());
+            let hops: Vec<String> = hops.map(|(name, hop)| format!("{name} {:.1}", hop.p50)).collect();
+            writeln!(f, "{}", field("hops, us p50", hops.join(", ")))?;
+        }
+        for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {
+            let NodeSummary { starts, kills, exits, hangs, .. } = node;
+            let hung = if *hangs > 0 { format!(", hung {hangs} times") } else { String::new() };
+            let fate = format!("{starts} starts, {kills} kills, {exits} early exits{hung}");
+            writeln!(f, "{}", field_in(DOUBTFUL, &node.title(), fate))?;
+        }
+        writeln!(f, "{}", field("digest", &self.digest))?;
+        write!(f, "{}", self.verdict)
+    }
+}
+
+impl std::fmt::Display for RangeSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { published, fused, rejected, late, missing, .. } = self;
+        write!(f, "{published} published: {fused} fused, {rejected} rejected, {late} late, {missing} missing")
+    }
+}
+
+impl std::fmt::Display for HeadingSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { fresh, late, none, refused } = self;
+        write!(f, "{fresh} fresh, {late} late, {none} none, {refused} refused")
+    }
+}
+
+/// Sensors that are told one by one in print; the file has all.
+const SENSOR_LINES_MAX: usize = 5;
+
+impl Report {
+    /// The sensors of which most was not fused, if there are any, and whether the gate was widened.
+    fn fmt_doubtful_sensors(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let lost = |sensor: &SensorSummary| sensor.rejected + sensor.distrusted;
+        let mut doubtful: Vec<&SensorSummary> =
+            self.sensors.iter().filter(|sensor| lost(sensor) as f64 > DOUBTFUL_SHARE * sensor.ranges as f64).collect();
+        let share = |count: u64, of: u64| 100.0 * count as f64 / of as f64;
+        doubtful.sort_by(|a, b| share(lost(b), b.ranges).total_cmp(&share(lost(a), a.ranges)));
+        for SensorSummary { name, ranges, rejected, distrusted, .. } in doubtful.into_iter().take(SENSOR_LINES_MAX) {
+            let (rejected, distrusted) = (share(*rejected, *ranges), share(*distrusted, *ranges));
+            let lost = format!("{rejected:.0} % of {ranges} ranges rejected, {distrusted:.0} % distrusted");
+            writeln!(f, "{}", field_in(DOUBTFUL, "sensor", format_args!("{}: {lost}", printable(name))))?;
+        }
+        if self.gate_widened > 0 {
+            let times = format!("at {} ticks: most sensors failed it together", self.gate_widened);
+            writeln!(f, "{}", field_in(DOUBTFUL, "gate widened", times))?;
+        }
+        Ok(())
+    }
+
+    /// What was refused and who was distrusted, if anything was.
+    fn fmt_doubtful_messages(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { refused, distrusted, .. } = self;
+        if *refused != RefusalSummary::default() {
+            let RefusalSummary { impostor, out_of_range, malformed, future, contradiction, jump } = refused;
+            let causes = format!(
+                "{impostor} impostor, {out_of_range} out of range, {malformed} malformed, {future} future, \
+                 {contradiction} contradiction, {jump} jump"
+            );
+            writeln!(f, "{}", field_in(DOUBTFUL, "refused", causes))?;
+        }
+        for Distrust { robot, sensor, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
+            let until = to_tick.map_or("the end".to_owned(), |tick| format!("tick {tick}"));
+            let time = format!(
+                "{} from tick {from_tick} to {until}",
+                name_of(*robot, self.recording.as_ref().map(|_| sensor.as_str()))
+            );
+            writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", time))?;
+        }
+        if let Some(more) = distrusted.len().checked_sub(DISTRUST_LINES_MAX).filter(|more| *more > 0) {
+            writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", format_args!("{more} times more")))?;
+        }
+        Ok(())
+    }
+}

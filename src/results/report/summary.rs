@@ -1,0 +1,312 @@
+//! What a run came to: the keys of `report.json`.
+
+use rangehound_node::rendezvous::Role;
+use rangehound_shared::message::{Estimate, Refusal};
+use rangehound_shared::record::{Heading, RobotRecord};
+use rangehound_shared::recording::ReadSummary;
+use rangehound_shared::scenario::{Scenario, title_of};
+use serde::Serialize;
+
+use super::verdict::Verdict;
+use crate::results::hops::HopSummary;
+use crate::results::percentiles::Point;
+use crate::statistics::Samples;
+
+/// What a run came to; its fields are the keys of `report.json`.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Seed.
+    pub seed: u64,
+    /// Clock: `realtime` or `lockstep`.
+    pub clock: String,
+    /// Planner.
+    pub planner: String,
+    /// Robots (or sensors of a recording).
+    pub robots: usize,
+    /// Time steps done.
+    pub ticks: u64,
+    /// From the end of tick 0, when the team is complete, to the end of the last tick, s.
+    pub wall_s: f64,
+    /// `ticks / wall_s`.
+    pub ticks_per_s: f64,
+    /// Hash over (tick, state, covariance) bits of all ticks.
+    pub digest: String,
+    /// Root mean square of the position error, m; null where no truth is known.
+    pub position_rmse_m: Option<f64>,
+    /// Position error squared over its covariance, averaged over the ticks, per degree of freedom:
+    /// 1 for a consistent filter; null where no truth is known.
+    pub anees: Option<f64>,
+    /// Innovation squared over its covariance, averaged over the ticks, per range: 1 for a consistent
+    /// filter; null if no range was fused.
+    pub nis_mean: Option<f64>,
+    /// The same over all ranges, whether they were fused or not: far above 1 where good ranges are thrown away.
+    pub nis_all_mean: Option<f64>,
+    /// Ticks after which ranges were taken to be noisier than told, because most sensors failed together.
+    pub gate_widened: u64,
+    /// Trace of the position covariance.
+    pub position_trace_m2: TraceSummary,
+    /// What became of the ranges.
+    pub ranges: RangeSummary,
+    /// What became of each sensor's, in the order of the robots' ids.
+    pub sensors: Vec<SensorSummary>,
+    /// Range messages that fusion refused, by cause.
+    pub refused: RefusalSummary,
+    /// What was read of the recording, and what was not; null for a simulated run.
+    pub recording: Option<ReadSummary>,
+    /// When robots were distrusted.
+    pub distrusted: Vec<Distrust>,
+    /// What the robots drove by.
+    pub headings: HeadingSummary,
+    /// From publishing a range to holding the heading computed from it.
+    pub latency_us: LatencySummary,
+    /// The same as a curve.
+    #[serde(skip)]
+    pub percentiles: Vec<Point>,
+    /// Where that time went.
+    pub hops_us: HopSummary,
+    /// The processes.
+    pub nodes: Vec<NodeSummary>,
+    /// Whether the result can be believed.
+    pub verdict: Verdict,
+}
+
+/// Trace of the position covariance, m^2.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct TraceSummary {
+    /// After the last tick.
+    pub r#final: f64,
+    /// Median over the ticks after tick 0.
+    pub median: f64,
+}
+
+/// What became of the ranges. At each tick at which a robot has one it is fused, rejected or missing: their sum is robots
+/// times ticks where every robot has a range at every tick.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct RangeSummary {
+    /// Published by robots, as fusion has it or as they told the simulator by the end of the tick.
+    pub published: u64,
+    /// Fused, in time or late.
+    pub fused: u64,
+    /// Failed the gate or came from a distrusted robot, in time or late.
+    pub rejected: u64,
+    /// Came after their tick: fused, rejected, or, after more than a few ticks, missing.
+    pub late: u64,
+    /// Of the late ones, fused at their own time.
+    pub fused_late: u64,
+    /// Robots not heard, or too late, summed over the ticks.
+    pub missing: u64,
+}
+
+/// What became of one sensor's ranges, in time or late: fused, rejected and distrusted add up to all.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct SensorSummary {
+    /// The sensor's name in the recording, or its robot's id.
+    pub name: String,
+    /// Ranges that fusion heard and judged.
+    pub ranges: u64,
+    /// Fused.
+    pub fused: u64,
+    /// Failed the gate.
+    pub rejected: u64,
+    /// Not fused because the robot was distrusted, whether or not they passed the gate.
+    pub distrusted: u64,
+    /// Each range's own innovation squared over its variance, averaged over all that anything predicted: 1 for a sensor
+    /// that is as it is said to be.
+    pub nis_mean: Option<f64>,
+}
+
+/// Messages that fusion refused, by [`Refusal`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct RefusalSummary {
+    /// [`Refusal::Impostor`].
+    pub impostor: u64,
+    /// [`Refusal::OutOfRange`].
+    pub out_of_range: u64,
+    /// [`Refusal::Malformed`].
+    pub malformed: u64,
+    /// [`Refusal::Future`].
+    pub future: u64,
+    /// [`Refusal::Contradiction`].
+    pub contradiction: u64,
+    /// [`Refusal::Jump`].
+    pub jump: u64,
+}
+
+/// Ticks at which a robot's ranges were not fused because they kept failing the gate.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Distrust {
+    /// The robot.
+    pub robot: usize,
+    /// What its sensor is called: its name in the recording, or the robot's id.
+    pub sensor: String,
+    /// The tick after whose range it was distrusted.
+    pub from_tick: u64,
+    /// The tick after whose range it was trusted again; null if it never was.
+    pub to_tick: Option<u64>,
+}
+
+/// What the robots drove by, summed over robots and ticks; where a robot did not answer, nothing is known.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct HeadingSummary {
+    /// The tick's heading.
+    pub fresh: u64,
+    /// The tick's heading, when it was overdue.
+    pub late: u64,
+    /// None for the tick: they held the last one, or stood.
+    pub none: u64,
+    /// Headings that they refused, of a fusion that led no more or of a stranger.
+    pub refused: u64,
+}
+
+impl HeadingSummary {
+    pub(super) fn add(&mut self, robot: &RobotRecord) {
+        match robot.heading {
+            Heading::Fresh => self.fresh += 1,
+            Heading::Late => self.late += 1,
+            Heading::None => self.none += 1,
+            Heading::Unknown => {}
+        }
+        count(&mut self.refused, robot.headings_refused);
+    }
+}
+
+/// Counts more; what a damaged log holds may be any number.
+fn count(sum: &mut u64, more: u64) {
+    *sum = sum.saturating_add(more);
+}
+
+/// Percentiles of the end-to-end latency, us.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct LatencySummary {
+    /// Samples.
+    pub count: u64,
+    /// Median.
+    pub p50: f64,
+    /// 90 %.
+    pub p90: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// 99.9 %.
+    pub p99_9: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl LatencySummary {
+    /// Percentiles of latencies.
+    #[must_use]
+    pub fn of(latencies_us: &Samples) -> Self {
+        Self {
+            count: latencies_us.count(),
+            p50: latencies_us.at(0.5),
+            p90: latencies_us.at(0.9),
+            p99: latencies_us.at(0.99),
+            p99_9: latencies_us.at(0.999),
+            max: latencies_us.max(),
+        }
+    }
+}
+
+/// One process of the run.
+#[derive(Debug, Clone, Serialize)]
+pub struct NodeSummary {
+    /// `sim`, `fusion`, `robot-0`, ...
+    pub name: String,
+    /// The name of a robot's sensor in the recording; left out for other nodes, and in a simulated run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
+    /// How often it was started.
+    pub starts: u64,
+    /// How often it was ended by a signal.
+    pub kills: u64,
+    /// How often it ended by itself before the run did.
+    pub exits: u64,
+    /// How often it was killed because it gave no sign of life: among the kills too.
+    pub hangs: u64,
+    /// What happened to it when, monotonic ns, in order, as far as its supervisor knows.
+    #[serde(skip)]
+    pub incidents: Vec<(u64, Incident)>,
+}
+
+impl NodeSummary {
+    /// A process that was started so often, and of which no more is known.
+    #[must_use]
+    pub fn new(role: Role, scenario: &Scenario, starts: u64) -> Self {
+        let sensor = role.robot().and_then(|id| scenario.sensor_of(id)).map(str::to_owned);
+        Self { name: role.to_string(), sensor, starts, kills: 0, exits: 0, hangs: 0, incidents: Vec::new() }
+    }
+}
+
+impl NodeSummary {
+    /// Its name for people: `robot-0 (2938)`.
+    #[must_use]
+    pub fn title(&self) -> String {
+        title_of(&self.name, self.sensor.as_deref())
+    }
+}
+
+/// What happens to a process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Incident {
+    /// It gave no sign of life for too long; it is killed next.
+    Hung,
+    /// It was ended by a signal.
+    Killed,
+    /// It ended by itself before the run did.
+    Exited,
+    /// It was started.
+    Started,
+}
+
+impl Incident {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Hung, Self::Killed, Self::Exited, Self::Started];
+}
+
+impl std::fmt::Display for Incident {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Hung => "hung",
+            Self::Killed => "killed",
+            Self::Exited => "exited",
+            Self::Started => "started",
+        })
+    }
+}
+
+impl RangeSummary {
+    /// Adds a tick's, as fusion has put it down.
+    pub fn add(&mut self, estimate: &Estimate) {
+        let in_time_and_late = [
+            (&mut self.fused, estimate.fused, estimate.fused_late),
+            (&mut self.rejected, estimate.rejected, estimate.rejected_late),
+        ];
+        for (sum, in_time, late) in in_time_and_late {
+            count(sum, in_time);
+            count(sum, late);
+        }
+        count(&mut self.late, estimate.late);
+        count(&mut self.fused_late, estimate.fused_late);
+        // What came late was missing when its own tick was told of.
+        count(&mut self.missing, estimate.missing);
+        self.missing = self.missing.saturating_sub(estimate.fused_late).saturating_sub(estimate.rejected_late);
+    }
+}
+
+impl RefusalSummary {
+    pub(super) fn add(&mut self, estimate: &Estimate) {
+        for (refusal, refused) in Refusal::ALL.into_iter().zip(estimate.refused) {
+            let sum = match refusal {
+                Refusal::Impostor => &mut self.impostor,
+                Refusal::OutOfRange => &mut self.out_of_range,
+                Refusal::Malformed => &mut self.malformed,
+                Refusal::Future => &mut self.future,
+                Refusal::Contradiction => &mut self.contradiction,
+                Refusal::Jump => &mut self.jump,
+            };
+            count(sum, refused);
+        }
+    }
+}

@@ -1,0 +1,432 @@
+//! Whether a run's result can be believed, pure: figures in, a verdict with its reasons out.
+
+use serde::Serialize;
+
+use super::consistency::ConsistencySummary;
+use crate::terminal::{BAD, DOUBTFUL, GOOD, prose_in};
+
+/// Share of a sensor's ranges that are not fused, from which on the sensor is taken for faulty.
+const FAULTY_SHARE: f64 = 0.5;
+
+/// Fewest ranges by which a sensor is judged.
+const JUDGED_RANGES_MIN: u64 = 8;
+
+/// Share of the ranges of sensors that are not faulty which a sound filter may reject.
+const REJECTED_SHARE_MAX: f64 = 0.2;
+
+/// Standard deviation of the position over a typical range, above which the target has not been found.
+const VAGUE_SHARE: f64 = 0.3;
+
+/// Share of the ticks with widened noise, above which the model is wrong.
+const WIDENED_SHARE_MAX: f64 = 0.2;
+
+/// Share of the run that a true track must cover: less is told.
+const TRUTH_SHARE_MIN: f64 = 0.5;
+
+/// Most reasons that are told.
+const REASONS_MAX: usize = 2;
+
+/// What is known of a run's result.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Evidence {
+    /// Each sensor's ranges.
+    pub sensors: Vec<SensorEvidence>,
+    /// NIS of the fused ranges.
+    pub nis: Option<ConsistencySummary>,
+    /// NIS of all ranges of sensors that are not faulty.
+    pub nis_all: Option<ConsistencySummary>,
+    /// The same with each range's part capped, so that a few outliers, which the gate keeps out, do not rule it.
+    pub nis_capped: Option<ConsistencySummary>,
+    /// Normalised position error squared; `None` without truth.
+    pub anees: Option<ConsistencySummary>,
+    /// The true track that the user gave; `None` without one.
+    pub truth: Option<TruthEvidence>,
+    /// Median standard deviation of the position (square root of the trace) in the second half of the run, m.
+    pub position_std_m: f64,
+    /// Median of all ranges, m.
+    pub median_range_m: f64,
+    /// Share of the ticks at which the noise was widened, as most ranges failed the gate together.
+    pub widened_share: f64,
+    /// Standard deviation that is assumed of a range, m: the median of the sensors'.
+    pub range_std_m: f64,
+    /// What is known of a recording; `None` for a simulated run.
+    pub recording: Option<RecordingEvidence>,
+}
+
+/// What became of a sensor's ranges.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct SensorEvidence {
+    /// What people call the sensor.
+    pub name: String,
+    /// Ranges that fusion has.
+    pub ranges: u64,
+    /// Ranges that it fused.
+    pub fused: u64,
+}
+
+/// A true track beside the run.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct TruthEvidence {
+    /// Share of the ticks at which it tells the position.
+    pub covered_share: f64,
+    /// First and last time of the track, s.
+    pub span_s: [f64; 2],
+    /// First and last time of the run, s.
+    pub run_span_s: [f64; 2],
+}
+
+/// What is known of a recording.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RecordingEvidence {
+    /// Why the file may say something else than it seems to, as its reader tells.
+    pub doubts: Vec<String>,
+    /// True if the sensors have heights, and the target has none: ranges are taken as level.
+    pub has_unused_heights: bool,
+}
+
+/// Whether a result can be believed.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Verdict {
+    /// True if nothing speaks against it.
+    pub sound: bool,
+    /// What was seen, in one line.
+    pub summary: String,
+    /// Likely reasons, if it is not sound: one or two.
+    pub reasons: Vec<String>,
+    /// What the reader should know all the same.
+    pub notes: Vec<String>,
+}
+
+impl SensorEvidence {
+    fn rejected_share(&self) -> f64 {
+        1.0 - self.fused as f64 / self.ranges.max(1) as f64
+    }
+
+    /// True if most of its ranges were not fused.
+    #[must_use]
+    pub fn is_faulty(&self) -> bool {
+        self.ranges >= JUDGED_RANGES_MIN && self.rejected_share() > FAULTY_SHARE
+    }
+}
+
+impl Verdict {
+    /// Weighs the evidence.
+    #[must_use]
+    pub fn of(evidence: &Evidence) -> Self {
+        let symptoms = Symptoms::of(evidence);
+        let mut reasons = symptoms.reasons(evidence);
+        reasons.truncate(REASONS_MAX);
+        let sound = !symptoms.any();
+        Self { sound, summary: summary(evidence, &symptoms), reasons, notes: notes(evidence, sound) }
+    }
+}
+
+/// What speaks against a result.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Symptoms {
+    nothing_fused: bool,
+    rejects_most: bool,
+    rejects_many: bool,
+    misfits: bool,
+    errs: bool,
+    is_vague: bool,
+    is_doubtful: bool,
+    misses_truth: bool,
+}
+
+impl Symptoms {
+    fn of(evidence: &Evidence) -> Self {
+        let Evidence { sensors, .. } = evidence;
+        let [ranges, fused] = [|s: &SensorEvidence| s.ranges, |s: &SensorEvidence| s.fused]
+            .map(|count| sensors.iter().map(count).sum::<u64>());
+        let heard = sensors.iter().filter(|sensor| sensor.ranges > 0).count();
+        let faulty = sensors.iter().filter(|sensor| sensor.is_faulty()).count();
+        let (others, others_fused) = sensors
+            .iter()
+            .filter(|sensor| !sensor.is_faulty())
+            .fold((0, 0), |(ranges, fused), sensor| (ranges + sensor.ranges, fused + sensor.fused));
+        let others_share = 1.0 - others_fused as f64 / others.max(1) as f64;
+        let rejects_most = ranges > 0 && 2 * faulty >= heard.max(1) && faulty > 0;
+        let is_overconfident =
+            |summary: &Option<ConsistencySummary>| summary.as_ref().is_some_and(ConsistencySummary::is_overconfident);
+        Self {
+            nothing_fused: fused == 0,
+            rejects_most,
+            rejects_many: !rejects_most && others_share > REJECTED_SHARE_MAX
+                || evidence.widened_share > WIDENED_SHARE_MAX,
+            misfits: is_overconfident(&evidence.nis_capped) || is_overconfident(&evidence.nis),
+            errs: is_overconfident(&evidence.anees),
+            is_vague: fused > 0 && evidence.position_std_m > VAGUE_SHARE * evidence.median_range_m,
+            is_doubtful: evidence.recording.as_ref().is_some_and(|recording| !recording.doubts.is_empty()),
+            misses_truth: evidence.truth.is_some_and(|truth| truth.covered_share == 0.0),
+        }
+    }
+
+    fn any(self) -> bool {
+        self != Self::default()
+    }
+
+    /// True if the ranges contradict each other or the model.
+    fn contradicts(self) -> bool {
+        self.nothing_fused || self.rejects_most || self.rejects_many || self.misfits || self.errs
+    }
+
+    /// The likely reasons, the likeliest first.
+    fn reasons(self, evidence: &Evidence) -> Vec<String> {
+        let recording = evidence.recording.iter();
+        let mut reasons: Vec<String> = recording.clone().flat_map(|recording| recording.doubts.clone()).collect();
+        if self.contradicts() && recording.clone().any(|recording| recording.has_unused_heights) {
+            reasons.push(
+                "the sensors are at heights that the target's may differ from: the ranges are slant, and too long on \
+                 the plane; give --target-height M"
+                    .to_owned(),
+            );
+        }
+        if let Some(truth) = evidence.truth.filter(|_| self.misses_truth) {
+            let ([from_s, to_s], [first_s, last_s]) = (truth.span_s, truth.run_span_s);
+            reasons.push(format!(
+                "the true track ({from_s:.1} to {to_s:.1} s) does not overlap the run ({first_s:.1} to {last_s:.1} s), so \
+                 there is no error to tell: two clocks? Shift the stamps of one file"
+            ));
+        }
+        if self.contradicts() && reasons.is_empty() {
+            reasons.push(self.reason_of_misfit(evidence));
+        }
+        if self.is_vague && reasons.len() < REASONS_MAX {
+            reasons.push(self.reason_of_vagueness(evidence));
+        }
+        reasons
+    }
+
+    fn reason_of_misfit(self, evidence: &Evidence) -> String {
+        let std_m = evidence.range_std_m;
+        let heard = evidence.sensors.iter().filter(|sensor| sensor.ranges > 0).count();
+        if self.nothing_fused && evidence.sensors.iter().all(|sensor| sensor.ranges == 0) {
+            return "no range came in: see logs/ in the run folder".to_owned();
+        }
+        let is_recorded = evidence.recording.is_some();
+        if !is_recorded && self.errs && !self.misfits {
+            return "the error is larger than the filter believes although the ranges fit: robots came as close to the \
+                    target as its position is uncertain; keep a distance with --stand-off"
+                .to_owned();
+        }
+        if !is_recorded {
+            return "the ranges do not fit the scenario's model: noise, prior or target model differ from the truth"
+                .to_owned();
+        }
+        let faulty = evidence.sensors.iter().find(|sensor| sensor.is_faulty());
+        if let Some(SensorEvidence { name, ranges, fused }) = faulty.filter(|_| !self.rejects_most) {
+            return format!(
+                "sensor {name} contradicts the others: {fused} of its {ranges} ranges were fused; correct its place or \
+                 bias, or leave it out"
+            );
+        }
+        let misfit = evidence.nis_capped.or(evidence.nis).filter(|_| self.misfits).map(|nis| nis.mean.sqrt());
+        match misfit {
+            _ if self.errs && heard <= 2 => self.reason_of_vagueness(evidence),
+            Some(misfit) => format!(
+                "the ranges differ from what is expected by {misfit:.1} times the assumed {std_m} m: a bias, sensors in \
+                 the wrong place, or more noise (--range-std {:.2}); `rangehound calibrate` tells",
+                std_m * misfit
+            ),
+            None if self.errs => "the error is larger than the filter believes although the ranges fit: a bias that is \
+                                  common to the sensors, or wrong sensor positions; `rangehound calibrate` looks for a bias"
+                .to_owned(),
+            None => "the ranges contradict each other: a bias, a wrong unit, sensors in the wrong place, or two targets; \
+                     `rangehound calibrate` looks for a bias"
+                .to_owned(),
+        }
+    }
+
+    fn reason_of_vagueness(self, evidence: &Evidence) -> String {
+        let heard = evidence.sensors.iter().filter(|sensor| sensor.ranges > 0).count();
+        let std_m = evidence.position_std_m;
+        match heard {
+            0..=2 => format!(
+                "{heard} sensor{} cannot tell the target from its mirror image: the position is known to {std_m:.1} m only; \
+                 add a sensor, or give --start",
+                if heard == 1 { "" } else { "s" }
+            ),
+            _ => format!(
+                "the position is known to {std_m:.1} m only: the sensors lie on a line, too few ranges came in, or the \
+                 target's noise (--accel-psd) is set far too high"
+            ),
+        }
+    }
+}
+
+fn summary(evidence: &Evidence, symptoms: &Symptoms) -> String {
+    let [ranges, fused] = [|s: &SensorEvidence| s.ranges, |s: &SensorEvidence| s.fused]
+        .map(|count| evidence.sensors.iter().map(count).sum::<u64>());
+    let mut parts = vec![format!("{fused} of {ranges} ranges fused")];
+    for (name, figure) in [("NIS of all ranges", &evidence.nis_all), ("ANEES", &evidence.anees)] {
+        if let Some(ConsistencySummary { mean, band_95, .. }) = figure {
+            let place = if *mean > band_95.high {
+                "above"
+            } else if *mean < band_95.low {
+                "below"
+            } else {
+                "in"
+            };
+            parts.push(format!("{name} {mean:.2} ({place} its band {:.2} to {:.2})", band_95.low, band_95.high));
+        }
+    }
+    if !symptoms.nothing_fused {
+        parts.push(format!("position known to {:.2} m", evidence.position_std_m));
+    }
+    parts.join(", ")
+}
+
+fn notes(evidence: &Evidence, sound: bool) -> Vec<String> {
+    let mut notes = Vec::new();
+    let faulty: Vec<&SensorEvidence> = evidence.sensors.iter().filter(|sensor| sensor.is_faulty()).collect();
+    if sound && let [only] = faulty[..] {
+        let share = 100.0 * only.rejected_share();
+        notes.push(format!("sensor {} was left out: {share:.0} % of its ranges did not fit the others", only.name));
+    } else if sound && !faulty.is_empty() {
+        let names: Vec<&str> = faulty.iter().map(|sensor| sensor.name.as_str()).collect();
+        notes.push(format!("sensors {} were left out: most of their ranges did not fit the others", names.join(", ")));
+    }
+    if let Some(nis) = evidence.nis_all.filter(|nis| nis.mean < 0.5 && nis.mean < nis.band_95.low) {
+        let likely_m = evidence.range_std_m * nis.mean.sqrt();
+        notes.push(format!(
+            "the filter is cautious: the ranges are better than the assumed {} m (--range-std {likely_m:.2} fits)",
+            evidence.range_std_m
+        ));
+    }
+    if let Some(truth) =
+        evidence.truth.filter(|truth| (f64::MIN_POSITIVE..TRUTH_SHARE_MIN).contains(&truth.covered_share))
+    {
+        let share = 100.0 * truth.covered_share;
+        notes.push(format!("the error is of {share:.0} % of the ticks: the true track tells nothing of the others"));
+    }
+    notes
+}
+
+impl std::fmt::Display for Verdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { sound, summary, reasons, notes } = self;
+        let (style, word) = if *sound { (GOOD, "sound") } else { (BAD, "not sound") };
+        write!(f, "{}", prose_in(style, "verdict", format_args!("{word}: {summary}")))?;
+        for reason in reasons {
+            write!(f, "\n{}", prose_in(BAD, "likely reason", reason))?;
+        }
+        for note in notes {
+            write!(f, "\n{}", prose_in(DOUBTFUL, "note", note))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::statistics::Interval;
+
+    fn figure(mean: f64) -> Option<ConsistencySummary> {
+        let band_95 = Interval { low: 0.8, high: 1.2 };
+        Some(ConsistencySummary { mean, band_95, independent_samples: 100.0 })
+    }
+
+    fn sensor(name: &str, ranges: u64, fused: u64) -> SensorEvidence {
+        SensorEvidence { name: name.to_owned(), ranges, fused }
+    }
+
+    /// A recording of three sensors in a hall that nothing speaks against.
+    fn good() -> Evidence {
+        Evidence {
+            sensors: ["A", "B", "C"].map(|name| sensor(name, 100, 99)).into(),
+            nis: figure(1.0),
+            nis_all: figure(1.1),
+            nis_capped: figure(1.1),
+            anees: figure(0.9),
+            truth: Some(TruthEvidence { covered_share: 1.0, span_s: [0.0, 10.0], run_span_s: [0.0, 10.0] }),
+            position_std_m: 0.1,
+            median_range_m: 5.0,
+            widened_share: 0.0,
+            range_std_m: 0.1,
+            recording: Some(RecordingEvidence::default()),
+        }
+    }
+
+    /// The reasons of an unsound verdict.
+    fn reasons(evidence: &Evidence) -> String {
+        let verdict = Verdict::of(evidence);
+        assert!(!verdict.sound && (1..=REASONS_MAX).contains(&verdict.reasons.len()), "{verdict:?}");
+        verdict.reasons.join("; ")
+    }
+
+    #[test]
+    fn nothing_speaks_against_a_good_result() {
+        let verdict = Verdict::of(&good());
+        assert!(verdict.sound && verdict.reasons.is_empty() && verdict.notes.is_empty(), "{verdict:?}");
+        assert!(verdict.summary.contains("297 of 300 ranges fused"), "{verdict:?}");
+    }
+
+    #[test]
+    fn one_faulty_sensor_is_named_and_does_not_make_the_rest_unsound() {
+        let mut evidence = good();
+        evidence.sensors[1] = sensor("2938", 100, 20);
+        let verdict = Verdict::of(&evidence);
+        assert!(verdict.sound && verdict.notes[0].contains("sensor 2938 was left out: 80 %"), "{verdict:?}");
+        let dragged = Evidence { nis_capped: figure(4.0), ..evidence.clone() };
+        assert!(reasons(&dragged).contains("sensor 2938 contradicts the others: 20 of its 100"));
+        // Two of three: then nobody can tell which.
+        evidence.sensors[0] = sensor("A", 100, 30);
+        assert!(reasons(&evidence).contains("rangehound calibrate"));
+    }
+
+    #[test]
+    fn what_the_reader_doubts_comes_first() {
+        let doubts =
+            vec!["the ranges are in millimetres".to_owned(), "the stamps too".to_owned(), "and more".to_owned()];
+        let recording = Some(RecordingEvidence { doubts, ..RecordingEvidence::default() });
+        assert_eq!(reasons(&Evidence { recording, ..good() }), "the ranges are in millimetres; the stamps too");
+    }
+
+    #[test]
+    fn a_true_track_on_another_clock_is_told() {
+        let truth = TruthEvidence { covered_share: 0.0, span_s: [1.7e9, 1.7e9 + 9.0], run_span_s: [0.1, 10.0] };
+        let evidence = Evidence { truth: Some(truth), anees: None, ..good() };
+        assert!(reasons(&evidence).contains("does not overlap"));
+        let truth = TruthEvidence { covered_share: 0.2, ..truth };
+        assert!(Verdict::of(&Evidence { truth: Some(truth), ..good() }).notes[0].contains("20 % of the ticks"));
+    }
+
+    #[test]
+    fn misfits_are_told_by_what_they_look_like() {
+        let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..good() };
+        assert!(reasons(&misfit).contains("--range-std 0.30"));
+        let heights = || RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
+        assert!(reasons(&Evidence { recording: Some(heights()), ..misfit.clone() }).contains("--target-height"));
+        assert!(Verdict::of(&Evidence { recording: Some(heights()), ..good() }).sound);
+        assert!(reasons(&Evidence { anees: figure(30.0), ..good() }).contains("common to the sensors"));
+        assert!(reasons(&Evidence { anees: figure(30.0), recording: None, ..good() }).contains("--stand-off"));
+        let rejected = ["A", "B", "C"].map(|name| sensor(name, 100, 60));
+        assert!(reasons(&Evidence { sensors: rejected.into(), nis: figure(0.9), ..good() }).contains("calibrate"));
+        assert!(reasons(&Evidence { widened_share: 0.3, ..good() }).contains("calibrate"));
+    }
+
+    #[test]
+    fn a_few_outliers_do_not_rule_the_verdict() {
+        assert!(Verdict::of(&Evidence { nis_all: figure(20.0), nis_capped: figure(1.5), ..good() }).sound);
+    }
+
+    #[test]
+    fn who_cannot_tell_says_so() {
+        let two = vec![sensor("A", 100, 100), sensor("B", 100, 100)];
+        assert!(reasons(&Evidence { sensors: two, position_std_m: 6.0, ..good() }).contains("mirror image"));
+        assert!(reasons(&Evidence { position_std_m: 6.0, ..good() }).contains("on a line"));
+        let silent = vec![sensor("A", 0, 0)];
+        assert!(
+            reasons(&Evidence { sensors: silent, nis: None, nis_capped: None, anees: None, ..good() })
+                .contains("logs/")
+        );
+    }
+
+    #[test]
+    fn a_cautious_filter_is_sound_and_told_so() {
+        let verdict = Verdict::of(&Evidence { nis_all: figure(0.09), ..good() });
+        assert!(verdict.sound && verdict.notes[0].contains("--range-std 0.03"), "{verdict:?}");
+    }
+}

@@ -1,0 +1,245 @@
+//! A run's file on disk: under a name that says that it is not finished, until it is.
+
+use std::fs::{File, Metadata, TryLockError};
+use std::io::ErrorKind;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use mcap::McapError;
+use rangehound_node::bounded;
+use rangehound_node::rendezvous::RunDescription;
+use rustix::fs::OFlags;
+
+use super::count::{Found, look, ticks_told};
+use super::write::{FrameWriter, Written};
+use crate::failure::Failure;
+use crate::files::layout::SCENARIO;
+use crate::files::out_folder;
+use crate::files::whole_file::{self, PARTIAL, with_ending};
+use crate::results::frame::Frame;
+
+/// Longest scenario file that is put in.
+const SCENARIO_LEN_MAX: usize = 4 << 20;
+
+/// How long a killed process may have its lock, and how often it is looked at.
+const DYING: Duration = Duration::from_millis(500);
+const POLL: Duration = Duration::from_millis(20);
+
+/// The file in the making.
+pub struct RunFile {
+    path: PathBuf,
+    partial: PathBuf,
+    run_id: u64,
+    /// What a killed recorder of the same run had made, put aside until there is more.
+    leftover: Option<PathBuf>,
+    /// Ticks written.
+    taken: u64,
+    writer: FrameWriter<File>,
+}
+
+/// What the user must mend if a file cannot be made.
+pub fn unusable(error: anyhow::Error) -> Failure {
+    Failure::input(format!("expected a file that can be written: {error:#}"))
+}
+
+/// The name of a file that is not finished.
+#[must_use]
+pub fn partial(path: &Path) -> PathBuf {
+    with_ending(path, PARTIAL)
+}
+
+/// There is a fuller recording of the run already.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: it holds {there} ticks of the run, what is left of the logs only {made}: it is kept as it is", .path.display())]
+pub struct Poorer {
+    path: PathBuf,
+    there: u64,
+    made: u64,
+}
+
+impl RunFile {
+    /// Begins the file of a run, with the scenario file of its folder if there is one.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub fn begin(path: &Path, description: &RunDescription, bytes_max: u64) -> anyhow::Result<Self> {
+        let scenario = bounded::read(&description.out_dir.join(SCENARIO), SCENARIO_LEN_MAX).ok();
+        Self::begin_as(&partial(path), path, description, scenario.as_deref(), bytes_max)
+    }
+
+    /// Begins the file of a run under this name until it is finished, with this scenario.
+    ///
+    /// # Errors
+    /// If it cannot be made, another process is making it, or what has one of the names is no recording of this run.
+    pub fn begin_as(
+        partial: &Path,
+        path: &Path,
+        description: &RunDescription,
+        scenario: Option<&[u8]>,
+        bytes_max: u64,
+    ) -> anyhow::Result<Self> {
+        let run_id = description.run_id;
+        if look(path, run_id) == Found::Foreign {
+            bail!("{}: it is there already, and no recording of this run: choose another name", path.display());
+        }
+        let (file, leftover) = lock(partial, run_id)?;
+        let writer = FrameWriter::begin(file, description, scenario, bytes_max).map_err(|error| {
+            let _ = std::fs::remove_file(partial);
+            give_back(leftover.as_deref(), partial);
+            named(partial, error.downcast().map_or_else(|error| error, of))
+        })?;
+        Ok(Self { path: path.to_owned(), partial: partial.to_owned(), run_id, leftover, taken: 0, writer })
+    }
+
+    /// Writes a frame.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn write(&mut self, frame: &Frame) -> anyhow::Result<Written> {
+        let written = self.writer.write(frame).map_err(|error| named(&self.partial, of(error)))?;
+        self.taken += u64::from(written == Written::Taken);
+        Ok(written)
+    }
+
+    /// Ends the chunk in the making if it is a second old.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn flush_if_due(&mut self) -> anyhow::Result<()> {
+        self.writer.flush_if_due().map_err(|error| named(&self.partial, of(error)))
+    }
+
+    /// Writes index and summary, and gives the file its name, unless a fuller one has it.
+    ///
+    /// # Errors
+    /// [`Poorer`]; others if the system refuses, or the file does not hold what was written to it.
+    pub fn finish(self) -> anyhow::Result<()> {
+        let Self { path, partial, run_id, leftover, taken, writer } = self;
+        let file = writer.finish().map_err(|error| named(&partial, of(error)))?;
+        if !is_named(&file, &partial) {
+            bail!("{}: another process has taken its name away", partial.display());
+        }
+        match ticks_told(&file) {
+            Some(ticks) if ticks == taken => {}
+            ticks => bail!("{}: it holds {} ticks, {taken} were written", partial.display(), ticks.unwrap_or(0)),
+        }
+        let rename = match look(&path, run_id) {
+            Found::Same(there) if there > taken => {
+                let _ = std::fs::remove_file(&partial);
+                give_back(leftover.as_deref(), &partial);
+                return Err(Poorer { path, there, made: taken }.into());
+            }
+            Found::Same(_) => |from: &Path, to: &Path| std::fs::rename(from, to),
+            Found::Nothing | Found::Foreign => whole_file::rename_to_free,
+        };
+        out_folder::note_finished(&path, &file)
+            .and_then(|()| rename(&partial, &path))
+            .with_context(|| path.display().to_string())?;
+        let is_fuller = |leftover: &Path| {
+            let len = |file: std::io::Result<Metadata>| file.map_or(0, |file| file.len());
+            // Mostly its length tells that without reading it.
+            len(std::fs::metadata(leftover)) > len(file.metadata())
+                && matches!(look(leftover, run_id), Found::Same(ticks) if ticks > taken)
+        };
+        match leftover {
+            Some(leftover) if is_fuller(&leftover) => {
+                give_back(Some(&leftover), &partial);
+                log::warn!("{} holds more ticks than {}: both are kept", partial.display(), path.display());
+            }
+            Some(leftover) => drop(std::fs::remove_file(leftover)),
+            None => {}
+        }
+        Ok(())
+    }
+
+    /// Takes the file away: there is nothing in it.
+    pub fn discard(self) {
+        drop(self.writer);
+        let _ = std::fs::remove_file(&self.partial);
+        give_back(self.leftover.as_deref(), &self.partial);
+    }
+}
+
+/// Makes the file under its first name, locked: one process at a time writes it. What a kill has left there of the same
+/// run is put aside, and its name returned.
+fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> {
+    let named = || partial.display().to_string();
+    let began = Instant::now();
+    loop {
+        let opened = File::options().read(true).write(true).create_new(true).open(partial);
+        let (file, is_new) = match opened {
+            Ok(file) => (file, true),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                let flags = OFlags::NOFOLLOW.bits().cast_signed();
+                match File::options().read(true).write(true).custom_flags(flags).open(partial) {
+                    Ok(file) => (file, false),
+                    Err(error) if error.kind() == ErrorKind::NotFound => continue,
+                    Err(error) => return Err(error).with_context(named),
+                }
+            }
+            Err(error) => return Err(error).with_context(named),
+        };
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) if began.elapsed() < DYING => {
+                std::thread::sleep(POLL);
+                continue;
+            }
+            Err(TryLockError::WouldBlock) => {
+                bail!(
+                    "{}: another process is writing it: wait for its end, or choose another name with --out",
+                    named()
+                );
+            }
+            // A file system without locks has room for recordings all the same.
+            Ok(()) | Err(TryLockError::Error(_)) => {}
+        }
+        if !is_named(&file, partial) {
+            continue;
+        }
+        if is_new || file.metadata().with_context(named)?.len() == 0 {
+            out_folder::note_growing(partial).with_context(named)?;
+            return Ok((file, None));
+        }
+        if !matches!(look(partial, run_id), Found::Same(_)) && !out_folder::is_ours(partial) {
+            bail!("{}: it is there already, and no recording of this run: move it away", named());
+        }
+        let aside = with_ending(partial.with_extension("").as_path(), &format!(".{}{PARTIAL}", std::process::id()));
+        whole_file::rename_to_free(partial, &aside).with_context(named)?;
+        out_folder::note_growing(&aside).with_context(named)?;
+        let made = File::options().read(true).write(true).create_new(true).open(partial).with_context(named)?;
+        // The new one is locked before the old one is let go.
+        let locked = made.try_lock();
+        if matches!(locked, Err(TryLockError::WouldBlock)) {
+            bail!("{}: another process is writing it", named());
+        }
+        out_folder::note_growing(partial).with_context(named)?;
+        return Ok((made, Some(aside)));
+    }
+}
+
+/// Gives what a kill has left its name again.
+fn give_back(leftover: Option<&Path>, partial: &Path) {
+    if let Some(leftover) = leftover {
+        let _ = whole_file::rename_to_free(leftover, partial).and_then(|()| out_folder::note_growing(partial));
+    }
+}
+
+fn is_named(file: &File, path: &Path) -> bool {
+    let identity = |file: std::io::Result<Metadata>| file.map(|file| (file.dev(), file.ino())).ok();
+    let of_file = identity(file.metadata());
+    of_file.is_some() && of_file == identity(path.symlink_metadata())
+}
+
+/// What lies behind the library's word: it says that there was an error of the system, and not which.
+fn of(error: McapError) -> anyhow::Error {
+    match error {
+        McapError::Io(error) => error.into(),
+        other => other.into(),
+    }
+}
+
+fn named(path: &Path, error: anyhow::Error) -> anyhow::Error {
+    anyhow::anyhow!("{}: {error}", path.display())
+}

@@ -1,0 +1,330 @@
+//! What travels on the six topics: the messages of a [`Frame`], and a frame of its messages, bit for bit.
+
+use rangehound_shared::digest::Digest;
+use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
+use rangehound_shared::record::{
+    Exchange, FusionRecord, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
+};
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::{Scenario, Source, bounds};
+
+use super::messages::{
+    CommandTo, Drive, Estimate, Heading, OnTopic, Place, Range, Refused, Stages, TOPICS, Truth, World,
+};
+use crate::results::frame::Frame;
+
+/// Nothing that can have been recorded is farther away, m.
+const PLACE_MAX_M: f64 = 1e12;
+
+/// All that travelled in a tick.
+pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
+    let Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world } = frame;
+    let (tick, time_s) = (*tick, *time_s);
+    let places = world.robots.iter().map(|robot| {
+        let [x_m, y_m] = robot.position_m;
+        Place { x_m, y_m, range_m: robot.range_m, height_m: robot.height_m }
+    });
+    let world_message = World { tick, time_s: world.time_s, robots: places.collect(), ended_ns: world.ended_ns };
+    let ranges = exchanges.iter().zip(&world.robots).zip(0..).filter_map(move |((exchange, body), robot)| {
+        let sent_ns = body.range_sent_ns;
+        let (position_m, height_m) =
+            exchange.heard.map_or((body.position_m, body.height_m), |heard| (heard.position_m, heard.height_m));
+        let (range_m, taken_at) = (exchange.heard.and_then(|heard| heard.range_m), exchange.heard.map(|h| h.taken_at));
+        let judged = exchange.heard.and_then(|heard| heard.judged);
+        // What nobody sent and nobody heard was not.
+        (taken_at.is_some() || sent_ns.is_some()).then(|| {
+            let ([x_m, y_m], (range_m, range_std_m)) = (position_m, range_m.unzip());
+            OnTopic::Range(Range {
+                tick,
+                time_s,
+                robot,
+                x_m,
+                y_m,
+                range_m,
+                range_std_m,
+                taken_at_tick: taken_at,
+                sent_ns,
+                height_m,
+                used: judged.map(|judged| judged.used.name().to_owned()),
+                normalised_square: judged.and_then(|judged| judged.normalised_square),
+            })
+        })
+    });
+    let commands = exchanges
+        .iter()
+        .map(|Exchange { command: Command { heading_rad, speed_mps }, .. }| CommandTo {
+            heading_rad: *heading_rad,
+            speed_mps: *speed_mps,
+        })
+        .collect();
+    let heading = Heading { tick, time_s, commands, sent_ns: estimate.stages.sent_ns };
+    let drives = world.robots.iter().zip(0..).filter_map(move |(body, robot)| {
+        let silent = RobotRecord {
+            position_m: body.position_m,
+            height_m: body.height_m,
+            range_m: body.range_m,
+            ..RobotRecord::default()
+        };
+        let drive = || {
+            let Command { heading_rad, speed_mps } = body.driven;
+            OnTopic::Drive(Drive {
+                tick,
+                time_s,
+                robot,
+                heading_rad,
+                speed_mps,
+                heading: name_of(body.heading).to_owned(),
+                range_sent_ns: body.range_sent_ns,
+                heading_held_ns: body.heading_held_ns,
+                headings_refused: body.headings_refused,
+            })
+        };
+        (*body != silent).then(drive)
+    });
+    let truth = (!world.truth.is_empty())
+        .then(|| OnTopic::Truth(Truth { tick, time_s: world.time_s, state: world.truth.clone() }));
+    // As things happen in a tick.
+    std::iter::once(OnTopic::World(world_message))
+        .chain(truth)
+        .chain(ranges)
+        .chain([OnTopic::Heading(heading), OnTopic::Estimate(Box::new(estimate_message(tick, time_s, estimate)))])
+        .chain(drives)
+}
+
+fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Estimate {
+    let n = estimate.state_dim as usize;
+    let [impostor, out_of_range, malformed, future, contradiction, jump] = estimate.refused;
+    let StagesOfFusion { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } = estimate.stages;
+    Estimate {
+        tick,
+        time_s,
+        state: estimate.state[..n].to_vec(),
+        covariance: estimate.covariance[..n * n].to_vec(),
+        nis: estimate.nis,
+        fused: estimate.fused,
+        rejected: estimate.rejected,
+        missing: estimate.missing,
+        late: estimate.late,
+        fused_late: estimate.fused_late,
+        rejected_late: estimate.rejected_late,
+        refused: Some(Refused { impostor, out_of_range, malformed, future, contradiction, jump }),
+        distrusted: RobotSet::from_bits(estimate.distrusted).iter().map(|id| id as u64).collect(),
+        objective: estimate.objective,
+        lower_bound: estimate.lower_bound,
+        stages: Some(Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns }),
+        digest: digest_of(estimate).to_string(),
+        nis_all: estimate.nis_all,
+        tested: estimate.tested,
+        noise_scale: estimate.noise_scale,
+        least_trace_m2: estimate.least_trace_m2,
+    }
+}
+
+/// The rolling digest after an estimate.
+#[must_use]
+pub fn digest_of(estimate: &EstimateOfFusion) -> Digest {
+    Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]))
+}
+
+/// Why messages are no tick of a run.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Senseless {
+    /// Their bytes are damaged, or their numbers.
+    #[error("tick {tick}: a message on {topic} makes no sense")]
+    Message {
+        /// The tick.
+        tick: u64,
+        /// Of which topic.
+        topic: &'static str,
+    },
+    /// One is lacking.
+    #[error("tick {tick}: nothing on {topic}")]
+    Lacking {
+        /// The tick.
+        tick: u64,
+        /// Of which topic.
+        topic: &'static str,
+    },
+}
+
+/// The messages of one tick, until they are a [`Frame`].
+#[derive(Debug)]
+pub struct Gathering {
+    tick: u64,
+    robots: usize,
+    state_dim: usize,
+    has_truth: bool,
+    world: Option<WorldRecord>,
+    estimate: Option<(f64, EstimateOfFusion)>,
+    exchanges: Vec<Exchange>,
+    driven: Vec<Option<Drive>>,
+    truth: Vec<f64>,
+    has_headings: bool,
+}
+
+impl Gathering {
+    /// Nothing yet, of a tick of a run of this scenario.
+    #[must_use]
+    pub fn of(scenario: &Scenario, tick: u64) -> Self {
+        let robots = scenario.robots.len();
+        Self {
+            tick,
+            robots,
+            state_dim: scenario.motion.state_dim(),
+            has_truth: matches!(scenario.source, Source::Simulated { .. }),
+            world: None,
+            estimate: None,
+            exchanges: vec![Exchange::default(); robots],
+            driven: vec![None; robots],
+            truth: Vec::new(),
+            has_headings: false,
+        }
+    }
+
+    /// Takes a message of this tick.
+    ///
+    /// # Errors
+    /// If it cannot be of such a run.
+    pub fn take(&mut self, message: OnTopic) -> Result<(), Senseless> {
+        let topic = TOPICS[message.topic()];
+        self.admit(message).ok_or(Senseless::Message { tick: self.tick, topic })
+    }
+
+    fn admit(&mut self, message: OnTopic) -> Option<()> {
+        match message {
+            OnTopic::World(World { time_s, robots, ended_ns, .. }) => {
+                let sound = |place: &Place| {
+                    [place.x_m, place.y_m, place.height_m, place.range_m.unwrap_or(0.0)].into_iter().all(is_near)
+                };
+                (robots.len() == self.robots && robots.iter().all(sound) && time_s.is_finite()).then_some(())?;
+                let robots = robots.into_iter().map(|Place { x_m, y_m, range_m, height_m }| RobotRecord {
+                    position_m: [x_m, y_m],
+                    height_m,
+                    range_m,
+                    ..RobotRecord::default()
+                });
+                self.world = Some(WorldRecord { time_s, ended_ns, truth: Vec::new(), robots: robots.collect() });
+            }
+            OnTopic::Range(range) => {
+                let slot = self.exchanges.get_mut(usize::try_from(range.robot).ok()?)?;
+                let Range { x_m, y_m, range_m, range_std_m, taken_at_tick, height_m, used, normalised_square, .. } =
+                    range;
+                let range_m = range_m.zip(range_std_m);
+                let is_sound =
+                    range_m.is_none_or(|(range_m, std_m)| is_near(range_m) && bounds::STD_M.contains(&std_m));
+                ([x_m, y_m, height_m].into_iter().all(is_near) && is_sound).then_some(())?;
+                let judged = match used {
+                    None => None,
+                    Some(name) => {
+                        let used = RangeUse::ALL.into_iter().find(|used| used.name() == name)?;
+                        let normalised_square = normalised_square.filter(|square| !square.is_nan());
+                        Some(Judged { used, normalised_square })
+                    }
+                };
+                let heard = |taken_at| Heard { position_m: [x_m, y_m], height_m, range_m, taken_at, judged };
+                slot.heard = taken_at_tick.map(heard);
+                slot.heard.is_none_or(|heard| heard.taken_at >= self.tick).then_some(())?;
+            }
+            OnTopic::Heading(Heading { commands, .. }) => {
+                (commands.len() == self.robots).then_some(())?;
+                for (slot, CommandTo { heading_rad, speed_mps }) in self.exchanges.iter_mut().zip(commands) {
+                    slot.command = Command { heading_rad, speed_mps };
+                }
+                self.has_headings = true;
+            }
+            OnTopic::Drive(drive) => {
+                let slot = self.driven.get_mut(usize::try_from(drive.robot).ok()?)?;
+                *slot = Some(drive);
+            }
+            OnTopic::Estimate(estimate) => {
+                self.estimate = Some((estimate.time_s, estimate_of(&estimate, self.state_dim)?))
+            }
+            OnTopic::Truth(Truth { state, .. }) => {
+                (self.has_truth && state.len() == self.state_dim).then_some(())?;
+                self.truth = state;
+            }
+        }
+        Some(())
+    }
+
+    /// The tick, if all is there.
+    ///
+    /// # Errors
+    /// With what is lacking.
+    pub fn into_frame(self) -> Result<Frame, Senseless> {
+        let Self { tick, has_truth, world, estimate, exchanges, driven, truth, has_headings, .. } = self;
+        let lacking = |topic| Senseless::Lacking { tick, topic };
+        if !has_headings {
+            return Err(lacking("/heading"));
+        }
+        if has_truth && truth.is_empty() {
+            return Err(lacking("/truth"));
+        }
+        let mut world = world.ok_or(lacking("/world"))?;
+        world.truth = truth;
+        for (robot, drive) in world.robots.iter_mut().zip(driven) {
+            let Some(drive) = drive else { continue };
+            robot.driven = Command { heading_rad: drive.heading_rad, speed_mps: drive.speed_mps };
+            robot.heading =
+                Followed::ALL.into_iter().find(|heading| name_of(*heading) == drive.heading).unwrap_or_default();
+            robot.range_sent_ns = drive.range_sent_ns;
+            robot.heading_held_ns = drive.heading_held_ns;
+            robot.headings_refused = drive.headings_refused;
+        }
+        let (time_s, estimate) = estimate.ok_or(lacking("/estimate"))?;
+        Ok(Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world })
+    }
+}
+
+/// What is in a message of what a robot drove by.
+fn name_of(heading: Followed) -> &'static str {
+    match heading {
+        Followed::Unknown => "unknown",
+        Followed::Fresh => "fresh",
+        Followed::Late => "late",
+        Followed::None => "none",
+    }
+}
+
+fn is_near(value: f64) -> bool {
+    value.abs() <= PLACE_MAX_M
+}
+
+/// An estimate as fusion put it down, if its sizes are those of the run.
+fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion> {
+    let n = state_dim;
+    (message.state.len() == n && message.covariance.len() == n * n && message.time_s.is_finite()).then_some(())?;
+    let digest = u128::from_str_radix(&message.digest, 16).ok()?;
+    let Refused { impostor, out_of_range, malformed, future, contradiction, jump } =
+        message.refused.clone().unwrap_or_default();
+    let Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } =
+        message.stages.clone().unwrap_or_default();
+    let mut distrusted = RobotSet::default();
+    for id in &message.distrusted {
+        distrusted.set(usize::try_from(*id).ok().filter(|id| *id < rangehound_shared::ROBOTS_MAX)?, true);
+    }
+    let mut estimate = EstimateOfFusion {
+        state_dim: n as u64,
+        nis: message.nis,
+        fused: message.fused,
+        rejected: message.rejected,
+        missing: message.missing,
+        late: message.late,
+        fused_late: message.fused_late,
+        rejected_late: message.rejected_late,
+        refused: [impostor, out_of_range, malformed, future, contradiction, jump],
+        distrusted: distrusted.to_bits(),
+        objective: message.objective,
+        lower_bound: message.lower_bound,
+        stages: StagesOfFusion { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns },
+        digest: [digest as u64, (digest >> 64) as u64],
+        nis_all: message.nis_all,
+        tested: message.tested,
+        noise_scale: message.noise_scale,
+        least_trace_m2: message.least_trace_m2,
+        ..EstimateOfFusion::default()
+    };
+    estimate.state[..n].copy_from_slice(&message.state);
+    estimate.covariance[..n * n].copy_from_slice(&message.covariance);
+    Some(estimate)
+}

@@ -1,0 +1,79 @@
+//! CSV tables of a run.
+
+use std::io::Write;
+
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
+use rangehound_shared::message::{Estimate, RangeKind, WorldEntry};
+use rangehound_shared::record::{FusionRecord, WorldRecord};
+use rangehound_shared::scenario::Source;
+
+use super::frame::{Frames, PutDown};
+use super::report::position_covariance;
+use crate::files::layout::{ESTIMATES, RANGES, TRUTH};
+use crate::files::whole_file::WholeFile;
+
+/// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes
+/// several ticks for it, of which the last knows most. A recording's tick 0 is left out: it comes before the first range,
+/// when nothing is known.
+///
+/// # Errors
+/// If a file cannot be read or written.
+pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
+    let RunDescription { scenario, out_dir, .. } = description;
+    let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
+    let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
+    writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
+    let mut last: Option<(f64, Estimate)> = None;
+    Frames::open(description)?.for_each(|PutDown { tick, fusion, .. }| {
+        let Some(FusionRecord { time_s, estimate, .. }) = fusion.filter(|_| tick >= first_tick) else { return Ok(()) };
+        if let Some((last_s, last)) = last.filter(|(last_s, _)| last_s != time_s) {
+            write_estimate_row(&mut out, last_s, &last)?;
+        }
+        last = Some((*time_s, *estimate));
+        Ok(())
+    })?;
+    if let Some((time_s, estimate)) = last {
+        write_estimate_row(&mut out, time_s, &estimate)?;
+    }
+    out.finish()
+}
+
+fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) -> std::io::Result<()> {
+    // Models without velocities (a random walk) take them to be zero.
+    let [x, y, vx, vy, ..] = estimate.state;
+    let p = position_covariance(estimate);
+    writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
+}
+
+/// Writes `ranges.csv` and `truth.csv` of a simulated run: what the robots measured, in the form of
+/// a recording, and where the target was.
+///
+/// # Errors
+/// If a file cannot be read or written.
+pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
+    let RunDescription { scenario, out_dir, .. } = description;
+    let mut ranges = WholeFile::create(&out_dir.join(RANGES))?;
+    let mut truths = WholeFile::create(&out_dir.join(TRUTH))?;
+    writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
+    writeln!(truths, "time_s,x_m,y_m")?;
+    let mut sensors: Vec<SimulatedSensor> =
+        (0..scenario.robots.len()).filter_map(|robot| SimulatedSensor::new(scenario, robot)).collect();
+    Frames::open(description)?.for_each(|PutDown { tick, world, .. }| {
+        let Some(WorldRecord { time_s, truth, robots, .. }) = world else { return Ok(()) };
+        let &[x_m, y_m, ..] = truth.as_slice() else { return Ok(()) };
+        writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
+        for (id, (robot, sensor)) in robots.iter().zip(&mut sensors).enumerate() {
+            let [robot_x_m, robot_y_m] = robot.position_m;
+            // Noise is a function of (seed, robot, tick), so the range is measured again, the same.
+            let range_m = (x_m - robot_x_m).hypot(y_m - robot_y_m);
+            let entry = WorldEntry { range_m, range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
+            if let Some(range_m) = sensor.measure(tick, &entry).filter(|_| robot.range_sent_ns.is_some()) {
+                writeln!(ranges, "{time_s:.4},{id},{robot_x_m:.4},{robot_y_m:.4},{:.4}", range_m.max(0.0))?;
+            }
+        }
+        Ok(())
+    })?;
+    ranges.finish()?;
+    truths.finish()
+}

@@ -1,0 +1,378 @@
+//! From the command line to a validated scenario, a run's name and its folder.
+
+use std::path::{Path, PathBuf};
+
+use rangehound_fusion::planner;
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, RunDescription, living_runs};
+use rangehound_shared::recording::{ReadSummary, Recording};
+use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{
+    FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
+    defaults,
+};
+
+use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};
+use crate::failure::{self, Failure};
+use crate::files::input::{self, in_utf8};
+use crate::files::layout::RUNS;
+use crate::files::out_folder::NUMBERS_END;
+use crate::run::node::input_or_running;
+
+/// The default scenario file, as `rangehound scenario` prints it.
+pub const DEFAULT_SCENARIO: &str = include_str!("../../scenarios/paper.toml");
+
+/// What complaints about flags name in place of a scenario file.
+pub(crate) const COMMAND_LINE: &str = "command line";
+
+/// How a run gets its name when the user gives none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Naming {
+    /// The scenario's name, numbered if that is taken: no earlier result is overwritten unasked.
+    Numbered,
+    /// The scenario's name: nodes in other terminals know it.
+    Exact,
+}
+
+/// An experiment that may start: everything the user gave has been checked.
+#[derive(Debug)]
+pub struct Experiment {
+    /// Name of the run.
+    pub name: RunName,
+    /// What its nodes must know.
+    pub description: RunDescription,
+    /// The scenario file that leads here again, overrides included: for the run folder, beside the recording's copy.
+    pub scenario_file: ScenarioFile,
+    /// Files that were read to make it. Nothing may be written over them.
+    inputs: Vec<PathBuf>,
+    /// How it goes on to another name, if the user has left that to this program.
+    numbered: Option<Numbered>,
+}
+
+/// What numbered names are made of.
+#[derive(Debug)]
+struct Numbered {
+    wanted: String,
+    /// The folder made for this one name; `None` if the user has chosen one.
+    folder: Option<Reserved>,
+}
+
+/// A folder made so that no other process takes its name. It goes again if nothing has come into it.
+#[derive(Debug)]
+pub struct Reserved(PathBuf);
+
+impl Drop for Reserved {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir(&self.0);
+    }
+}
+
+impl Experiment {
+    /// The experiment of `run` and `sim`.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
+        Self::from_given(Given::from_args(args)?, args.name.as_ref(), naming, args.out.as_deref())
+    }
+
+    /// The experiment of a scenario file as it was given.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub fn from_given(
+        given: Given,
+        name: Option<&RunName>,
+        naming: Naming,
+        out: Option<&Path>,
+    ) -> Result<Self, Failure> {
+        let Given { file, file_name, folder, path } = given;
+        let mut experiment = Self::check(file, &file_name, &folder, None, name, naming, out)?;
+        experiment.inputs.extend(path);
+        Ok(experiment)
+    }
+
+    /// The experiment of `track`.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub fn from_track(args: &TrackArgs) -> Result<Self, Failure> {
+        let mut recording = RecordingTable {
+            range_std_m: args.range_std,
+            start_m: args.start,
+            start_std_m: args.start_std,
+            ..recording_table(&args.input)?
+        };
+        let mut sensors: Vec<SensorTable> = Vec::new();
+        apply(&args.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
+        apply(&args.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
+        recording.sensor = Some(sensors);
+        let mut accel_psd = args.accel_psd;
+        let read = input::recording_of(&recording, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+        if let Some(path) = &args.calibration {
+            let calibration = crate::files::calibration::read(path)?;
+            let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
+            crate::files::calibration::merge(&calibration, &known, &mut recording, &mut accel_psd);
+        }
+        let file = ScenarioFile {
+            name: Some(name_after(&args.input.ranges)),
+            recording: Some(recording),
+            target: Some(TargetTable { noise_psd: accel_psd, ..TargetTable::default() }),
+            filter: Some(FilterTable {
+                gate_sigma: args.gate.gate.clone(),
+                distrust: args.gate.distrust(),
+                ..FilterTable::default()
+            }),
+            ..ScenarioFile::default()
+        };
+        let (name, out) = (args.name.as_ref(), args.out.as_deref());
+        let mut experiment = Self::check(file, COMMAND_LINE, Path::new(""), Some(read), name, Naming::Numbered, out)?;
+        experiment.inputs.extend(args.calibration.clone());
+        experiment.inputs.extend(args.truth.clone());
+        let assumed = [
+            (
+                args.range_std.is_none() && args.calibration.is_none(),
+                format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M),
+            ),
+            (
+                args.accel_psd.is_none() && args.calibration.is_none(),
+                format!("an acceleration psd of {} m^2/s^3 (--accel-psd)", defaults::RECORDED_ACCEL_PSD),
+            ),
+        ];
+        let assumed: Vec<String> = assumed.into_iter().filter(|(is, _)| *is).map(|(_, what)| what).collect();
+        if !assumed.is_empty() {
+            failure::tell(format!(
+                "track: assumes {}: give what is known, or find it by `rangehound calibrate`",
+                assumed.join(" and ")
+            ));
+        }
+        Ok(experiment)
+    }
+
+    /// Files that were read to make it: scenario, recording, anchors, true track.
+    #[must_use]
+    pub fn inputs(&self) -> Vec<&Path> {
+        self.inputs.iter().map(PathBuf::as_path).collect()
+    }
+
+    /// The description for those who read the recording's copy: without what has been read.
+    #[must_use]
+    pub fn description_for_nodes(&self) -> RunDescription {
+        let mut description = self.description.clone();
+        if let Source::Recorded(ranges) = &mut description.scenario.source {
+            ranges.forget();
+        }
+        description
+    }
+
+    fn check(
+        mut file: ScenarioFile,
+        file_name: &str,
+        folder: &Path,
+        read: Option<(Recording, ReadSummary)>,
+        name: Option<&RunName>,
+        naming: Naming,
+        out: Option<&Path>,
+    ) -> Result<Self, Failure> {
+        let scenario = match read {
+            Some(read) => Scenario::from_file_with(&file, file_name, |_| Ok(read)),
+            None => input::scenario(&file, file_name, folder),
+        };
+        let scenario = scenario.map_err(Failure::input)?;
+        let mut inputs = Vec::new();
+        if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
+            inputs.extend(recording.inputs(folder));
+            let (rows, sensors) = (ranges.summary.rows, scenario.robots.len());
+            failure::tell(format!("recording: {rows} ranges of {sensors} sensors; read as {}", ranges.summary.read_as));
+            for line in ranges.summary.lines() {
+                failure::tell(format!("recording: {line}"));
+            }
+            file.recording = Some(recording.of_copy());
+        }
+        planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
+            .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
+        let folder = std::path::absolute(out.unwrap_or(Path::new(RUNS)));
+        in_utf8("--out", &folder.map_err(|error| Failure::input(format!("--out: {error}")))?)?;
+        let (name, numbered) = match (name, naming) {
+            (Some(name), _) => (name.clone(), None),
+            (None, Naming::Exact) => {
+                (scenario.name.parse().map_err(|error| Failure::input(format!("name: {error}")))?, None)
+            }
+            (None, Naming::Numbered) => {
+                let wanted = scenario.name.clone();
+                let (name, folder) = free_name(&wanted, out.is_some())?;
+                (name, Some(Numbered { wanted, folder }))
+            }
+        };
+        let out = out.map_or_else(|| Path::new(RUNS).join(name.to_string()), Path::to_owned);
+        let out_dir = std::path::absolute(&out).map_err(|error| Failure::input(format!("--out: {error}")))?;
+        let description = RunDescription::new(scenario, out_dir);
+        Ok(Self { name, description, scenario_file: file, inputs, numbered })
+    }
+
+    /// Founds its run. Where the user gave no name and another process has just taken this one, the next is taken.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn found(&mut self) -> Result<Rendezvous, Failure> {
+        loop {
+            let description = self.description_for_nodes();
+            let Some(Numbered { wanted, folder }) = &mut self.numbered else {
+                return Rendezvous::found(&self.name, description).map_err(input_or_running);
+            };
+            match Rendezvous::found_if_free(&self.name, description) {
+                Err(RendezvousError::Taken { .. }) => {
+                    let (name, reserved) = free_name(wanted, folder.is_none())?;
+                    if let Some(reserved) = reserved {
+                        self.description.out_dir = std::path::absolute(&reserved.0)?;
+                        *folder = Some(reserved);
+                    }
+                    self.name = name;
+                }
+                founded => return founded.map_err(input_or_running),
+            }
+        }
+    }
+}
+
+/// What the command line says of a recording's form, as a scenario says it.
+///
+/// # Errors
+/// [`Failure::Input`] for a path that is not UTF-8.
+pub fn recording_table(args: &InputArgs) -> Result<RecordingTable, Failure> {
+    let anchors = args.anchors.as_deref().map(|path| in_utf8("--anchors", path)).transpose()?;
+    Ok(RecordingTable {
+        ranges: Some(in_utf8("RANGES", &args.ranges)?.to_owned()),
+        columns: args.columns.clone(),
+        anchors: anchors.map(str::to_owned),
+        target: args.target.clone(),
+        format: args.format.clone(),
+        rate_hz: args.rate,
+        stamp_unit: args.stamp_unit.clone(),
+        strict: args.strict.then_some(true),
+        target_height_m: args.target_height,
+        ..RecordingTable::default()
+    })
+}
+
+/// A scenario file with the command line's values over its own, not yet checked.
+#[derive(Debug, Clone)]
+pub struct Given {
+    /// The scenario.
+    pub file: ScenarioFile,
+    /// What to call it in errors.
+    pub file_name: String,
+    /// What paths in it are relative to.
+    pub folder: PathBuf,
+    /// The file, if it was read from one.
+    pub path: Option<PathBuf>,
+}
+
+impl Given {
+    /// The file that the user named, or the paper's experiment.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] if the file cannot be read or does not go with the flags.
+    pub fn from_args(args: &ExperimentArgs) -> Result<Self, Failure> {
+        let mut given = match &args.scenario {
+            Some(path) => Self {
+                file: input::scenario_file(path).map_err(Failure::input)?,
+                file_name: path.display().to_string(),
+                folder: path.parent().unwrap_or(Path::new("")).to_owned(),
+                path: Some(path.clone()),
+            },
+            None => Self {
+                file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
+                // Of the default nothing can be wrong but what the command line puts over it.
+                file_name: COMMAND_LINE.to_owned(),
+                folder: PathBuf::new(),
+                path: None,
+            },
+        };
+        override_with(&mut given.file, args)?;
+        Ok(given)
+    }
+}
+
+/// Puts the command line's values over the file's.
+pub(crate) fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), Failure> {
+    if args.robots.is_some() {
+        if file.robot.is_some() || file.recording.is_some() {
+            return Err(Failure::input(
+                "--robots: expected a scenario that counts its robots, got one that lists them",
+            ));
+        }
+        file.robots.get_or_insert_with(RobotsTable::default).count = args.robots;
+    }
+    if args.planner.is_some() {
+        file.planner.get_or_insert_with(PlannerTable::default).name.clone_from(&args.planner);
+    }
+    if args.stand_off.is_some() {
+        let planner = file.planner.get_or_insert_default();
+        // However the file says it.
+        (planner.stand_off_m, planner.stand_off_sigma) = (args.stand_off, None);
+    }
+    let clock = args.clock.map(|clock| match clock {
+        ClockArg::Realtime => "realtime".to_owned(),
+        ClockArg::Lockstep => "lockstep".to_owned(),
+    });
+    file.clock = clock.or_else(|| file.clock.take());
+    file.ticks = args.ticks.or(file.ticks);
+    file.seed = args.seed.or(file.seed);
+    file.patience_s = args.patience.clone().or_else(|| file.patience_s.take());
+    Ok(())
+}
+
+/// Sorts values for all sensors from those for one; the last word on each counts.
+fn apply(
+    values: &[PerSensor],
+    all: &mut Option<f64>,
+    sensors: &mut Vec<SensorTable>,
+    field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
+) {
+    for PerSensor { sensor, value } in values {
+        match sensor {
+            None => *all = Some(*value),
+            Some(id) => {
+                let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
+                    sensors.push(SensorTable::new(id.clone()));
+                    sensors.len() - 1
+                });
+                *field(&mut sensors[index]) = Some(*value);
+            }
+        }
+    }
+}
+
+/// A run name after a recording: its file's name, or its folder's if the file is just "ranges".
+fn name_after(ranges: &Path) -> String {
+    let stem = ranges.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());
+    let best = if stem == "ranges" { folder.unwrap_or(stem) } else { stem };
+    let name: String = best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
+    // Standard input has no name.
+    if name.contains(|c: char| c.is_ascii_alphanumeric()) { name } else { "track".to_owned() }
+}
+
+/// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder
+/// is given) has a folder. That folder is made at once: of all who look at the same time only one can.
+pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<(RunName, Option<Reserved>), Failure> {
+    let living = living_runs();
+    let short: String = wanted.chars().take(19).collect();
+    let candidates = std::iter::once(wanted.to_owned()).chain((2..NUMBERS_END).map(|n| format!("{short}-{n}")));
+    for name in candidates.filter_map(|name| name.parse::<RunName>().ok()).filter(|name| !living.contains(name)) {
+        if folder_given {
+            return Ok((name, None));
+        }
+        let folder = Path::new(RUNS).join(name.to_string());
+        let made = std::fs::create_dir_all(RUNS).and_then(|()| std::fs::create_dir(&folder));
+        match made {
+            Ok(()) => return Ok((name, Some(Reserved(folder)))),
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists && folder.symlink_metadata().is_ok() => {}
+            Err(error) => {
+                let problem = format!("expected a folder that can be written, {} is not: {error}", folder.display());
+                return Err(Failure::input(format!("--out: {problem}")));
+            }
+        }
+    }
+    Err(Failure::input("--name: expected a name, as all numbered ones are taken"))
+}

@@ -1,0 +1,89 @@
+//! The run folder before and between runs: made ready, read, and looked at whether a run can go on in it.
+
+use std::path::Path;
+
+use rangehound_node::rendezvous::{Role, RunDescription};
+use rangehound_node::{bounded, checkpoint, logs};
+use rangehound_shared::scenario::{COPY, Source};
+use rangehound_shared::sealed;
+
+use super::experiment::Experiment;
+use crate::failure::Failure;
+use crate::files::input::in_utf8;
+use crate::files::layout::{DESCRIPTION, Kind, SCENARIO};
+use crate::files::out_folder::{self, Claim};
+use crate::files::whole_file::{self, WholeFile};
+
+/// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario.
+///
+/// # Errors
+/// [`Failure::Input`] if the folder cannot be used.
+pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
+    let out_dir = &experiment.description.out_dir;
+    let claim = out_folder::claim(out_dir, Kind::Run, &experiment.inputs())?;
+    claim.clear()?;
+    let written = || {
+        if let Source::Recorded(ranges) = &experiment.description.scenario.source
+            && let Some(recording) = ranges.already_read()
+        {
+            let mut copy = WholeFile::create(&out_dir.join(COPY))?;
+            recording.write_csv(&mut copy)?;
+            copy.finish()?;
+        }
+        whole_file::write(&out_dir.join(SCENARIO), experiment.scenario_file.to_toml()?)?;
+        whole_file::write_for_owner(&out_dir.join(DESCRIPTION), sealed::seal(&experiment.description_for_nodes())?)
+    };
+    written().map_err(|error: anyhow::Error| {
+        Failure::input(format!("--out: expected a folder that can be written: {error}"))
+    })?;
+    for log in [logs::ESTIMATES, logs::WORLDS] {
+        claim.make_growing(log)?;
+    }
+    Ok(claim)
+}
+
+/// What a run is, from its folder, wherever that is now.
+///
+/// # Errors
+/// [`Failure::Input`] if the folder is not a run's.
+pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
+    let path = folder.join(DESCRIPTION);
+    let expected = |reason: &dyn std::fmt::Display| {
+        Failure::input(format!("{}: expected the folder of a run: {reason}", path.display()))
+    };
+    let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
+    let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
+    let out_dir = std::path::absolute(folder).map_err(|error| expected(&error))?;
+    in_utf8("DIR", &out_dir)?;
+    Ok(RunDescription { out_dir, ..description })
+}
+
+/// Claims the folder of a run that is to go on, and looks whether it can: nodes that cannot write there go on without
+/// their logs.
+///
+/// # Errors
+/// [`Failure::Input`] with the first file that cannot be written.
+pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure> {
+    let out_dir = &description.out_dir;
+    let claim = out_folder::claim_again(out_dir)?;
+    let checkpoints = [Role::Sim, Role::Fusion].map(|role| out_dir.join(checkpoint::file_name(role)));
+    let logs = [logs::estimates_path(out_dir), logs::worlds_path(out_dir)];
+    for path in logs.iter().chain(&checkpoints) {
+        let opened = std::fs::OpenOptions::new().append(true).open(path);
+        if let Err(error) = opened
+            && error.kind() != std::io::ErrorKind::NotFound
+        {
+            return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
+        }
+    }
+    // A node would begin another run's log anew.
+    let has_content = |log: &Path| std::fs::metadata(log).is_ok_and(|log| log.len() > 0);
+    let [estimates, worlds] = &logs;
+    if has_content(estimates) {
+        logs::read_estimates(description).map_err(Failure::input)?;
+    }
+    if has_content(worlds) {
+        logs::read_worlds(description).map_err(Failure::input)?;
+    }
+    Ok(claim)
+}

@@ -1,0 +1,191 @@
+//! The roles' machines in one process: no shared memory, no other processes, no waiting, no faults.
+//!
+//! The same estimates to the bit as a lock-step run of the same scenario: what the processes add is
+//! only transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
+
+use std::path::Path;
+
+use rangehound_fusion::Centre;
+use rangehound_fusion::centre::Diverged;
+use rangehound_fusion::leader::{self, Leader};
+use rangehound_fusion::planner::PlannerError;
+use rangehound_node::clock::monotonic_ns;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::world::{PlaybackError, world_of};
+use rangehound_robot::machine as robot;
+use rangehound_robot::sensor::{Sensor, measure};
+use rangehound_shared::message::{Drive, Header, Outgoing, Range};
+use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_sim::World;
+use rangehound_sim::machine as sim;
+
+/// Stamps that say what there was, and give no latency: nobody looks at a clock here.
+const RANGE_SENT_NS: u64 = u64::MAX;
+const HEADING_HELD_NS: u64 = 1;
+
+/// Runs a scenario to its end in this process and records every tick as the nodes would.
+///
+/// # Errors
+/// If the team cannot be put together, the estimate diverges, or a log cannot be written.
+pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow::Result<()> {
+    let RunDescription { scenario, out_dir, .. } = description;
+    let mut team = Team::of_run(scenario, out_dir)?;
+    let mut estimates = logs::write_estimates(description)?;
+    let mut worlds = logs::write_worlds(description)?;
+    for tick in 0..=scenario.ticks {
+        team.tick()?;
+        let (centre, world) = (team.centre(), team.world());
+        estimates.write(tick, |record| record.set(centre.time_s(), &centre.estimate(), team.leader.exchanges()))?;
+        worlds.write(tick, |record| {
+            record.set(world.time_s(), monotonic_ns(), world.truth(), world.entries(), team.drives());
+        })?;
+        team.advance();
+        on_tick(tick);
+    }
+    Ok(())
+}
+
+/// A whole team, stepped by hand.
+#[derive(Debug)]
+pub struct Team {
+    sim: sim::Machine,
+    leader: Leader,
+    robots: Vec<(robot::Machine, Sensor)>,
+    /// The tick's messages of the topic `range`.
+    ranges: Vec<Outgoing<Range>>,
+}
+
+/// Why a team cannot be put together.
+#[derive(Debug, thiserror::Error)]
+pub enum TeamError {
+    /// Its recording cannot be played.
+    #[error(transparent)]
+    Recording(#[from] PlaybackError),
+    /// Its planner cannot serve it.
+    #[error(transparent)]
+    Planner(#[from] PlannerError),
+}
+
+impl Team {
+    /// The team of a scenario before tick 0.
+    ///
+    /// # Errors
+    /// [`TeamError`].
+    pub fn new(scenario: &Scenario) -> Result<Self, TeamError> {
+        Self::of_run(scenario, Path::new(""))
+    }
+
+    /// The same; a recording that this process has not read is read from the run folder.
+    ///
+    /// # Errors
+    /// [`TeamError`].
+    pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
+        // It goes on for as long as it is stepped.
+        let ticks = u64::MAX - 1;
+        let scenario = &Scenario { clock: Clock::Lockstep, patience: Patience::Forever, ticks, ..scenario.clone() };
+        let team = 0..scenario.robots.len();
+        Ok(Self {
+            sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),
+            // Nothing is late here: no past is kept.
+            leader: Leader::of_centre(scenario, Centre::new(scenario)?),
+            robots: team
+                .filter_map(|id| Some((robot::Machine::new(scenario, id, 0)?, Sensor::new(scenario, id)?)))
+                .collect(),
+            ranges: Vec::with_capacity(scenario.robots.len()),
+        })
+    }
+
+    /// One tick up to the drives: world, ranges, update, plan. What it left can be looked at until
+    /// [`Self::advance`].
+    ///
+    /// # Errors
+    /// [`Diverged`] if the estimate is no longer finite.
+    pub fn tick(&mut self) -> Result<(), Diverged> {
+        self.tick_disturbed(|_| {})
+    }
+
+    /// The same, but what the robots tell fusion is disturbed first.
+    ///
+    /// # Errors
+    /// As [`Self::tick`].
+    pub fn tick_disturbed(&mut self, disturb: impl FnOnce(&mut Vec<Outgoing<Range>>)) -> Result<(), Diverged> {
+        self.step_sim();
+        self.step_robots();
+        disturb(&mut self.ranges);
+        for Outgoing { tick, valid_at_s, entry } in self.ranges.drain(..) {
+            let header = Header { tick, valid_at_s, ..Header::default() };
+            self.leader.on_range(&header, &[entry], 0);
+        }
+        self.leader.end_tick();
+        while let Some(action) = self.leader.next_action(monotonic_ns())? {
+            if action == leader::Action::SendHeadings {
+                let centre = self.leader.centre();
+                let header = Header { tick: centre.next_tick() - 1, ..Header::default() };
+                self.robots.iter_mut().for_each(|(robot, _)| robot.on_heading(&header, centre.commands()));
+            }
+        }
+        self.step_robots();
+        Ok(())
+    }
+
+    /// Moves target and robots to the next tick.
+    pub fn advance(&mut self) {
+        // The next one: that which ends the tick was the last answer.
+        while !matches!(self.sim.next_action(0), Some(sim::Action::Save) | None) {}
+    }
+
+    /// The simulator up to where it waits for the robots: they see the world.
+    fn step_sim(&mut self) {
+        while let Some(action) = self.sim.next_action(0) {
+            if action == sim::Action::SendWorld {
+                let (tick, world) = (self.sim.tick(), self.sim.world());
+                let header = Header { incarnation: 1, tick, valid_at_s: world.time_s(), ..Header::default() };
+                self.robots.iter_mut().for_each(|(robot, _)| robot.on_world(&header, world.entries()));
+            }
+        }
+    }
+
+    fn step_robots(&mut self) {
+        let Self { sim, robots, ranges, .. } = self;
+        for (robot, sensor) in robots {
+            while let Some(action) = robot.next_action(HEADING_HELD_NS) {
+                match action {
+                    robot::Action::Measure { tick, entry } => {
+                        let (range_m, std_m) = measure(sensor, tick, &entry);
+                        robot.measured(range_m, std_m, RANGE_SENT_NS);
+                    }
+                    robot::Action::CarryOut(command) => robot.carried_out(command),
+                    robot::Action::SendRange(message) => ranges.push(message),
+                    robot::Action::SendDrive(message) => sim.on_drive(message.tick, &message.entry),
+                    robot::Action::Notify(_) => {}
+                }
+            }
+        }
+    }
+
+    /// The world at the present tick.
+    #[must_use]
+    pub fn world(&self) -> &dyn World {
+        self.sim.world()
+    }
+
+    /// The fusion centre after the present tick.
+    #[must_use]
+    pub fn centre(&self) -> &Centre {
+        self.leader.centre()
+    }
+
+    /// How long [`Centre::plan`] took at the present tick, ns.
+    #[must_use]
+    pub fn planning_ns(&self) -> u64 {
+        let stages = self.leader.stages();
+        stages.planned_ns.saturating_sub(stages.filtered_ns)
+    }
+
+    /// What the robots drive after the present tick.
+    #[must_use]
+    pub fn drives(&self) -> &[Option<Drive>] {
+        self.sim.drives()
+    }
+}

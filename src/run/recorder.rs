@@ -1,0 +1,263 @@
+//! `record`: writes a run into one file while it goes on, and ends with it.
+//!
+//! It reads what the nodes put down anyway, some ticks behind them, so that the run does not know of it: nothing is missed
+//! however far it falls behind, no memory grows, and one that is killed begins anew and loses nothing.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use rangehound_node::rendezvous::{Rendezvous, RunDescription};
+use rangehound_node::signal::Termination;
+use rangehound_shared::scenario::Clock;
+use rustix::thread::{Timespec, nanosleep};
+use serde::Serialize;
+
+use crate::cli::RecordArgs;
+use crate::failure::{self, Failure};
+use crate::files::layout::RECORDING;
+use crate::files::out_folder;
+use crate::results::frame::{Frames, UNSETTLED_TICKS};
+use crate::results::made;
+use crate::results::run_mcap::file::{Poorer, RunFile, unusable};
+use crate::results::run_mcap::write::Written;
+use crate::run::folder;
+use crate::run::node;
+use crate::run::watch::{self, LOOK, Progress};
+
+/// How long what has been put down is still recorded once an end is asked for.
+const CATCH_UP: Duration = Duration::from_secs(5);
+
+/// Whoever has to wait for longer wants to know what for.
+const UNEXPLAINED: Duration = Duration::from_secs(1);
+
+/// `rangehound record`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn record(args: &RecordArgs) -> Result<(), Failure> {
+    let termination = Termination::listen()?;
+    if let Some(folder) = &args.folder {
+        let description = folder::read_description(folder)?;
+        // A run that goes on writes the recording in its folder itself.
+        let _alone = args.out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
+        let recorded = record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination)?;
+        return recorded.print(args.json);
+    }
+    match node::look_on(c"rh-recorder", &args.node, &termination)? {
+        Some(rendezvous) => follow(&rendezvous.look_on(), args, &termination)?.print(args.json),
+        None => Ok(()),
+    }
+}
+
+/// What has been recorded; its fields are the keys of `--json`.
+#[derive(Debug, Serialize)]
+pub struct Recorded {
+    /// The file; none if there was nothing to record.
+    file: Option<String>,
+    scenario: String,
+    /// The last tick that is in it, and that of the whole run.
+    ticks: Option<u64>,
+    ticks_of_run: u64,
+    /// Ticks before that one that nobody put down.
+    ticks_lost: u64,
+    /// True if it ends because it has its size.
+    is_full: bool,
+}
+
+impl Recorded {
+    fn print(&self, json: bool) -> Result<(), Failure> {
+        let Self { file, ticks, ticks_of_run, .. } = self;
+        match (json, file, ticks) {
+            (true, _, _) => failure::print_json(self),
+            (false, Some(file), Some(ticks)) => {
+                failure::print(format_args!("recorded: {ticks} of {ticks_of_run} ticks in {file}\n"))
+            }
+            // That has been warned of.
+            (false, _, _) => Ok(()),
+        }
+    }
+}
+
+/// Records what the logs of a run hold.
+///
+/// # Errors
+/// [`Failure`] if there are none, or the file cannot be written.
+pub fn record_logs(
+    description: &RunDescription,
+    out: Option<&Path>,
+    bytes_max: u64,
+    termination: &Termination,
+) -> Result<Recorded, Failure> {
+    let mut recorder = Recorder::begin(description, out, bytes_max)?;
+    recorder.catch_up(termination)?;
+    recorder.finish()
+}
+
+/// Records a run until its end, or until asked to end.
+fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<Recorded, Failure> {
+    let description = rendezvous.description().clone();
+    let mut recorder = Recorder::begin(&description, args.out.as_deref(), args.limit.bytes())?;
+    // In lock step a run takes all that it is given and would feel every look: its recording waits for its end.
+    let goes_along = description.scenario.clock == Clock::Realtime;
+    while !rendezvous.is_finished() && !termination.requested() {
+        if goes_along {
+            recorder.advance_to_settled()?;
+        }
+        if recorder.is_full {
+            return recorder.finish();
+        }
+        sleep(LOOK);
+    }
+    if !watch::wait_for_last_words(rendezvous) && !rendezvous.is_finished() {
+        recorder.advance_to_settled()?;
+        log::warn!("the recording ends before the run, as asked: tick {} and later are not in it", recorder.next);
+    } else {
+        recorder.catch_up(termination)?;
+    }
+    recorder.finish()
+}
+
+/// Sleeps; less if a signal comes.
+fn sleep(time: Duration) {
+    let _ = nanosleep(&Timespec { tv_sec: time.as_secs().cast_signed(), tv_nsec: time.subsec_nanos().into() });
+}
+
+/// A recording in the making.
+struct Recorder<'a> {
+    description: &'a RunDescription,
+    frames: Option<Frames>,
+    file: RunFile,
+    path: PathBuf,
+    bytes_max: u64,
+    /// The first tick that is not recorded.
+    next: u64,
+    /// The last one that is.
+    last: Option<u64>,
+    /// Ticks that nobody put down, and the first of them.
+    holes: (u64, u64),
+    is_full: bool,
+}
+
+impl<'a> Recorder<'a> {
+    fn begin(description: &'a RunDescription, out: Option<&Path>, bytes_max: u64) -> Result<Self, Failure> {
+        let path = out.map_or_else(|| description.out_dir.join(RECORDING), Path::to_owned);
+        if path.is_dir() {
+            return Err(Failure::input(format!("--out: expected a file, {} is a folder", path.display())));
+        }
+        let file = RunFile::begin(&path, description, bytes_max).map_err(unusable)?;
+        Ok(Self {
+            description,
+            frames: None,
+            file,
+            path,
+            bytes_max,
+            next: 0,
+            last: None,
+            holes: (0, 0),
+            is_full: false,
+        })
+    }
+
+    /// The newest tick that is in the logs, if there are any.
+    fn newest(&mut self) -> Result<Option<u64>, Failure> {
+        if self.frames.is_none() {
+            // In the first moments of a run there is none.
+            self.frames = Frames::open(self.description).ok();
+        }
+        Ok(match &self.frames {
+            Some(frames) => frames.newest_tick()?,
+            None => None,
+        })
+    }
+
+    /// Records the ticks that nobody will change any more.
+    fn advance_to_settled(&mut self) -> Result<(), Failure> {
+        if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(UNSETTLED_TICKS as u64)) {
+            while self.next <= settled && !self.is_full {
+                self.advance()?;
+            }
+        }
+        self.file.flush_if_due().map_err(unwritable)
+    }
+
+    /// Records all that is there, after the run.
+    fn catch_up(&mut self, termination: &Termination) -> Result<(), Failure> {
+        let Some(newest) = self.newest()? else { return Ok(()) };
+        let began = Instant::now();
+        let mut asked: Option<Instant> = None;
+        let mut progress = Progress::new("recording tick", newest);
+        while self.next <= newest && !self.is_full {
+            self.advance()?;
+            if self.next.is_multiple_of(256) {
+                if began.elapsed() > UNEXPLAINED {
+                    progress.show(self.next, "");
+                }
+                if termination.requested() && asked.get_or_insert_with(Instant::now).elapsed() > CATCH_UP {
+                    log::warn!(
+                        "asked to end before all of the run is recorded: tick {} and later are not in the file; `rangehound record {}` makes a whole one",
+                        self.next,
+                        made::from_here(&self.description.out_dir).display()
+                    );
+                    break;
+                }
+            }
+        }
+        progress.finish();
+        Ok(())
+    }
+
+    /// Records the next tick.
+    fn advance(&mut self) -> Result<(), Failure> {
+        let tick = self.next;
+        let Some(frames) = &mut self.frames else { return Ok(()) };
+        match frames.at(tick)? {
+            Some(frame) => match self.file.write(&frame).map_err(unwritable)? {
+                Written::Taken => self.last = Some(tick),
+                Written::Full => {
+                    let limit_mb = self.bytes_max / 1_000_000;
+                    log::warn!(
+                        "{} has its {limit_mb} MB (--record-limit): from tick {tick} on nothing is recorded",
+                        self.path.display()
+                    );
+                    self.is_full = true;
+                    return Ok(());
+                }
+            },
+            None => {
+                let (count, first) = self.holes;
+                self.holes = (count + 1, if count == 0 { tick } else { first });
+            }
+        }
+        self.next += 1;
+        Ok(())
+    }
+
+    fn finish(self) -> Result<Recorded, Failure> {
+        let Self { description, file, path, last, holes: (lost, first), is_full, .. } = self;
+        if lost > 0 {
+            log::warn!("{lost} ticks from tick {first} on are not in the logs, so not recorded either");
+        }
+        if last.is_none() {
+            file.discard();
+            log::warn!("{} is not there: the run has left no logs", path.display());
+        } else {
+            file.finish().map_err(|error| match error.downcast::<Poorer>() {
+                Ok(poorer) => Failure::input(poorer),
+                Err(error) => unwritable(error),
+            })?;
+        }
+        Ok(Recorded {
+            file: last.map(|_| made::from_here(&path).display().to_string()),
+            scenario: description.scenario.name.clone(),
+            ticks: last,
+            ticks_of_run: description.scenario.ticks,
+            ticks_lost: lost,
+            is_full,
+        })
+    }
+}
+
+/// Beginning anew would not help: the run goes on without a recording.
+fn unwritable(error: anyhow::Error) -> Failure {
+    Failure::input(format!("recording ends, the file that there is can be repaired: {error:#}"))
+}

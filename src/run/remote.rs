@@ -1,0 +1,261 @@
+//! A run, seen and acted on from another terminal: what `status` tells; `kill`, `restart`, `stop`.
+
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::anyhow;
+use rangehound_fusion::standby::STANDBYS_MAX;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{ENDING_NOTE, Holder, Process, Rendezvous, Role, living_runs};
+use rangehound_shared::run_name::RunName;
+use rustix::process::{Pid, Signal};
+use serde::Serialize;
+use serde_json::json;
+
+use crate::cli::{RemoteArgs, RemoteNodeArgs};
+use crate::failure::{Failure, print, print_json};
+use crate::run::node::input_or_running;
+use crate::run::watch;
+
+/// How long what was asked for may take until it is called failed.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+const POLL: Duration = Duration::from_millis(10);
+
+/// Time without a sign of life after which a process that runs is shown as hung.
+const HUNG: Duration = Duration::from_secs(1);
+
+/// State of a node that lives where it cannot be looked at: in another PID namespace.
+pub(crate) const ELSEWHERE: &str = "elsewhere";
+
+/// A run as it is at the moment.
+#[derive(Debug, Serialize)]
+pub(crate) struct Status {
+    pub(crate) name: String,
+    pub(crate) scenario: String,
+    /// `running`, or `finishing`: its nodes have ended or are to, and what it leaves is written.
+    pub(crate) phase: &'static str,
+    /// Newest tick that is over, and the run's last.
+    pub(crate) tick: u64,
+    pub(crate) ticks: u64,
+    pub(crate) out_dir: String,
+    /// The process that leads as fusion, and how many leads there have been.
+    pub(crate) leader: Option<i32>,
+    pub(crate) leads: u64,
+    /// Processes that stand by to lead.
+    pub(crate) standbys: usize,
+    pub(crate) nodes: Vec<NodeStatus>,
+}
+
+/// A node as it is at the moment.
+#[derive(Debug, Serialize)]
+pub(crate) struct NodeStatus {
+    pub(crate) name: String,
+    /// The name of a robot's sensor in the recording.
+    pub(crate) sensor: Option<String>,
+    /// `running`, `stopped` (by a signal), `hung` (gives no sign of life), `gone`, or `elsewhere` (in another PID namespace).
+    pub(crate) state: &'static str,
+    pub(crate) pid: Option<i32>,
+    pub(crate) starts: u64,
+    /// Since its last sign of life, s; by the wall clock, so that a jump of it shows until the next sign.
+    pub(crate) silent_s: Option<f64>,
+    /// Resident memory, kB.
+    pub(crate) resident_kb: Option<u64>,
+}
+
+/// `rangehound kill`: SIGKILL, as a crash would end it.
+///
+/// # Errors
+/// [`Failure`].
+pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
+    let run = join(&args.run)?;
+    let pid = signal(&run, args.node, Signal::KILL)?;
+    let pid = pid.as_raw_pid();
+    if args.run.json {
+        return print_json(&json!({ "name": run.name().to_string(), "node": args.node.to_string(), "pid": pid }));
+    }
+    print(format!("killed {}, process {pid}\n", args.node))
+}
+
+/// `rangehound restart`: asks a node to end and waits for the one that takes its place.
+///
+/// # Errors
+/// [`Failure`].
+pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
+    let run = join(&args.run)?;
+    if !run.roster().is_held(Role::Supervisor) {
+        let problem = format!("expected a run with a supervisor, {} was started by hand", run.name());
+        return Err(Failure::input(format!("restart: {problem}: kill the node, and start it again")));
+    }
+    let starts = run.roster().starts(args.node);
+    signal(&run, args.node, Signal::TERM)?;
+    let began = Instant::now();
+    loop {
+        if run.roster().starts(args.node) > starts
+            && let Some(pid) = run.roster().holder(args.node)
+        {
+            let (starts, node, pid) = (run.roster().starts(args.node), args.node.to_string(), pid.as_raw_pid());
+            if args.run.json {
+                let name = run.name().to_string();
+                return print_json(&json!({ "name": name, "node": node, "pid": pid, "starts": starts }));
+            }
+            return print(format!("{node} is now process {pid}, start {starts}\n"));
+        }
+        if began.elapsed() > PATIENCE {
+            let problem = format!("{} has ended, but nobody has started it again", args.node);
+            return Err(Failure::Running(anyhow!("{problem}: its run's supervisor is not to")));
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// `rangehound stop`: ends a run in order, as Ctrl-C would.
+///
+/// # Errors
+/// [`Failure`].
+pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
+    let run = join(args)?;
+    let name = run.name().clone();
+    let robots = run.description().scenario.robots.len();
+    if run.roster().is_held(Role::Supervisor) {
+        signal(&run, Role::Supervisor, Signal::TERM)?;
+    } else {
+        let standbys = (1..=STANDBYS_MAX).map(Role::Standby);
+        let mut processes = Vec::new();
+        // All or none: half a team is no run that has ended.
+        for role in watch::roles(robots).chain(standbys) {
+            match run.roster().process(role) {
+                Holder::Here(process) => processes.push(process),
+                Holder::Nobody => {}
+                Holder::Elsewhere => return Err(elsewhere(&run, role)),
+            }
+        }
+        for process in processes {
+            // One that has ended by now needs nothing; one that is stopped hears it only when it runs.
+            let _ = process.signal(Signal::TERM);
+            let _ = process.signal(Signal::CONT);
+        }
+    }
+    // Its members leave one by one; this one must not be the last that keeps it.
+    drop(run);
+    let began = Instant::now();
+    while living_runs().contains(&name) {
+        if began.elapsed() > PATIENCE {
+            return Err(Failure::Running(anyhow!("run {name} has not ended in {PATIENCE:?}")));
+        }
+        std::thread::sleep(POLL);
+    }
+    if args.json {
+        return print_json(&json!({ "name": name.to_string() }));
+    }
+    print(format!("run {name} has ended\n"))
+}
+
+/// The run that is meant: the one of this name, or the only one there is.
+pub(crate) fn run_named(args: &RemoteArgs) -> Result<RunName, Failure> {
+    let living = living_runs();
+    match (&args.name, living.as_slice()) {
+        (Some(name), _) => Ok(name.clone()),
+        (None, [only]) => Ok(only.clone()),
+        (None, []) => Err(Failure::input("expected a run that goes on, there is none")),
+        (None, several) => {
+            let names: Vec<String> = several.iter().map(RunName::to_string).collect();
+            Err(Failure::input(format!("--name: expected one of the runs {}, got none", names.join(", "))))
+        }
+    }
+}
+
+fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
+    let name = run_named(args)?;
+    let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
+    run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
+}
+
+/// Sends a signal to the process in a role.
+pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
+    let process = process_in(run, role)?;
+    process.signal(signal).map_err(|_| gone(run, role))?;
+    Ok(process.pid())
+}
+
+/// The process in a role, as the kernel tells it.
+pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failure> {
+    if let Role::Robot(id) = role
+        && id >= run.description().scenario.robots.len()
+    {
+        let last = run.description().scenario.robots.len() - 1;
+        return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
+    }
+    match run.roster().process(role) {
+        Holder::Here(process) => Ok(process),
+        Holder::Nobody => Err(gone(run, role)),
+        Holder::Elsewhere => Err(elsewhere(run, role)),
+    }
+}
+
+/// Its number here, if it has one, is another process's.
+fn elsewhere(run: &Rendezvous, role: Role) -> Failure {
+    let what = if role == Role::Supervisor { "the supervisor".to_owned() } else { role.to_string() };
+    Failure::input(format!(
+        "{what} of run {} runs in another PID namespace (container), or /proc here does not show it: run this command there",
+        run.name()
+    ))
+}
+
+fn gone(run: &Rendezvous, role: Role) -> Failure {
+    Failure::Running(anyhow!("{role} of run {} is not there", run.name()))
+}
+
+impl Status {
+    /// True while there is any process that the run is made of.
+    pub(crate) fn has_processes(&self) -> bool {
+        self.nodes.iter().any(|node| node.pid.is_some() || node.state == ELSEWHERE)
+    }
+
+    pub(crate) fn of(run: &Rendezvous) -> Self {
+        let description = run.description();
+        let scenario = &description.scenario;
+        let log = logs::read_worlds(description).ok();
+        let tick = log.and_then(|log| log.newest_tick().ok()?).unwrap_or(0);
+        let roster = run.roster();
+        let is_ending = run.is_finished() || run.note(ENDING_NOTE).is_some();
+        // One that leads now stood by before: its place then is not worth a line.
+        let standbys: Vec<Role> = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| roster.is_held(*role)).collect();
+        let roles = watch::roles(scenario.robots.len()).chain(standbys.iter().copied()).chain([Role::Supervisor]);
+        Self {
+            name: run.name().to_string(),
+            scenario: scenario.name.clone(),
+            phase: if is_ending { "finishing" } else { "running" },
+            tick,
+            ticks: scenario.ticks,
+            out_dir: description.out_dir.display().to_string(),
+            leader: roster.holder(Role::Fusion).map(Pid::as_raw_pid),
+            leads: roster.starts(Role::Fusion),
+            standbys: standbys.len(),
+            nodes: roles.map(|role| NodeStatus::of(run, role)).collect(),
+        }
+    }
+}
+
+impl NodeStatus {
+    fn of(run: &Rendezvous, role: Role) -> Self {
+        let holder = run.roster().process(role);
+        let (pid, told) = match &holder {
+            Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.told("status")),
+            Holder::Nobody | Holder::Elsewhere => (None, String::new()),
+        };
+        let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
+        let silent = run.roster().last_sign(role).filter(|_| !matches!(holder, Holder::Nobody));
+        let silent = silent.map(|sign| SystemTime::now().duration_since(sign).unwrap_or_default());
+        let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
+            _ if matches!(holder, Holder::Elsewhere) => ELSEWHERE,
+            (None, _) | (_, Some('Z' | 'X') | None) => "gone",
+            (_, Some('T' | 't')) => "stopped",
+            _ if silent.is_some_and(|silent| silent >= HUNG) => "hung",
+            _ => "running",
+        };
+        let silent_s = silent.map(|silent| silent.as_secs_f64());
+        let resident_kb = field("VmRSS:").and_then(|text| text.split(' ').next()?.parse().ok());
+        let sensor = role.robot().and_then(|id| run.description().scenario.sensor_of(id)).map(str::to_owned);
+        Self { name: role.to_string(), sensor, state, pid, starts: run.roster().starts(role), silent_s, resident_kb }
+    }
+}

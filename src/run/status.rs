@@ -1,0 +1,301 @@
+//! `status`: a run as it is at the moment, for people: who is not well comes first, many robots that are alike share a line.
+
+use std::fmt::Write as _;
+use std::time::{Duration, Instant};
+
+use anstyle::Style;
+use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::signal::Termination;
+use rangehound_shared::scenario::printable;
+
+use crate::cli::StatusArgs;
+use crate::failure::{self, Failure};
+use crate::run::node::input_or_running;
+use crate::run::remote::{ELSEWHERE, NodeStatus, Status, run_named};
+use crate::terminal::{self, BAD, DOUBTFUL, GOOD, TITLE, field, wrapped};
+
+/// All states, who needs somebody first.
+const STATES: [(&str, Style); 5] =
+    [("gone", BAD), ("hung", DOUBTFUL), ("stopped", DOUBTFUL), (ELSEWHERE, DOUBTFUL), ("running", GOOD)];
+
+/// Robots in one state that are still shown one by one.
+const ROBOTS_MAX: usize = 16;
+
+/// Characters of a sensor's name in the table.
+const SENSOR_CHARS_MAX: usize = 16;
+
+/// Time between two looks of `--watch`.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// How soon Ctrl-C is noticed between looks.
+const POLL: Duration = Duration::from_millis(50);
+
+/// `rangehound status`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn status(args: &StatusArgs) -> Result<(), Failure> {
+    let name = run_named(&args.run)?;
+    let termination = Termination::listen()?;
+    let in_place = args.watch && !args.run.json && terminal::draws_on_stdout();
+    let mut is_first = true;
+    // A member only while it looks: a run has not ended before its last member is out.
+    while let Some(run) = Rendezvous::join_if_alive(&name).map_err(input_or_running)? {
+        let status = Status::of(&run);
+        drop(run);
+        let text = if args.run.json { serde_json::to_string(&status)? } else { status.text(args.all) };
+        if in_place {
+            terminal::clear_screen()?;
+        } else if !is_first && !args.run.json {
+            failure::print("\n")?;
+        }
+        let is_read = failure::print_if_read(text + "\n")?;
+        if !args.watch || !is_read {
+            return Ok(());
+        }
+        is_first = false;
+        let began = Instant::now();
+        while began.elapsed() < LOOK && !termination.requested() {
+            std::thread::sleep(POLL);
+        }
+        if termination.requested() {
+            return Ok(());
+        }
+    }
+    match (is_first, args.run.json) {
+        (true, _) => Err(Failure::input(format!("--name: expected a run that goes on, {name} does not"))),
+        (false, true) => Ok(()),
+        (false, false) => failure::print(format!("run {name} has ended\n")),
+    }
+}
+
+/// A line or two of the table.
+enum Row<'a> {
+    Node(&'a NodeStatus),
+    /// Robots in the same state.
+    Robots(Vec<&'a NodeStatus>),
+}
+
+impl Status {
+    /// The status for people; `all`: with a line for each robot.
+    pub(crate) fn text(&self, all: bool) -> String {
+        let Self { name, scenario, tick, ticks, out_dir, leader, leads, standbys, .. } = self;
+        let mut out = format!("{TITLE}run {name}{TITLE:#}: {scenario}, tick {tick} of {ticks}\n");
+        let what = match leader {
+            _ if self.is_finishing() => field("finishing", "its nodes end, and its recording and report are written"),
+            Some(pid) => field("fusion", format!("process {pid} leads, the lead number {leads}; {standbys} stand by")),
+            None if self.nodes.iter().any(|node| node.name == "fusion" && node.state == ELSEWHERE) => field(
+                "fusion",
+                format!("a process in another PID namespace leads, the lead number {leads}; {standbys} stand by"),
+            ),
+            None => field("fusion", format!("{BAD}nobody leads{BAD:#}; {standbys} stand by")),
+        };
+        let sensor = if self.nodes.iter().any(|node| node.sensor.is_some()) { "sensor" } else { "" };
+        let heads = ["node", "state", "pid", "starts", "silent", "memory", sensor].map(str::to_owned);
+        let _ = writeln!(out, "{what}\n{}", field("run folder", out_dir));
+        let _ = write!(out, "\n{}", line(TITLE, &heads));
+        let rows = self.rows(all);
+        for (style, row) in &rows {
+            let _ = write!(out, "\n{}", line(*style, &row.cells()));
+            // Who is meant: of those that run, all the others.
+            if let Row::Robots(robots) = row
+                && robots.iter().any(|robot| robot.state != "running")
+            {
+                let _ = write!(out, "\n{:<13}{}", "", wrapped(&ids(robots), 13));
+            }
+        }
+        if rows.iter().any(|(_, row)| matches!(row, Row::Robots(_))) {
+            out.push_str("\n\nRobots on one line: longest silence, memory of all. --all shows each.");
+        }
+        if rows.iter().any(|(_, row)| row.cells()[1] == ELSEWHERE) {
+            out.push_str("\n\nelsewhere: in another PID namespace (container), where this command shows and ends it.");
+        }
+        out
+    }
+
+    fn is_finishing(&self) -> bool {
+        self.phase == "finishing"
+    }
+
+    /// Who is not well comes first. That nodes of a run that is over are gone is as it should be.
+    fn rows(&self, all: bool) -> Vec<(Style, Row<'_>)> {
+        let mut rows = Vec::new();
+        for (state, style) in STATES.into_iter().filter(|(state, _)| !self.is_finishing() || *state != "gone") {
+            let in_state = || self.nodes.iter().filter(move |node| node.state == state);
+            let robots: Vec<&NodeStatus> = in_state().filter(|node| node.robot().is_some()).collect();
+            let is_folded = !all && robots.len() > ROBOTS_MAX;
+            let mut robots = Some(robots).filter(|_| is_folded);
+            for node in in_state().filter(|node| !node.is_of_no_run()) {
+                if !is_folded || node.robot().is_none() {
+                    rows.push((style, Row::Node(node)));
+                } else if let Some(robots) = robots.take() {
+                    rows.push((style, Row::Robots(robots)));
+                }
+            }
+        }
+        rows
+    }
+}
+
+impl NodeStatus {
+    fn robot(&self) -> Option<usize> {
+        self.name.strip_prefix("robot-")?.parse().ok()
+    }
+
+    /// The supervisor of a run that was started by hand.
+    fn is_of_no_run(&self) -> bool {
+        self.name == "run" && self.starts == 0
+    }
+}
+
+impl Row<'_> {
+    fn cells(&self) -> [String; 7] {
+        let or_none = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
+        let (name, pid, nodes) = match self {
+            Self::Node(node) => (node.name.clone(), node.pid.map(|pid| pid.to_string()), std::slice::from_ref(node)),
+            Self::Robots(robots) => (format!("{} robots", robots.len()), None, robots.as_slice()),
+        };
+        let state = nodes.first().map_or("", |node| node.state).to_owned();
+        let starts = || nodes.iter().map(|node| node.starts);
+        let starts = match (starts().min().unwrap_or(0), starts().max().unwrap_or(0)) {
+            (least, most) if least == most => most.to_string(),
+            (least, most) => format!("{least}-{most}"),
+        };
+        let silent_s = nodes.iter().filter_map(|node| node.silent_s).reduce(f64::max);
+        let silent = silent_s.map(|silent_s| format!("{silent_s:.2} s"));
+        let resident_kb = nodes.iter().filter_map(|node| node.resident_kb).reduce(|a, b| a + b);
+        let memory = resident_kb.map(|kb| format!("{:.1} MB", kb as f64 / 1_024.0));
+        let sensor = match self {
+            Self::Node(node) => node.sensor.as_deref().map(shown_sensor),
+            Self::Robots(_) => None,
+        };
+        [name, state, or_none(pid), starts, or_none(silent), or_none(memory), sensor.unwrap_or_default()]
+    }
+}
+
+/// A row of the table; the style is the state's, or of all heads.
+fn line(style: Style, [name, state, pid, starts, silent, memory, sensor]: &[String; 7]) -> String {
+    let sensor = if sensor.is_empty() { String::new() } else { format!("  {sensor}") };
+    format!("{name:<12} {style}{state:<9}{style:#} {pid:>8} {starts:>7} {silent:>10} {memory:>10}{sensor}")
+}
+
+/// A sensor's name, as far as there is room; `--json` has it whole.
+fn shown_sensor(name: &str) -> String {
+    let name = printable(name);
+    if name.chars().count() <= SENSOR_CHARS_MAX {
+        return name;
+    }
+    name.chars().take(SENSOR_CHARS_MAX - 3).chain("...".chars()).collect()
+}
+
+/// Which robots, neighbours together: `robot-0 to 4, 7`.
+fn ids(robots: &[&NodeStatus]) -> String {
+    let mut runs: Vec<(usize, usize)> = Vec::new();
+    for id in robots.iter().filter_map(|robot| robot.robot()) {
+        match runs.last_mut() {
+            Some((_, last)) if *last + 1 == id => *last = id,
+            _ => runs.push((id, id)),
+        }
+    }
+    let names = runs.iter().map(|(first, last)| match last - first {
+        0 => first.to_string(),
+        _ => format!("{first} to {last}"),
+    });
+    format!("robot-{}", names.collect::<Vec<_>>().join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::terminal::WIDTH;
+
+    fn node(name: &str, state: &'static str) -> NodeStatus {
+        let pid = (state != "gone").then_some(1_234_567);
+        let (silent_s, resident_kb) = (pid.map(|_| 0.05), pid.map(|_| 20_480));
+        NodeStatus { name: name.to_owned(), sensor: None, state, pid, starts: 1, silent_s, resident_kb }
+    }
+
+    fn status(robots: usize, state_of: impl Fn(usize) -> &'static str) -> Status {
+        let mut nodes = vec![node("sim", "running"), node("fusion", "running")];
+        nodes.extend((0..robots).map(|id| node(&format!("robot-{id}"), state_of(id))));
+        nodes.push(node("run", "running"));
+        Status {
+            name: "a-name-of-24-letters-xxx".to_owned(),
+            scenario: "a-scenario-of-24-letters".to_owned(),
+            phase: "running",
+            tick: 1_000_000,
+            ticks: 1_000_000,
+            out_dir: "runs/x".to_owned(),
+            leader: Some(1_234_567),
+            leads: 1_000,
+            standbys: 2,
+            nodes,
+        }
+    }
+
+    fn text(status: &Status, all: bool) -> String {
+        let text = anstream::adapter::strip_str(&status.text(all)).to_string();
+        assert!(text.lines().all(|line| line.len() <= WIDTH && line == line.trim_end()), "{text}");
+        text
+    }
+
+    fn nodes_shown(text: &str) -> Vec<&str> {
+        let table = text.lines().skip_while(|line| !line.starts_with("node ")).skip(1);
+        table.take_while(|line| !line.is_empty()).map(|line| line[..12].trim_end()).collect()
+    }
+
+    #[test]
+    fn who_is_not_well_comes_first() {
+        let states = ["running", "stopped", "gone", "hung"];
+        let text = text(&status(4, |id| states[id]), false);
+        assert_eq!(nodes_shown(&text), ["robot-2", "robot-3", "robot-1", "sim", "fusion", "robot-0", "run"]);
+    }
+
+    #[test]
+    fn many_robots_that_are_well_share_a_line_and_the_others_do_not() {
+        let status = status(128, |id| if id == 77 { "hung" } else { "running" });
+        let folded = text(&status, false);
+        assert_eq!(nodes_shown(&folded), ["robot-77", "sim", "fusion", "127 robots", "run"]);
+        assert!(folded.contains("2540.0 MB") && folded.contains("--all"), "{folded}");
+        let all = text(&status, true);
+        assert_eq!(nodes_shown(&all).len(), 131);
+        assert!(!all.contains("--all"), "{all}");
+    }
+
+    #[test]
+    fn many_robots_that_are_gone_are_told_by_number() {
+        let text = text(&status(256, |id| if id % 3 == 0 { "running" } else { "gone" }), false);
+        assert!(text.contains("171 robots") || text.contains("170 robots"), "{text}");
+        assert!(text.contains("robot-1 to 2, 4 to 5,") && text.contains("253 to 254"), "{text}");
+    }
+
+    #[test]
+    fn of_a_run_that_is_over_those_are_shown_that_are_still_there() {
+        let mut over = status(3, |_| "gone");
+        over.phase = "finishing";
+        let text = text(&over, true);
+        assert_eq!(nodes_shown(&text), ["sim", "fusion", "run"]);
+        assert!(text.contains("  finishing ") && !text.contains("leads"), "{text}");
+    }
+
+    #[test]
+    fn a_sensor_is_told_by_the_users_name_in_its_row() {
+        let mut status = status(3, |_| "running");
+        for (node, name) in status.nodes[2..].iter_mut().zip(["2938", "\u{202e}a\u{1b}[31m", &"n".repeat(64)]) {
+            node.sensor = Some(name.to_owned());
+        }
+        let text = text(&status, false);
+        let rows: Vec<&str> = text.lines().filter(|line| line.starts_with("robot-")).collect();
+        assert!(rows[0].ends_with(" MB  2938") && rows[1].ends_with("  \\u{202e}a\\u{1..."), "{text}");
+        assert!(rows[2].ends_with("  nnnnnnnnnnnnn..."), "{text}");
+        assert!(serde_json::to_string(&status).unwrap().contains(r#""sensor":"2938""#));
+    }
+
+    #[test]
+    fn a_run_started_by_hand_lacks_no_supervisor() {
+        let mut by_hand = status(1, |_| "running");
+        by_hand.nodes.pop();
+        by_hand.nodes.push(NodeStatus { starts: 0, ..node("run", "gone") });
+        assert_eq!(nodes_shown(&text(&by_hand, false)), ["sim", "fusion", "robot-0"]);
+    }
+}

@@ -1,0 +1,449 @@
+//! The processes of a run: started, watched, started again, ended.
+
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::PathBuf;
+use std::process::{Child, ExitStatus, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::{Context, anyhow};
+use rangehound_fusion::standby::STANDBYS_MAX;
+use rangehound_node::clock::monotonic_ns;
+use rangehound_node::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
+use rangehound_node::signal::Termination;
+use rangehound_shared::scenario::Scenario;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
+
+use super::cleaner::Cleaner;
+use super::restart::{Policies, Policy};
+use super::silence::{self, Silence};
+use crate::cli::SupervisionArgs;
+use crate::failure::{Failure, with_causes};
+use crate::files::out_folder;
+use crate::results::report::{Incident, NodeSummary};
+use crate::run::node::{command_line, this_program};
+use crate::run::watch;
+
+/// How long nodes may take to end by themselves once the run is over, and once they are asked to.
+const GRACE: Duration = Duration::from_secs(3);
+
+/// A node that fails by itself this often in a row has a reason that starting it again does not mend.
+const FAILURES_MAX: u32 = 5;
+
+/// A node that has lived for this long has got over what ended its forerunner.
+const SETTLED: Duration = Duration::from_secs(1);
+
+/// Wait before the second start in a row of a node that has not settled; it doubles with each further
+/// failure. A kill is somebody else's doing and does not make it longer.
+const BACK_OFF: Duration = Duration::from_millis(10);
+
+const BACK_OFF_MAX: Duration = Duration::from_secs(1);
+
+/// For this long after a death, what the dead left half-made is looked for: whoever waits for it
+/// holds it open now and then, as its maker would.
+const HALF_MADE: Duration = Duration::from_secs(1);
+
+/// The processes of a run.
+pub(super) struct Nodes<'a> {
+    rendezvous: &'a Rendezvous,
+    /// The supervisor's, whose sign of life this gives for it.
+    hold: &'a RoleHold,
+    policies: Policies,
+    cleaner: Cleaner,
+    nodes: Vec<Node>,
+    last_death: Option<Instant>,
+    inspection: Inspection,
+    /// How often the lead has been taken.
+    leads: u64,
+}
+
+/// How the nodes of a run came to their end.
+#[derive(Debug)]
+pub(super) enum Ended {
+    /// With the run.
+    Finished,
+    /// Somebody has removed the run's shared memory: this file of it, or more.
+    Removed(PathBuf),
+}
+
+/// One role's process, and what has become of its forerunners.
+struct Node {
+    role: Role,
+    /// True if there are standbys: then fusion is one of those too, for another may lead when it comes back.
+    has_standbys: bool,
+    running: Option<Running>,
+    summary: NodeSummary,
+    /// Deaths since it last settled, and own failures among them: exits and crashes.
+    deaths: u32,
+    failures: u32,
+    restart_at: Option<Instant>,
+}
+
+struct Running {
+    child: Child,
+    /// Readable once the process has ended; `None` where the kernel gives none.
+    ended: Option<OwnedFd>,
+    since: Instant,
+    silence: Silence<SystemTime>,
+    /// True once it has been seen to lead.
+    has_led: bool,
+}
+
+impl<'a> Nodes<'a> {
+    pub(super) fn start(
+        rendezvous: &'a Rendezvous,
+        hold: &'a RoleHold,
+        supervision: &SupervisionArgs,
+        cleaner: Cleaner,
+        before: Vec<NodeSummary>,
+    ) -> Result<Self, Failure> {
+        let policies = Policies::new(&supervision.rules);
+        let scenario = &rendezvous.description().scenario;
+        let roles = watch::roles(scenario.robots.len());
+        let roles = roles.chain((1..=supervision.standby).map(Role::Standby));
+        let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standby > 0)).collect();
+        // What has become of each before goes on.
+        nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
+        let inspection = rendezvous.inspection();
+        let mut all = Self { rendezvous, hold, policies, cleaner, nodes, last_death: None, inspection, leads: 0 };
+        for node in &mut all.nodes {
+            if let Err(error) = node.start(rendezvous) {
+                all.end(false);
+                return Err(Failure::Running(error));
+            }
+        }
+        Ok(all)
+    }
+
+    /// Watches until the run is finished, its shared memory is removed, a node that is not replaced dies, or an end is asked
+    /// for.
+    pub(super) fn supervise(&mut self, termination: &Termination, mut look: impl FnMut()) -> anyhow::Result<Ended> {
+        let mut looked = Instant::now();
+        let mut listened = Instant::now();
+        while !self.rendezvous.is_finished() {
+            if termination.requested() {
+                return Err(anyhow!("ended before its last tick, as asked"));
+            }
+            self.hold.sign();
+            self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
+            if looked.elapsed() >= watch::LOOK {
+                look();
+                looked = Instant::now();
+            }
+            if listened.elapsed() >= silence::LOOK {
+                if let Some(removed) = self.inspect() {
+                    return Ok(Ended::Removed(removed));
+                }
+                self.leads = self.leads.max(self.rendezvous.roster().starts(Role::Fusion));
+                self.kill_the_hung();
+                listened = Instant::now();
+            }
+            if let Some(removed) = self.replace_the_dead()? {
+                return Ok(Ended::Removed(removed));
+            }
+        }
+        look();
+        Ok(Ended::Finished)
+    }
+
+    /// What has been removed of the run's shared memory, as far as one look shows it.
+    fn inspect(&mut self) -> Option<PathBuf> {
+        let nodes = self.pids();
+        self.inspection.removed(&nodes)
+    }
+
+    fn pids(&self) -> Vec<Pid> {
+        self.nodes.iter().filter_map(|node| node.running.as_ref()).map(Running::pid).collect()
+    }
+
+    /// Sleeps until a process ends, the next restart is due, or time is up.
+    fn wait_for_a_death(&self, at_most: Duration) {
+        let now = Instant::now();
+        let due = self.nodes.iter().filter_map(|node| node.restart_at).min();
+        let wait = due.map_or(at_most, |due| at_most.min(due.saturating_duration_since(now)));
+        let ended = self.nodes.iter().filter_map(|node| node.running.as_ref()?.ended.as_ref());
+        let mut watched: Vec<PollFd<'_>> =
+            ended.map(|fd| PollFd::from_borrowed_fd(fd.as_fd(), PollFlags::IN)).collect();
+        let timeout = Timespec { tv_sec: wait.as_secs().cast_signed(), tv_nsec: wait.subsec_nanos().into() };
+        // An error is a signal: the loop looks at everything anyway.
+        let _ = poll(&mut watched, Some(&timeout));
+    }
+
+    /// Kills the nodes that have been silent for too long, so that they are started again like any dead one.
+    /// One that would not be may come back by itself.
+    fn kill_the_hung(&mut self) {
+        let (roster, scenario) = (self.rendezvous.roster(), &self.rendezvous.description().scenario);
+        let heard = self.nodes.iter_mut().filter_map(|node| node.listen(roster)).filter(|is_heard| *is_heard).count();
+        if heard == 0 {
+            return;
+        }
+        let count = self.nodes.len();
+        for node in &mut self.nodes {
+            let is_replaced = self.policies.of(node.role) != Policy::Never;
+            let Some(running) = &mut node.running else { continue };
+            running.silence.count();
+            let is_deposed = running.has_led && roster.last_holder(Role::Fusion) != Some(running.pid());
+            let limit = silence::limit(scenario, count, running.silence.has_started(), is_deposed);
+            if let Some(limit) = limit
+                && is_replaced
+                && running.silence.is_longer_than(limit)
+                && running.signal(Signal::KILL)
+            {
+                let title = node.summary.title();
+                log::warn!("{title} gave no sign of life for {limit:?} while others did: it is killed");
+                running.silence = Silence::default();
+                node.note(Incident::Hung);
+            }
+        }
+    }
+
+    /// Starts nodes again that have ended, as their policies say; unless it is what has been removed of the run's shared memory
+    /// that they have ended of.
+    fn replace_the_dead(&mut self) -> anyhow::Result<Option<PathBuf>> {
+        for index in 0..self.nodes.len() {
+            let can_lead = self.nodes.iter_mut().map(|node| usize::from(node.can_lead() && node.is_running())).sum();
+            let node = &mut self.nodes[index];
+            if let Some(status) = node.reap(self.rendezvous)? {
+                if let Some(removed) = self.inspect() {
+                    return Ok(Some(removed));
+                }
+                let node = &mut self.nodes[index];
+                let message = format!("{} {}", node.summary.title(), describe(status));
+                self.last_death = Some(Instant::now());
+                self.rendezvous.remove_half_made();
+                self.cleaner.request();
+                // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
+                let is_taken = self.rendezvous.roster().is_held(node.role);
+                let is_own = !is_kill(status) && !is_taken;
+                let is_hopeless = is_own && (status.code() == Some(2) || node.failures >= FAILURES_MAX);
+                let is_replaced = match self.policies.of(node.role) {
+                    Policy::Always => true,
+                    Policy::OnFailure => !status.success(),
+                    Policy::Never => false,
+                };
+                if is_replaced && !is_hopeless {
+                    log::warn!("{message}; it is started again");
+                    node.restart_at = Some(Instant::now() + node.back_off());
+                } else if is_hopeless && !node.can_lead() || !node.is_spare(can_lead) {
+                    let nodes = self.pids();
+                    // Before one is given up that fails again and again.
+                    if is_own && let Some(removed) = self.inspection.removed_of_any(&nodes) {
+                        return Ok(Some(removed));
+                    }
+                    let node = &self.nodes[index];
+                    let log = node.log_path(self.rendezvous);
+                    let said = std::fs::read_to_string(&log).unwrap_or_default();
+                    let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
+                    return Err(anyhow!("{message}{last}"));
+                } else {
+                    log::warn!("{message}; the others go on without it");
+                }
+            }
+            let node = &mut self.nodes[index];
+            if node.restart_at.is_some_and(|at| Instant::now() >= at)
+                && let Err(error) = node.start(self.rendezvous)
+            {
+                // The system may have room again before long.
+                (node.deaths, node.failures) = (node.deaths + 1, node.failures + 1);
+                if node.failures >= FAILURES_MAX {
+                    return Err(error);
+                }
+                log::warn!("{}; it is tried again", with_causes(&error));
+                node.restart_at = Some(Instant::now() + node.back_off());
+            }
+        }
+        if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
+            self.rendezvous.remove_half_made();
+        }
+        Ok(None)
+    }
+
+    /// Kills all nodes at once, and waits until they are gone: only then may others go on from what they have put down.
+    pub(super) fn kill(&mut self) -> anyhow::Result<()> {
+        for node in &mut self.nodes {
+            if let Some(running) = &mut node.running {
+                // One that has seen it first has ended by itself.
+                let is_killed = running.signal(Signal::KILL);
+                node.note(if is_killed { Incident::Killed } else { Incident::Exited });
+            }
+        }
+        self.wait_for_all();
+        let left = self.nodes.iter_mut().find_map(|node| node.is_running().then_some(node.role));
+        match left {
+            Some(role) => Err(anyhow!("{role} was killed and does not end")),
+            None => Ok(()),
+        }
+    }
+
+    /// Lets the nodes end by themselves if the run is over, asks those that do not, and kills those
+    /// that will not.
+    pub(super) fn end(&mut self, finished: bool) {
+        if finished {
+            self.wait_for_all();
+        }
+        self.signal(Signal::TERM);
+        self.wait_for_all();
+        self.signal(Signal::KILL);
+        self.wait_for_all();
+        self.rendezvous.remove_half_made();
+        self.cleaner.request();
+    }
+
+    fn wait_for_all(&mut self) {
+        let began = Instant::now();
+        while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
+            self.hold.sign();
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn signal(&mut self, signal: Signal) {
+        for running in self.nodes.iter_mut().filter_map(|node| node.running.as_mut()) {
+            running.signal(signal);
+        }
+    }
+
+    pub(super) fn into_summaries(self) -> Vec<NodeSummary> {
+        self.nodes.into_iter().map(|node| node.summary).collect()
+    }
+
+    /// How often the lead has been taken, as of the newest look.
+    pub(super) fn leads(&self) -> u64 {
+        self.leads
+    }
+}
+
+impl Running {
+    fn pid(&self) -> Pid {
+        Pid::from_child(&self.child)
+    }
+
+    /// False if it has ended: only a child that runs still has its pid.
+    fn signal(&mut self, signal: Signal) -> bool {
+        matches!(self.child.try_wait(), Ok(None)) && kill_process(self.pid(), signal).is_ok()
+    }
+}
+
+impl Node {
+    fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
+        let summary = NodeSummary::new(role, scenario, 0);
+        Self { role, has_standbys, running: None, summary, deaths: 0, failures: 0, restart_at: None }
+    }
+
+    fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
+        rendezvous.description().out_dir.join("logs").join(format!("{}.log", self.role))
+    }
+
+    fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
+        let log_path = self.log_path(rendezvous);
+        let log = out_folder::append(&log_path);
+        // Where no log can be kept, the user sees what the node says.
+        let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
+        // Where others can lead, one that was started as fusion stands by too: another may lead when it comes.
+        let role = if self.role == Role::Fusion && self.has_standbys { Role::Standby(1) } else { self.role };
+        let mut command = this_program();
+        command
+            .args(command_line(role, rendezvous.name()))
+            // A group of its own: Ctrl-C reaches the supervisor, which ends the nodes in order.
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(stderr);
+        let child = command.spawn().with_context(|| format!("cannot start {}", self.summary.title()))?;
+        let ended = pidfd_open(Pid::from_child(&child), PidfdFlags::empty()).ok();
+        let (since, silence) = (Instant::now(), Silence::default());
+        self.running = Some(Running { child, ended, since, silence, has_led: false });
+        self.note(Incident::Started);
+        self.restart_at = None;
+        Ok(())
+    }
+
+    fn can_lead(&self) -> bool {
+        matches!(self.role, Role::Fusion | Role::Standby(_))
+    }
+
+    /// Takes note of its process's newest sign of life: true if it is new, `None` if there is no process.
+    fn listen(&mut self, roster: &Roster) -> Option<bool> {
+        let role = self.role;
+        let running = self.running.as_mut()?;
+        let pid = running.pid();
+        let sign = |role| roster.signed_by(role).filter(|(signer, _)| *signer == pid).map(|(_, sign)| sign);
+        let newest: Option<SystemTime> = match role {
+            // Which of them can lead does, is not told by who was started as what.
+            Role::Fusion | Role::Standby(_) => {
+                let lead = sign(Role::Fusion);
+                running.has_led |= lead.is_some();
+                lead.or_else(|| (1..=STANDBYS_MAX).filter_map(|number| sign(Role::Standby(number))).max())
+            }
+            role => sign(role),
+        };
+        Some(running.silence.hear(newest))
+    }
+
+    /// True if the run goes on without it, with this many others that can lead.
+    fn is_spare(&self, can_lead: usize) -> bool {
+        matches!(self.role, Role::Robot(_)) || self.can_lead() && can_lead > 0
+    }
+
+    fn is_running(&mut self) -> bool {
+        self.running.as_mut().is_some_and(|running| matches!(running.child.try_wait(), Ok(None)))
+    }
+
+    /// The end of the process before the run's, told once.
+    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<ExitStatus>> {
+        let Some(running) = &mut self.running else { return Ok(None) };
+        let Some(status) = running.child.try_wait()? else { return Ok(None) };
+        if running.since.elapsed() >= SETTLED {
+            (self.deaths, self.failures) = (0, 0);
+        }
+        self.running = None;
+        // The run is marked as finished before any node ends by itself, so the mark is looked at after.
+        if rendezvous.is_finished() {
+            return Ok(None);
+        }
+        self.deaths += 1;
+        if !status.success() && !is_kill(status) {
+            self.failures += 1;
+        }
+        self.note(if status.signal().is_some() { Incident::Killed } else { Incident::Exited });
+        Ok(Some(status))
+    }
+
+    /// Counts what has happened to it just now.
+    fn note(&mut self, incident: Incident) {
+        let NodeSummary { starts, kills, exits, hangs, incidents, .. } = &mut self.summary;
+        *match incident {
+            Incident::Started => starts,
+            Incident::Killed => kills,
+            Incident::Exited => exits,
+            Incident::Hung => hangs,
+        } += 1;
+        incidents.push((monotonic_ns(), incident));
+    }
+
+    /// How long to wait before it is started again: not at all after one death, longer and longer while
+    /// it fails before it has settled.
+    fn back_off(&self) -> Duration {
+        if self.deaths <= 1 {
+            return Duration::ZERO;
+        }
+        BACK_OFF.saturating_mul(1 << self.failures.saturating_sub(1).min(16)).min(BACK_OFF_MAX)
+    }
+}
+
+/// True if somebody else ended it.
+fn is_kill(status: ExitStatus) -> bool {
+    status.signal() == Some(Signal::KILL.as_raw())
+}
+
+pub(super) fn describe(status: ExitStatus) -> String {
+    match (status.signal(), status.code()) {
+        (Some(signal), _) if signal == Signal::BUS.as_raw() => {
+            format!("was killed by signal {signal}: it had no shared memory left, /dev/shm is full or has failed")
+        }
+        (Some(signal), _) => format!("was killed by signal {signal}"),
+        (None, Some(code)) => format!("exited with code {code}"),
+        (None, None) => "ended".to_owned(),
+    }
+}

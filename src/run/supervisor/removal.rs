@@ -1,0 +1,158 @@
+//! The life of a run's processes, and another one when somebody has removed the shared memory that they met in: they all
+//! end, the run is founded again under its own id, and they go on from its checkpoints as after `resume`.
+
+use anyhow::anyhow;
+use rangehound_node::bus::Bus;
+use rangehound_node::rendezvous::{ENDING_NOTE, LIVE_NOTE, Rendezvous, Role};
+use rangehound_node::signal::Termination;
+
+use super::cleaner::Cleaner;
+use super::companions::Companions;
+use super::losses::Losses;
+use super::nodes::{Ended, Nodes};
+use crate::cli::{RecordingArgs, SupervisionArgs};
+use crate::failure::Failure;
+use crate::results::report::NodeSummary;
+use crate::run::node::input_or_running;
+use crate::run::watch::Watch;
+
+/// Shared memory that is removed so often in a row, each time before a tick is over, is not made again.
+const REMOVALS_MAX: u32 = 5;
+
+/// Runs the nodes until the run ends, and once more from its checkpoints whenever somebody has removed its shared memory.
+pub(super) fn go_on_until_the_end(
+    rendezvous: Rendezvous,
+    supervision: &SupervisionArgs,
+    recording: &RecordingArgs,
+    termination: &Termination,
+) -> Result<(Vec<NodeSummary>, anyhow::Result<()>), Failure> {
+    let mut rendezvous = rendezvous;
+    let mut past = Past::default();
+    let mut removals_in_a_row = 0;
+    let mut removed: Option<String> = None;
+    loop {
+        let lived = live_once(&rendezvous, supervision, recording, termination, &mut past);
+        let with_cause = |error: anyhow::Error| match &removed {
+            Some(cause) if past.newest_tick.is_none() && !termination.requested() => error.context(cause.clone()),
+            _ => error,
+        };
+        let path = match lived {
+            Ok(Ended::Finished) => return Ok((past.summaries, Ok(()))),
+            Ok(Ended::Removed(path)) => path,
+            // Before anybody could look for it.
+            Err(Failure::Running(_)) if rendezvous.is_removed() && !termination.requested() => {
+                rendezvous.iceoryx2_config_path()
+            }
+            Err(Failure::Running(error)) if removed.is_some() => {
+                let outcome = Err(with_cause(error));
+                return Ok((past.summaries, outcome));
+            }
+            Err(Failure::Running(error)) if !past.summaries.is_empty() => return Ok((past.summaries, Err(error))),
+            Err(failure) => return Err(failure),
+        };
+        let what = format!("shared memory of run {} was removed from outside ({})", rendezvous.name(), path.display());
+        removals_in_a_row = if past.newest_tick.is_some() { 0 } else { removals_in_a_row + 1 };
+        if removals_in_a_row >= REMOVALS_MAX {
+            return Ok((past.summaries, Err(anyhow!("{what}, again and again before a tick was over"))));
+        }
+        log::warn!(
+            "{what}, as systemd does at a user's last logout with RemoveIPC=yes; the run goes on from its checkpoints"
+        );
+        let starts = past.starts();
+        rendezvous = match rendezvous.found_again(&starts) {
+            Ok(again) => again,
+            Err(error) => {
+                let error = anyhow::Error::new(error).context(format!("{what}, and cannot be made again"));
+                return Ok((past.summaries, Err(error)));
+            }
+        };
+        removed = Some(format!("{what}, and it cannot go on from its checkpoints"));
+    }
+}
+
+/// Starts all processes of the run and sees to them until it ends, or until its shared memory has been removed.
+fn live_once(
+    rendezvous: &Rendezvous,
+    supervision: &SupervisionArgs,
+    recording: &RecordingArgs,
+    termination: &Termination,
+    past: &mut Past,
+) -> Result<Ended, Failure> {
+    let description = rendezvous.description();
+    let hold = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
+    past.supervisor_starts = hold.incarnation;
+    past.newest_tick = None;
+    std::thread::scope(|scope| {
+        let bus = Bus::connect(rendezvous, "observer")?;
+        let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+        let cleaner = Cleaner::start(rendezvous, scope);
+        let mut nodes = Nodes::start(rendezvous, &hold, supervision, cleaner, past.summaries.clone())?;
+        let mut companions = Companions::of(rendezvous, &hold);
+        if !recording.no_record {
+            companions.start("record", vec!["--record-limit".to_owned(), recording.limit.limit_mb.to_string()]);
+        }
+        if let Some(port) = supervision.show.live {
+            // The page is found where it was.
+            if let Some(address) = &past.live_address {
+                let _ = rendezvous.leave_note(LIVE_NOTE, address);
+            }
+            let port = port.map(|port| ["--port".to_owned(), port.to_string()]);
+            companions.start("live", port.into_iter().flatten().collect());
+        }
+        let mut losses = Losses::new(description);
+        let mut is_blind = false;
+        let outcome = nodes.supervise(termination, || {
+            // What cannot be shown is no reason to end the run.
+            if let Err(error) = watch.look()
+                && !std::mem::replace(&mut is_blind, true)
+            {
+                log::warn!("progress cannot be shown: {error}");
+            }
+            losses.look(watch.newest_ticks());
+            companions.look();
+            if supervision.show.live.is_some() {
+                past.live_address = rendezvous.note(LIVE_NOTE).or_else(|| past.live_address.take());
+            }
+        });
+        past.newest_tick = watch.newest_ticks().fusion;
+        if let Ok(Ended::Removed(_)) = outcome {
+            watch.finish();
+            companions.kill();
+            nodes.kill()?;
+        } else {
+            // Without the note, whoever looks on takes it for a run whose nodes have died.
+            let _ = rendezvous.leave_note(ENDING_NOTE, "");
+            nodes.end(rendezvous.is_finished());
+            watch.finish();
+            companions.end(termination);
+        }
+        past.leads = nodes.leads();
+        past.summaries = nodes.into_summaries();
+        Ok(outcome?)
+    })
+}
+
+/// What is known of a run from before its shared memory was removed.
+#[derive(Debug, Default)]
+struct Past {
+    summaries: Vec<NodeSummary>,
+    supervisor_starts: u64,
+    /// How often the lead has been taken: by standbys too.
+    leads: u64,
+    /// Port and token of the live page.
+    live_address: Option<String>,
+    /// The newest tick that fusion has published since the nodes were started.
+    newest_tick: Option<u64>,
+}
+
+impl Past {
+    /// How often each role has been taken.
+    fn starts(&self) -> Vec<(Role, u64)> {
+        let of_node = |node: &NodeSummary| Some((node.name.parse::<Role>().ok()?, node.starts));
+        let nodes = self.summaries.iter().filter_map(of_node).map(|(role, starts)| match role {
+            Role::Fusion => (role, starts.max(self.leads)),
+            role => (role, starts),
+        });
+        nodes.chain([(Role::Supervisor, self.supervisor_starts)]).collect()
+    }
+}

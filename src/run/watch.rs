@@ -1,0 +1,243 @@
+//! Progress of a run, as an observer sees it: never woken, never waited for.
+
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use rangehound_node::bus::{Bus, BusError, Subscriber};
+use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::signal::Termination;
+use rangehound_shared::message::{Estimate, Truth};
+
+use crate::cli::WatchArgs;
+use crate::failure::{self, Failure};
+use crate::results::made::{self, Keep};
+use crate::results::report::{NodeSummary, position_covariance};
+use crate::run::node;
+use crate::run::node::input_or_running;
+use crate::terminal;
+
+/// How often an observer looks.
+pub const LOOK: Duration = Duration::from_millis(50);
+
+/// How often a line is printed where there is no terminal.
+const LINE: Duration = Duration::from_secs(2);
+
+/// How long fusion may take to put its last tick down once the run has ended. By then a supervisor has killed one that hangs.
+const LAST_WORDS: Duration = Duration::from_secs(10);
+
+/// The same where an end is asked for before the run's: asked may be only who waits here.
+const EARLY_LAST_WORDS: Duration = Duration::from_secs(1);
+
+const LAST_WORDS_POLL: Duration = Duration::from_millis(5);
+
+/// How far the two that keep logs have got, as an observer knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Newest {
+    /// Tick of the newest estimate.
+    pub fusion: Option<u64>,
+    /// The simulator's newest tick, where there is a truth.
+    pub sim: Option<u64>,
+}
+
+/// What an observer has caught of a run.
+#[derive(Debug)]
+pub struct Watch {
+    estimates: Subscriber<Estimate>,
+    truths: Subscriber<Truth>,
+    progress: Progress,
+    estimate: Option<(u64, Estimate)>,
+    /// The last few ticks' true positions: truth and estimate of a tick come at different times.
+    recent_truths: [(u64, [f64; 2]); 8],
+    latency_ns: u64,
+    error_m: Option<f64>,
+}
+
+impl Watch {
+    /// Starts to watch a run.
+    ///
+    /// # Errors
+    /// [`BusError`] if the bus refuses.
+    pub fn new(bus: &Bus, ticks: u64) -> Result<Self, BusError> {
+        Ok(Self {
+            estimates: bus.subscriber()?,
+            truths: bus.subscriber()?,
+            progress: Progress::new("tick", ticks),
+            estimate: None,
+            recent_truths: [(u64::MAX, [0.0; 2]); 8],
+            latency_ns: 0,
+            error_m: None,
+        })
+    }
+
+    /// The newest tick that fusion and the simulator have published.
+    #[must_use]
+    pub fn newest_ticks(&self) -> Newest {
+        let truths = self.recent_truths.iter().map(|(tick, _)| *tick).filter(|tick| *tick != u64::MAX);
+        Newest { fusion: self.estimate.as_ref().map(|(tick, _)| *tick), sim: truths.max() }
+    }
+
+    /// Looks once and shows what has changed.
+    ///
+    /// # Errors
+    /// [`BusError`] if the bus fails.
+    pub fn look(&mut self) -> Result<(), BusError> {
+        let Self { estimates, truths, recent_truths, latency_ns, estimate, error_m, .. } = self;
+        truths.drain(|header, message| {
+            if let [truth] = message {
+                *latency_ns = truth.latency_ns;
+                if truth.state_dim >= 2 {
+                    let slot = (header.tick % recent_truths.len() as u64) as usize;
+                    recent_truths[slot] = (header.tick, [truth.state[0], truth.state[1]]);
+                }
+            }
+        })?;
+        estimates.drain(|header, message| {
+            if let [newest] = message {
+                *estimate = Some((header.tick, *newest));
+                let known = recent_truths.iter().find(|(tick, _)| *tick == header.tick);
+                if let Some((_, [x_m, y_m])) = known {
+                    *error_m = Some((newest.state[0] - x_m).hypot(newest.state[1] - y_m));
+                }
+            }
+        })?;
+        if let Some((tick, estimate)) = &self.estimate {
+            let trace_m2 = position_covariance(estimate).trace();
+            let error = self.error_m.map_or(String::new(), |error_m| format!("error {error_m:.2} m  "));
+            let latency = match self.latency_ns {
+                0 => String::new(),
+                ns => format!("  latency {} us", ns / 1_000),
+            };
+            self.progress.show(*tick, &format!("{error}trace {trace_m2:.3} m^2{latency}"));
+        }
+        Ok(())
+    }
+
+    /// Ends the display.
+    pub fn finish(&mut self) {
+        self.progress.finish();
+    }
+}
+
+/// A bar on a terminal, now and then a line elsewhere.
+#[derive(Debug)]
+pub struct Progress {
+    bar: ProgressBar,
+    is_drawn: bool,
+    step: &'static str,
+    steps: u64,
+    last_line: Option<Instant>,
+}
+
+impl Progress {
+    /// A display for so many steps; `step` is what one is called.
+    #[must_use]
+    pub fn new(step: &'static str, steps: u64) -> Self {
+        let bar = ProgressBar::new(steps).with_prefix(step);
+        if let Ok(style) = ProgressStyle::with_template("{bar:16} {prefix} {pos}/{len}  {wide_msg}") {
+            bar.set_style(style);
+        }
+        let is_drawn = terminal::draws_on_stderr();
+        terminal::set_bar(is_drawn.then(|| bar.clone()));
+        Self { bar, is_drawn, step, steps, last_line: None }
+    }
+
+    /// Takes the bar away: what follows is the report.
+    pub fn finish(&self) {
+        if self.is_drawn {
+            self.bar.finish_and_clear();
+            terminal::set_bar(None);
+        }
+    }
+
+    /// Shows how many steps are done.
+    pub fn show(&mut self, done: u64, message: &str) {
+        if self.is_drawn {
+            if self.bar.is_finished() {
+                // Taken away for what was printed meanwhile, as between the runs of a campaign.
+                self.bar.reset();
+                terminal::set_bar(Some(self.bar.clone()));
+            }
+            self.bar.set_position(done);
+            self.bar.set_message(message.to_owned());
+        } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
+            let line = format!("{} {done}/{}  {message}", self.step, self.steps);
+            failure::tell(line.trim_end());
+            self.last_line = Some(Instant::now());
+        }
+    }
+}
+
+impl Drop for Progress {
+    /// An error must not leave the bar behind.
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+/// `rangehound watch`: attaches to a run started by hand, and reports when it ends.
+///
+/// # Errors
+/// [`Failure`].
+pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
+    let termination = Termination::listen()?;
+    while !watch_until_removed(args, &termination)? {
+        failure::tell(format_args!("the shared memory of run {} was removed; joining it again", args.node.name));
+    }
+    Ok(())
+}
+
+/// The same; false if somebody has removed the shared memory of a run, whose supervisor makes it again.
+fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bool, Failure> {
+    let rendezvous = node::join(&args.node.name, termination)?;
+    let bus = Bus::connect(&rendezvous, "observer")?;
+    let description = rendezvous.description();
+    let mut watch = Watch::new(&bus, description.scenario.ticks)?;
+    let roster = rendezvous.roster();
+    let is_supervised = roster.is_held(Role::Supervisor);
+    let has_lost_its_supervisor = || roster.starts(Role::Supervisor) > 0 && !roster.is_held(Role::Supervisor);
+    while !rendezvous.is_finished() && !termination.requested() {
+        if rendezvous.is_removed() {
+            watch.finish();
+            return if is_supervised { Ok(false) } else { Err(input_or_running(rendezvous.removed())) };
+        }
+        // Nobody marks a run as finished that is ended before its last tick.
+        if has_lost_its_supervisor() && !rendezvous.is_finished() {
+            watch.finish();
+            return Err(Failure::Running(anyhow::anyhow!("run {} was ended before its last tick", args.node.name)));
+        }
+        std::thread::sleep(LOOK);
+        watch.look()?;
+    }
+    watch.finish();
+    if !rendezvous.is_finished() {
+        return Ok(true);
+    }
+    wait_for_last_words(&rendezvous);
+    let nodes = roles(description.scenario.robots.len())
+        .map(|role| NodeSummary::new(role, &description.scenario, rendezvous.roster().starts(role)))
+        .collect();
+    let keep = Keep { json: args.json, ..Keep::default() };
+    if roster.starts(Role::Supervisor) > 0 {
+        // The supervisor writes the report, and knows more of the nodes.
+        return made::print_report(description, &keep, nodes).map(|_| true);
+    }
+    made::report_and_tables(description, &keep, nodes).map(|_| true)
+}
+
+/// Waits for fusion, which puts its last tick down after it has published it. False if it goes on: the run does, or it hangs.
+pub fn wait_for_last_words(run: &Rendezvous) -> bool {
+    let began = Instant::now();
+    while run.roster().is_held(Role::Fusion) {
+        let at_most = if run.is_finished() { LAST_WORDS } else { EARLY_LAST_WORDS };
+        if began.elapsed() >= at_most {
+            return false;
+        }
+        std::thread::sleep(LAST_WORDS_POLL);
+    }
+    true
+}
+
+/// The nodes of a run.
+pub fn roles(robots: usize) -> impl Iterator<Item = Role> {
+    [Role::Sim, Role::Fusion].into_iter().chain((0..robots).map(Role::Robot))
+}

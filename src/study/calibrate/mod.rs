@@ -1,0 +1,215 @@
+//! `rangehound calibrate`: noise, bias and scale of each sensor from a recording, with or without the true track.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`model`] | readings by knots of the path, and the models of systematic error |
+//! | [`smoother`] | path and errors at once, robustly |
+//! | [`search`] | from ranges alone to all models' fits |
+//! | [`verdict`] | which model is believed, and what the data cannot tell |
+//! | [`regression`] | errors against a known track |
+//! | `text` | `calibration.toml` |
+//! | [`picture`] | residuals over range |
+
+pub mod model;
+pub mod picture;
+pub mod regression;
+pub mod search;
+#[allow(clippy::needless_range_loop, reason = "matrices by row and column, as in the equations")]
+pub mod smoother;
+pub mod text;
+mod verdict;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use rangehound_shared::recording::Recording;
+
+use crate::cli::CalibrateArgs;
+use crate::failure::{self, Failure};
+use crate::files::input;
+use crate::files::layout::Kind;
+use crate::files::layout::{CALIBRATION, RESIDUALS};
+use crate::files::out_folder::claim_or_number;
+use crate::files::whole_file;
+use crate::results::report::Truth;
+use crate::run::experiment::{COMMAND_LINE, recording_table};
+use crate::run::watch::Progress;
+use crate::statistics::median;
+use crate::terminal;
+use model::{Model, Problem, Reading};
+use verdict::{Findings, Measured};
+
+/// Where the findings go unless told otherwise.
+const OUT: &str = "runs/calibrate";
+
+/// `rangehound calibrate`.
+///
+/// # Errors
+/// [`Failure`]; also if nothing could be told.
+pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
+    let table = recording_table(&args.input)?;
+    let (recording, summary) = input::recording_of(&table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+    if table.target_height_m.is_some() && !recording.has_heights() {
+        let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
+        return Err(Failure::input(format!("--target-height: {problem}")));
+    }
+    summary.lines().iter().for_each(|line| failure::tell(format_args!("recording: {line}")));
+    let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
+    inputs.extend(args.truth.clone());
+    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Calibrate, &inputs)?;
+    let out = claim.path();
+    let truth = args.truth.as_deref().map(Truth::read).transpose()?;
+    let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
+    let readings = readings(&recording, args.input.target_height);
+    let problem = Problem::new(&readings, names.len());
+    if problem.thinned > 0 {
+        let used = problem.observations.len();
+        failure::tell(format_args!("{used} of {} ranges are used, spread evenly in time", readings.len()));
+    }
+    let (findings, points) = match &truth {
+        Some(truth) => against_truth(&readings, &names, truth),
+        None => from_ranges(&readings, &problem),
+    };
+    let found = findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && findings.accel_psd.is_some();
+    if found {
+        whole_file::write(&out.join(CALIBRATION), text::text(&findings, &names))?;
+        picture::draw(&points, &names, out)?;
+    }
+    if args.json {
+        failure::print_json(&serde_json::json!({ "determined": found, "sensor_ids": names, "findings": findings }))?;
+    } else {
+        failure::print(report(&findings, &names, args, out, found))?;
+    }
+    if found {
+        return Ok(());
+    }
+    let why = findings.untold.first().map_or("nothing was found", String::as_str);
+    Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot tell {why}")))
+}
+
+fn readings(recording: &Recording, target_height_m: Option<f64>) -> Vec<Reading> {
+    let instants = (0..recording.len()).filter_map(|index| recording.instant(index));
+    let of_instant = |(time_s, ranges): (f64, &[rangehound_shared::recording::RecordedRange])| {
+        let reading = |range: &rangehound_shared::recording::RecordedRange| Reading {
+            time_s,
+            sensor: range.sensor,
+            position_m: range.position_m,
+            height_m: target_height_m.zip(range.height_m).map_or(0.0, |(target_m, sensor_m)| sensor_m - target_m),
+            range_m: range.range_m,
+        };
+        ranges.iter().map(reading).collect::<Vec<_>>()
+    };
+    instants.flat_map(of_instant).collect()
+}
+
+/// Range and residual of each reading, by sensor.
+type Points = Vec<Vec<(f64, f64)>>;
+
+fn from_ranges(readings: &[Reading], problem: &Problem) -> (Findings, Points) {
+    if let Some(why) = verdict::obstacle(readings, problem.sensors) {
+        let mut counts = vec![0; problem.sensors];
+        readings.iter().for_each(|reading| counts[reading.sensor] += 1);
+        return (Findings::nothing(&counts, &why), Vec::new());
+    }
+    let mut progress = Progress::new("model", Model::ALL.len() as u64);
+    let fits = search::search(problem, |done| progress.show(done as u64, ""));
+    progress.finish();
+    let (findings, chosen) = verdict::judge(problem, &fits);
+    let mut points = vec![Vec::new(); problem.sensors];
+    if let Some(fit) = chosen {
+        for (observation, left) in problem.observations.iter().zip(&fit.solution.residuals_m) {
+            points[observation.reading.sensor].push((observation.reading.range_m, *left));
+        }
+    }
+    (findings, points)
+}
+
+fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Findings, Points) {
+    let mut pairs = vec![Vec::new(); names.len()];
+    let mut beside = Vec::new();
+    for reading in readings {
+        if let Some(at) = truth.at(reading.time_s) {
+            let distance = reading.distance_m([at[0], at[1]]);
+            pairs[reading.sensor].push((distance, reading.range_m - distance));
+            beside.push((reading, at));
+        }
+    }
+    let mut findings = regression::regress(&pairs, names);
+    let value = |measured: Option<Measured>| measured.map_or(0.0, |measured| measured.value);
+    let corrected: Vec<Reading> = beside
+        .iter()
+        .map(|(reading, _)| {
+            let errors = &findings.sensors[reading.sensor];
+            let range_m = (reading.range_m - value(errors.bias_m)) / (1.0 + value(errors.scale));
+            Reading { range_m: range_m.max(0.0), ..**reading }
+        })
+        .collect();
+    let problem = Problem::new(&corrected, names.len());
+    let states: Vec<[f64; 4]> = problem
+        .knots_s
+        .iter()
+        .map(|time_s| truth.at(*time_s).map_or([0.0; 4], |at| [at[0], at[1], 0.0, 0.0]))
+        .collect();
+    if !corrected.is_empty() {
+        findings.accel_psd = search::manoeuvring(&problem, states);
+    } else {
+        findings.untold.insert(0, "anything: no range lies within the true track's time".to_owned());
+    }
+    let mut points = vec![Vec::new(); names.len()];
+    for (sensor, pairs) in pairs.iter().enumerate() {
+        let errors = &findings.sensors[sensor];
+        let left = |&(d, e): &(f64, f64)| (d + e, e - value(errors.bias_m) - value(errors.scale) * d);
+        points[sensor] = pairs.iter().map(left).collect();
+    }
+    (findings, points)
+}
+
+fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Path, found: bool) -> String {
+    let title = terminal::TITLE;
+    let mut text = format!("{title}calibration of {}{title:#}\n", args.input.ranges.display());
+    let cell = |measured: Option<Measured>| {
+        measured.map_or("not told".to_owned(), |m| format!("{:.4} ± {:.4}", m.value, m.half_width))
+    };
+    let _ = writeln!(text, "{:<12} {:>7}  {:>17}  {:>17}  {:>17}", "sensor", "ranges", "bias, m", "scale", "noise, m");
+    for (name, errors) in names.iter().zip(&findings.sensors) {
+        let (bias, scale, noise) = (cell(errors.bias_m), cell(errors.scale), cell(errors.range_std_m));
+        let _ = writeln!(text, "{name:<12} {:>7}  {bias:>17}  {scale:>17}  {noise:>17}", errors.ranges);
+    }
+    if let Some(psd) = findings.accel_psd {
+        let _ = writeln!(
+            text,
+            "acceleration's spectral density {:.4} ± {:.4} m^2/s^3; intervals are of 95 %",
+            psd.value, psd.half_width
+        );
+    }
+    for line in &findings.untold {
+        let _ = writeln!(text, "cannot tell {line}");
+    }
+    if found {
+        let path = out.join(CALIBRATION);
+        let ranges = args.input.ranges.display();
+        let _ = writeln!(text, "\nuse it:\n  rangehound track {ranges} --calibration {}", path.display());
+        let _ = writeln!(text, "or as flags:\n  {}", flags(findings, names));
+        let _ = writeln!(text, "residuals over range in {}", out.join(RESIDUALS).display());
+    }
+    text
+}
+
+/// The same for `track` as flags, with one noise for all.
+fn flags(findings: &Findings, names: &[String]) -> String {
+    let mut stds: Vec<f64> = findings.sensors.iter().filter_map(|s| s.range_std_m.map(|m| m.value)).collect();
+    let mut text = median(&mut stds).map_or(String::new(), |std| format!("--range-std {std:.4}"));
+    if let Some(psd) = findings.accel_psd {
+        let _ = write!(text, " --accel-psd {:.6}", psd.value);
+    }
+    for (name, errors) in names.iter().zip(&findings.sensors) {
+        if let Some(bias) = errors.bias_m {
+            let _ = write!(text, " --range-bias {name}={:.4}", bias.value);
+        }
+        if let Some(scale) = errors.scale {
+            let _ = write!(text, " --range-scale {name}={:.5}", scale.value);
+        }
+    }
+    text
+}

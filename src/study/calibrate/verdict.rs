@@ -1,0 +1,372 @@
+//! Which model is believed, and what the data cannot tell.
+
+use nalgebra::{Cholesky, DMatrix};
+
+use super::model::{Model, Problem, Reading, Sharing};
+use super::search::Fit;
+use super::smoother::{FREEDOM, prior_cost, student_weight};
+use crate::statistics::{Z_95, mean};
+
+/// Fewest ranges that are worth a calibration.
+const READINGS_MIN: usize = 60;
+
+/// A value with the half width of its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Measured {
+    /// The value.
+    pub value: f64,
+    /// Half width of the interval.
+    pub half_width: f64,
+}
+
+impl Measured {
+    /// So many times as much.
+    #[must_use]
+    pub fn scaled(self, by: f64) -> Self {
+        Self { value: self.value * by, half_width: self.half_width * by }
+    }
+}
+
+/// What was found for one sensor; `None` is what could not be told.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct SensorErrors {
+    /// Bias, m.
+    pub bias_m: Option<Measured>,
+    /// Scale error.
+    pub scale: Option<Measured>,
+    /// Standard deviation of a range, m.
+    pub range_std_m: Option<Measured>,
+    /// Number of ranges that were used.
+    pub ranges: usize,
+}
+
+/// The findings.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Findings {
+    /// For each sensor in the recording's order.
+    pub sensors: Vec<SensorErrors>,
+    /// Spectral density of the acceleration, m^2/s^3.
+    pub accel_psd: Option<Measured>,
+    /// What the data cannot tell, and why.
+    pub untold: Vec<String>,
+}
+
+impl Findings {
+    /// Findings of data that tell nothing.
+    #[must_use]
+    pub fn nothing(counts: &[usize], why: &str) -> Self {
+        let none = |&ranges: &usize| SensorErrors { bias_m: None, scale: None, range_std_m: None, ranges };
+        Self { sensors: counts.iter().map(none).collect(), accel_psd: None, untold: vec![why.to_owned()] }
+    }
+}
+
+/// Why the ranges alone cannot tell, before anything is fitted.
+#[must_use]
+pub(super) fn obstacle(readings: &[Reading], sensors: usize) -> Option<String> {
+    if readings.len() < READINGS_MIN {
+        return Some(format!(
+            "bias, scale and noise: {} ranges are too few; {READINGS_MIN} are needed at least",
+            readings.len()
+        ));
+    }
+    if sensors < 3 {
+        return Some(format!(
+            "bias, scale and noise: {sensors} sensors leave the target's mirror image open and no range to check; \
+             three are needed, or --truth"
+        ));
+    }
+    let spread = line_spread(readings.iter().map(|reading| reading.position_m));
+    (spread.1 <= 1e-3 * spread.0).then(|| {
+        "bias, scale and noise: the sensors stand on one line, so the target's mirror image is open; give --truth"
+            .to_owned()
+    })
+}
+
+/// Standard deviations of points along and across their main direction.
+fn line_spread(points: impl Iterator<Item = [f64; 2]> + Clone) -> (f64, f64) {
+    let count = points.clone().count().max(1) as f64;
+    let sum = points.clone().fold([0.0, 0.0], |sum, p| [sum[0] + p[0], sum[1] + p[1]]);
+    let mean = [sum[0] / count, sum[1] / count];
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for p in points {
+        let (x, y) = (p[0] - mean[0], p[1] - mean[1]);
+        (xx, xy, yy) = (xx + x * x / count, xy + x * y / count, yy + y * y / count);
+    }
+    let (middle, half) = (0.5 * (xx + yy), (0.25 * (xx - yy).powi(2) + xy * xy).sqrt());
+    ((middle + half).max(0.0).sqrt(), (middle - half).max(0.0).sqrt())
+}
+
+/// How many successive residuals of a sensor tell as much as one: their correlation time, in ranges; as one sees it who
+/// remembers so many of them.
+#[must_use]
+pub(super) fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for left in by_sensor.iter().filter(|left| left.len() >= 20) {
+        let n = left.len();
+        let mean = mean(left.iter().copied());
+        let variance: f64 = left.iter().map(|r| (r - mean).powi(2)).sum();
+        let mut time = 1.0;
+        for lag in 1..=(n / 4).min(500) {
+            let together: f64 = left[lag..].iter().zip(left).map(|(a, b)| (a - mean) * (b - mean)).sum();
+            let rho = together / variance.max(f64::MIN_POSITIVE);
+            if rho < 2.0 / (n as f64).sqrt() {
+                break;
+            }
+            time += 2.0 * rho * (-(lag as f64) / memory).exp();
+        }
+        sum += time * n as f64;
+        count += n as f64;
+    }
+    if count > 0.0 { (sum / count).max(1.0) } else { 1.0 }
+}
+
+/// How many ranges of a sensor a tracker remembers: the time constant of the steady Kalman filter of a target of nearly
+/// constant velocity, `sqrt(2) (R / Q)^(1/4)`, R and Q being the spectral densities of position noise and acceleration.
+fn memory(problem: &Problem, fit: &Fit) -> f64 {
+    let duration_s = problem.knots_s.last().zip(problem.knots_s.first()).map_or(0.0, |(last, first)| last - first);
+    let weight: f64 = problem.observations.iter().map(|o| fit.estimate.sigmas_m[o.reading.sensor].powi(-2)).sum();
+    // A range tells of one axis of two.
+    let time_s = std::f64::consts::SQRT_2 * (2.0 * duration_s / weight / fit.estimate.accel_psd).powf(0.25);
+    time_s * problem.observations.len() as f64 / (problem.sensors as f64 * duration_s.max(1e-9))
+}
+
+/// Residuals by sensor, in order of time, with the weights that they had in the fit: an outlier says little.
+fn by_sensor(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
+    let mut all = vec![Vec::new(); problem.sensors];
+    for (observation, left) in problem.observations.iter().zip(&fit.solution.residuals_m) {
+        let sensor = observation.reading.sensor;
+        all[sensor].push(left * student_weight(left / fit.estimate.sigmas_m[sensor]));
+    }
+    all
+}
+
+/// Judges the fits: the best one whose errors are all told, or why there is none.
+#[must_use]
+pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
+    let counts: Vec<usize> = (0..problem.sensors)
+        .map(|sensor| problem.observations.iter().filter(|o| o.reading.sensor == sensor).count())
+        .collect();
+    let Some(best) = fits.first() else {
+        return (Findings::nothing(&counts, "bias, scale and noise: no model fits these ranges"), None);
+    };
+    let noise_m = best.estimate.sigmas_m.iter().sum::<f64>() / problem.sensors.max(1) as f64;
+    let extent = line_spread(best.estimate.states.iter().map(|state| [state[0], state[1]]));
+    if extent.0 < noise_m.max(0.01 * problem.span_m) {
+        let why = "bias and scale: the target stands still, so they cannot be told from its position; let it move \
+                   through the scene, or give --truth";
+        let mut findings = Findings::nothing(&counts, why);
+        // Whatever the bias, the spread of the ranges about it is the noise.
+        set_noise(&mut findings, best, problem, 1.0);
+        return (findings, None);
+    }
+    let time = correlation(&by_sensor(problem, best), f64::INFINITY);
+    let mut judged: Vec<Judged<'_>> = fits.iter().filter_map(|fit| Judged::new(problem, fit, time)).collect();
+    judged.sort_by(|a, b| a.score.total_cmp(&b.score));
+    let mut untold = Vec::new();
+    judged.retain(|one| {
+        let open = one.open(problem);
+        let is_told = open.is_empty();
+        untold.extend(open);
+        is_told
+    });
+    let Some(first) = judged.first() else {
+        return (Findings::nothing(&counts, "bias and scale: their intervals are too wide to be of use"), None);
+    };
+    let (fit, least) = (first.fit, first.score);
+    judged.retain(|one| one.score < least - WEIGHT_MIN.ln());
+    let mut findings = Findings::nothing(&counts, "");
+    findings.untold = untold;
+    for (sensor, errors) in findings.sensors.iter_mut().enumerate() {
+        errors.bias_m = averaged(&judged, |model| model.bias_index(sensor));
+        errors.scale = averaged(&judged, |model| model.scale_index(sensor, problem.sensors));
+    }
+    set_noise(&mut findings, fit, problem, time);
+    // Errors that last cannot be averaged away, and the tracker takes each range's error to be new. With more variance of
+    // noise and of manoeuvres alike it follows as fast, and believes itself as far off as it is. The tails' share of the
+    // variance is in it already.
+    let (mut core, mut whole) = (0.0, 0.0);
+    for (errors, sigma_m) in findings.sensors.iter().zip(&fit.estimate.sigmas_m) {
+        let Some(std_m) = errors.range_std_m else { continue };
+        core += errors.ranges as f64 * sigma_m.powi(2).min(std_m.value.powi(2));
+        whole += errors.ranges as f64 * std_m.value.powi(2);
+    }
+    let lasting = (correlation(&by_sensor(problem, fit), memory(problem, fit)) * core
+        / f64::max(whole, f64::MIN_POSITIVE))
+    .max(1.0);
+    for std_m in findings.sensors.iter_mut().filter_map(|errors| errors.range_std_m.as_mut()) {
+        *std_m = std_m.scaled(lasting.sqrt());
+    }
+    findings.accel_psd = Some(fit.accel_psd(time).scaled(lasting));
+    if findings.sensors.iter().all(|errors| errors.bias_m.is_none() && errors.scale.is_none()) {
+        findings.untold.push("bias and scale: none that the ranges would show".to_owned());
+    }
+    (findings, Some(fit.clone()))
+}
+
+/// Least weight, beside the likeliest model's, of a model that still has a say ("Occam's window", Madigan & Raftery 1994).
+const WEIGHT_MIN: f64 = 0.05;
+
+/// A fit with what its data are worth: residuals that are alike for a time say less than their number.
+struct Judged<'a> {
+    fit: &'a Fit,
+    prior_stds: Vec<f64>,
+    /// Negative logarithm of the evidence.
+    score: f64,
+    covariance: DMatrix<f64>,
+}
+
+impl<'a> Judged<'a> {
+    /// The evidence (Laplace) with the likelihood to the power of 1 / `time`.
+    fn new(problem: &Problem, fit: &'a Fit, time: f64) -> Option<Self> {
+        let prior_stds = fit.model.prior_stds(problem.sensors, problem.span_m);
+        let mut precision = &fit.solution.information / time;
+        prior_stds.iter().enumerate().for_each(|(at, std)| precision[(at, at)] += 1.0 / (std * std));
+        let factored = Cholesky::new(precision)?;
+        let half_log_det = factored.l_dirty().diagonal().map(f64::ln).sum();
+        let score = fit.solution.misfit / time + prior_cost(&fit.estimate.errors, &prior_stds) + half_log_det;
+        Some(Self { fit, prior_stds, score, covariance: factored.inverse() })
+    }
+
+    /// Errors that the data hardly tell more of than what was taken for granted.
+    fn open(&self, problem: &Problem) -> Vec<String> {
+        let model = self.fit.model;
+        let biases = model.scale_index(0, problem.sensors).unwrap_or(self.prior_stds.len());
+        let is_open = |at: usize| self.covariance[(at, at)].sqrt() > 0.5 * self.prior_stds[at];
+        let shared = |sharing| if sharing == Sharing::Each { "of each sensor" } else { "common to all" };
+        let told = [("bias", model.bias, 0..biases), ("scale", model.scale, biases..self.prior_stds.len())];
+        told.into_iter()
+            .filter(|(_, _, slots)| slots.clone().any(is_open))
+            .map(|(what, sharing, _)| format!("{what} {}: interval too wide", shared(sharing)))
+            .collect()
+    }
+}
+
+/// The mean of one error over models, weighed by their evidence, and its interval; `None` if no model has it.
+fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Option<Measured> {
+    judged.iter().find_map(|one| index(one.fit.model))?;
+    let least = judged.first()?.score;
+    // A model without the error says 0, and is sure of it.
+    let said = judged.iter().map(|one| {
+        let (value, variance) =
+            index(one.fit.model).map_or((0.0, 0.0), |at| (one.fit.estimate.errors[at], one.covariance[(at, at)]));
+        ((least - one.score).exp(), value, variance)
+    });
+    let total: f64 = said.clone().map(|(weight, ..)| weight).sum();
+    let value = said.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
+    let variance = said.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
+    Some(Measured { value, half_width: Z_95 * variance.sqrt() })
+}
+
+/// The standard deviation, of the Student scale and the path's share taken together.
+fn set_noise(findings: &mut Findings, fit: &Fit, problem: &Problem, time: f64) {
+    for (sensor, errors) in findings.sensors.iter_mut().enumerate() {
+        let sum: f64 = problem
+            .observations
+            .iter()
+            .zip(fit.solution.residuals_m.iter().zip(&fit.solution.path_variances_m2))
+            .filter(|(observation, _)| observation.reading.sensor == sensor)
+            .map(|(_, (left, added))| (left * left + added).min(9.0 * FREEDOM * fit.estimate.sigmas_m[sensor].powi(2)))
+            .sum();
+        if errors.ranges >= 10 {
+            let std_m = (sum / errors.ranges as f64).sqrt();
+            let half_width = Z_95 * std_m * (time / (2.0 * errors.ranges as f64)).sqrt() * 1.5;
+            errors.range_std_m = Some(Measured { value: std_m, half_width });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::search::search;
+    use super::*;
+
+    const ANCHORS_M: [[f64; 2]; 4] = [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]];
+
+    /// Ranges to a target on a winding path, or one that stands still, with noise of a seed.
+    fn simulated(seed: u64, biases_m: [f64; 4], scale: f64, std_m: f64, moves: bool) -> Vec<Reading> {
+        let mut state = seed;
+        let mut uniform = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..1_200)
+            .map(|index| {
+                let (time_s, sensor) = (0.05 * f64::from(index), index as usize % 4);
+                let t = if moves { time_s } else { 0.0 };
+                let (x, y) = (5.0 + 3.5 * (0.31 * t).sin(), 4.0 + 2.8 * (0.47 * t).cos());
+                let position_m = ANCHORS_M[sensor];
+                let distance = (x - position_m[0]).hypot(y - position_m[1]);
+                let normal = (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+                let range_m = (1.0 + scale) * distance + biases_m[sensor] + std_m * normal;
+                Reading { time_s, sensor, position_m, height_m: 0.0, range_m }
+            })
+            .collect()
+    }
+
+    fn findings(readings: &[Reading]) -> (Findings, Option<Fit>) {
+        let problem = Problem::new(readings, 4);
+        judge(&problem, &search(&problem, |_| ()))
+    }
+
+    #[test]
+    fn intervals_hold_the_biases_that_were_put_in() {
+        let biases_m = [0.1, 0.3, -0.2, 0.5];
+        let (mut inside, mut all) = (0, 0);
+        for seed in 1..=3 {
+            let (findings, fit) = findings(&simulated(seed, biases_m, 0.0, 0.05, true));
+            assert_eq!(fit.unwrap().model, Model { bias: Sharing::Each, scale: Sharing::Absent });
+            for (sensor, bias_m) in findings.sensors.iter().zip(biases_m) {
+                let found = sensor.bias_m.unwrap();
+                assert!((found.value - bias_m).abs() < 0.05, "{found:?} for {bias_m}");
+                inside += usize::from((found.value - bias_m).abs() <= found.half_width);
+                all += 1;
+                assert!((0.04..0.065).contains(&sensor.range_std_m.unwrap().value), "{sensor:?}");
+            }
+        }
+        assert!(inside * 10 >= all * 7, "{inside} of {all}");
+    }
+
+    #[test]
+    fn manoeuvring_noise_has_an_interval_narrower_than_itself() {
+        let (findings, _) = findings(&simulated(8, [0.0; 4], 0.0, 0.05, true));
+        let psd = findings.accel_psd.unwrap();
+        assert!(psd.half_width > 0.0 && psd.half_width < psd.value, "{psd:?}");
+    }
+
+    #[test]
+    fn residuals_that_last_count_for_less_and_within_the_memory_only() {
+        let steps: Vec<f64> = (0..1_000).map(|i| if (i / 20) % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let alternating: Vec<f64> = (0..1_000).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
+        let (all, short) =
+            (correlation(std::slice::from_ref(&steps), f64::INFINITY), correlation(std::slice::from_ref(&steps), 2.0));
+        assert!(all > 5.0 && short > 1.5 && short < all, "{all} {short}");
+        assert_eq!(correlation(&[alternating], f64::INFINITY), 1.0);
+    }
+
+    #[test]
+    fn a_scale_error_of_all_is_found_as_one() {
+        let (findings, _) = findings(&simulated(4, [0.0; 4], 0.06, 0.05, true));
+        let scale = findings.sensors[0].scale.unwrap();
+        assert!((scale.value - 0.06).abs() < 0.01 && findings.sensors[0].bias_m.is_none(), "{findings:?}");
+    }
+
+    #[test]
+    fn sound_ranges_are_left_alone() {
+        let (findings, _) = findings(&simulated(5, [0.0; 4], 0.0, 0.05, true));
+        assert!(
+            findings.sensors.iter().all(|sensor| sensor.bias_m.is_none() && sensor.scale.is_none()),
+            "{findings:?}"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_not() {
+        let (findings, fit) = findings(&simulated(6, [0.2; 4], 0.0, 0.05, false));
+        assert!(fit.is_none() && findings.untold[0].contains("stands still"), "{findings:?}");
+        let mut readings = simulated(7, [0.0; 4], 0.0, 0.05, true);
+        assert_eq!(obstacle(&readings, 4), None);
+        assert!(obstacle(&readings[..40], 4).unwrap().contains("too few"));
+        readings.retain(|reading| reading.sensor < 2);
+        assert!(obstacle(&readings, 2).unwrap().contains("mirror"));
+    }
+}

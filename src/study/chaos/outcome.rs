@@ -1,0 +1,452 @@
+//! What a campaign came to: `chaos.json`, a table, and which promises broke.
+
+use std::path::Path;
+
+use rangehound_node::rendezvous::Role;
+use rangehound_shared::scenario::{Clock, Scenario};
+use serde::Serialize;
+
+use super::faults::Kind;
+use crate::cli::ChaosArgs;
+use crate::files::layout::CHAOS;
+use crate::files::whole_file;
+use crate::results::report::{HeadingSummary, RangeSummary};
+use crate::statistics::Ascending;
+use crate::terminal::{BAD, GOOD, TITLE, field};
+
+/// What a campaign came to; its fields are the keys of `chaos.json`.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Outcome {
+    /// Name of the scenario.
+    pub(super) scenario: String,
+    /// Clock: `realtime` or `lockstep`.
+    pub(super) clock: &'static str,
+    /// Robots.
+    pub(super) robots: usize,
+    /// Seed of the faults.
+    pub(super) chaos_seed: u64,
+    /// Faults that were asked for.
+    pub(super) faults_asked: u64,
+    /// Faults by role and kind: how many nodes each hit.
+    pub(super) faults: Vec<RoleSummary>,
+    /// Time steps done.
+    pub(super) ticks: u64,
+    /// What became of the ranges.
+    pub(super) ranges: RangeSummary,
+    /// What robots drove by.
+    pub(super) headings: HeadingSummary,
+    /// How often a robot had no heading in time: ticks of all robots that answered.
+    pub(super) without_heading: u64,
+    /// Position error of all runs, and of the same runs left alone, m RMS; null where no truth is known.
+    pub(super) position_rmse_m: Option<PositionError>,
+    /// Whether all estimates are those of the run left alone; null if that is not to be asked.
+    pub(super) digest_equal: Option<bool>,
+    /// What lies in shared memory after the end.
+    pub(super) files_left: Vec<String>,
+    /// Processes that live after the end.
+    pub(super) processes_left: Vec<i32>,
+    /// Promises that broke.
+    pub(super) broken: Vec<String>,
+    /// The runs.
+    pub(super) rounds: Vec<Round>,
+    /// Every fault and node that it hit.
+    pub(super) injected: Vec<Injected>,
+}
+
+/// Position errors, m RMS.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct PositionError {
+    /// Of the runs that were hurt.
+    pub(super) hurt: f64,
+    /// Of the same runs left alone, in one process, where no range is ever missing.
+    pub(super) alone: f64,
+}
+
+/// What hit the nodes of one kind, and how long they took to recover from kills.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct RoleSummary {
+    /// `sim`, `fusion`, `robot`, `standby`, or `run` for all at once.
+    pub(super) role: &'static str,
+    /// Killed alone.
+    pub(super) kill: usize,
+    /// Stopped for a while.
+    pub(super) stop: usize,
+    /// Killed again and again while starting.
+    pub(super) storm: usize,
+    /// Killed with others.
+    pub(super) several: usize,
+    /// Killed with everything.
+    pub(super) blackout: usize,
+    /// From a kill to when the role is taken again; `None` before the first.
+    pub(super) restart_ms: Option<Percentiles>,
+    /// From a kill to the first tick with the successor; `None` before the first.
+    pub(super) recovery_ms: Option<Percentiles>,
+}
+
+/// Percentiles of a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct Percentiles {
+    /// Sample size.
+    pub(super) count: usize,
+    /// Median.
+    pub p50: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// Largest.
+    pub(super) max: f64,
+}
+
+impl Percentiles {
+    fn of(sample: Vec<f64>) -> Option<Self> {
+        let sample: Ascending = sample.into_iter().collect();
+        let [p50, p99, max] = [0.5, 0.99, 1.0].map(|quantile| sample.measured(quantile));
+        Some(Self { count: sample.count(), p50: p50?, p99: p99?, max: max? })
+    }
+}
+
+/// One node hit by one fault.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Injected {
+    /// Number of the fault; those of one number came at once.
+    pub(super) fault: u64,
+    /// Which run, counted from 1.
+    pub(super) round: usize,
+    /// Since the run's start, s.
+    pub(super) at_s: f64,
+    /// Newest tick that was over.
+    pub(super) tick: u64,
+    /// What.
+    pub(super) kind: Kind,
+    /// Whom.
+    #[serde(serialize_with = "by_name")]
+    pub(super) role: Role,
+    /// From the (last) kill to the successor's taking its role, ms.
+    pub(super) restart_ms: Option<f64>,
+    /// From the (last) kill to the first tick with the successor, which in lock step waits for all others too, ms; `None` for a stop, and if the node was
+    /// killed again first or the run ended.
+    pub(super) recovery_ms: Option<f64>,
+}
+
+fn by_name<S: serde::Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(role)
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Ended {
+    /// With its last tick.
+    Done,
+    /// Before that.
+    Failed,
+    /// Not by itself.
+    Hung,
+    /// As asked.
+    Interrupted,
+}
+
+/// One run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Round {
+    /// Seed of the run.
+    pub(super) seed: u64,
+    /// How it ended.
+    pub(super) ended: Ended,
+    /// The last it said, if it did not end well.
+    pub(super) said: String,
+    /// Wall time, s.
+    pub(super) wall_s: f64,
+    /// What its logs tell.
+    pub(super) tally: Tally,
+    /// The same of the run left alone.
+    pub(super) alone: Option<Tally>,
+    /// True if both must come to the same: in lock step.
+    pub(super) is_repeatable: bool,
+    /// What lies in shared memory after the end.
+    pub(super) files_left: Vec<String>,
+    /// Processes that live after the end.
+    pub(super) processes_left: Vec<i32>,
+}
+
+/// What a run's logs tell.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub(super) struct Tally {
+    /// Time steps done.
+    pub(super) ticks: u64,
+    /// Hash over all estimates.
+    pub(super) digest: String,
+    /// What became of the ranges.
+    pub(super) ranges: RangeSummary,
+    /// What robots drove by.
+    pub(super) headings: HeadingSummary,
+    /// Position error, m RMS, where the truth is known.
+    pub(super) position_rmse_m: Option<f64>,
+}
+
+impl Outcome {
+    /// Nothing yet.
+    #[must_use]
+    pub(super) fn new(scenario: &Scenario, args: &ChaosArgs) -> Self {
+        Self {
+            scenario: scenario.name.clone(),
+            clock: scenario.clock.name(),
+            robots: scenario.robots.len(),
+            chaos_seed: args.chaos_seed,
+            faults_asked: args.faults,
+            faults: Vec::new(),
+            ticks: 0,
+            ranges: RangeSummary::default(),
+            headings: HeadingSummary::default(),
+            without_heading: 0,
+            position_rmse_m: None,
+            digest_equal: None,
+            files_left: Vec::new(),
+            processes_left: Vec::new(),
+            broken: Vec::new(),
+            rounds: Vec::new(),
+            injected: Vec::new(),
+        }
+    }
+
+    /// Adds a run.
+    pub(super) fn add(&mut self, round: Round) {
+        let ranges = &round.tally.ranges;
+        self.ticks += round.tally.ticks;
+        self.ranges.published += ranges.published;
+        self.ranges.fused += ranges.fused;
+        self.ranges.rejected += ranges.rejected;
+        self.ranges.late += ranges.late;
+        self.ranges.fused_late += ranges.fused_late;
+        self.ranges.missing += ranges.missing;
+        let headings = &round.tally.headings;
+        self.headings.fresh += headings.fresh;
+        self.headings.late += headings.late;
+        self.headings.none += headings.none;
+        self.headings.refused += headings.refused;
+        self.without_heading = self.headings.late + self.headings.none;
+        self.files_left.extend_from_slice(&round.files_left);
+        self.processes_left.extend_from_slice(&round.processes_left);
+        if let Some(alone) = round.alone.as_ref().filter(|_| round.is_repeatable) {
+            self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.tally.digest == alone.digest);
+        }
+        self.rounds.push(round);
+    }
+
+    /// Sums up the faults, and finds what broke.
+    pub(super) fn judge(&mut self) {
+        let always = ["sim", "fusion", "robot"].map(|role| self.of_role(role));
+        let sometimes = ["standby", "run"].map(|role| self.of_role(role));
+        let is_hit = |role: &RoleSummary| role.kill + role.stop + role.storm + role.several + role.blackout > 0;
+        self.faults = always.into_iter().chain(sometimes.into_iter().filter(is_hit)).collect();
+        self.position_rmse_m = self.position_error();
+        self.broken = self.rounds.iter().flat_map(Round::broken).collect();
+    }
+
+    fn of_role(&self, role: &'static str) -> RoleSummary {
+        let hits = || self.injected.iter().filter(|hit| kind_of_node(hit.role) == role);
+        let count = |kind: Kind| hits().filter(|hit| hit.kind == kind).count();
+        RoleSummary {
+            role,
+            kill: count(Kind::Kill),
+            stop: count(Kind::Stop),
+            storm: count(Kind::Storm),
+            several: count(Kind::Several),
+            blackout: count(Kind::Blackout),
+            restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
+            recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
+        }
+    }
+
+    fn position_error(&self) -> Option<PositionError> {
+        let mean = |of: fn(&Round) -> Option<&Tally>| {
+            let squares = self.rounds.iter().map(|round| {
+                let Tally { ticks, position_rmse_m, .. } = of(round)?;
+                Some((*ticks as f64, position_rmse_m.as_ref()?.powi(2)))
+            });
+            let squares: Vec<(f64, f64)> = squares.collect::<Option<_>>()?;
+            let ticks: f64 = squares.iter().map(|(ticks, _)| ticks).sum();
+            (ticks > 0.0).then(|| (squares.iter().map(|(ticks, square)| ticks * square).sum::<f64>() / ticks).sqrt())
+        };
+        Some(PositionError { hurt: mean(|round| Some(&round.tally))?, alone: mean(|round| round.alone.as_ref())? })
+    }
+
+    /// Writes `chaos.json`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub(super) fn write(&self, out_dir: &Path) -> anyhow::Result<()> {
+        whole_file::write(&out_dir.join(CHAOS), serde_json::to_string_pretty(self)? + "\n")
+    }
+}
+
+fn kind_of_node(role: Role) -> &'static str {
+    match role {
+        Role::Sim => "sim",
+        Role::Fusion => "fusion",
+        Role::Standby(_) => "standby",
+        Role::Robot(_) => "robot",
+        Role::Supervisor => "run",
+    }
+}
+
+impl Round {
+    /// The promises that this run broke. What it says of ticks, ranges and digest counts in lock step
+    /// only: real time goes on without whom it misses.
+    fn broken(&self) -> Vec<String> {
+        let mut broken = Vec::new();
+        match self.ended {
+            Ended::Done => {}
+            Ended::Failed => broken.push(format!("the run failed: {}", self.said)),
+            Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
+            Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
+        }
+        if let Some(alone) = self.alone.as_ref().filter(|_| self.is_repeatable) {
+            let (got, expected) = (&self.tally, alone);
+            for (what, got, expected) in [
+                ("ticks", got.ticks, expected.ticks),
+                ("ranges published", got.ranges.published, expected.ranges.published),
+                ("ranges fused", got.ranges.fused, expected.ranges.fused),
+                ("ranges missing", got.ranges.missing, expected.ranges.missing),
+            ] {
+                if got != expected {
+                    broken.push(format!("{got} {what}, expected {expected}"));
+                }
+            }
+            if got.digest != expected.digest {
+                broken.push(format!("digest {}, expected {}", got.digest, expected.digest));
+            }
+        }
+        if !self.files_left.is_empty() {
+            broken.push(format!("left in shared memory: {}", self.files_left.join(", ")));
+        }
+        if !self.processes_left.is_empty() {
+            broken.push(format!("left running: processes {:?}", self.processes_left));
+        }
+        broken.iter().map(|what| format!("seed {}: {what}", self.seed)).collect()
+    }
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { scenario, clock, robots, chaos_seed, ticks, ranges, headings, .. } = self;
+        let done = self.injected.iter().map(|hit| hit.fault + 1).max().unwrap_or(0);
+        let wall_s: f64 = self.rounds.iter().map(|round| round.wall_s).sum();
+        let asked = self.faults_asked;
+        writeln!(f, "{TITLE}chaos{TITLE:#}: {scenario}, {robots} robots, {done} of {asked} faults, seed {chaos_seed}")?;
+        let runs = self.rounds.len();
+        writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {runs} runs, {wall_s:.1} s")))?;
+        self.fmt_faults(f)?;
+        let RangeSummary { published, fused, missing, .. } = ranges;
+        writeln!(f, "{}", field("ranges", format_args!("{published} published: {fused} fused, {missing} missing")))?;
+        let HeadingSummary { fresh, late, none, refused } = headings;
+        let driven = format!("{fresh} fresh, {late} late, {none} none, {refused} refused");
+        writeln!(f, "{}", field("headings", driven))?;
+        // Where the estimates must be the same, so is their error.
+        if let Some(PositionError { hurt, alone }) =
+            self.position_rmse_m.as_ref().filter(|_| self.digest_equal.is_none())
+        {
+            let more = 100.0 * (hurt / alone - 1.0);
+            let error = format!("{hurt:.3} m RMS, {alone:.3} left alone: {more:+.1} %");
+            writeln!(f, "{}", field("position error", error))?;
+        }
+        let digest = match self.digest_equal {
+            Some(true) => "that of the run left alone".to_owned(),
+            Some(false) => format!("{BAD}NOT{BAD:#} that of the run left alone"),
+            None => "not compared".to_owned(),
+        };
+        writeln!(f, "{}", field("digest", digest))?;
+        let (files, processes) = (self.files_left.len(), self.processes_left.len());
+        writeln!(f, "{}", field("left over", format_args!("{files} files, {processes} processes")))?;
+        let promises = match self.broken.len() {
+            0 => format!("{GOOD}all kept{GOOD:#}"),
+            broken => format!("{BAD}{broken} broken{BAD:#}"),
+        };
+        write!(f, "{}", field("promises", promises))
+    }
+}
+
+impl Outcome {
+    /// Who was hit how often, and how long each kind of node took to come back.
+    fn fmt_faults(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let [kill, stop, storm, several, blackout] = ["kill", "stop", "storm", "several", "blackout"];
+        writeln!(f, "  {:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}", "hit")?;
+        for RoleSummary { role, kill, stop, storm, several, blackout, .. } in &self.faults {
+            writeln!(f, "  {role:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}")?;
+        }
+        writeln!(f, "  {:<16} {:>26} {:>30}", "back, ms", "until its role is taken", "until it is at work")?;
+        let [p50, p99, max] = ["p50", "p99", "max"];
+        writeln!(f, "  {:<16} {p50:>8} {p99:>8} {max:>8} {p50:>12} {p99:>8} {max:>8}", "")?;
+        for RoleSummary { role, restart_ms, recovery_ms, .. } in &self.faults {
+            let [taken, at_work] = [restart_ms, recovery_ms].map(|times_ms| match times_ms {
+                Some(Percentiles { p50, p99, max, .. }) => [p50, p99, max].map(|time_ms| format!("{time_ms:.1}")),
+                None => ["-"; 3].map(str::to_owned),
+            });
+            let [[a, b, c], [d, e, g]] = [taken, at_work];
+            writeln!(f, "  {role:<16} {a:>8} {b:>8} {c:>8} {d:>12} {e:>8} {g:>8}")?;
+        }
+        Ok(())
+    }
+}
+
+/// True if a run of this clock must come to what it comes to when left alone.
+#[must_use]
+pub(super) fn is_repeatable(scenario: &Scenario) -> bool {
+    scenario.clock == Clock::Lockstep
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn round() -> Round {
+        let ranges = RangeSummary { published: 30, fused: 30, ..RangeSummary::default() };
+        let tally = Tally { ticks: 10, digest: "a".to_owned(), ranges, ..Tally::default() };
+        Round {
+            seed: 1,
+            ended: Ended::Done,
+            said: String::new(),
+            wall_s: 1.0,
+            tally: tally.clone(),
+            alone: Some(tally),
+            is_repeatable: true,
+            files_left: Vec::new(),
+            processes_left: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn each_broken_promise_is_told() {
+        assert_eq!(round().broken(), [""; 0]);
+        type Hurt = fn(&mut Round);
+        let hurt: [(Hurt, &str); 8] = [
+            (|round| round.tally.digest = "b".to_owned(), "seed 1: digest b, expected a"),
+            (|round| round.tally.ranges.published = 29, "seed 1: 29 ranges published, expected 30"),
+            (|round| round.tally.ranges.fused = 29, "seed 1: 29 ranges fused, expected 30"),
+            (|round| round.tally.ranges.missing = 1, "seed 1: 1 ranges missing, expected 0"),
+            (|round| round.ended = Ended::Hung, "seed 1: the run hung after tick 10"),
+            (|round| round.ended = Ended::Failed, "seed 1: the run failed: "),
+            (|round| round.files_left.push("x".to_owned()), "seed 1: left in shared memory: x"),
+            (|round| round.processes_left.push(7), "seed 1: left running: processes [7]"),
+        ];
+        for (hurt, expected) in hurt {
+            let mut round = round();
+            hurt(&mut round);
+            assert_eq!(round.broken(), [expected]);
+        }
+    }
+
+    /// Real time may miss ranges: there is no run to compare with.
+    #[test]
+    fn real_time_may_miss_ranges() {
+        let mut round = Round { is_repeatable: false, ..round() };
+        round.tally.ranges.missing = 5;
+        assert_eq!(round.broken(), [""; 0]);
+    }
+
+    #[test]
+    fn percentiles_are_of_the_sample() {
+        assert_eq!(Percentiles::of(Vec::new()), None);
+        let sample = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(Percentiles::of(sample), Some(Percentiles { count: 100, p50: 50.0, p99: 99.0, max: 100.0 }));
+    }
+}

@@ -1,0 +1,231 @@
+//! Many runs of each planner, spread over threads, with common random numbers.
+//!
+//! Run `i` of every planner has the seed `first_seed + i`. Prior mean, target noise and range noise are
+//! functions of seed, tick and robot alone, so planners differ in nothing but their headings.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use anyhow::Context;
+use nalgebra::Vector2;
+use rangehound_fusion::planner::range_only::certified::Certified;
+use rangehound_fusion::planner::range_only::{Problem, RangeOnly, hull_certificate};
+use rangehound_fusion::planner::{Plan, Planner};
+use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioError, defaults};
+
+use crate::files::input;
+use crate::results::report::{position_covariance, position_error};
+use crate::run::experiment::Given;
+use crate::run::in_process::Team;
+use crate::statistics;
+
+/// How often progress is shown.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// What is compared.
+#[derive(Debug)]
+pub struct Trials {
+    /// The scenario; planner and seed are put over it.
+    pub given: Given,
+    /// The planners.
+    pub planners: Vec<String>,
+    /// Runs of each.
+    pub runs: u64,
+    /// Seed of run 0.
+    pub first_seed: u64,
+    /// Threads to run on.
+    pub threads: usize,
+}
+
+/// One run of one planner.
+#[derive(Debug, Clone, Default)]
+pub struct Trial {
+    /// Ticks 1 to the last; fewer than asked for if the estimate left all bounds.
+    pub samples: Vec<Sample>,
+    /// Sum of the normalised innovations squared.
+    pub nis: f64,
+    /// Ranges fused: degrees of freedom of `nis`.
+    pub fused: u64,
+    /// True if the estimate left all bounds.
+    pub out_of_bounds: bool,
+}
+
+/// One tick of a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Trace of the position covariance, m^2.
+    pub trace_m2: f64,
+    /// Its largest eigenvalue, m^2.
+    pub max_eigenvalue_m2: f64,
+    /// Squared position error, m^2.
+    pub squared_error_m2: f64,
+    /// The same over its covariance, two degrees of freedom; NaN if the covariance is singular.
+    pub nees: f64,
+    /// Planner's `|S|` above the certified lower bound, relative to the sum of all lambda.
+    pub gap: f64,
+    /// The planned position trace above the least that the bound allows, relative to the latter.
+    pub trace_excess: f64,
+    /// False if the bound is not proven to be the optimum to within a billionth.
+    pub certified: bool,
+    /// Time that planning took, ns.
+    pub planning_ns: u64,
+}
+
+impl Trials {
+    /// The scenario of one run.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong with it.
+    pub fn scenario(&self, planner: &str, run: u64) -> Result<Scenario, ScenarioError> {
+        let Given { file, file_name, folder, .. } = &self.given;
+        let mut file = file.clone();
+        file.seed = Some(self.first_seed.wrapping_add(run));
+        file.planner.get_or_insert_with(PlannerTable::default).name = Some(planner.to_owned());
+        input::scenario(&file, file_name, folder)
+    }
+
+    /// Runs of all planners together.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.runs.saturating_mul(self.planners.len() as u64)
+    }
+
+    /// Runs them all: for each planner its trials in order of runs, whichever thread did them.
+    ///
+    /// # Errors
+    /// If a run cannot be set up or a thread not be started.
+    pub fn run(&self, mut on_progress: impl FnMut(u64)) -> anyhow::Result<Vec<Vec<Trial>>> {
+        let (next, done) = (AtomicU64::new(0), AtomicU64::new(0));
+        let mut indexed = std::thread::scope(|scope| {
+            let start = |_| std::thread::Builder::new().spawn_scoped(scope, || self.work(&next, &done));
+            let workers: std::io::Result<Vec<_>> = (0..self.threads).map(start).collect();
+            let workers = workers
+                .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))
+                .with_context(|| format!("the system refuses {} threads", self.threads))?;
+            while workers.iter().any(|worker| !worker.is_finished()) {
+                on_progress(done.load(Ordering::Relaxed));
+                std::thread::sleep(LOOK);
+            }
+            let mut indexed = Vec::with_capacity(self.count() as usize);
+            for worker in workers {
+                indexed.extend(worker.join().map_err(|_| anyhow::anyhow!("a thread broke off"))??);
+            }
+            Ok::<_, anyhow::Error>(indexed)
+        })?;
+        indexed.sort_unstable_by_key(|(index, _)| *index);
+        let mut trials: Vec<Vec<Trial>> = self.planners.iter().map(|_| Vec::new()).collect();
+        for (index, trial) in indexed {
+            trials[(index % self.planners.len() as u64) as usize].push(trial);
+        }
+        Ok(trials)
+    }
+
+    /// A thread's share. All planners of a run come before the next run, so that a busy moment of the
+    /// machine falls on all of them alike, and time left can be told from what is done.
+    fn work(&self, next: &AtomicU64, done: &AtomicU64) -> anyhow::Result<Vec<(u64, Trial)>> {
+        let mut yardstick = Yardstick::default();
+        let mut trials = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            if index >= self.count() {
+                return Ok(trials);
+            }
+            let planners = self.planners.len() as u64;
+            let trial = self
+                .scenario(&self.planners[(index % planners) as usize], index / planners)
+                .map_err(anyhow::Error::from)
+                .and_then(|scenario| Trial::run(&scenario, &mut yardstick))
+                // The others need not go on.
+                .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))?;
+            trials.push((index, trial));
+            done.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Trial {
+    fn run(scenario: &Scenario, yardstick: &mut Yardstick) -> anyhow::Result<Self> {
+        let mut team = Team::new(scenario)?;
+        let mut trial = Self { samples: Vec::with_capacity(scenario.ticks as usize), ..Self::default() };
+        for tick in 0..=scenario.ticks {
+            if team.tick().is_err() {
+                trial.out_of_bounds = true;
+                break;
+            }
+            if tick > 0 {
+                trial.add(&team, yardstick);
+            }
+            team.advance();
+        }
+        Ok(trial)
+    }
+
+    fn add(&mut self, team: &Team, yardstick: &mut Yardstick) {
+        let estimate = team.centre().estimate();
+        let &[x_m, y_m, ..] = team.world().truth() else { return };
+        self.nis += estimate.nis;
+        self.fused += estimate.fused;
+        let p = position_covariance(&estimate);
+        let (squared_error_m2, nees) = position_error(&estimate, Vector2::new(x_m, y_m));
+        let Distance { gap, trace_excess, certified } = yardstick.measure(team);
+        self.samples.push(Sample {
+            trace_m2: p.trace(),
+            max_eigenvalue_m2: 0.5 * p.trace() + (0.5 * (p[(0, 0)] - p[(1, 1)])).hypot(p[(0, 1)]),
+            squared_error_m2,
+            nees: nees.unwrap_or(f64::NAN),
+            gap,
+            trace_excess,
+            certified,
+            planning_ns: team.planning_ns(),
+        });
+    }
+
+    /// Mean position error of its last ticks above a limit, or no estimate at all.
+    #[must_use]
+    pub fn has_diverged(&self, last_ticks: usize, limit_m: f64) -> bool {
+        let last = &self.samples[self.samples.len().saturating_sub(last_ticks)..];
+        self.out_of_bounds || statistics::mean(last.iter().map(|sample| sample.squared_error_m2.sqrt())) > limit_m
+    }
+}
+
+/// The certified optimum of the very situations that other planners were given.
+#[derive(Debug)]
+struct Yardstick {
+    optimiser: RangeOnly,
+    optimum: Plan,
+    problem: Problem,
+}
+
+impl Default for Yardstick {
+    fn default() -> Self {
+        let optimiser = RangeOnly::new(Box::new(Certified::new(defaults::NODES as u32)));
+        Self { optimiser, optimum: Plan::default(), problem: Problem::default() }
+    }
+}
+
+/// How far a plan is from the optimum; as in [`Sample`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Distance {
+    gap: f64,
+    trace_excess: f64,
+    certified: bool,
+}
+
+impl Yardstick {
+    fn measure(&mut self, team: &Team) -> Distance {
+        let (situation, plan) = (team.centre().situation(), team.centre().last_plan());
+        // A plan that brings its own certificate needs no second.
+        let own = plan.certificate.filter(|proven| proven.is_optimal);
+        let best = own.or_else(|| {
+            self.optimiser.plan(0, situation, &mut self.optimum);
+            self.optimum.certificate
+        });
+        self.problem.pose(situation);
+        let best = best.unwrap_or_else(|| hull_certificate(&self.problem, &plan.worth));
+        Distance {
+            gap: ((plan.worth.objective_per_m2 - best.lower_bound_per_m2) / self.problem.lambda_sum()).max(0.0),
+            trace_excess: (plan.worth.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
+            certified: best.is_optimal,
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! How planning time grows with the team.
+
+use std::time::{Duration, Instant};
+
+use nalgebra::Matrix2;
+use rangehound_fusion::belief::Belief;
+use rangehound_fusion::planner::{self, Plan, Situation, TeamMember, Vector};
+use rangehound_shared::scenario::Scenario;
+use serde::Serialize;
+
+use crate::statistics::{Ascending, PowerLaw, fit_power_law};
+
+/// Sizes of the team.
+const SIZES: [usize; 7] = [1, 3, 10, 30, 100, 300, 1_000];
+
+/// Time that one planner at one size may take; the step that goes beyond it is the last, but for the least number.
+const BUDGET: Duration = Duration::from_millis(60);
+
+/// Steps that are measured, whatever they take: one that other programs held up decides nothing.
+const STEPS_MIN: usize = 3;
+
+/// Steps that are measured at most.
+const STEPS_MAX: usize = 2_000;
+
+/// Least and largest distance of robots to the target, m.
+const DISTANCES_M: (f64, f64) = (3.0, 30.0);
+
+/// The power law is fitted from here: smaller teams show what a step costs besides its robots.
+const FITTED_FROM: usize = 10;
+
+/// Planning time of one planner over the size of the team.
+#[derive(Debug, Clone, Serialize)]
+pub struct Scaling {
+    /// The planner.
+    pub name: String,
+    /// Median time of a step by size.
+    pub points: Vec<Point>,
+    /// Power law through the points of teams that are not small, in us.
+    pub law: Option<PowerLaw>,
+}
+
+/// Planning time at one size.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Point {
+    /// Robots.
+    pub robots: usize,
+    /// Median time of a step, us.
+    pub planning_us: f64,
+}
+
+/// Measures the planner of a scenario on teams of the scenario's robots round a target.
+#[must_use]
+pub fn measure(scenario: &Scenario) -> Scaling {
+    let mut points = Vec::new();
+    for robots in SIZES {
+        let began = Instant::now();
+        let Some(planning_us) = measure_at(scenario, robots) else { break };
+        points.push(Point { robots, planning_us });
+        if began.elapsed() > 2 * BUDGET {
+            break;
+        }
+    }
+    let mut scaling = Scaling { name: scenario.planner.name().to_owned(), points, law: None };
+    let fitted = scaling.fitted().iter().map(|point| (point.robots as f64, point.planning_us));
+    scaling.law = fit_power_law(&fitted.collect::<Vec<_>>());
+    scaling
+}
+
+impl Scaling {
+    /// The points that the power law is fitted to; all of them if only small teams can be served.
+    #[must_use]
+    pub fn fitted(&self) -> &[Point] {
+        match self.points.iter().position(|point| point.robots >= FITTED_FROM) {
+            Some(first) if first + 2 < self.points.len() => &self.points[first..],
+            _ => &self.points,
+        }
+    }
+}
+
+/// Median time of a step, us: from a situation to commands, as at a tick of a run. `None` if the
+/// planner refuses a team of this size.
+fn measure_at(scenario: &Scenario, robots: usize) -> Option<f64> {
+    let mut planner = planner::for_team(scenario.planner, robots, scenario.seed).ok()?;
+    let mut situation = Situation { clearance: scenario.clearance, step_s: scenario.dt_s, ..Situation::default() };
+    let mut plan = Plan::default();
+    let mut times_us = Vec::with_capacity(STEPS_MAX);
+    let began = Instant::now();
+    while times_us.len() < STEPS_MAX && (times_us.len() < STEPS_MIN || began.elapsed() < BUDGET) {
+        let step = times_us.len();
+        let prior = prior_m2(step, robots);
+        let step_began = Instant::now();
+        situation.belief = Belief::of_position(Vector::default(), &prior);
+        situation.team.clear();
+        situation.team.extend(team(scenario, step, robots));
+        planner.plan(step as u64, &situation, &mut plan);
+        times_us.push(step_began.elapsed().as_secs_f64() * 1e6);
+    }
+    Some(times_us.into_iter().collect::<Ascending>().quantile(0.5))
+}
+
+/// Robots on a ring round the target, spread evenly in direction and distance by irrational steps; no
+/// two steps have the same geometry.
+fn team(scenario: &Scenario, step: usize, robots: usize) -> impl Iterator<Item = TeamMember> {
+    let kinds = scenario.robots.iter().cycle();
+    (0..robots).zip(kinds).map(move |(robot, kind)| {
+        let i = (step * robots + robot) as f64;
+        let (nearest_m, farthest_m) = DISTANCES_M;
+        let distance_m = nearest_m + (farthest_m - nearest_m) * (i * 0.618_034).fract();
+        TeamMember::ranging(Vector::from_angle(i * 2.399_963) * distance_m, kind.speed_mps, kind.range_std_m)
+    })
+}
+
+/// Longer than wide, turned with each step, and the better known the larger the team: in steady state
+/// the prior informs as much as a few ticks' ranges do.
+fn prior_m2(step: usize, robots: usize) -> Matrix2<f64> {
+    let axis = Vector::from_angle(step as f64);
+    let along = Matrix2::new(axis.x * axis.x, axis.x * axis.y, axis.x * axis.y, axis.y * axis.y);
+    (Matrix2::identity() * 0.15 + along * 0.3) * (3.0 / robots as f64)
+}

@@ -1,0 +1,240 @@
+//! `rangehound explore`: whole teams in one process on simulated time, with faults drawn from a seed, checked as they go on.
+//!
+//! | module | what |
+//! |---|---|
+//! | `plan` | what happens to a team, from a seed |
+//! | `cluster` | the roles' machines on a simulated bus, with simulated disks and clocks |
+//! | `disk` | checkpoint files that a kill may leave half written |
+//! | `witness` | the invariants |
+
+mod cluster;
+mod disk;
+mod plan;
+mod witness;
+
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::rc::Rc;
+use std::time::Instant;
+
+use rangehound_shared::scenario::{Clock, Scenario, ScenarioFile};
+
+use crate::cli::ExploreArgs;
+use crate::failure::{self, Failure};
+use crate::run::in_process::Team;
+use crate::run::watch::Progress;
+use cluster::{Cluster, Counts, Event, Outcome, Violation};
+use plan::{Network, Plan};
+
+/// Ticks after which no exploration goes on.
+const TICKS_MAX: u64 = 16;
+
+/// Seeds between two looks at the progress.
+const SHOW: u64 = 64;
+
+/// `rangehound explore`.
+///
+/// # Errors
+/// [`Failure`]; also if a seed breaks a promise.
+pub fn explore(args: &ExploreArgs) -> Result<(), Failure> {
+    let mut stage = Stage::default();
+    let mut total = Total { began: Instant::now(), first: args.seed, seeds: 0, counts: Counts::default() };
+    let mut progress = Progress::new("seed", args.seeds);
+    for index in 0..args.seeds {
+        let plan = Plan::new(args.seed.wrapping_add(index));
+        let Outcome { violation, counts, story } = stage.explore(&plan, args.story)?;
+        total.add(&counts);
+        if let Some(violation) = violation {
+            progress.finish();
+            let failure = stage.tell_violation(&plan, &violation)?;
+            failure::print(total.summary("1 violation"))?;
+            return Err(failure);
+        }
+        if args.story {
+            failure::print(table(&plan, &story))?;
+        }
+        if index % SHOW == 0 || index + 1 == args.seeds {
+            progress.show(index + 1, "");
+        }
+    }
+    progress.finish();
+    failure::print(total.summary("0 violations"))
+}
+
+/// What all seeds together went through.
+struct Total {
+    began: Instant,
+    first: u64,
+    seeds: u64,
+    counts: Counts,
+}
+
+impl Total {
+    fn add(&mut self, counts: &Counts) {
+        self.seeds += 1;
+        self.counts.node_ticks += counts.node_ticks;
+        self.counts.faults += counts.faults;
+        self.counts.successions += counts.successions;
+    }
+
+    fn summary(&self, violations: &str) -> String {
+        let Self { began, first, seeds, counts: Counts { node_ticks, faults, successions } } = self;
+        let per_second = *node_ticks as f64 / began.elapsed().as_secs_f64();
+        format!(
+            "explored {seeds} seeds from {first}: {node_ticks} node-ticks ({per_second:.0} a second), {faults} faults, \
+             {successions} successions, {violations}\n"
+        )
+    }
+}
+
+/// Scenarios and undisturbed runs, by what they depend on.
+#[derive(Default)]
+struct Stage {
+    scenarios: HashMap<(usize, bool, bool), Scenario>,
+    undisturbed: HashMap<usize, Rc<Vec<[u64; 2]>>>,
+}
+
+impl Stage {
+    fn explore(&mut self, plan: &Plan, tells_story: bool) -> Result<Outcome, Failure> {
+        let is_realtime = plan.clock == Clock::Realtime;
+        let scenario = self.scenario(plan.robots, is_realtime, plan.is_endless)?;
+        let scenario = Scenario { ticks: plan.ticks, ..scenario };
+        let undisturbed = if is_realtime || !plan.is_endless { None } else { Some(self.undisturbed(plan.robots)?) };
+        Ok(Cluster::new(plan, &scenario, undisturbed, tells_story).explore())
+    }
+
+    fn scenario(&mut self, robots: usize, is_realtime: bool, is_endless: bool) -> Result<Scenario, Failure> {
+        let key = (robots, is_realtime, is_endless);
+        if let Some(scenario) = self.scenarios.get(&key) {
+            return Ok(scenario.clone());
+        }
+        let clock = if is_realtime { "realtime" } else { "lockstep" };
+        let patience = if is_endless { "\"forever\"" } else { "2.0" };
+        let text = format!(
+            "ticks = {TICKS_MAX}\nclock = \"{clock}\"\npatience_s = {patience}\n\
+             [planner]\nname = \"greedy\"\n[robots]\ncount = {robots}\n"
+        );
+        let file = ScenarioFile::parse(&text, "explore").map_err(Failure::input)?;
+        let scenario = Scenario::from_file(&file, "explore").map_err(Failure::input)?;
+        self.scenarios.insert(key, scenario.clone());
+        Ok(scenario)
+    }
+
+    /// Digests by tick of a run to which nothing happens.
+    fn undisturbed(&mut self, robots: usize) -> Result<Rc<Vec<[u64; 2]>>, Failure> {
+        if let Some(digests) = self.undisturbed.get(&robots) {
+            return Ok(Rc::clone(digests));
+        }
+        let scenario = self.scenario(robots, false, true)?;
+        let mut team = Team::new(&scenario).map_err(anyhow::Error::from)?;
+        let mut digests = Vec::new();
+        for _ in 0..=TICKS_MAX {
+            team.tick().map_err(anyhow::Error::from)?;
+            digests.push(team.centre().estimate().digest);
+            team.advance();
+        }
+        let digests = Rc::new(digests);
+        self.undisturbed.insert(robots, Rc::clone(&digests));
+        Ok(digests)
+    }
+
+    /// Tells of a broken promise: by the fewest faults that break one.
+    fn tell_violation(&mut self, plan: &Plan, violation: &Violation) -> Result<Failure, Failure> {
+        let fewest = self.shrink(plan)?;
+        let Outcome { violation: shrunk, story, .. } = self.explore(&fewest, true)?;
+        let shrunk = shrunk.as_ref().unwrap_or(violation);
+        failure::print(table(&fewest, &story))?;
+        let faults = fewest.faults.iter().fold(String::new(), |mut text, fault| {
+            let _ = writeln!(text, "  {fault:?}");
+            text
+        });
+        let Plan { seed, clock, robots, standbys, ticks, network, .. } = &fewest;
+        failure::print(format!(
+            "seed {seed}: {robots} robots, {standbys} standbys, {ticks} ticks, {clock:?}, {network:?}\n{faults}\
+             repeat it: rangehound explore --seed {seed} --seeds 1\n"
+        ))?;
+        let at_ms = shrunk.at_ns as f64 / 1e6;
+        Ok(Failure::Running(anyhow::anyhow!(
+            "seed {seed}: {} at {at_ms:.3} ms: {}",
+            fewest.name_of(shrunk.node),
+            shrunk.what
+        )))
+    }
+
+    /// The same plan with as little as still breaks a promise.
+    fn shrink(&mut self, plan: &Plan) -> Result<Plan, Failure> {
+        let mut fewest = plan.clone();
+        loop {
+            let network = fewest.network;
+            let calmer = [
+                Network { loss: 0.0, ..network },
+                Network { duplicates: 0.0, ..network },
+                Network { slow: 0.0, ..network },
+                Network { wakes_on_arrival: true, ..network },
+            ];
+            let fewer = (0..fewest.faults.len()).map(|index| {
+                let mut fewer = fewest.clone();
+                fewer.faults.remove(index);
+                fewer
+            });
+            let right_clocks = Plan { clock_rates: vec![1.0; fewest.clock_rates.len()], ..fewest.clone() };
+            let calmer = calmer.into_iter().map(|network| Plan { network, ..fewest.clone() });
+            let candidates: Vec<Plan> =
+                fewer.chain(calmer).chain([right_clocks]).filter(|plan| *plan != fewest).collect();
+            let mut smaller = None;
+            for candidate in candidates {
+                if self.explore(&candidate, false)?.violation.is_some() {
+                    smaller = Some(candidate);
+                    break;
+                }
+            }
+            match smaller {
+                Some(smaller) => fewest = smaller,
+                None => return Ok(fewest),
+            }
+        }
+    }
+}
+
+/// The story as a table: a line for each event, a column for its node.
+fn table(plan: &Plan, story: &[Event]) -> String {
+    let width = (0..plan.nodes()).map(|node| plan.name_of(node).len()).max().unwrap_or(0);
+    story.iter().fold(String::new(), |mut text, Event { at_ns, node, what }| {
+        let _ = writeln!(text, "{:>12.3} ms  {:width$}  {what}", *at_ns as f64 / 1e6, plan.name_of(*node));
+        text
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn outcome(seed: u64) -> Outcome {
+        Stage::default().explore(&Plan::new(seed), true).unwrap()
+    }
+
+    #[test]
+    fn a_seed_tells_the_same_story_each_time() {
+        for seed in 0..20 {
+            let (first, second) = (outcome(seed), outcome(seed));
+            assert_eq!(first.violation, second.violation);
+            assert_eq!(first.story, second.story, "seed {seed}");
+            assert!(!first.story.is_empty());
+        }
+    }
+
+    #[test]
+    fn no_seed_breaks_a_promise() {
+        let mut stage = Stage::default();
+        let mut total = Counts::default();
+        for seed in 0..2_000 {
+            let plan = Plan::new(seed);
+            let Outcome { violation, counts, .. } = stage.explore(&plan, false).unwrap();
+            assert_eq!(violation, None, "seed {seed}");
+            total.faults += counts.faults;
+            total.successions += counts.successions;
+        }
+        // It is no test of a team that nothing happens to.
+        assert!(total.faults > 2_000 && total.successions > 200, "{total:?}");
+    }
+}

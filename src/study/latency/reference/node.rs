@@ -1,0 +1,116 @@
+//! One node of a reference: what `latency-node` runs.
+//!
+//! It says on standard output that it is ready, reads on standard input when to start, and at its end writes its
+//! stamps, if it is a robot: all in words of 8 bytes, little-endian.
+
+use std::io::{Read, Write};
+use std::time::Duration;
+
+use anyhow::anyhow;
+use rangehound_node::clock::monotonic_ns;
+use rangehound_node::rendezvous::Role;
+use rangehound_shared::scenario::Scenario;
+use rustix::io::Errno;
+use rustix::thread::{ClockId, clock_nanosleep_absolute};
+use rustix::time::Timespec;
+
+use super::{Centre, Command, DUE, Reference, Robot, SILENCE, TICK, futex, iceoryx2};
+use crate::cli::LatencyNodeArgs;
+use crate::failure::Failure;
+use crate::run::node::{join, prepare};
+use crate::study::latency::dt_ns;
+
+/// What a node says once it can be heard.
+pub(super) const READY: u64 = u64::from_le_bytes(*b"rh-ready");
+
+/// `rangehound latency-node`.
+///
+/// # Errors
+/// [`Failure`].
+pub fn latency_node(args: &LatencyNodeArgs) -> Result<(), Failure> {
+    let termination = prepare(args.role, &args.node.parent)?;
+    let run = join(&args.node.name, &termination)?;
+    let scenario = &run.description().scenario;
+    let silence = SILENCE + Duration::from_nanos(dt_ns(scenario).unwrap_or(0));
+    match (args.reference, args.role) {
+        (Reference::Iceoryx2, Role::Fusion) => {
+            be_centre(iceoryx2::Centre::open(&run, &termination, silence)?, scenario)?;
+        }
+        (Reference::Iceoryx2, Role::Robot(id)) => {
+            be_robot(iceoryx2::Robot::open(&run, id, &termination, silence)?, id, scenario)?;
+        }
+        (Reference::Futex, Role::Fusion) => be_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
+        (Reference::Futex, Role::Robot(id)) => {
+            be_robot(futex::Robot::open(&run, &termination, silence)?, id, scenario)?
+        }
+        (_, role) => return Err(Failure::input(format!("--role: expected fusion or robot-N, got {role}"))),
+    }
+    Ok(())
+}
+
+/// Waits for all ranges, answers all robots, and says when the next range is due.
+fn be_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
+    let dt_ns = dt_ns(scenario);
+    let mut due_ns = wait_for_start()?;
+    for tick in 1..=scenario.ticks {
+        link.collect(tick)?;
+        if let Some(dt_ns) = dt_ns {
+            due_ns += dt_ns;
+            // As the simulator does it: time that is lost is not made up by a burst of ticks.
+            let now_ns = monotonic_ns();
+            if due_ns <= now_ns {
+                due_ns = now_ns + dt_ns;
+            }
+        }
+        let mut command: Command = [tick; _];
+        command[DUE] = due_ns;
+        link.answer(&command)?;
+    }
+    // A robot that has not met this publisher yet would not get its last command if it were gone. The parent closes the input
+    // once it has heard all robots.
+    let _ = std::io::stdin().read(&mut [0]);
+    Ok(())
+}
+
+/// Publishes a range whenever it is due, waits for the command, and stamps both.
+fn be_robot(mut link: impl Robot, id: usize, scenario: &Scenario) -> anyhow::Result<()> {
+    let mut stamps: Vec<[u64; 2]> = Vec::with_capacity(usize::try_from(scenario.ticks)?);
+    let (mut due_ns, mut held_ns) = (wait_for_start()?, monotonic_ns());
+    for tick in 1..=scenario.ticks {
+        if due_ns > held_ns {
+            sleep_until(due_ns)?;
+        }
+        let sent_ns = monotonic_ns();
+        link.publish(&[id as u64, tick, sent_ns, 0])?;
+        let command = link.command(tick)?;
+        held_ns = monotonic_ns();
+        if command[TICK] != tick {
+            return Err(anyhow!("expected the command of tick {tick}, got {}'s", command[TICK]));
+        }
+        due_ns = command[DUE];
+        stamps.push([sent_ns, held_ns]);
+    }
+    let bytes: Vec<u8> = stamps.iter().flatten().flat_map(|stamp| stamp.to_le_bytes()).collect();
+    std::io::stdout().write_all(&bytes)?;
+    Ok(())
+}
+
+/// Says that this node is ready, and waits until all are.
+fn wait_for_start() -> anyhow::Result<u64> {
+    let mut out = std::io::stdout();
+    out.write_all(&READY.to_le_bytes())?;
+    out.flush()?;
+    let mut start_ns = [0; 8];
+    std::io::stdin().read_exact(&mut start_ns)?;
+    Ok(u64::from_le_bytes(start_ns))
+}
+
+fn sleep_until(due_ns: u64) -> anyhow::Result<()> {
+    let due =
+        Timespec { tv_sec: (due_ns / 1_000_000_000).cast_signed(), tv_nsec: (due_ns % 1_000_000_000).cast_signed() };
+    match clock_nanosleep_absolute(ClockId::Monotonic, &due) {
+        // After a signal the range goes out early, and whoever waits for its command sees that an end is asked for.
+        Ok(()) | Err(Errno::INTR) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}

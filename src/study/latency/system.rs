@@ -1,0 +1,107 @@
+//! Runs of the system, as a user starts them, and the stamps that they leave.
+
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::signal::Termination;
+use rangehound_shared::record::RobotRecord;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::samples::Exchange;
+use crate::failure::Failure;
+use crate::files::layout::REPORT;
+use crate::files::out_folder;
+use crate::files::whole_file;
+use crate::results::hops::HopSummary;
+use crate::run::experiment::Experiment;
+use crate::run::folder;
+use crate::run::node::this_program;
+
+/// How often the run is looked at: seldom, for it is being measured.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// How long a run may take to end when it is asked to.
+const ENDING: Duration = Duration::from_secs(30);
+
+/// Where the run of a round goes.
+pub(super) fn folder(out_dir: &Path, round: u64) -> PathBuf {
+    out_dir.join(format!("system-{round}"))
+}
+
+/// Runs the experiment as a process of its own, with a folder of its own, to its end.
+///
+/// # Errors
+/// [`Failure`], with what the run said last if it failed.
+pub(super) fn run(
+    experiment: &Experiment,
+    folder: &Path,
+    termination: &Termination,
+) -> Result<RunDescription, Failure> {
+    let (scenario, log_path) = (folder.with_extension("toml"), folder.with_extension("log"));
+    whole_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
+    let log = out_folder::append(&log_path).with_context(|| log_path.display().to_string())?;
+    let mut child = this_program()
+        .arg("run")
+        .arg(&scenario)
+        .args([
+            "--no-record",
+            "--name",
+            &experiment.name.to_string(),
+            "--end-with",
+            &std::process::id().to_string(),
+            "--out",
+        ])
+        .arg(folder)
+        // A group of its own: Ctrl-C reaches this process, which ends the run in order.
+        .process_group(0)
+        .stdin(Stdio::null())
+        .stdout(log.try_clone()?)
+        .stderr(log)
+        .spawn()
+        .context("cannot start the run")?;
+    let mut asked: Option<Instant> = None;
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        match asked {
+            None if termination.requested() => {
+                let _ = kill_process(Pid::from_child(&child), Signal::TERM);
+                asked = Some(Instant::now());
+            }
+            Some(at) if at.elapsed() > ENDING => child.kill()?,
+            _ => {}
+        }
+        std::thread::sleep(LOOK);
+    };
+    if !status.success() {
+        let said = std::fs::read_to_string(&log_path).unwrap_or_default();
+        let said = said.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
+        let is_input = status.code() == Some(2);
+        return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });
+    }
+    folder::read_description(folder)
+}
+
+/// The run's hops, as it has reported them.
+///
+/// # Errors
+/// If its report cannot be read.
+pub(super) fn hops_us(description: &RunDescription) -> anyhow::Result<HopSummary> {
+    #[derive(serde::Deserialize)]
+    struct Reported {
+        hops_us: HopSummary,
+    }
+    let path = description.out_dir.join(REPORT);
+    let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+    Ok(serde_json::from_str::<Reported>(&text).with_context(|| path.display().to_string())?.hops_us)
+}
+
+/// What a robot's record tells of the exchange.
+pub(super) fn exchange(robot: &RobotRecord) -> Exchange {
+    Exchange { sent_ns: robot.range_sent_ns, held_ns: robot.heading_held_ns }
+}

@@ -1,0 +1,17 @@
+//! Studies: many runs, or one looked at in another way.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`calibrate`] | noise, bias and scale of sensors from a recording |
+//! | [`compare`] | Monte Carlo of the planners on all cores |
+//! | [`chaos`] | campaigns of faults on live runs |
+//! | [`explore`] | campaigns of faults in simulated time |
+//! | [`latency`] | the time from range to heading, beside the bare transport |
+//! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
+
+pub mod calibrate;
+pub mod chaos;
+pub mod compare;
+pub mod explore;
+pub mod latency;
+pub mod replay;

@@ -1,0 +1,253 @@
+//! `replay`: feeds recorded ranges to a fresh fusion centre, and tells whether it comes to the same estimates, bit for
+//! bit; or what would have been different with another planner or filter.
+
+mod differences;
+mod repair;
+mod show;
+pub mod steps;
+
+use std::fs::File;
+use std::io::BufReader;
+use std::time::Instant;
+
+use rangehound_shared::digest::Digest;
+use rangehound_shared::motion::MotionModel;
+use rangehound_shared::scenario::{GateKey, PlannerSpec, PlannerTable, Scenario, Source, bounds};
+use serde::Serialize;
+
+use crate::cli::ReplayArgs;
+use crate::failure::{self, Failure};
+use crate::results::run_mcap::read::{FrameReader, Missing, ReadError};
+use crate::results::run_mcap::topics::digest_of;
+use crate::run::experiment::COMMAND_LINE;
+use crate::run::watch::Progress;
+use differences::{Comparison, Differences};
+use steps::{Difference, Fed, StepError, Steps};
+
+/// How often progress is shown.
+const SHOW_TICKS: u64 = 4_096;
+
+/// What a replay came to; its fields are the keys of `--json`.
+#[derive(Debug, Serialize)]
+struct Outcome {
+    file: String,
+    scenario: String,
+    robots: usize,
+    clock: &'static str,
+    seed: u64,
+    /// The last tick that was replayed, and that of the whole run.
+    ticks: u64,
+    ticks_of_run: u64,
+    /// Ticks after the last that the file counts and does not hold.
+    ticks_missing: Option<Missing>,
+    /// What was replayed, in the run's time, and how long that took, s.
+    run_s: f64,
+    wall_s: f64,
+    ranges_in_time: u64,
+    ranges_late: u64,
+    /// `bit-identical`, `differs`, or `changed` if it was to be different.
+    verdict: &'static str,
+    first_difference: Option<Difference>,
+    /// After the last tick, as replayed.
+    digest: String,
+    /// If it was to be different.
+    comparison: Option<Comparison>,
+}
+
+/// `rangehound replay`.
+///
+/// # Errors
+/// [`Failure`]: of the input, if the file cannot be read up to its end; of the run, if it differs.
+pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
+    let path = &args.file;
+    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
+    let open = || {
+        let file = File::open(path).map_err(|error| refuse(&error))?;
+        FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))
+    };
+    let mut reader = open()?;
+    if args.repair {
+        return repair::repair(args, reader, |error| refuse(error));
+    }
+    let recorded = reader.description().map_err(|error| refuse(&error))?.scenario.clone();
+    let replayed = changed(&recorded, args)?;
+    let begin = || Steps::new(&replayed).map_err(|error| Failure::input(format!("--planner: {error}")));
+    let is_changed = recorded != replayed;
+    let fed = feed(&mut reader, begin()?, &recorded, is_changed).map_err(|error| match error {
+        Stopped::Reading(error @ (ReadError::Cut { after: Some(_) } | ReadError::Damaged { after: Some(_), .. })) => {
+            refuse(&format!("{error}: `rangehound replay --repair` makes a whole file of what is before"))
+        }
+        Stopped::Reading(error) => refuse(&error),
+        Stopped::Empty => match reader.missing_at_end() {
+            Some(missing) => Failure::Running(anyhow::anyhow!("{}: {missing}: it is damaged", path.display())),
+            None => refuse(&"holds no tick"),
+        },
+        Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
+        // Ticks that are not there are a difference; what diverges with other flags is a result too.
+        Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error).context(path.display().to_string())),
+        Stopped::Tally(error) => Failure::Running(error),
+    })?;
+    let Replayed { ticks, run_s, wall_s, fed: Fed { in_time, late }, first_difference, digest, differences } = fed;
+    let outcome = Outcome {
+        file: path.display().to_string(),
+        scenario: recorded.name.clone(),
+        robots: recorded.robots.len(),
+        clock: recorded.clock.name(),
+        seed: recorded.seed,
+        ticks,
+        ticks_of_run: recorded.ticks,
+        ticks_missing: reader.missing_at_end(),
+        run_s,
+        wall_s,
+        ranges_in_time: in_time,
+        ranges_late: late,
+        verdict: match (is_changed, &first_difference) {
+            (true, _) => "changed",
+            (false, None) => "bit-identical",
+            (false, Some(_)) => "differs",
+        },
+        first_difference: first_difference.filter(|_| !is_changed),
+        digest: digest.to_string(),
+        comparison: differences.map(|differences| differences.end(&recorded, &replayed)),
+    };
+    if args.json {
+        failure::print_json(&outcome)?;
+    } else {
+        failure::print(&outcome)?;
+    }
+    if let Some(port) = args.show.live {
+        show::show(open()?, begin()?, &replayed, port, args.speed)?;
+    }
+    match (&outcome.first_difference, outcome.ticks_missing) {
+        (Some(difference), _) => {
+            Err(Failure::Running(anyhow::anyhow!("the replay differs from tick {} on", difference.tick)))
+        }
+        (None, Some(missing)) => {
+            let path = path.display();
+            Err(Failure::Running(anyhow::anyhow!("{path}: {missing} at the end of the recording: it is damaged")))
+        }
+        (None, None) => Ok(()),
+    }
+}
+
+/// The scenario with the command line's values over the recorded ones.
+fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> {
+    let mut scenario = recorded.clone();
+    if let Some(name) = &args.planner {
+        if matches!(recorded.source, Source::Recorded { .. }) {
+            return Err(Failure::input(
+                "--planner: expected a run with robots that are told where to go, got recorded ranges",
+            ));
+        }
+        let table = PlannerTable { name: Some(name.clone()), ..PlannerTable::default() };
+        let spec = PlannerSpec::from_table(&table, COMMAND_LINE).map_err(Failure::input)?;
+        // The same planner keeps what its scenario said of it.
+        if spec.name() != recorded.planner.name() {
+            scenario.planner = spec;
+        }
+    }
+    if let Some(gate) = &args.gate.gate {
+        scenario.gate_sigma = match gate {
+            GateKey::Sigma(sigma) if bounds::GATE_SIGMA.contains(sigma) => Some(*sigma),
+            GateKey::Sigma(sigma) => {
+                return Err(Failure::input(format!("--gate: expected a number from 1 to 1e6 or none, got {sigma}")));
+            }
+            GateKey::Word(_) => None,
+        };
+        scenario.distrust = scenario.gate_sigma.is_some();
+    }
+    scenario.distrust = args.gate.distrust().unwrap_or(scenario.distrust);
+    if let Some(psd) = args.accel_psd {
+        let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
+            return Err(Failure::input("--accel-psd: expected a target model with a spectral density, got matrices"));
+        };
+        if !bounds::NOISE_PSD.contains(&psd) {
+            return Err(Failure::input(format!("--accel-psd: expected a number from 0 to 1e9, got {psd}")));
+        }
+        *noise_psd = psd;
+    }
+    Ok(scenario)
+}
+
+/// Why a replay has stopped before the end.
+enum Stopped {
+    Empty,
+    Reading(ReadError),
+    Stepping(StepError),
+    Tally(anyhow::Error),
+}
+
+/// What has been replayed.
+struct Replayed {
+    ticks: u64,
+    run_s: f64,
+    wall_s: f64,
+    fed: Fed,
+    first_difference: Option<Difference>,
+    digest: Digest,
+    differences: Option<Differences>,
+}
+
+/// Feeds a whole recording.
+fn feed(
+    reader: &mut FrameReader<BufReader<File>>,
+    mut steps: Steps,
+    recorded: &Scenario,
+    is_changed: bool,
+) -> Result<Replayed, Stopped> {
+    let began = Instant::now();
+    let mut progress = Progress::new("tick", recorded.ticks);
+    let mut differences = is_changed.then(Differences::new).transpose().map_err(Stopped::Tally)?;
+    let (mut ticks, mut first_difference, mut digest) = (0, None, Digest::default());
+    let mut times_s: Option<(f64, f64)> = None;
+    while let Some(frame) = reader.next_frame().map_err(Stopped::Reading)? {
+        let estimate = steps.step(&frame).map_err(Stopped::Stepping)?;
+        if let Some(differences) = &mut differences {
+            differences.add(&frame, &estimate, steps.commands());
+        } else if first_difference.is_none() {
+            first_difference = steps::difference(&frame, &estimate, steps.commands());
+        }
+        ticks = frame.tick;
+        let time_s = frame.fusion.time_s;
+        times_s = Some((times_s.map_or(time_s, |(first_s, _)| first_s), time_s));
+        digest = digest_of(&estimate);
+        if ticks > 0 && ticks.is_multiple_of(SHOW_TICKS) {
+            progress.show(ticks, "");
+        }
+    }
+    progress.finish();
+    let (first_s, last_s) = times_s.ok_or(Stopped::Empty)?;
+    let (wall_s, fed) = (began.elapsed().as_secs_f64(), steps.fed());
+    Ok(Replayed { ticks, run_s: last_s - first_s, wall_s, fed, first_difference, digest, differences })
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { file, scenario, robots, clock, seed, ticks, ticks_of_run, run_s, wall_s, digest, .. } = self;
+        writeln!(f, "{file}: {scenario}, {robots} robots, {clock}, seed {seed}")?;
+        let of_run = if ticks < ticks_of_run { format!(" of {ticks_of_run}") } else { String::new() };
+        let speed = run_s / wall_s.max(1e-9);
+        writeln!(
+            f,
+            "  replayed         {ticks} ticks{of_run}, {run_s:.1} s, in {wall_s:.2} s ({speed:.0} x real time)"
+        )?;
+        let (in_time, late) = (self.ranges_in_time, self.ranges_late);
+        writeln!(f, "  ranges           {in_time} in time, {late} late")?;
+        match (&self.comparison, &self.first_difference) {
+            (Some(comparison), _) => write!(f, "{comparison}"),
+            (None, None) => {
+                writeln!(f, "  estimates        bit-identical: state, covariance, digest and headings")?;
+                writeln!(f, "  digest           {digest}")?;
+                if ticks < ticks_of_run {
+                    writeln!(f, "                   (a run that was ended early may report that of a tick more)")?;
+                }
+                Ok(())
+            }
+            (None, Some(Difference { tick, what, recorded, replayed })) => {
+                let apart = replayed - recorded;
+                writeln!(f, "  estimates        differ from tick {tick} on: {what}")?;
+                writeln!(f, "                   {recorded:e} recorded, {replayed:e} replayed, {apart:.3e} apart")
+            }
+        }
+    }
+}

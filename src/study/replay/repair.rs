@@ -1,0 +1,104 @@
+//! A whole file of one that was cut short or damaged: all ticks up to there.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::cli::ReplayArgs;
+use crate::failure::{self, Failure};
+use crate::files::whole_file::{PARTIAL, with_ending};
+use crate::results::run_mcap::file::{RunFile, unusable};
+use crate::results::run_mcap::read::{FrameReader, ReadError};
+use crate::results::run_mcap::write::Written;
+use crate::run::watch::Progress;
+
+/// What there was to save; its fields are the keys of `--json`.
+#[derive(Debug, Serialize)]
+struct Repaired {
+    file: String,
+    /// The whole file.
+    whole: String,
+    /// The ticks that are in it, and the last one of the run.
+    first_tick: u64,
+    ticks: u64,
+    ticks_of_run: u64,
+    /// What is wrong with the file after these; `None` if nothing is.
+    reason: Option<String>,
+}
+
+/// Reads a file up to where it is cut or damaged, and writes what there is as a whole file.
+///
+/// # Errors
+/// [`Failure`] if nothing of it can be read, or the new file cannot be written.
+pub(super) fn repair(
+    args: &ReplayArgs,
+    mut reader: FrameReader<BufReader<File>>,
+    refuse: impl Fn(&ReadError) -> Failure,
+) -> Result<(), Failure> {
+    let path = &args.file;
+    let out = args.out.clone().unwrap_or_else(|| whole_name(path));
+    if out.symlink_metadata().is_ok() {
+        return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
+    }
+    let description = reader.description().map_err(|error| refuse(&error))?.clone();
+    // What is repaired may be all that there is of the run: it keeps its name until there is more.
+    let in_making = with_ending(&out, &format!(".{}{PARTIAL}", std::process::id()));
+    let file = RunFile::begin_as(&in_making, &out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
+    let copied = copy(&mut reader, file, description.scenario.ticks);
+    if !matches!(copied, Ok((Some(_), _))) {
+        let _ = std::fs::remove_file(&in_making);
+    }
+    let (ticks, why) = copied.map_err(Failure::Running)?;
+    let Some((first_tick, ticks)) = ticks else {
+        return Err(
+            why.map_or_else(|| Failure::input(format!("{}: holds no tick", path.display())), |why| refuse(&why))
+        );
+    };
+    let (file, whole) = (path.display().to_string(), out.display().to_string());
+    let ticks_of_run = description.scenario.ticks;
+    if args.json {
+        let reason = why.map(|why| why.to_string());
+        return failure::print_json(&Repaired { file, whole, first_tick, ticks, ticks_of_run, reason });
+    }
+    if let Some(why) = why.filter(|why| !matches!(why, ReadError::Cut { .. })) {
+        failure::tell(format_args!("{file}: {why}"));
+    }
+    failure::print(format_args!("repaired: ticks {first_tick} to {ticks} of {ticks_of_run} in {whole}\n"))
+}
+
+/// The first and the last tick that could be read, and why there are no more.
+type Copied = (Option<(u64, u64)>, Option<ReadError>);
+
+/// Copies what can be read, and finishes the file unless that is nothing.
+fn copy(reader: &mut FrameReader<BufReader<File>>, mut file: RunFile, ticks_of_run: u64) -> anyhow::Result<Copied> {
+    let mut progress = Progress::new("tick", ticks_of_run);
+    let mut ticks: Option<(u64, u64)> = None;
+    let why = loop {
+        match reader.next_frame() {
+            Ok(Some(frame)) => {
+                let Written::Taken = file.write(&frame)? else { break None };
+                ticks = Some((ticks.map_or(frame.tick, |(first, _)| first), frame.tick));
+                if frame.tick > 0 && frame.tick.is_multiple_of(super::SHOW_TICKS) {
+                    progress.show(frame.tick, "");
+                }
+            }
+            Ok(None) => break None,
+            Err(error) => break Some(error),
+        }
+    };
+    progress.finish();
+    if ticks.is_some() {
+        file.finish()?;
+    }
+    Ok((ticks, why))
+}
+
+/// The name without `.partial`, or with `.repaired` before its ending.
+fn whole_name(path: &Path) -> PathBuf {
+    match path.extension() {
+        Some(ending) if ending == "partial" => path.with_extension(""),
+        _ => path.with_extension("repaired.mcap"),
+    }
+}

@@ -1,0 +1,165 @@
+//! A fresh fusion centre fed with what the recorded one heard: pure, a frame in, an estimate out.
+
+use std::collections::BTreeMap;
+
+use rangehound_fusion::centre::{Diverged, Late};
+use rangehound_fusion::planner::PlannerError;
+use rangehound_fusion::report::Report;
+use rangehound_fusion::{Centre, LATE_TICKS_MAX};
+use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::scenario::Scenario;
+
+use crate::results::frame::Frame;
+use crate::results::run_mcap::read::Missing;
+use crate::results::run_mcap::topics::digest_of;
+
+/// Why the replay cannot go on.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum StepError {
+    /// A tick is not in the recording: all later estimates depend on it.
+    #[error("{0} in the recording, so that nothing after can be replayed")]
+    Hole(Missing),
+    /// The recording says what fusion cannot have done.
+    #[error("tick {tick}: a range of robot {robot} cannot have been taken at tick {taken_at}")]
+    Senseless {
+        /// Tick of the range.
+        tick: u64,
+        /// Whose it is.
+        robot: usize,
+        /// When it is said to have been taken.
+        taken_at: u64,
+    },
+    /// The replayed estimate is no longer one.
+    #[error(transparent)]
+    Diverged(#[from] Diverged),
+}
+
+/// A replay under way.
+#[derive(Debug)]
+pub struct Steps {
+    centre: Centre,
+    reports: Vec<Option<Report>>,
+    /// What came late, by the tick that it was taken at: its own tick, its robot, and itself.
+    late: BTreeMap<u64, Vec<(u64, usize, Report)>>,
+    fed: Fed,
+}
+
+/// Messages that the replayed centre was given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Fed {
+    /// In time, with a range.
+    pub in_time: u64,
+    /// Late, with a range.
+    pub late: u64,
+}
+
+impl Steps {
+    /// A replay before its first tick; the scenario may be another one than was recorded.
+    ///
+    /// # Errors
+    /// [`PlannerError`] if its planner cannot serve its team.
+    pub fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
+        Ok(Self {
+            centre: Centre::new(scenario)?.keeping_the_past(),
+            reports: vec![None; scenario.robots.len()],
+            late: BTreeMap::new(),
+            fed: Fed::default(),
+        })
+    }
+
+    /// Goes through a tick with what the recorded centre had heard when it did.
+    ///
+    /// # Errors
+    /// [`StepError`].
+    pub fn step(&mut self, frame: &Frame) -> Result<Estimate, StepError> {
+        let tick = self.centre.next_tick();
+        if frame.tick != tick {
+            return Err(StepError::Hole(Missing::between(tick, frame.tick)));
+        }
+        let Self { centre, reports, late, fed } = self;
+        for (robot, (slot, exchange)) in reports.iter_mut().zip(&frame.fusion.exchanges).enumerate() {
+            *slot = None;
+            let Some(heard) = exchange.heard else { continue };
+            let has_range = u64::from(heard.range_m.is_some());
+            let taken_at = heard.taken_at;
+            if taken_at == tick {
+                *slot = Some(heard.into());
+                fed.in_time += has_range;
+            } else if (tick + 1..=tick.saturating_add(LATE_TICKS_MAX as u64)).contains(&taken_at) {
+                late.entry(taken_at).or_default().push((tick, robot, heard.into()));
+                fed.late += has_range;
+            } else {
+                return Err(StepError::Senseless { tick, robot, taken_at });
+            }
+        }
+        let (mut fused_late, mut rejected_late) = (0, 0);
+        for (tick, robot, report) in late.remove(&tick).unwrap_or_default() {
+            match centre.take_late(tick, robot, report) {
+                Late::Fused => fused_late += 1,
+                Late::Rejected => rejected_late += 1,
+                Late::NoRange | Late::Missed => {}
+            }
+        }
+        centre.update(frame.fusion.time_s, reports)?;
+        centre.plan();
+        // What was refused, and when what happened, no replay can tell.
+        let recorded = &frame.fusion.estimate;
+        let (late, refused, stages) = (recorded.late, recorded.refused, recorded.stages);
+        Ok(Estimate { late, fused_late, rejected_late, refused, stages, ..centre.estimate() })
+    }
+
+    /// What the replayed centre commanded at the last tick.
+    #[must_use]
+    pub fn commands(&self) -> &[Command] {
+        self.centre.commands()
+    }
+
+    /// What it was given up to now.
+    #[must_use]
+    pub fn fed(&self) -> Fed {
+        self.fed
+    }
+}
+
+/// Where a replayed tick is not the recorded one.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Difference {
+    /// The tick.
+    pub tick: u64,
+    /// What differs.
+    pub what: String,
+    /// As recorded.
+    pub recorded: f64,
+    /// As replayed.
+    pub replayed: f64,
+}
+
+/// The first number of a tick that is not the same, bit for bit: of state, covariance, headings; or its digest.
+#[must_use]
+pub fn difference(frame: &Frame, replayed: &Estimate, commands: &[Command]) -> Option<Difference> {
+    let recorded = &frame.fusion.estimate;
+    let n = recorded.state_dim as usize;
+    let found = |what: String, recorded: f64, replayed: f64| {
+        let differs = recorded.to_bits() != replayed.to_bits();
+        differs.then_some(Difference { tick: frame.tick, what, recorded, replayed })
+    };
+    let states = recorded.state[..n].iter().zip(&replayed.state).enumerate();
+    let covariances = recorded.covariance[..n * n].iter().zip(&replayed.covariance).enumerate();
+    let headings = frame.fusion.exchanges.iter().zip(commands).enumerate().flat_map(|(robot, (exchange, command))| {
+        let Command { heading_rad, speed_mps } = exchange.command;
+        [
+            (format!("heading_rad of robot {robot}"), heading_rad, command.heading_rad),
+            (format!("speed_mps of robot {robot}"), speed_mps, command.speed_mps),
+        ]
+    });
+    let mut numbers = states
+        .map(|(i, (recorded, replayed))| (format!("state[{i}]"), *recorded, *replayed))
+        .chain(covariances.map(|(i, (recorded, replayed))| (format!("covariance[{i}]"), *recorded, *replayed)))
+        .chain(headings);
+    let number = numbers.find_map(|(what, recorded, replayed)| found(what, recorded, replayed));
+    number.or_else(|| {
+        let [recorded, replayed] = [recorded, replayed].map(|estimate| digest_of(estimate).to_bits());
+        let what = "digest, of the same numbers".to_owned();
+        (recorded != replayed).then_some(Difference { tick: frame.tick, what, recorded: f64::NAN, replayed: f64::NAN })
+    })
+}
