@@ -6,7 +6,6 @@ use std::time::Instant;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
-use rangehound_fusion::belief::Belief;
 use rangehound_fusion::filter::{Estimate, RangeInformation};
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
 use rangehound_fusion::planner::{self, Plan, Sensor, Situation, Vector};
@@ -105,7 +104,7 @@ fn pose_and_plan(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::from_parameter(robots), |bencher| {
                 bencher.iter(|| {
                     let prior = black_box(Matrix2::new(0.4, 0.1, 0.1, 0.2));
-                    situation.belief = Belief::of_position(Vector::default(), &prior);
+                    situation.belief.set_position(Vector::default(), &prior);
                     situation.team.clear();
                     situation.team.extend(team(robots));
                     planner.plan(0, &situation, &mut plan);

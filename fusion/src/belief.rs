@@ -20,16 +20,21 @@ impl Belief {
     #[must_use]
     pub fn of_position(position_m: Vector, covariance_m2: &Matrix2<f64>) -> Self {
         let mut belief = Self::default();
-        belief.mean[0] = position_m.x;
-        belief.mean[1] = position_m.y;
-        belief.covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(covariance_m2);
+        belief.set_position(position_m, covariance_m2);
         belief
+    }
+
+    /// Says another thing of the position, and the same of all else.
+    pub fn set_position(&mut self, position_m: Vector, covariance_m2: &Matrix2<f64>) {
+        self.mean[0] = position_m.x;
+        self.mean[1] = position_m.y;
+        self.covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(covariance_m2);
     }
 
     /// Becomes a filter's estimate; of one dimension as long as it lives.
     pub fn assign<const N: usize>(&mut self, estimate: &Estimate<N>) {
-        self.mean.rows_mut(0, N).copy_from(&estimate.x);
-        self.covariance.view_mut((0, 0), (N, N)).copy_from(&estimate.p);
+        self.mean.fixed_rows_mut::<N>(0).copy_from(&estimate.x);
+        self.covariance.fixed_view_mut::<N, N>(0, 0).copy_from(&estimate.p);
     }
 
     /// Where the target is believed to be, m.

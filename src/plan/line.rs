@@ -5,7 +5,6 @@ use std::ops::RangeInclusive;
 use std::time::Instant;
 
 use nalgebra::Matrix2;
-use rangehound_fusion::belief::Belief;
 use rangehound_fusion::planner::range_only::{Problem, hull_certificate};
 use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Vector, Worth};
 use rangehound_shared::ROBOTS_MAX;
@@ -120,7 +119,7 @@ impl Desk {
     /// Checks every value, and leaves them in `self.situation`.
     fn check(&mut self, raw: &ProblemLine) -> Result<PlannerSpec, String> {
         let covariance_m2 = covariance(raw.prior_position_covariance)?;
-        self.situation.belief = Belief::of_position(place("target", raw.target)?, &covariance_m2);
+        self.situation.belief.set_position(place("target", raw.target)?, &covariance_m2);
         self.situation.step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
         let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "nothing"))?;
         self.situation.team.clear();

@@ -3,7 +3,6 @@
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
-use rangehound_fusion::belief::Belief;
 use rangehound_fusion::planner::{self, Plan, Situation, TeamMember, Vector};
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
@@ -89,7 +88,7 @@ fn measure_at(scenario: &Scenario, robots: usize) -> Option<f64> {
         let step = times_us.len();
         let prior = prior_m2(step, robots);
         let step_began = Instant::now();
-        situation.belief = Belief::of_position(Vector::default(), &prior);
+        situation.belief.set_position(Vector::default(), &prior);
         situation.team.clear();
         situation.team.extend(team(scenario, step, robots));
         planner.plan(step as u64, &situation, &mut plan);
