@@ -1,5 +1,7 @@
 //! What one process writes and another reads changes with the number of the protocol only.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
 use std::path::{Path, PathBuf};
 
 use xxhash_rust::xxh3::xxh3_64;
