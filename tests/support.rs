@@ -6,6 +6,7 @@
 use std::cell::Cell;
 use std::fs::File;
 use std::io::Write;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -191,8 +192,12 @@ impl Run {
 
     /// True while a process holds this role.
     pub(crate) fn is_held(&self, role: &str) -> bool {
-        let file = File::open(self.shared_folder().join(format!("{role}.role")));
-        file.is_ok_and(|file| file.try_lock_shared().is_err())
+        // Not by trying: who comes for the role at that moment would take it for held, and a standby the next number.
+        let role = std::fs::metadata(self.shared_folder().join(format!("{role}.role")));
+        let locks = std::fs::read_to_string("/proc/locks").unwrap();
+        role.is_ok_and(|role| {
+            locks.lines().any(|lock| lock.contains(" WRITE ") && lock.contains(&format!(":{} ", role.ino())))
+        })
     }
 
     /// How often a role has been started.
