@@ -39,7 +39,10 @@ fn run(team: &mut Team, bias_m: f64) -> Outcome {
     for tick in 0..=TICKS {
         let bias_m = if OFF.contains(&tick) { bias_m } else { 0.0 };
         team.tick_disturbed(|ranges| {
-            ranges.iter_mut().filter(|range| range.entry.robot == 1).for_each(|range| range.entry.range_m += bias_m);
+            ranges
+                .iter_mut()
+                .filter(|range| range.entry.robot == 1)
+                .for_each(|range| range.entry.measurement.range_m += bias_m);
         })
         .unwrap();
         let distrusted = team.centre().distrusted();

@@ -85,7 +85,7 @@ fn heard_m(run: &Run) -> Vec<f64> {
     let mut log = logs::read_estimates(&description).unwrap();
     let mut heard = Vec::new();
     while let Some(Ok((_, record))) = log.next() {
-        heard.extend(record.exchanges.iter().filter_map(|robot| robot.heard?.range_m));
+        heard.extend(record.exchanges.iter().filter_map(|robot| robot.heard?.measurement.range()));
     }
     heard.into_iter().map(|(range_m, _)| range_m).collect()
 }

@@ -24,6 +24,7 @@ use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::world::world_of;
 use rangehound_robot::drive::Controller;
 use rangehound_robot::sensor::{RangeSensor, Sensor};
+use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PlannerTable, ScenarioFile};
@@ -233,11 +234,9 @@ fn hostile_messages() {
     });
     let entry = ([(); 4].map(|()| number.clone()), prop_oneof![2 => 0..4_u64, 1 => word.clone()]);
     let entry = entry.prop_map(|([x_m, y_m, range_m, height_m], range_kind)| WorldEntry {
-        x_m,
-        y_m,
+        pose: Pose { height_m, ..Pose::at([x_m, y_m]) },
         range_m,
         range_kind,
-        height_m,
     });
     let command = [number.clone(), number].prop_map(|[heading_rad, speed_mps]| Command { heading_rad, speed_mps });
     let step = (command, [(); 3].map(|()| word.clone()), entry, vec(proptest::option::of(drive), 0..6));
@@ -253,7 +252,7 @@ fn hostile_messages() {
             assert!(range_m.is_none_or(f64::is_finite), "{entry:?} {range_m:?}");
             let _ = drives.iter().flatten().filter_map(Drive::latency_ns).max();
             world.advance(&drives);
-            assert!(world.entries().iter().all(|entry| entry.x_m.is_finite() && entry.y_m.is_finite()));
+            assert!(world.entries().iter().all(|entry| entry.is_sound()));
         }
     });
 }

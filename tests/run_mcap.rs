@@ -9,6 +9,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use rangehound::results::run_mcap::read::FrameReader;
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::record::{Heading, Heard, Judged, RangeUse};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
@@ -352,20 +353,19 @@ fn every_frame_comes_back_to_the_bit() {
         let strange = &mut all[7];
         strange.fusion.exchanges[0].heard = None;
         strange.fusion.exchanges[1].heard = Some(Heard {
-            position_m: [-0.0, 1e-300],
-            range_m: Some((-0.5, 1.5)),
+            measurement: Measurement::new(Pose { height_m: -0.0, ..Pose::at([-0.0, 1e-300]) }, Some((-0.5, 1.5))),
             taken_at: 9,
-            height_m: -0.0,
             judged: None,
         });
-        let heard = Heard { position_m: [0.0; 2], range_m: None, taken_at: 7, height_m: 2.5, judged: None };
+        let pose = Pose { height_m: 2.5, ..Pose::default() };
+        let heard = Heard { measurement: Measurement::new(pose, None), taken_at: 7, judged: None };
         strange.fusion.exchanges[2].heard = Some(heard);
         let judged = Judged { used: RangeUse::Distrusted, normalised_square: None };
         all[8].fusion.exchanges[0].heard =
-            Some(Heard { judged: Some(judged), range_m: Some((2.0, 0.1)), taken_at: 8, ..heard });
+            Some(Heard { judged: Some(judged), measurement: Measurement::new(pose, Some((2.0, 0.1))), taken_at: 8 });
         let strange = &mut all[7];
         strange.world.robots[0].range_sent_ns = Some(5);
-        strange.world.robots[0].height_m = -1.25;
+        strange.world.robots[0].pose.height_m = -1.25;
         strange.world.robots[1].heading = Heading::Late;
         strange.world.robots[2].heading = Heading::Unknown;
         strange.world.robots[2].range_m = None;

@@ -12,8 +12,8 @@
 use rangehound_fusion::Centre;
 use rangehound_fusion::planner::range_only::{Problem, RangeOnly, Solution, Solver};
 use rangehound_fusion::planner::{Planner, Vector, for_team};
-use rangehound_fusion::report::Report;
 use rangehound_shared::draws::{Draws, Stream};
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioFile};
 
 /// Each robot in turn answers what its teammates do: it points its vector against the sum of all others, or as near to
@@ -75,13 +75,10 @@ fn median_trace_m2(scenario: &Scenario, planner: Box<dyn Planner>) -> Result<f64
             noise.standard_normal(tick, &mut drawn);
             let range_m = (target_m - *at_m).norm() + robot.range_std_m * drawn[0];
             // At tick 0 nothing is measured yet.
-            Some(Report {
-                position_m: *at_m,
-                height_m: 0.0,
-                range_m: (tick > 0).then_some((range_m, robot.range_std_m)),
-            })
+            let pose = Pose::at([at_m.x, at_m.y]);
+            Some(Measurement::new(pose, (tick > 0).then_some((range_m, robot.range_std_m))))
         });
-        let reports: Vec<Option<Report>> = measured.collect();
+        let reports: Vec<Option<Measurement>> = measured.collect();
         centre.update(time_s, &reports)?;
         for (at_m, command) in robots_m.iter_mut().zip(centre.plan()) {
             *at_m += Vector::from_angle(command.heading_rad) * (command.speed_mps * scenario.dt_s);

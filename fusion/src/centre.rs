@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Command, Estimate};
-use rangehound_shared::record::{Exchange, Judged};
+use rangehound_shared::record::{Exchange, Heard, Judged};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source};
 use rangehound_shared::sealed::SealError;
@@ -12,10 +12,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::past::Past;
 use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Sensor, Situation, TeamMember, Vector, Worth};
-use crate::report::Report;
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
 use crate::trust::Trust;
+use rangehound_shared::measurement::Measurement;
 
 /// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
 const SILENCE_TICKS_MAX: u64 = 5;
@@ -219,12 +219,13 @@ impl Centre {
     ///
     /// # Errors
     /// [`Diverged`] if the estimate leaves all bounds.
-    pub fn update(&mut self, time_s: f64, reports: &[Option<Report>]) -> Result<(), Diverged> {
+    pub fn update(&mut self, time_s: f64, reports: &[Option<Measurement>]) -> Result<(), Diverged> {
         let tick = self.next_tick;
         self.next_tick += 1;
         for (body, report) in self.bodies.iter_mut().zip(reports) {
-            let Some(Report { position_m, range_m, .. }) = *report else { continue };
-            *body = Some(Body { position_m, heard_at: tick, range_std_m: last_std_m(range_m, *body) });
+            let Some(report) = report else { continue };
+            let range_std_m = last_std_m(report.range(), *body);
+            *body = Some(Body { position_m: report.pose.into(), heard_at: tick, range_std_m });
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
@@ -254,7 +255,7 @@ impl Centre {
     }
 
     /// Writes down what a tick starts from, if the past is kept.
-    fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Report>]) {
+    fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Measurement>]) {
         let Some(past) = &mut self.past else { return };
         let mut place = past.place(reports.len(), &self.tracking.trust);
         (place.tick, place.dt_s) = (tick, dt_s);
@@ -268,7 +269,7 @@ impl Centre {
 
     /// What a robot said at one of the last ticks, if that is kept.
     #[must_use]
-    pub fn report_at(&self, tick: u64, id: usize) -> Option<Report> {
+    pub fn report_at(&self, tick: u64, id: usize) -> Option<Measurement> {
         self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
     }
 
@@ -281,7 +282,7 @@ impl Centre {
     /// Takes a report of an earlier tick: goes back to before it and processes it and all ticks since again, so that
     /// the state is that of a centre which had the report in time, to the bit. What has been published stays as it
     /// was: this holds from the next prediction on. A position newer than the one known counts for the next plan.
-    pub fn take_late(&mut self, tick: u64, id: usize, report: Report) -> Late {
+    pub fn take_late(&mut self, tick: u64, id: usize, report: Measurement) -> Late {
         let Some(past) = &mut self.past else { return Late::Missed };
         let Some(slot) = past.since(tick).next().and_then(|past| past.reports.get_mut(id)) else { return Late::Missed };
         if slot.is_some() {
@@ -290,11 +291,12 @@ impl Centre {
         *slot = Some(report);
         if self.bodies[id].is_none_or(|body| body.heard_at < tick) {
             let steps = past.since(tick).map(|past| past.commands[id]);
-            let position_m = steps.fold(report.position_m, |position_m, command| moved(position_m, command, self.dt_s));
-            let range_std_m = last_std_m(report.range_m, self.bodies[id]);
+            let position_m =
+                steps.fold(report.pose.into(), |position_m, command| moved(position_m, command, self.dt_s));
+            let range_std_m = last_std_m(report.range(), self.bodies[id]);
             self.bodies[id] = Some(Body { position_m, heard_at: tick, range_std_m });
         }
-        if report.range_m.is_none() {
+        if report.range().is_none() {
             return Late::NoRange;
         }
         match self.tracking.take_again(id, past.since(tick)) {
@@ -365,9 +367,9 @@ impl Centre {
     }
 
     /// The last tick's exchange with each robot, as it is put down, given what each said at it.
-    pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Report>]) -> impl Iterator<Item = Exchange> + 'a {
+    pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Measurement>]) -> impl Iterator<Item = Exchange> + 'a {
         said.iter().zip(&self.judged).zip(&self.commands).map(move |((said, judged), command)| Exchange {
-            heard: said.map(|report| report.heard(tick, *judged)),
+            heard: said.map(|measurement| Heard { measurement, taken_at: tick, judged: *judged }),
             command: *command,
         })
     }
@@ -446,6 +448,8 @@ fn moved(position_m: Vector, command: Command, dt_s: f64) -> Vector {
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::measurement::Pose;
+
     use super::*;
     use crate::past::LATE_TICKS_MAX;
     use crate::planner::range_only::certified::Certified;
@@ -467,7 +471,7 @@ mod tests {
     #[test]
     fn a_state_that_no_centre_can_have_is_refused() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
-        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
+        let heard = Some(Measurement::new(Pose::at([15.0, 0.0]), None));
         let spoilt: [fn(&mut Centre, &mut Body); 4] = [
             |centre, _| centre.commands[1].heading_rad = f64::NAN,
             |_, body| body.position_m.x = f64::INFINITY,
@@ -491,7 +495,7 @@ mod tests {
     fn a_silent_robot_is_told_to_stand_after_some_ticks() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let mut centre = Centre::new(&scenario).unwrap();
-        let heard = Some(Report { position_m: Vector::new(15.0, 0.0), height_m: 0.0, range_m: None });
+        let heard = Some(Measurement::new(Pose::at([15.0, 0.0]), None));
         centre.update(0.0, &[heard; 3]).unwrap();
         assert!(centre.plan().iter().all(|command| command.speed_mps == 10.0));
         for tick in 1..=SILENCE_TICKS_MAX + 1 {
@@ -521,23 +525,20 @@ mod tests {
     }
 
     /// A target that drives straight on, and three robots on a ring round where it starts.
-    fn report(tick: u64, id: usize, error_m: f64) -> Option<Report> {
+    fn report(tick: u64, id: usize, error_m: f64) -> Option<Measurement> {
         let (time_s, noise_m) = (0.1 * tick as f64, 0.8 * (7.3 * tick as f64 + 2.1 * id as f64).sin());
         let position_m = Vector::from_angle(2.1 * id as f64 + 0.02 * tick as f64) * 20.0;
         let to_target = Vector::new(-8.0 * time_s, 4.0 * time_s) - position_m;
-        Some(Report {
-            position_m,
-            height_m: 0.0,
-            range_m: (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0)),
-        })
+        let range_m = (tick > 0).then_some((to_target.norm() + noise_m + error_m, 1.0));
+        Some(Measurement::new(Pose::at([position_m.x, position_m.y]), range_m))
     }
 
-    fn tick(centre: &mut Centre, reports: &[Option<Report>]) {
+    fn tick(centre: &mut Centre, reports: &[Option<Measurement>]) {
         centre.update(0.1 * centre.next_tick() as f64, reports).unwrap();
         centre.plan();
     }
 
-    fn team(tick: u64) -> [Option<Report>; 3] {
+    fn team(tick: u64) -> [Option<Measurement>; 3] {
         [0, 1, 2].map(|id| report(tick, id, 0.0))
     }
 
@@ -605,7 +606,7 @@ mod tests {
             assert_eq!(centre.take_late(k, 2, report(k, 2, 0.0).unwrap()), outcome, "{k}");
         }
         assert_eq!(centre.take_late(26, 2, report(26, 2, 90.0).unwrap()), Late::Rejected);
-        assert_eq!(centre.take_late(27, 2, Report { range_m: None, ..report(27, 2, 0.0).unwrap() }), Late::NoRange);
+        assert_eq!(centre.take_late(27, 2, Measurement::new(report(27, 2, 0.0).unwrap().pose, None)), Late::NoRange);
         assert_eq!(centre.state(), before);
         // A restarted centre has no past.
         let mut after = kalman();
@@ -618,7 +619,7 @@ mod tests {
     #[test]
     fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
         let mut centre = of("");
-        let stands = |x| Some(Report { position_m: Vector::new(x, 0.0), height_m: 0.0, range_m: None });
+        let stands = |x| Some(Measurement::new(Pose::at([x, 0.0]), None));
         tick(&mut centre, &[stands(15.0); 3]);
         for _ in 1..=3 {
             tick(&mut centre, &[stands(15.0), None, stands(15.0)]);
@@ -672,8 +673,8 @@ mod tests {
         tick(&mut centre, &team(0));
         assert_eq!(lambdas(&centre), [1.0; 3], "before any range, what the scenario says");
         let mut reports = team(1);
-        if let Some(Report { range_m: Some((_, std_m)), .. }) = &mut reports[1] {
-            *std_m = 4.0;
+        if let Some(report) = &mut reports[1] {
+            report.range_std_m = 4.0;
         }
         tick(&mut centre, &reports);
         assert_eq!(lambdas(&centre), [1.0, 1.0 / 16.0, 1.0]);
@@ -683,7 +684,7 @@ mod tests {
         let [a, _, c] = team(2);
         tick(&mut after, &[a, None, c]);
         assert_eq!(lambdas(&after), [1.0, 1.0 / 16.0, 1.0]);
-        let late = Report { range_m: Some((20.0, 2.0)), ..report(2, 1, 0.0).unwrap() };
+        let late = Measurement::new(report(2, 1, 0.0).unwrap().pose, Some((20.0, 2.0)));
         after.take_late(2, 1, late);
         after.plan();
         assert_eq!(lambdas(&after), [1.0, 0.25, 1.0]);
@@ -726,7 +727,7 @@ mod tests {
         for k in 0..=60 {
             let mut reports = positions_m.map(|position_m| {
                 let range_m = (k > 0).then(|| (position_m.norm() + 0.5 * (k as f64).sin(), 1.0));
-                Some(Report { position_m, height_m: 0.0, range_m })
+                Some(Measurement::new(Pose::at([position_m.x, position_m.y]), range_m))
             });
             reports[0] = reports[0].filter(|_| k != missed);
             tick(&mut centre, &reports);
@@ -794,8 +795,8 @@ mod tests {
             let reports = [0, 1, 2, 3].map(|id| {
                 let report = report(k, id, 0.0).unwrap();
                 let target = Vector::new(-0.8 * k as f64, 0.4 * k as f64) + jumped(k);
-                let range_m = (target + report.position_m * -1.0).norm();
-                Some(Report { range_m: report.range_m.map(|_| (range_m, 1.0)), ..report })
+                let range_m = (target - Vector::from(report.pose)).norm();
+                Some(Measurement::new(report.pose, report.range().map(|_| (range_m, 1.0))))
             });
             tick(&mut centre, &reports);
         }

@@ -7,7 +7,7 @@
 use std::cmp::Ordering;
 
 use rangehound_shared::message::{Header, Range, Refusal};
-use rangehound_shared::record::Judged;
+use rangehound_shared::record::{Heard, Judged};
 use rangehound_shared::scenario::bounds;
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
 use rangehound_shared::timing::range_deadline_ns;
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::centre::{Centre, Late};
 use crate::planner::Vector;
-use crate::report::Report;
+use rangehound_shared::measurement::Measurement;
 
 /// A range this many standard deviations below zero is no noise of a target close by.
 const NEGATIVE_SIGMA_MAX: f64 = 10.0;
@@ -50,7 +50,7 @@ pub struct Record {
     /// When the last tick began, monotonic ns: what most say, or a step after the one before.
     began_ns: u64,
     /// What was said of the last tick, by robot, and since the one before of earlier ones: what is put down of it.
-    said: Vec<Option<Report>>,
+    said: Vec<Option<Measurement>>,
     said_late: Vec<LateReport>,
 }
 
@@ -62,7 +62,7 @@ pub struct LateReport {
     /// Whose it is.
     pub robot: usize,
     /// What it says.
-    pub report: Report,
+    pub report: Measurement,
     /// What became of its range.
     pub judged: Option<Judged>,
 }
@@ -71,9 +71,9 @@ pub struct LateReport {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Admitted {
     /// A report of that tick: for [`Intake::gather`].
-    Now(Report),
+    Now(Measurement),
     /// A report of a tick that is over: for [`Centre::take_late`], and what became of it for [`Intake::gather_late`].
-    Late(Report),
+    Late(Measurement),
     /// What was said before.
     Repeat,
     /// Of a later tick: the ticks before it are over.
@@ -93,7 +93,7 @@ struct RobotRecord {
 impl Record {
     /// What was said of the last tick, by robot.
     #[must_use]
-    pub fn said(&self) -> &[Option<Report>] {
+    pub fn said(&self) -> &[Option<Measurement>] {
         &self.said
     }
 
@@ -114,7 +114,7 @@ pub struct Intake {
     /// The most that each robot moves in a tick, m; `None` for recordings, whose sensors move as they please.
     steps_m: Option<Vec<f64>>,
     record: Record,
-    reports: Vec<Option<Report>>,
+    reports: Vec<Option<Measurement>>,
     /// Who has said something of this tick, even if it was refused: nobody waits for them.
     spoke: Vec<bool>,
     /// When the tick began and which time it has, as each report says.
@@ -124,6 +124,14 @@ pub struct Intake {
     last_range_ns: u64,
     tally: Tally,
     late: Vec<LateReport>,
+}
+
+impl LateReport {
+    /// As it is put down, with the first tick whose estimate knows of it.
+    #[must_use]
+    pub fn heard_at(&self, tick: u64) -> Heard {
+        Heard { measurement: self.report, taken_at: tick, judged: self.judged }
+    }
 }
 
 impl Intake {
@@ -216,7 +224,7 @@ impl Intake {
         if is_repeat {
             return Ok(Admitted::Repeat);
         }
-        self.follow(id, tick, report.position_m)?;
+        self.follow(id, tick, report.pose.into())?;
         Ok(match tick.cmp(&next) {
             Ordering::Greater => Admitted::Ahead,
             Ordering::Equal => Admitted::Now(report),
@@ -225,7 +233,7 @@ impl Intake {
     }
 
     /// Takes a report of the present tick, from the message that brought it.
-    pub fn gather(&mut self, header: &Header, range: &Range, report: Report, now_ns: u64) {
+    pub fn gather(&mut self, header: &Header, range: &Range, report: Measurement, now_ns: u64) {
         let Some(slot) = self.reports.get_mut(range.robot as usize) else { return };
         *slot = Some(report);
         self.began_ns.push(range.tick_began_ns.min(now_ns));
@@ -239,7 +247,7 @@ impl Intake {
         if let Some(record) = self.record.robots.get_mut(late.robot).filter(|_| age < 64) {
             record.heard |= 1 << age;
         }
-        self.tally.late += u64::from(late.report.range_m.is_some());
+        self.tally.late += u64::from(late.report.range().is_some());
         match outcome {
             Late::Fused => self.tally.fused_late += 1,
             Late::Rejected => self.tally.rejected_late += 1,
@@ -250,12 +258,14 @@ impl Intake {
     }
 
     /// What a message says, if its numbers make sense.
-    fn sound(&self, centre: &Centre, header: &Header, range: &Range) -> Result<Report, Refusal> {
-        let Range { present, x_m, y_m, height_m, range_m, range_std_m, .. } = *range;
+    fn sound(&self, centre: &Centre, header: &Header, range: &Range) -> Result<Measurement, Refusal> {
+        let Measurement { pose, has_range, .. } = range.measurement;
         let near = |value: f64| value.abs() <= DISTANCE_MAX_M;
-        let measures = near(range_m) && bounds::STD_M.contains(&range_std_m);
-        let is_sound =
-            [x_m, y_m, height_m].into_iter().all(near) && measures && range_m >= -NEGATIVE_SIGMA_MAX * range_std_m;
+        let is_range = |(range_m, std_m): (f64, f64)| {
+            near(range_m) && bounds::STD_M.contains(&std_m) && range_m >= -NEGATIVE_SIGMA_MAX * std_m
+        };
+        let said = range.measurement.range();
+        let is_sound = pose.numbers().into_iter().all(near) && said.is_none_or(is_range);
         // Steps of a simulation are all alike; those of a recording never go back.
         let is_timely = match self.steps_m {
             Some(_) => header.valid_at_s == header.tick as f64 * self.dt_s,
@@ -264,11 +274,10 @@ impl Intake {
                 header.valid_at_s.is_finite() && (header.valid_at_s >= earliest_s || centre.next_tick() == 0)
             }
         };
-        if !is_sound || !is_timely || present > 1 {
+        if !is_sound || !is_timely || has_range > 1 {
             return Err(Refusal::Malformed);
         }
-        let range_m = (present == 1).then_some((range_m, range_std_m));
-        Ok(Report { position_m: Vector::new(x_m, y_m), height_m, range_m })
+        Ok(Measurement::new(pose, said))
     }
 
     /// The newest tick that can have begun. In lock step none begins before fusion has answered the last; in real
@@ -375,7 +384,7 @@ impl Intake {
 
     /// The reports of the present tick, by robot.
     #[must_use]
-    pub fn reports(&self) -> &[Option<Report>] {
+    pub fn reports(&self) -> &[Option<Measurement>] {
         &self.reports
     }
 
@@ -423,6 +432,8 @@ fn median<T: Copy>(values: &mut [T], order: impl Fn(&T, &T) -> std::cmp::Orderin
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::measurement::Pose;
+
     use super::*;
     use crate::leader::Leader;
     use rangehound_shared::scenario::ScenarioFile;
@@ -482,16 +493,14 @@ mod tests {
 
     fn sound(tick: u64, robot: u64) -> Range {
         let tick_began_ns = (1_000 + tick) * DT_NS;
-        Range {
-            robot,
-            present: u64::from(tick > 0),
-            x_m: 15.0,
-            y_m: 0.0,
-            range_m: 15.0,
-            range_std_m: 1.0,
-            tick_began_ns,
-            height_m: 0.0,
-        }
+        let measurement = Measurement::new(Pose::at([15.0, 0.0]), (tick > 0).then_some((15.0, 1.0)));
+        Range { robot, measurement, tick_began_ns }
+    }
+
+    /// The same message with something else in its measurement.
+    fn with(mut range: Range, change: impl FnOnce(&mut Measurement)) -> Range {
+        change(&mut range.measurement);
+        range
     }
 
     fn refused(tally: &Tally) -> Vec<(Refusal, u64)> {
@@ -506,16 +515,16 @@ mod tests {
             team.say(1, Range { robot: 3, ..ok });
             team.say(1, Range { robot: u64::MAX, ..ok });
             for nonsense in [
-                Range { present: 2, ..ok },
-                Range { x_m: f64::NAN, ..ok },
-                Range { y_m: f64::INFINITY, ..ok },
-                Range { height_m: f64::NAN, ..ok },
-                Range { range_m: f64::NAN, ..ok },
-                Range { range_m: -11.0, ..ok },
-                Range { range_m: 1e300, ..ok },
-                Range { range_std_m: 0.0, ..ok },
-                Range { range_std_m: -1.0, ..ok },
-                Range { range_std_m: 1e-300, ..ok },
+                with(ok, |it| it.has_range = 2),
+                with(ok, |it| it.pose.x_m = f64::NAN),
+                with(ok, |it| it.pose.y_m = f64::INFINITY),
+                with(ok, |it| it.pose.height_m = f64::NAN),
+                with(ok, |it| it.range_m = f64::NAN),
+                with(ok, |it| it.range_m = -11.0),
+                with(ok, |it| it.range_m = 1e300),
+                with(ok, |it| it.range_std_m = 0.0),
+                with(ok, |it| it.range_std_m = -1.0),
+                with(ok, |it| it.range_std_m = 1e-300),
             ] {
                 team.say(1, nonsense);
             }
@@ -538,7 +547,7 @@ mod tests {
     #[test]
     fn a_range_a_little_below_zero_is_noise() {
         let mut team = Team::new("lockstep");
-        team.say(1, Range { range_m: -2.5, ..sound(1, 1) });
+        team.say(1, with(sound(1, 1), |it| it.range_m = -2.5));
         assert_eq!(team.tick(&[0, 2]), Tally::default());
         assert_eq!(team.leader.centre.estimate().fused, 3);
     }
@@ -549,14 +558,14 @@ mod tests {
         let first = sound(1, 1);
         team.say(1, first);
         team.say(1, first);
-        team.say(1, Range { range_m: 99.0, ..first });
-        assert_eq!(team.leader.intake.reports()[1].unwrap().range_m, Some((15.0, 1.0)));
+        team.say(1, with(first, |it| it.range_m = 99.0));
+        assert_eq!(team.leader.intake.reports()[1].unwrap().range(), Some((15.0, 1.0)));
         assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Contradiction, 1)]);
         assert!(!team.asks_repeat());
         // The same of a tick that is over: a repeat asks for the heading, another word is refused.
         team.say(1, first);
         assert!(team.asks_repeat());
-        team.say(1, Range { x_m: 15.5, ..first });
+        team.say(1, with(first, |it| it.pose.x_m = 15.5));
         assert!(!team.asks_repeat());
         let tally = team.tick(&[0, 1, 2]);
         assert_eq!((refused(&tally), tally.late), (vec![(Refusal::Contradiction, 1)], 0));
@@ -566,7 +575,7 @@ mod tests {
     fn a_jump_is_refused_until_the_robot_can_have_come_there() {
         let mut team = Team::new("lockstep");
         // 10 m/s and 0.1 s: a metre each tick.
-        let away = |tick| Range { x_m: 19.5, ..sound(tick, 1) };
+        let away = |tick| with(sound(tick, 1), |it| it.pose.x_m = 19.5);
         for tick in 1..5 {
             team.say(tick, away(tick));
             assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Jump, 1)], "tick {tick}");
@@ -638,7 +647,7 @@ mod tests {
                 team.say(tick, sound(tick, 0));
                 team.say(tick, sound(tick, 2));
                 assert!(!team.leader.intake.is_ready(tick, team.now_ns), "{clock}: robot 1 is waited for");
-                team.say(tick, Range { range_std_m: f64::NAN, ..sound(tick, 1) });
+                team.say(tick, with(sound(tick, 1), |it| it.range_std_m = f64::NAN));
                 assert!(team.leader.intake.is_ready(tick, team.now_ns), "{clock}");
                 // What makes sense after all still counts.
                 team.say(tick, sound(tick, 1));
@@ -671,7 +680,7 @@ mod tests {
             team.say(9, sound(9, 1));
             team.say(1, sound(1, 1));
         }
-        team.say(9, Range { range_m: 14.0, ..sound(9, 1) });
+        team.say(9, with(sound(9, 1), |it| it.range_m = 14.0));
         let tally = team.tick(&[0, 1, 2]);
         assert_eq!((tally.late, tally.fused_late, tally.rejected_late), (2, 1, 0));
         assert_eq!(refused(&tally), [(Refusal::Contradiction, 1)]);
@@ -688,7 +697,7 @@ mod tests {
         assert!(after.leader.intake.restore(record, now_ns));
         after.say(1, sound(1, 1));
         assert!(after.asks_repeat());
-        after.say(2, Range { x_m: 17.0, ..sound(2, 2) });
+        after.say(2, with(sound(2, 2), |it| it.pose.x_m = 17.0));
         let tally = after.tick(&[]);
         assert_eq!((tally.late, refused(&tally)), (0, vec![(Refusal::Jump, 1)]));
     }

@@ -18,7 +18,6 @@
 //! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until it mends |
 //! | [`belief`] | what trackers tell planners of the target |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
-//! | [`report`] | what one robot said at a tick |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
 //! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
 //! | [`leader`] | the protocol of the one that leads: what comes in, what to do out |
@@ -31,7 +30,6 @@ pub mod intake;
 pub mod leader;
 mod past;
 pub mod planner;
-pub mod report;
 pub mod standby;
 pub mod tracker;
 mod tracking;

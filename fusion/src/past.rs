@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use rangehound_shared::message::Command;
 use rangehound_shared::record::Judged;
 
-use crate::report::Report;
 use crate::trust::Trust;
+use rangehound_shared::measurement::Measurement;
 
 /// Ticks that are kept: a range that is later is fused no more. Half a second of the paper's ticks; a process that
 /// was not run for longer has missed more than its range.
@@ -21,7 +21,7 @@ pub(crate) struct PastTick {
     pub(crate) tracker: Vec<u8>,
     /// The trust in the robots before the tick.
     pub(crate) trust: Trust,
-    pub(crate) reports: Vec<Option<Report>>,
+    pub(crate) reports: Vec<Option<Measurement>>,
     /// What became of the reports' ranges.
     pub(crate) judged: Vec<Option<Judged>>,
     /// What robots were told after it.

@@ -1,14 +1,13 @@
 //! Tracker and trust together: what one tick's reports do to both, and the same tick once more when one comes late.
 
-use nalgebra::Vector2;
 use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
 
 use crate::past::PastTick;
-use crate::report::Report;
 use crate::tracker::{self, Fit, Reading, Tracker};
 use crate::trust::{Policy, Trust};
+use rangehound_shared::measurement::Measurement;
 
 /// The estimate, and whose ranges go into it.
 #[derive(Debug)]
@@ -40,12 +39,13 @@ impl Tracking {
     }
 
     /// Predicts over `dt_s` seconds, then updates with the reports' ranges in order of the robots' ids.
-    pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Report>]) -> Fit {
+    pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Measurement>]) -> Fit {
         let (distrusted, noise_scale) = (self.trust.distrusted(), self.trust.noise_scale());
         self.readings.clear();
         for (robot, report) in reports.iter().enumerate() {
-            if let Some(Report { position_m, height_m, range_m: Some((range_m, range_std_m)) }) = *report {
-                let position_m = Vector2::new(position_m.x, position_m.y);
+            let range = report.and_then(|report| Some((report.pose, report.range()?)));
+            if let Some((pose, (range_m, range_std_m))) = range {
+                let (position_m, height_m) = (pose.position_m(), pose.height_m);
                 let distrusted = distrusted.contains(robot);
                 let range_std_m = range_std_m * noise_scale;
                 self.readings.push(Reading { robot, position_m, height_m, range_m, range_std_m, distrusted });

@@ -5,7 +5,7 @@
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Late;
 use rangehound_fusion::planner::Vector;
-use rangehound_fusion::report::Report;
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::scenario::{PlannerTable, RobotsTable, Scenario, ScenarioFile};
 
 fn scenario(planner: &str, robots: u64) -> Scenario {
@@ -18,11 +18,12 @@ fn scenario(planner: &str, robots: u64) -> Scenario {
 }
 
 /// Ticks with robots on a circle round the origin, the target at its centre.
-fn tick(centre: &mut Centre, reports: &mut [Option<Report>]) {
+fn tick(centre: &mut Centre, reports: &mut [Option<Measurement>]) {
     let k = centre.next_tick() as f64;
     for (i, report) in reports.iter_mut().enumerate() {
         let position_m = Vector::from_angle(i as f64 + 0.01 * k) * 12.0;
-        *report = Some(Report { position_m, height_m: 0.0, range_m: (k > 0.0).then_some((12.0, 1.0)) });
+        let pose = Pose::at([position_m.x, position_m.y]);
+        *report = Some(Measurement::new(pose, (k > 0.0).then_some((12.0, 1.0))));
     }
     // The last robot's range comes a tick late.
     let late = reports.last_mut().and_then(Option::take);

@@ -150,7 +150,7 @@ fn recording(bytes: &[u8], options: &ReadOptions) -> Verdict {
     let mut world = Playback::new(recording.into(), None);
     for _ in 0..20 {
         world.advance(&[]);
-        let numbers = world.entries().iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
+        let numbers = world.entries().iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
         assert!(numbers.chain([world.time_s()]).all(f64::is_finite));
     }
     Ok(())
@@ -278,7 +278,7 @@ fn sim_state(scenario: &Scenario, bytes: &[u8]) -> Verdict {
     let mut world = world_of(scenario, Path::new(""))?;
     world.restore(bytes)?;
     world.advance(&[]);
-    assert!(world.entries().iter().all(|entry| entry.x_m.is_finite() && entry.range_m.is_finite()));
+    assert!(world.entries().iter().all(|entry| entry.is_sound()));
     Ok(())
 }
 

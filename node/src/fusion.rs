@@ -297,7 +297,7 @@ fn write(log: &mut TickLogWriter<FusionRecord>, leader: &Leader, tick: u64) -> R
     for late in leader.said_late() {
         log.amend(late.tick, |record| {
             if let Some(exchange) = record.exchanges.get_mut(late.robot) {
-                exchange.heard = Some(late.report.heard(tick, late.judged));
+                exchange.heard = Some(late.heard_at(tick));
             }
         })?;
     }

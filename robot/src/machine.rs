@@ -6,6 +6,7 @@
 
 use std::collections::VecDeque;
 
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::timing::heading_deadline_ns;
@@ -181,13 +182,8 @@ impl Machine {
         };
         let range = Range {
             robot: self.id as u64,
-            present: u64::from(range_m.is_some()),
-            x_m: entry.x_m,
-            y_m: entry.y_m,
-            range_m: range_m.unwrap_or(0.0),
-            range_std_m: std_m,
+            measurement: Measurement::new(entry.pose, range_m.map(|range_m| (range_m, std_m))),
             tick_began_ns: header.sent_ns,
-            height_m: entry.height_m,
         };
         self.present = Some(Present {
             sim_incarnation: header.incarnation,
@@ -305,7 +301,7 @@ impl Machine {
             robot: self.id as u64,
             heading_rad: driven.heading_rad,
             speed_mps: driven.speed_mps,
-            range_sent_ns: if present.range.present == 1 { present.range_sent_ns } else { 0 },
+            range_sent_ns: if present.range.measurement.range().is_some() { present.range_sent_ns } else { 0 },
             heading_held_ns,
             heading_late: u64::from(is_late),
             headings_refused: self.headings_refused,

@@ -17,6 +17,7 @@
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
 //! | [`recording`] | range recordings in CSV |
 //! | [`radio`] | what ranging radios print |
+//! | [`measurement`] | what a robot measures, and where |
 //! | [`message`] | what travels on each topic |
 //! | [`wake`] | who can be woken, and why |
 //! | [`robot_set`] | a set of robots' ids |
@@ -30,6 +31,7 @@
 pub mod digest;
 pub mod draws;
 pub mod matrix;
+pub mod measurement;
 pub mod message;
 pub mod motion;
 pub mod protocol;

@@ -7,6 +7,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
+use crate::measurement::{Measurement, Pose};
 use crate::{STATE_DIM_MAX, robot_set};
 
 /// What every message carries.
@@ -39,27 +40,24 @@ pub struct Outgoing<T> {
 
 /// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.WorldEntry.v2"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.WorldEntry.v3"))]
 #[repr(C)]
 pub struct WorldEntry {
-    /// Position, m.
-    pub x_m: f64,
-    /// Position, m.
-    pub y_m: f64,
+    /// Where it is.
+    pub pose: Pose,
     /// Range to the target, m; see `range_kind`.
     pub range_m: f64,
     /// [`RangeKind`] as a number.
     pub range_kind: u64,
-    /// Height of the sensor above the plane in which the target moves, m; 0 where both move in one plane.
-    pub height_m: f64,
 }
 
 impl WorldEntry {
     /// True if its numbers are numbers and its range is of a kind.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        let Self { x_m, y_m, range_m, range_kind, height_m } = *self;
-        [x_m, y_m, range_m, height_m].iter().all(|value| value.is_finite())
+        let Self { pose, range_m, range_kind } = *self;
+        pose.numbers().iter().all(|value| value.is_finite())
+            && range_m.is_finite()
             && RangeKind::from_bits(range_kind).is_some()
     }
 }
@@ -93,27 +91,17 @@ impl RangeKind {
     }
 }
 
-/// Topic `range`: one robot's range, or its word that it has none at this tick.
+/// Topic `range`: what one robot measured at this tick, or its word that it has nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v2"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v3"))]
 #[repr(C)]
 pub struct Range {
     /// Id of the robot.
     pub robot: u64,
-    /// 1 if the message holds a range, 0 if there is none.
-    pub present: u64,
-    /// Where the robot is, m.
-    pub x_m: f64,
-    /// Where the robot is, m.
-    pub y_m: f64,
-    /// The range, calibrated, m.
-    pub range_m: f64,
-    /// Its standard deviation, m.
-    pub range_std_m: f64,
+    /// What it measured, and where.
+    pub measurement: Measurement,
     /// When the tick began, monotonic ns, as `world` said: what real-time deadlines count from.
     pub tick_began_ns: u64,
-    /// Height of the sensor above the plane in which the target moves, m: the range is the slant one.
-    pub height_m: f64,
 }
 
 /// Topic `heading`, an entry for each robot: what it shall drive until the next tick.
@@ -309,8 +297,8 @@ impl Drive {
 // What other builds read from shared memory: a change must be a decision.
 const _: () = {
     assert!(size_of::<Header>() == 40);
-    assert!(size_of::<WorldEntry>() == 40);
-    assert!(size_of::<Range>() == 64);
+    assert!(size_of::<WorldEntry>() == 64);
+    assert!(size_of::<Range>() == 88);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
     assert!(size_of::<Estimate>() == 832);
@@ -326,10 +314,11 @@ mod tests {
         let sound = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
         assert!(sound.is_sound());
         for nonsense in [
-            WorldEntry { x_m: f64::NAN, ..sound },
-            WorldEntry { y_m: f64::INFINITY, ..sound },
+            WorldEntry { pose: Pose::at([f64::NAN, 0.0]), ..sound },
+            WorldEntry { pose: Pose::at([0.0, f64::INFINITY]), ..sound },
             WorldEntry { range_m: f64::NAN, ..sound },
-            WorldEntry { height_m: f64::NAN, ..sound },
+            WorldEntry { pose: Pose { height_m: f64::NAN, ..Pose::default() }, ..sound },
+            WorldEntry { pose: Pose { covariance_m2: [f64::NAN, 0.0, 0.0], ..Pose::default() }, ..sound },
             WorldEntry { range_kind: 3, ..sound },
         ] {
             assert!(!nonsense.is_sound(), "{nonsense:?}");

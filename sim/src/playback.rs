@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::recording::{RecordedRange, Recording};
 use rangehound_shared::sealed::{self, SealError};
@@ -25,11 +26,7 @@ impl Playback {
         let entries = recording
             .sensors()
             .iter()
-            .map(|sensor| WorldEntry {
-                x_m: sensor.first_position_m[0],
-                y_m: sensor.first_position_m[1],
-                ..WorldEntry::default()
-            })
+            .map(|sensor| WorldEntry { pose: Pose::at(sensor.first_position_m), ..WorldEntry::default() })
             .collect();
         let time_s = recording.instant(0).map_or(0.0, |(time_s, _)| time_s);
         Self { recording, target_height_m, next_instant: 0, time_s, entries }
@@ -57,12 +54,13 @@ impl World for Playback {
         if let Some((time_s, readings)) = self.recording.instant(self.next_instant) {
             self.time_s = time_s;
             for reading in readings {
-                let &RecordedRange { sensor, position_m: [x_m, y_m], height_m, range_m } = reading;
+                let &RecordedRange { sensor, position_m, height_m, range_m } = reading;
                 // Without the target's height, ranges are taken as level.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
                 let range_kind = RangeKind::Measured.to_bits();
-                self.entries[sensor] = WorldEntry { x_m, y_m, range_m, range_kind, height_m };
+                let pose = Pose { height_m, ..Pose::at(position_m) };
+                self.entries[sensor] = WorldEntry { pose, range_m, range_kind };
             }
             self.next_instant += 1;
         }
@@ -74,7 +72,7 @@ impl World for Playback {
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (next_instant, time_s, entries): (usize, f64, Vec<WorldEntry>) = sealed::decode(bytes)?;
-        let places = entries.iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
+        let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
         if entries.len() != self.entries.len() || !are_sound(places.chain([time_s])) {
             return Err(SealError::Malformed);
         }
@@ -98,7 +96,7 @@ mod tests {
         let mut world = Playback::new(Arc::new(recording), None);
         let heard = |world: &Playback| -> Vec<(f64, f64, f64)> {
             let measured = |entry: &&WorldEntry| entry.range_kind == RangeKind::Measured.to_bits();
-            world.entries().iter().filter(measured).map(|e| (e.x_m, e.y_m, e.range_m)).collect()
+            world.entries().iter().filter(measured).map(|e| (e.pose.x_m, e.pose.y_m, e.range_m)).collect()
         };
         assert_eq!((world.time_s(), heard(&world)), (5.0, vec![]));
         world.advance(&[]);

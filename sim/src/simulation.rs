@@ -3,6 +3,7 @@
 use nalgebra::{SMatrix, SVector};
 use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::matrix::square_root;
+use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::scenario::bounds::TICKS_MAX;
@@ -42,7 +43,7 @@ impl<const N: usize> Simulation<N> {
             entries: scenario
                 .robots
                 .iter()
-                .map(|robot| WorldEntry { x_m: robot.start_m[0], y_m: robot.start_m[1], ..WorldEntry::default() })
+                .map(|robot| WorldEntry { pose: Pose::at(robot.start_m), ..WorldEntry::default() })
                 .collect(),
         };
         simulation.look();
@@ -56,7 +57,7 @@ impl<const N: usize> Simulation<N> {
             entry.range_kind = kind.to_bits();
             entry.range_m = match kind {
                 RangeKind::Absent => 0.0,
-                _ => (self.target[0] - entry.x_m).hypot(self.target[1] - entry.y_m),
+                _ => (self.target[0] - entry.pose.x_m).hypot(self.target[1] - entry.pose.y_m),
             };
         }
     }
@@ -82,8 +83,8 @@ impl<const N: usize> World for Simulation<N> {
             let step_m = drive.speed_mps.clamp(0.0, *limit_mps) * self.dt_s;
             let (sin, cos) = drive.heading_rad.sin_cos();
             if step_m.is_finite() && sin.is_finite() {
-                entry.x_m += step_m * cos;
-                entry.y_m += step_m * sin;
+                entry.pose.x_m += step_m * cos;
+                entry.pose.y_m += step_m * sin;
             }
         }
         let mut normal = SVector::<f64, N>::zeros();
@@ -99,7 +100,7 @@ impl<const N: usize> World for Simulation<N> {
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (tick, target, entries): (u64, SVector<f64, N>, Vec<WorldEntry>) = sealed::decode(bytes)?;
-        let places = entries.iter().flat_map(|entry| [entry.x_m, entry.y_m, entry.range_m]);
+        let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
         let is_sound = tick <= TICKS_MAX + 1 && are_sound(target.iter().copied().chain(places));
         if entries.len() != self.entries.len() || !is_sound {
             return Err(SealError::Malformed);
@@ -125,13 +126,13 @@ mod tests {
     fn robots_move_as_they_drive_and_no_faster_than_they_can() {
         let mut world = Simulation::<4>::new(&paper(), &[0.0, 0.0, -8.0, 4.0]);
         world.advance(&[drive(0.0, 10.0), None, drive(std::f64::consts::FRAC_PI_2, 1e9)]);
-        let at = |i: usize| (world.entries()[i].x_m, world.entries()[i].y_m);
+        let at = |i: usize| (world.entries()[i].pose.x_m, world.entries()[i].pose.y_m);
         assert_eq!(at(0), (16.0, 0.0));
         assert_eq!(at(1), (15.0, 0.0));
         assert!((at(2).1 - 1.0).abs() < 1e-12, "one step at the speed limit");
         world.advance(&[drive(f64::NAN, 10.0), drive(0.0, f64::NAN), drive(0.0, -5.0)]);
-        assert!(world.entries().iter().all(|entry| entry.x_m.is_finite() && entry.y_m.is_finite()));
-        assert_eq!(world.entries()[2].x_m, 15.0, "nobody drives backwards");
+        assert!(world.entries().iter().all(|entry| entry.is_sound()));
+        assert_eq!(world.entries()[2].pose.x_m, 15.0, "nobody drives backwards");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
+use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
@@ -234,15 +235,16 @@ impl Scene {
             covariance_m2: [p[(0, 0)], p[(0, 1)], p[(1, 1)]],
             robots: robots
                 .map(|(id, (robot, exchange))| {
-                    let range = exchange.heard.and_then(|heard| Some((heard.range_m?.0, heard.position_m)));
+                    let range =
+                        exchange.heard.and_then(|heard| Some((heard.measurement.range()?.0, heard.measurement.pose)));
                     Robot {
-                        position_m: robot.position_m.map(milli),
+                        position_m: at(robot.pose),
                         heading_rad: milli(robot.driven.heading_rad),
                         speed_mps: milli(robot.driven.speed_mps),
                         command_rad: milli(exchange.command.heading_rad),
                         command_mps: milli(exchange.command.speed_mps),
                         range_m: range.map(|(range_m, _)| milli(range_m)),
-                        range_from_m: range.map(|(_, position_m)| position_m.map(milli)),
+                        range_from_m: range.map(|(_, pose)| at(pose)),
                         is_distrusted: distrusted.contains(id),
                     }
                 })
@@ -294,7 +296,7 @@ impl Places {
                 _ => None,
             },
             estimate_m: [milli(state[0]), milli(state[1])],
-            robots_m: frame.world.robots.iter().map(|robot| robot.position_m.map(milli)).collect(),
+            robots_m: frame.world.robots.iter().map(|robot| at(robot.pose)).collect(),
         }
     }
 }
@@ -306,6 +308,11 @@ fn event(events: &mut String, name: &str, data: &impl Serialize) {
     for part in ["event: ", name, "\ndata: ", &data, "\n\n"] {
         events.push_str(part);
     }
+}
+
+/// A position as it is shown.
+fn at(pose: Pose) -> [f64; 2] {
+    [pose.x_m, pose.y_m].map(milli)
 }
 
 /// To a thousandth: what a picture shows.
@@ -389,7 +396,7 @@ mod tests {
         frame.fusion.estimate.state = [f64::NAN; 8];
         frame.fusion.estimate.covariance = [f64::INFINITY; 64];
         frame.fusion.estimate.fused = u64::MAX;
-        frame.world.robots[0].position_m = [f64::NAN; 2];
+        frame.world.robots[0].pose = Pose::at([f64::NAN; 2]);
         scene.add(frame.clone());
         scene.add(frame);
         scene.looked(Instant::now());

@@ -120,7 +120,7 @@ impl Curves {
             if thinning.keeps(tick) {
                 self.ended_ns.push((*ended_ns, *time_s));
                 for (path, robot) in self.paths.robots_m.iter_mut().zip(robots) {
-                    path.push(Vector2::from(robot.position_m));
+                    path.push(robot.pose.position_m());
                 }
             }
         }

@@ -64,7 +64,7 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
         let &[x_m, y_m, ..] = truth.as_slice() else { return Ok(()) };
         writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
         for (id, (robot, sensor)) in robots.iter().zip(&mut sensors).enumerate() {
-            let [robot_x_m, robot_y_m] = robot.position_m;
+            let (robot_x_m, robot_y_m) = (robot.pose.x_m, robot.pose.y_m);
             // Noise is a function of (seed, robot, tick), so the range is measured again, the same.
             let range_m = (x_m - robot_x_m).hypot(y_m - robot_y_m);
             let entry = WorldEntry { range_m, range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };

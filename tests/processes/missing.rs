@@ -67,7 +67,7 @@ fn silent_s(status: &serde_json::Value, node: usize) -> f64 {
 }
 
 fn has_moved(robots: &[RobotRecord]) -> bool {
-    robots.windows(2).any(|pair| pair[0].position_m != pair[1].position_m)
+    robots.windows(2).any(|pair| pair[0].pose != pair[1].pose)
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use rangehound_node::bus::{Bus, Call, Sleeper};
 use rangehound_node::rendezvous::Rendezvous;
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command as Heading, Drive, Range, WorldEntry};
 use rangehound_shared::run_name::RunName;
 use rustix::process::Signal;
@@ -44,7 +45,8 @@ fn rogue() {
             let robot = round % (robots as u64 + 2);
             let tick = round % 5_000;
             let range_m = [1.0, f64::NAN, -1.0, f64::INFINITY][(round / 7 % 4) as usize];
-            let range = Range { robot, present: 1, range_m, range_std_m: 1e-3, ..Range::default() };
+            let measurement = Measurement::new(Pose::default(), Some((range_m, 1e-3)));
+            let range = Range { robot, measurement, ..Range::default() };
             ranges.send(tick, 0.1 * tick as f64, &[range]).unwrap();
             let heading = Heading { heading_rad: 1.0, speed_mps: 10.0 };
             headings.send(tick, 0.0, &vec![heading; robots]).unwrap();

@@ -1,5 +1,6 @@
 //! Plane vectors of the planners: bearings as unit vectors, so that no inner loop needs an angle.
 
+use rangehound_shared::measurement::Pose;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, SQRT_2};
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
@@ -12,6 +13,12 @@ pub struct Vector {
     pub x: f64,
     /// Imaginary part.
     pub y: f64,
+}
+
+impl From<Pose> for Vector {
+    fn from(pose: Pose) -> Self {
+        Self::new(pose.x_m, pose.y_m)
+    }
 }
 
 impl Vector {

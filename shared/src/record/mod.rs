@@ -7,6 +7,7 @@ pub use fields::{Fields, Record, describe, put, take};
 use serde::{Deserialize, Serialize};
 
 use crate::STATE_DIM_MAX;
+use crate::measurement::{Measurement, Pose};
 use crate::message::{Command, Drive, Estimate, RangeKind, WorldEntry};
 use crate::scenario::{Scenario, Source};
 
@@ -33,12 +34,8 @@ pub struct Exchange {
 /// What fusion took from a robot's message.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Heard {
-    /// Where the robot was, m.
-    pub position_m: [f64; 2],
-    /// Height of its sensor above the plane in which the target moves, m.
-    pub height_m: f64,
-    /// Its range and the range's standard deviation, m; `None` if its sensor had none.
-    pub range_m: Option<(f64, f64)>,
+    /// What it measured, and where.
+    pub measurement: Measurement,
     /// The first tick whose estimate knows of it: the message's own, or a later one if it came late.
     pub taken_at: u64,
     /// What fusion did with the range; `None` without one, and at tick 0.
@@ -97,10 +94,8 @@ pub struct WorldRecord {
 /// One robot's part in one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RobotRecord {
-    /// Where it was, m.
-    pub position_m: [f64; 2],
-    /// Height of its sensor above the plane in which the target moves, m.
-    pub height_m: f64,
+    /// Where it was.
+    pub pose: Pose,
     /// What the world told its sensor, m, if anything: the true range, or a recorded one.
     pub range_m: Option<f64>,
     /// When it published its range, monotonic ns, if its sensor had one.
@@ -202,18 +197,15 @@ impl Record for FusionRecord {
 
 impl Exchange {
     fn fields(&mut self, fields: &mut impl Fields) {
-        let Heard { position_m: [mut x_m, mut y_m], mut height_m, range_m, taken_at, judged } =
-            self.heard.unwrap_or_default();
-        // No sensor has a standard deviation of zero, and a range that nothing predicted has no square.
-        let (mut range_m, mut std_m) = range_m.unwrap_or_default();
+        let Heard { mut measurement, taken_at, judged } = self.heard.unwrap_or_default();
         let mut taken = self.heard.map_or(0, |_| taken_at + 1);
         let mut used = judged.map_or(0, |judged| judged.used as u64 + 1);
+        // A range that nothing predicted has no square.
         let mut square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
-        fields.number("x_m", &mut x_m);
-        fields.number("y_m", &mut y_m);
-        fields.number("height_m", &mut height_m);
-        fields.number("range_m", &mut range_m);
-        fields.number("range_std_m", &mut std_m);
+        pose_fields(&mut measurement.pose, fields);
+        fields.whole("has_range", &mut measurement.has_range);
+        fields.number("range_m", &mut measurement.range_m);
+        fields.number("range_std_m", &mut measurement.range_std_m);
         fields.whole("taken_at_plus_1", &mut taken);
         fields.whole("used", &mut used);
         fields.number("normalised_square", &mut square);
@@ -221,14 +213,16 @@ impl Exchange {
         fields.number("speed_mps", &mut self.command.speed_mps);
         let used = used.checked_sub(1).and_then(|used| RangeUse::ALL.get(usize::try_from(used).ok()?).copied());
         let normalised_square = Some(square).filter(|square| !square.is_nan());
-        self.heard = taken.checked_sub(1).map(|taken_at| Heard {
-            position_m: [x_m, y_m],
-            height_m,
-            range_m: (std_m.to_bits() != 0).then_some((range_m, std_m)),
-            taken_at,
-            judged: used.map(|used| Judged { used, normalised_square }),
-        });
+        let judged = used.map(|used| Judged { used, normalised_square });
+        self.heard = taken.checked_sub(1).map(|taken_at| Heard { measurement, taken_at, judged });
     }
+}
+
+fn pose_fields(pose: &mut Pose, fields: &mut impl Fields) {
+    fields.number("x_m", &mut pose.x_m);
+    fields.number("y_m", &mut pose.y_m);
+    fields.number("height_m", &mut pose.height_m);
+    fields.numbers("position_covariance_m2", &mut pose.covariance_m2);
 }
 
 impl WorldRecord {
@@ -266,8 +260,7 @@ impl RobotRecord {
     fn of(entry: &WorldEntry, drive: Option<Drive>) -> Self {
         let stamp = |ns: u64| (ns != 0).then_some(ns);
         Self {
-            position_m: [entry.x_m, entry.y_m],
-            height_m: entry.height_m,
+            pose: entry.pose,
             range_m: (entry.range_kind != RangeKind::Absent.to_bits()).then_some(entry.range_m),
             range_sent_ns: drive.and_then(|drive| stamp(drive.range_sent_ns)),
             heading_held_ns: drive.and_then(|drive| stamp(drive.heading_held_ns)),
@@ -284,10 +277,7 @@ impl RobotRecord {
         let mut range_m = self.range_m.unwrap_or(f64::NAN);
         let [mut sent_ns, mut held_ns] = [self.range_sent_ns, self.heading_held_ns].map(Option::unwrap_or_default);
         let mut heading = self.heading as u64;
-        let [x_m, y_m] = &mut self.position_m;
-        fields.number("x_m", x_m);
-        fields.number("y_m", y_m);
-        fields.number("height_m", &mut self.height_m);
+        pose_fields(&mut self.pose, fields);
         fields.number("range_m", &mut range_m);
         fields.whole("range_sent_ns", &mut sent_ns);
         fields.whole("heading_held_ns", &mut held_ns);
@@ -349,10 +339,11 @@ mod tests {
         let judged = [(RangeUse::Rejected, Some(20.0)), (RangeUse::Fused, None), (RangeUse::Distrusted, Some(0.5))]
             .map(|(used, normalised_square)| Some(Judged { used, normalised_square }));
         let late = Heard {
-            position_m: [1.0, -2.0],
-            range_m: Some((-0.5, 1.5)),
+            measurement: Measurement::new(
+                Pose { height_m: 3.5, covariance_m2: [0.1, 0.2, 0.3], ..Pose::at([1.0, -2.0]) },
+                Some((-0.5, 1.5)),
+            ),
             taken_at: 12,
-            height_m: 3.5,
             judged: judged[0],
         };
         let [fused, distrusted] = [1, 2].map(|i| Heard { judged: judged[i], ..late });
@@ -369,7 +360,7 @@ mod tests {
     #[test]
     fn what_the_simulator_puts_down_comes_back_from_its_words() {
         let driven = Command { heading_rad: 0.5, speed_mps: 1.5 };
-        let silent = RobotRecord { position_m: [1.0, 2.0], height_m: 3.0, ..RobotRecord::default() };
+        let silent = RobotRecord { pose: Pose { height_m: 3.0, ..Pose::at([1.0, 2.0]) }, ..RobotRecord::default() };
         let heading = Heading::Late;
         let busy = RobotRecord {
             range_m: Some(-0.5),

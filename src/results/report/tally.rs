@@ -150,7 +150,7 @@ impl Tally {
     pub fn add_untold(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
-            let is_heard = exchange.heard.is_some_and(|heard| heard.range_m.is_some());
+            let is_heard = exchange.heard.is_some_and(|heard| heard.measurement.range().is_some());
             self.ranges.published += u64::from(is_heard && !is_told);
         }
     }
@@ -162,7 +162,7 @@ impl Tally {
                 self.sensors.push(Sensor::default());
             }
             let Some(heard) = exchange.heard else { continue };
-            if let Some((range_m, _)) = heard.range_m {
+            if let Some((range_m, _)) = heard.measurement.range() {
                 self.ranges_m.add((range_m * 1e3) as u64);
             }
             let Some(judged) = heard.judged else { continue };
@@ -303,6 +303,7 @@ pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Optio
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::measurement::{Measurement, Pose};
     use rangehound_shared::message::Command;
     use rangehound_shared::record::{Heard, Judged};
 
@@ -323,7 +324,7 @@ mod tests {
     #[test]
     fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
         let exchange = |range_m| Exchange {
-            heard: Some(Heard { position_m: [0.0; 2], height_m: 0.0, range_m, taken_at: 1, judged: None }),
+            heard: Some(Heard { measurement: Measurement::new(Pose::default(), range_m), taken_at: 1, judged: None }),
             command: Command::default(),
         };
         let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
@@ -342,9 +343,7 @@ mod tests {
     fn each_sensor_is_told_what_became_of_its_ranges() {
         let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
             heard: Some(Heard {
-                position_m: [0.0; 2],
-                height_m: 0.0,
-                range_m: judged.map(|_| (1.0, 1.0)),
+                measurement: Measurement::new(Pose::default(), judged.map(|_| (1.0, 1.0))),
                 taken_at: 1,
                 judged: judged.map(|(used, normalised_square)| Judged { used, normalised_square }),
             }),

@@ -98,24 +98,24 @@ impl Scene {
         let points = (CIRCLES_POINTS / scenario.robots.len().max(1)).min(CIRCLE_POINTS_MAX);
         for (id, (robot, exchange)) in frame.world.robots.iter().zip(&frame.fusion.exchanges).enumerate() {
             arrows.push(arrow(
-                robot.position_m,
+                at(robot.pose),
                 exchange.command.heading_rad,
                 exchange.command.speed_mps,
                 size_m,
                 opaque(robot_colour(id)),
             ));
             if let Some(heard) = exchange.heard
-                && let Some((range_m, _)) = heard.range_m
+                && let Some((range_m, _)) = heard.measurement.range()
                 && points >= CIRCLE_POINTS_MIN
             {
-                circles.push(circle(heard.position_m, range_m, points, robot_colour(id)));
+                circles.push(circle(at(heard.measurement.pose), range_m, points, robot_colour(id)));
             }
         }
         entities.push(SceneEntity { arrows, texts: names(scenario, frame, size_m), ..entity("robots".to_owned(), 0) });
         entities.push(SceneEntity { lines: circles, ..entity("ranges".to_owned(), 0) });
         let now: Vec<Option<[f64; 2]>> = [target_of(frame), Some(estimate_of(frame))]
             .into_iter()
-            .chain(frame.world.robots.iter().map(|robot| Some(robot.position_m)))
+            .chain(frame.world.robots.iter().map(|robot| Some(at(robot.pose))))
             .collect();
         let trail = trail(&self.before, &now);
         if !trail.points.is_empty() {
@@ -130,7 +130,7 @@ impl Scene {
 #[must_use]
 pub fn robot_poses(frame: &Frame, time_ns: u64) -> PosesInFrame {
     let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges);
-    let poses = robots.map(|(robot, exchange)| pose(robot.position_m, exchange.command.heading_rad)).collect();
+    let poses = robots.map(|(robot, exchange)| pose(at(robot.pose), exchange.command.heading_rad)).collect();
     PosesInFrame { timestamp: Some(timestamp(time_ns)), frame_id: FRAME.to_owned(), poses }
 }
 
@@ -167,6 +167,10 @@ fn cloud(places: impl IntoIterator<Item = [f64; 2]>, time_ns: u64) -> PointCloud
 fn timestamp(time_ns: u64) -> Timestamp {
     const NS_PER_S: u64 = 1_000_000_000;
     Timestamp::new((time_ns / NS_PER_S) as u32, (time_ns % NS_PER_S) as u32)
+}
+
+fn at(pose: rangehound_shared::measurement::Pose) -> [f64; 2] {
+    [pose.x_m, pose.y_m]
 }
 
 fn target_of(frame: &Frame) -> Option<[f64; 2]> {
@@ -241,7 +245,7 @@ fn names(scenario: &Scenario, frame: &Frame, size_m: f64) -> Vec<TextPrimitive> 
         return Vec::new();
     }
     let robots = frame.world.robots.iter().enumerate();
-    let named = robots.filter_map(|(id, robot)| Some((robot.position_m, robot_colour(id), scenario.sensor_of(id)?)));
+    let named = robots.filter_map(|(id, robot)| Some((at(robot.pose), robot_colour(id), scenario.sensor_of(id)?)));
     let text = |([x_m, y_m], colour, name): ([f64; 2], RGBColor, &str)| TextPrimitive {
         pose: Some(pose([x_m, y_m + 1.5 * size_m], 0.0)),
         billboard: true,

@@ -1,6 +1,7 @@
 //! What travels on the six topics: the messages of a [`Frame`], and a frame of its messages, bit for bit.
 
 use rangehound_shared::digest::Digest;
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
 use rangehound_shared::record::{
     Exchange, FusionRecord, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
@@ -21,19 +22,19 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     let Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world } = frame;
     let (tick, time_s) = (*tick, *time_s);
     let places = world.robots.iter().map(|robot| {
-        let [x_m, y_m] = robot.position_m;
-        Place { x_m, y_m, range_m: robot.range_m, height_m: robot.height_m }
+        let Pose { x_m, y_m, height_m, .. } = robot.pose;
+        Place { x_m, y_m, range_m: robot.range_m, height_m }
     });
     let world_message = World { tick, time_s: world.time_s, robots: places.collect(), ended_ns: world.ended_ns };
     let ranges = exchanges.iter().zip(&world.robots).zip(0..).filter_map(move |((exchange, body), robot)| {
         let sent_ns = body.range_sent_ns;
-        let (position_m, height_m) =
-            exchange.heard.map_or((body.position_m, body.height_m), |heard| (heard.position_m, heard.height_m));
-        let (range_m, taken_at) = (exchange.heard.and_then(|heard| heard.range_m), exchange.heard.map(|h| h.taken_at));
+        let Pose { x_m, y_m, height_m, .. } = exchange.heard.map_or(body.pose, |heard| heard.measurement.pose);
+        let range = exchange.heard.and_then(|heard| heard.measurement.range());
+        let taken_at = exchange.heard.map(|heard| heard.taken_at);
         let judged = exchange.heard.and_then(|heard| heard.judged);
         // What nobody sent and nobody heard was not.
         (taken_at.is_some() || sent_ns.is_some()).then(|| {
-            let ([x_m, y_m], (range_m, range_std_m)) = (position_m, range_m.unzip());
+            let (range_m, range_std_m) = range.unzip();
             OnTopic::Range(Range {
                 tick,
                 time_s,
@@ -59,12 +60,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
         .collect();
     let heading = Heading { tick, time_s, commands, sent_ns: estimate.stages.sent_ns };
     let drives = world.robots.iter().zip(0..).filter_map(move |(body, robot)| {
-        let silent = RobotRecord {
-            position_m: body.position_m,
-            height_m: body.height_m,
-            range_m: body.range_m,
-            ..RobotRecord::default()
-        };
+        let silent = RobotRecord { pose: body.pose, range_m: body.range_m, ..RobotRecord::default() };
         let drive = || {
             let Command { heading_rad, speed_mps } = body.driven;
             OnTopic::Drive(Drive {
@@ -198,8 +194,7 @@ impl Gathering {
                 };
                 (robots.len() == self.robots && robots.iter().all(sound) && time_s.is_finite()).then_some(())?;
                 let robots = robots.into_iter().map(|Place { x_m, y_m, range_m, height_m }| RobotRecord {
-                    position_m: [x_m, y_m],
-                    height_m,
+                    pose: Pose { height_m, ..Pose::at([x_m, y_m]) },
                     range_m,
                     ..RobotRecord::default()
                 });
@@ -221,7 +216,8 @@ impl Gathering {
                         Some(Judged { used, normalised_square })
                     }
                 };
-                let heard = |taken_at| Heard { position_m: [x_m, y_m], height_m, range_m, taken_at, judged };
+                let measurement = Measurement::new(Pose { height_m, ..Pose::at([x_m, y_m]) }, range_m);
+                let heard = |taken_at| Heard { measurement, taken_at, judged };
                 slot.heard = taken_at_tick.map(heard);
                 slot.heard.is_none_or(|heard| heard.taken_at >= self.tick).then_some(())?;
             }

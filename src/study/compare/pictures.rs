@@ -107,7 +107,7 @@ fn paths_of(scenario: &Scenario) -> anyhow::Result<Paths> {
             paths.truths_m.push(Some(Vector2::new(x_m, y_m)));
         }
         for (path, entry) in paths.robots_m.iter_mut().zip(team.world().entries()) {
-            path.push(Vector2::new(entry.x_m, entry.y_m));
+            path.push(entry.pose.position_m());
         }
         team.advance();
     }

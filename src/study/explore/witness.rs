@@ -93,13 +93,12 @@ impl Witness {
         self.last_estimate = self.last_estimate.max(Some(tick));
         let in_time =
             leader.exchanges().enumerate().filter_map(|(robot, exchange)| Some((robot, tick, exchange.heard?)));
-        let late = leader.said_late().iter().map(|late| (late.robot, late.tick, late.report.heard(tick, late.judged)));
+        let late = leader.said_late().iter().map(|late| (late.robot, late.tick, late.heard_at(tick)));
         for (robot, range_tick, heard) in in_time.chain(late) {
             let measured = self.ranges.get(&(robot as u64, range_tick)).ok_or_else(|| {
                 format!("a range of robot-{robot} was taken at tick {tick} that it never measured at tick {range_tick}")
             })?;
-            let same_range = heard.range_m.map_or(measured.present == 0, |(range_m, _)| range_m == measured.range_m);
-            if heard.position_m != [measured.x_m, measured.y_m] || !same_range {
+            if heard.measurement != measured.measurement {
                 return Err(format!("the range of robot-{robot} at tick {range_tick} was taken for another tick's"));
             }
             if heard.judged.is_some_and(|judged| judged.used == RangeUse::Fused)

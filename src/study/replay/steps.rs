@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use rangehound_fusion::centre::{Diverged, Late};
 use rangehound_fusion::planner::PlannerError;
-use rangehound_fusion::report::Report;
 use rangehound_fusion::{Centre, LATE_TICKS_MAX};
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::scenario::Scenario;
 
@@ -38,9 +38,9 @@ pub enum StepError {
 #[derive(Debug)]
 pub struct Steps {
     centre: Centre,
-    reports: Vec<Option<Report>>,
+    reports: Vec<Option<Measurement>>,
     /// What came late, by the tick that it was taken at: its own tick, its robot, and itself.
-    late: BTreeMap<u64, Vec<(u64, usize, Report)>>,
+    late: BTreeMap<u64, Vec<(u64, usize, Measurement)>>,
     fed: Fed,
 }
 
@@ -80,13 +80,13 @@ impl Steps {
         for (robot, (slot, exchange)) in reports.iter_mut().zip(&frame.fusion.exchanges).enumerate() {
             *slot = None;
             let Some(heard) = exchange.heard else { continue };
-            let has_range = u64::from(heard.range_m.is_some());
+            let has_range = heard.measurement.has_range;
             let taken_at = heard.taken_at;
             if taken_at == tick {
-                *slot = Some(heard.into());
+                *slot = Some(heard.measurement);
                 fed.in_time += has_range;
             } else if (tick + 1..=tick.saturating_add(LATE_TICKS_MAX as u64)).contains(&taken_at) {
-                late.entry(taken_at).or_default().push((tick, robot, heard.into()));
+                late.entry(taken_at).or_default().push((tick, robot, heard.measurement));
                 fed.late += has_range;
             } else {
                 return Err(StepError::Senseless { tick, robot, taken_at });
