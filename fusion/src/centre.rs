@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use rangehound_shared::digest::Digest;
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::record::{Exchange, Heard, Judged};
 use rangehound_shared::robot_set::RobotSet;
@@ -15,7 +16,6 @@ use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Sensor, Sit
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
 use crate::trust::Trust;
-use rangehound_shared::measurement::Measurement;
 
 /// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
 const SILENCE_TICKS_MAX: u64 = 5;

@@ -6,6 +6,7 @@
 
 use std::cmp::Ordering;
 
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Header, Range, Refusal};
 use rangehound_shared::record::{Heard, Judged};
 use rangehound_shared::scenario::bounds;
@@ -15,7 +16,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::centre::{Centre, Late};
 use crate::planner::Vector;
-use rangehound_shared::measurement::Measurement;
 
 /// A range this many standard deviations below zero is no noise of a target close by.
 const NEGATIVE_SIGMA_MAX: f64 = 10.0;

@@ -2,11 +2,11 @@
 
 use std::collections::VecDeque;
 
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::Command;
 use rangehound_shared::record::Judged;
 
 use crate::trust::Trust;
-use rangehound_shared::measurement::Measurement;
 
 /// Ticks that are kept: a range that is later is fused no more. Half a second of the paper's ticks; a process that
 /// was not run for longer has missed more than its range.

@@ -1,5 +1,6 @@
 //! Tracker and trust together: what one tick's reports do to both, and the same tick once more when one comes late.
 
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
@@ -7,7 +8,6 @@ use rangehound_shared::sealed::SealError;
 use crate::past::PastTick;
 use crate::tracker::{self, Fit, Reading, Tracker};
 use crate::trust::{Policy, Trust};
-use rangehound_shared::measurement::Measurement;
 
 /// The estimate, and whose ranges go into it.
 #[derive(Debug)]

@@ -14,12 +14,12 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use rangehound_shared::sealed::{self, SealError};
+use rangehound_shared::slots::{self, LEN_BYTES};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
-use rangehound_shared::sealed::{self, SealError};
-use rangehound_shared::slots::{self, LEN_BYTES};
 
 /// File of a role's checkpoint in the run folder.
 #[must_use]

@@ -2,6 +2,16 @@
 
 use std::time::Instant;
 
+use rangehound_fusion::centre::Diverged;
+use rangehound_fusion::leader::{Action, Leader, Notice, Saved};
+use rangehound_fusion::planner::PlannerError;
+use rangehound_fusion::standby::{LOOK, STANDBYS_MAX, Standby};
+use rangehound_fusion::trust::{FAILURES_MAX, RECENT};
+use rangehound_shared::message::{Command, Estimate, Range};
+use rangehound_shared::record::FusionRecord;
+use rangehound_shared::scenario::Scenario;
+use rangehound_shared::sealed::SealError;
+
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::clock::{monotonic_ns, until};
@@ -9,16 +19,6 @@ use crate::logs;
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use crate::signal::Termination;
 use crate::tick_log::{TickLogError, TickLogWriter};
-use rangehound_shared::message::{Command, Estimate, Range};
-use rangehound_shared::record::FusionRecord;
-use rangehound_shared::scenario::Scenario;
-use rangehound_shared::sealed::SealError;
-
-use rangehound_fusion::centre::Diverged;
-use rangehound_fusion::leader::{Action, Leader, Notice, Saved};
-use rangehound_fusion::planner::PlannerError;
-use rangehound_fusion::standby::{LOOK, STANDBYS_MAX, Standby};
-use rangehound_fusion::trust::{FAILURES_MAX, RECENT};
 
 /// Why fusion ended early.
 #[derive(Debug, thiserror::Error)]

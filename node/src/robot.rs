@@ -1,15 +1,15 @@
 //! The robot's process: a [`Machine`] over shared memory, with a [`RangeSensor`] and an [`Actuator`].
 
+use rangehound_robot::drive::{Actuator, SimulatedActuator};
+use rangehound_robot::machine::{Action, Machine};
+use rangehound_robot::sensor::{RangeSensor, Sensor, measure};
+use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
+use rangehound_shared::scenario::{Clock, Scenario};
+
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use crate::clock::{monotonic_ns, until};
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use crate::signal::Termination;
-use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
-use rangehound_shared::scenario::{Clock, Scenario};
-
-use rangehound_robot::drive::{Actuator, SimulatedActuator};
-use rangehound_robot::machine::{Action, Machine};
-use rangehound_robot::sensor::{RangeSensor, Sensor, measure};
 
 /// Why a robot ended early.
 #[derive(Debug, thiserror::Error)]

@@ -2,6 +2,12 @@
 
 use std::time::Duration;
 
+use rangehound_shared::message::{Drive, Truth, WorldEntry};
+use rangehound_shared::record::WorldRecord;
+use rangehound_shared::scenario::Patience;
+use rangehound_shared::sealed::SealError;
+use rangehound_sim::machine::{Action, Machine, Saved};
+
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::clock::{monotonic_ns, until};
@@ -9,13 +15,6 @@ use crate::logs;
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
 use crate::signal::Termination;
 use crate::tick_log::TickLogWriter;
-use rangehound_shared::message::{Drive, Truth, WorldEntry};
-use rangehound_shared::record::WorldRecord;
-use rangehound_shared::scenario::Patience;
-use rangehound_shared::sealed::SealError;
-
-use rangehound_sim::machine::{Action, Machine, Saved};
-
 use crate::world::{PlaybackError, world_of};
 
 /// How late a bed's time limit may come, which counts in the kernel's ticks: the rest of a real-time tick is slept

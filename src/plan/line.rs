@@ -13,10 +13,9 @@ use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
 use serde::{Serialize, Serializer};
 
+use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 use crate::failure::one_short_line;
 use crate::run::experiment::COMMAND_LINE;
-
-use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 
 /// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
 #[derive(Debug)]

@@ -1,9 +1,9 @@
 //! Plane vectors of the planners: bearings as unit vectors, so that no inner loop needs an angle.
 
-use rangehound_shared::measurement::Pose;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, SQRT_2};
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
+use rangehound_shared::measurement::Pose;
 use serde::{Deserialize, Serialize};
 
 /// A vector in the plane, or the complex number `x + jy`.

@@ -27,6 +27,9 @@ use iceoryx2::port::ReceiveError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
+use iceoryx2::service::ipc::Service;
+use rangehound_shared::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
+pub use rangehound_shared::wake::{Call, Calls, Sleeper};
 use rustix::process::Pid;
 
 use crate::bells::Bells;
@@ -35,9 +38,6 @@ use crate::block::BlockError;
 use crate::clock::monotonic_ns;
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
 use crate::resources;
-use iceoryx2::service::ipc::Service;
-use rangehound_shared::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
-pub use rangehound_shared::wake::{Call, Calls, Sleeper};
 use senders::{Senders, Standing};
 
 /// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past

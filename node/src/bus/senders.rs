@@ -2,10 +2,10 @@
 
 use std::cell::RefCell;
 
+use rangehound_shared::ROBOTS_MAX;
 use rustix::process::{Pid, test_kill_process};
 
 use crate::rendezvous::{Role, Roster};
-use rangehound_shared::ROBOTS_MAX;
 
 /// Nodes that are known not to hold what they speak for; more are looked up again and again.
 const STRANGERS_MAX: usize = 64;

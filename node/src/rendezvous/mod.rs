@@ -17,34 +17,35 @@
 //! last member to leave removes the folder and the shared memory; where the last one was killed, the
 //! next founder of any run does.
 
+mod description;
+mod error;
 mod holder;
 mod place;
 mod presence;
+mod role;
 mod roster;
 
 use std::fs::{File, TryLockError};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use rangehound_shared::record::Record;
+use rangehound_shared::run_name::RunName;
+use rangehound_shared::sealed::{self, SealError};
 use rustix::process::Signal;
-use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::xxh3_64;
 
 use crate::bells;
-use crate::block::BlockError;
 use crate::bounded;
-use crate::resources::{self, Shortage};
+use crate::resources::{self};
 use crate::signal::Termination;
 use crate::tick_log::TickLogWriter;
+pub use description::RunDescription;
+pub use error::RendezvousError;
 pub use holder::{Holder, Process};
 use place::{Place, run_names};
 pub use presence::Inspection;
 use presence::Presence;
-use rangehound_shared::protocol::OtherBuild;
-use rangehound_shared::record::Record;
-use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::Scenario;
-use rangehound_shared::sealed::{self, SealError};
+pub use role::Role;
 pub use roster::{RoleHold, Roster, Succession};
 
 /// How often a joiner looks whether its run has been founded.
@@ -62,176 +63,6 @@ pub const LIVE_NOTE: &str = "live";
 
 /// The note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
 pub const ENDING_NOTE: &str = "ending";
-
-/// A role in a run: one living process each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-pub enum Role {
-    /// Advances the world and keeps the clock.
-    Sim,
-    /// Filters and plans.
-    Fusion,
-    /// Ready to be fusion, by number from 1.
-    Standby(usize),
-    /// One robot, by id.
-    Robot(usize),
-    /// Starts and ends the nodes.
-    Supervisor,
-}
-
-impl Role {
-    /// The robot's id, of a robot.
-    #[must_use]
-    pub fn robot(self) -> Option<usize> {
-        if let Self::Robot(id) = self { Some(id) } else { None }
-    }
-
-    /// Names this process after the role, so that `ps` and `top` tell the nodes apart.
-    pub fn name_process(self) {
-        // The kernel keeps 15 bytes; "rh-robot-255" fits. A process without its name works as well.
-        if let Ok(title) = std::ffi::CString::new(format!("rh-{self}")) {
-            let _ = rustix::thread::set_name(&title);
-        }
-    }
-}
-
-impl std::fmt::Display for Role {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Sim => f.write_str("sim"),
-            Self::Fusion => f.write_str("fusion"),
-            Self::Standby(number) => write!(f, "standby-{number}"),
-            Self::Robot(id) => write!(f, "robot-{id}"),
-            Self::Supervisor => f.write_str("run"),
-        }
-    }
-}
-
-impl std::str::FromStr for Role {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let expected = |_| format!("expected sim, fusion, standby-N or robot-N, got {text:?}");
-        match text.split_once('-') {
-            None if text == "sim" => Ok(Self::Sim),
-            None if text == "fusion" => Ok(Self::Fusion),
-            Some(("standby", number)) => number.parse().map(Self::Standby).map_err(expected),
-            Some(("robot", id)) => id.parse().map(Self::Robot).map_err(expected),
-            _ => Err(format!("expected sim, fusion, standby-N or robot-N, got {text:?}")),
-        }
-    }
-}
-
-/// What every node of a run must know.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RunDescription {
-    /// Tells this run from every other, of the same name too.
-    pub run_id: u64,
-    /// The experiment.
-    pub scenario: Scenario,
-    /// The run folder, absolute: logs and report.
-    pub out_dir: PathBuf,
-}
-
-impl RunDescription {
-    /// A new run of this scenario.
-    #[must_use]
-    pub fn new(scenario: Scenario, out_dir: PathBuf) -> Self {
-        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-        let mut unique = [0; 20];
-        unique[..16].copy_from_slice(&now.as_nanos().to_le_bytes());
-        unique[16..].copy_from_slice(&std::process::id().to_le_bytes());
-        Self { run_id: xxh3_64(&unique), scenario, out_dir }
-    }
-
-    /// The description in sealed bytes.
-    ///
-    /// # Errors
-    /// [`SealError`], for what no build of this protocol has sealed.
-    pub fn open(bytes: &[u8]) -> Result<Self, SealError> {
-        let description: Self = sealed::open(bytes)?;
-        if description.scenario.is_whole() { Ok(description) } else { Err(SealError::Malformed) }
-    }
-}
-
-/// Why a process cannot take part in a run.
-#[derive(Debug, thiserror::Error)]
-pub enum RendezvousError {
-    /// The name is taken by a run that lives.
-    #[error("run {name} is going on already: choose another --name, or stop it first")]
-    Taken {
-        /// The name.
-        name: RunName,
-    },
-    /// The role is taken by a process that lives.
-    #[error("{role} of run {name} is already there, {holder}")]
-    RoleTaken {
-        /// The role.
-        role: Role,
-        /// The run.
-        name: RunName,
-        /// Who holds it, as far as that can be told from here.
-        holder: String,
-    },
-    /// The system has too little of something.
-    #[error(transparent)]
-    Short(#[from] Shortage),
-    /// The folder belongs to somebody else.
-    #[error("{} belongs to another user: choose another --name", .0.display())]
-    NotOurs(PathBuf),
-    /// Something else has the name of the folder.
-    #[error("{}: expected a folder or nothing, got something else: remove it, or choose another --name", .0.display())]
-    NoFolder(PathBuf),
-    /// The description of the run cannot be used.
-    #[error("{}: {reason}", .file.display())]
-    Unusable {
-        /// The file.
-        file: PathBuf,
-        /// Why.
-        reason: SealError,
-    },
-    /// The run is of a build that this one does not understand.
-    #[error("run {name} was founded by {build}: use one version for all its nodes")]
-    OtherBuild {
-        /// The run.
-        name: RunName,
-        /// What founded it.
-        build: OtherBuild,
-    },
-    /// The bells cannot be made.
-    #[error(transparent)]
-    Bells(#[from] BlockError),
-    /// The system refuses a file operation.
-    #[error("{}: {source}", .path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The role's process is gone, and with it what a new one would need.
-    #[error("{role} of run {name} ended and has left no state to go on from: expected a new run")]
-    StateLost {
-        /// The role.
-        role: Role,
-        /// The run.
-        name: RunName,
-    },
-    /// Somebody has removed the run's shared memory.
-    #[error(
-        "run {name} has lost its shared memory: {} was removed while it went on, as systemd does at a user's last logout with RemoveIPC=yes: `rangehound resume {}` goes on from its checkpoints", .folder.display(), .out_dir.display()
-    )]
-    Removed {
-        /// The run.
-        name: RunName,
-        /// What has been removed.
-        folder: PathBuf,
-        /// Its run folder.
-        out_dir: PathBuf,
-    },
-    /// A request to end came while waiting for the run.
-    #[error("ended while waiting for the run")]
-    Terminated,
-}
 
 /// Membership in a run: holds the shared lock while it lives, and leaves on drop.
 #[derive(Debug)]
@@ -574,7 +405,7 @@ fn remove_dead_runs(but: &RunName) {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 pub(crate) fn found_for_test(name: &str) -> Rendezvous {
-    use rangehound_shared::scenario::ScenarioFile;
+    use rangehound_shared::scenario::{Scenario, ScenarioFile};
     let name = format!("{name}-{}", std::process::id()).parse().unwrap();
     let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     Rendezvous::found(&name, RunDescription::new(scenario, PathBuf::new())).unwrap()

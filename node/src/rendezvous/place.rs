@@ -6,12 +6,12 @@ use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsE
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use rangehound_shared::run_name::RunName;
 use rustix::fs::OFlags;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::RendezvousError;
 use crate::resources::SHARED_MEMORY;
-use rangehound_shared::run_name::RunName;
 
 /// How long to wait for whoever stands in the door, and how often to try.
 const DOOR: Duration = Duration::from_secs(10);

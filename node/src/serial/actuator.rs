@@ -4,11 +4,11 @@ use std::fs::File;
 use std::io::{ErrorKind, Result, Write};
 use std::path::Path;
 
+use rangehound_robot::drive::Actuator;
 use rangehound_shared::message::Command;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::writer;
-use rangehound_robot::drive::Actuator;
 
 /// Writes each command to a port as `heading_rad,speed_mps`.
 ///

@@ -6,13 +6,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use rangehound_robot::sensor::{RangeSensor, calibrated_m};
 use rangehound_shared::message::WorldEntry;
 use rangehound_shared::radio::{Counts, Parser};
 use rangehound_shared::scenario::Calibration;
 
 use super::choice::Choice;
 use super::{Radio, reader};
-use rangehound_robot::sensor::{RangeSensor, calibrated_m};
 
 /// The newest range that came over a port.
 ///

@@ -2,14 +2,13 @@
 
 mod fields;
 
-pub use fields::{Fields, Record, describe, put, take};
-
 use serde::{Deserialize, Serialize};
 
 use crate::STATE_DIM_MAX;
 use crate::measurement::{Measurement, Pose};
 use crate::message::{Command, Drive, Estimate, RangeKind, WorldEntry};
 use crate::scenario::{Scenario, Source};
+pub use fields::{Fields, Record, describe, put, take};
 
 /// Fusion's record of one tick.
 #[derive(Debug, Clone, PartialEq, Default)]

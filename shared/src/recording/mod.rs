@@ -38,6 +38,9 @@ mod unit;
 mod wide;
 mod write;
 
+use std::io::{Read, Write};
+use std::path::Path;
+
 pub use anchors::{Anchor, Anchors};
 pub use columns::{ColumnMap, ColumnMapError};
 pub use digest::RecordingDigest;
@@ -47,9 +50,6 @@ pub use options::ReadOptions;
 pub use port::PortLog;
 pub use summary::{Doubt, DoubtKind, ReadSummary};
 pub use track::{TrackPoint, parse_track};
-
-use std::io::{Read, Write};
-use std::path::Path;
 
 /// Ranges from one or more sensors to one target, in order of time.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,9 +1,10 @@
 //! Any text has one answer; any answer follows from its line alone.
 
-use super::*;
 use proptest::prelude::*;
 use rangehound_shared::scenario::PLANNERS;
 use serde_json::{Value, json};
+
+use super::*;
 
 const KEYS: [&str; 8] =
     ["certified", "headings_rad", "lower_bound", "objective", "plan_us", "planner", "position_trace_m2", "speeds_mps"];

@@ -26,14 +26,13 @@ use rangehound_shared::scenario::Source;
 use crate::files::layout::REPORT;
 use crate::files::whole_file;
 use crate::results::frame::{Frames, PutDown};
-use verdict::{RecordingEvidence, TruthEvidence};
-
 pub use summary::{
     Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
     SensorSummary, TraceSummary,
 };
 pub use tally::{Background, Tally, position_covariance, position_error};
 pub use truth::Truth;
+use verdict::{RecordingEvidence, TruthEvidence};
 
 /// Computes the report of a run from its logs.
 ///

@@ -1,11 +1,11 @@
 //! The report as it is printed.
 
+use rangehound_shared::scenario::{name_of, printable};
+
 use super::{
     Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
     TraceSummary,
 };
-use rangehound_shared::scenario::{name_of, printable};
-
 use crate::results::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
 

@@ -26,7 +26,6 @@ use crate::files::out_folder::claim_or_number;
 use crate::files::whole_file;
 use crate::run::experiment::Given;
 use crate::run::watch::Progress;
-
 use monte_carlo::Trials;
 use summary::{Comparison, Summary};
 

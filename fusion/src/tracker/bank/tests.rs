@@ -1,7 +1,8 @@
 //! The bank on simulated ranges, and through hostile ones.
 
-use super::*;
 use proptest::prelude::*;
+
+use super::*;
 
 const STD_M: f64 = 0.2;
 const SQUARE: [[f64; 2]; 4] = [[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]];

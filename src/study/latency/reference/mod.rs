@@ -15,12 +15,12 @@ mod iceoryx2;
 mod node;
 mod processes;
 
-pub use node::latency_node;
-pub(super) use processes::measure;
-
 use std::time::Duration;
 
 use clap::ValueEnum;
+
+pub use node::latency_node;
+pub(super) use processes::measure;
 
 /// How nodes of a reference talk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

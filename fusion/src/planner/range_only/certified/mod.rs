@@ -14,7 +14,6 @@ mod search;
 use super::pair::best_of_free;
 use super::relaxation::Relaxation;
 use super::{Problem, Solution, Solver, Vector};
-
 pub use bound::hull_bound;
 use search::Search;
 

@@ -1,13 +1,14 @@
-use super::super::Arm;
-use super::super::greedy::Greedy;
-use super::super::grid::Grid;
-use super::*;
+use std::f64::consts::PI;
+
 use nalgebra::Matrix2;
 use proptest::prelude::*;
 use rand::SeedableRng as _;
 use rangehound_shared::scenario::defaults;
-use std::f64::consts::PI;
 
+use super::super::Arm;
+use super::super::greedy::Greedy;
+use super::super::grid::Grid;
+use super::*;
 use crate::belief::Belief;
 use crate::planner::{Situation, TeamMember};
 

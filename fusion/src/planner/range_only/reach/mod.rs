@@ -13,7 +13,6 @@ use rangehound_shared::scenario::Clearance;
 
 use super::arm::Arm;
 use crate::planner::{TeamMember, Vector};
-
 pub(super) use separation::Limit;
 
 /// A place nearer to the predicted target than this, in steps, has no bearing worth the name.

@@ -1,0 +1,61 @@
+//! Roles in a run.
+
+use serde::{Deserialize, Serialize};
+
+/// A role in a run: one living process each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Role {
+    /// Advances the world and keeps the clock.
+    Sim,
+    /// Filters and plans.
+    Fusion,
+    /// Ready to be fusion, by number from 1.
+    Standby(usize),
+    /// One robot, by id.
+    Robot(usize),
+    /// Starts and ends the nodes.
+    Supervisor,
+}
+
+impl Role {
+    /// The robot's id, of a robot.
+    #[must_use]
+    pub fn robot(self) -> Option<usize> {
+        if let Self::Robot(id) = self { Some(id) } else { None }
+    }
+
+    /// Names this process after the role, so that `ps` and `top` tell the nodes apart.
+    pub fn name_process(self) {
+        // The kernel keeps 15 bytes; "rh-robot-255" fits. A process without its name works as well.
+        if let Ok(title) = std::ffi::CString::new(format!("rh-{self}")) {
+            let _ = rustix::thread::set_name(&title);
+        }
+    }
+}
+
+impl std::fmt::Display for Role {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Sim => f.write_str("sim"),
+            Self::Fusion => f.write_str("fusion"),
+            Self::Standby(number) => write!(f, "standby-{number}"),
+            Self::Robot(id) => write!(f, "robot-{id}"),
+            Self::Supervisor => f.write_str("run"),
+        }
+    }
+}
+
+impl std::str::FromStr for Role {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = |_| format!("expected sim, fusion, standby-N or robot-N, got {text:?}");
+        match text.split_once('-') {
+            None if text == "sim" => Ok(Self::Sim),
+            None if text == "fusion" => Ok(Self::Fusion),
+            Some(("standby", number)) => number.parse().map(Self::Standby).map_err(expected),
+            Some(("robot", id)) => id.parse().map(Self::Robot).map_err(expected),
+            _ => Err(format!("expected sim, fusion, standby-N or robot-N, got {text:?}")),
+        }
+    }
+}
