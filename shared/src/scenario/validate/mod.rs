@@ -1,0 +1,169 @@
+//! From the file's keys to a [`Scenario`]: defaults filled in, every value checked.
+
+mod planner;
+mod recorded;
+mod target;
+mod team;
+mod values;
+
+use std::time::Duration;
+
+use super::bounds::{DT_S, GATE_SIGMA, NOISE_PSD, PATIENCE_S, STD_M, TICKS_MAX};
+use super::{
+    Clearance, Clock, FilterTable, GateKey, Patience, PatienceKey, PlannerSpec, PlannerTable, Prior, RecordingTable,
+    Scenario, ScenarioError, ScenarioFile, Source, defaults,
+};
+use crate::motion::MotionModel;
+use crate::recording::{ReadSummary, Recording};
+use crate::run_name::RunName;
+use values::quoted;
+
+impl Scenario {
+    /// Checks the scenario file of a simulated run. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong; a recording, which [`Self::from_file_with`] takes, among it.
+    pub fn from_file(raw: &ScenarioFile, file: &str) -> Result<Self, ScenarioError> {
+        Self::from_file_with(raw, file, |_| {
+            Err(Checker { file }.refuse("recording", "a simulated run", "a recorded one"))
+        })
+    }
+
+    /// Checks a scenario file. `file` names it in errors. If it names a recording, that is read once all is checked that
+    /// can be without it: reading may take long, and a pipe can be read once.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_file_with(
+        raw: &ScenarioFile,
+        file: &str,
+        read: impl FnOnce(&RecordingTable) -> Result<(Recording, ReadSummary), ScenarioError>,
+    ) -> Result<Self, ScenarioError> {
+        Checker { file }.scenario(raw, read)
+    }
+}
+
+impl PlannerSpec {
+    /// Checks what a `[planner]` table says of the planner itself. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_table(table: &PlannerTable, file: &str) -> Result<Self, ScenarioError> {
+        Checker { file }.planner(table)
+    }
+}
+
+impl Clearance {
+    /// Checks what a `[planner]` table says of clearances. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] for the first thing that is wrong.
+    pub fn from_table(table: &PlannerTable, file: &str) -> Result<Self, ScenarioError> {
+        Checker { file }.clearance(table)
+    }
+}
+
+/// Checks values and names the file in what it refuses.
+struct Checker<'a> {
+    file: &'a str,
+}
+
+impl Checker<'_> {
+    fn scenario(
+        &self,
+        raw: &ScenarioFile,
+        read: impl FnOnce(&RecordingTable) -> Result<(Recording, ReadSummary), ScenarioError>,
+    ) -> Result<Scenario, ScenarioError> {
+        let name = raw.name.clone().unwrap_or_else(|| defaults::NAME.to_owned());
+        if let Err(problem) = name.parse::<RunName>() {
+            return Err(self.refuse("name", problem.expected(), name));
+        }
+        let seed = raw.seed.unwrap_or(defaults::SEED);
+        let dt_s = self.number("dt_s", raw.dt_s, defaults::DT_S, DT_S)?;
+        let motion = self.motion(&raw.target.clone().unwrap_or_default(), raw.recording.is_some())?;
+        let planner = raw.planner.clone().unwrap_or_default();
+        let gate_sigma = self.gate(raw)?;
+        let mut scenario = Scenario {
+            name,
+            ticks: self.whole("ticks", raw.ticks, defaults::TICKS, 1..=TICKS_MAX)?,
+            dt_s,
+            seed,
+            clock: self.clock(raw)?,
+            patience: self.patience(raw.patience_s.as_ref())?,
+            filter_motion: motion.clone(),
+            motion,
+            source: Source::Simulated { target_start: Vec::new() },
+            prior: Prior::FromRanges,
+            robots: Vec::new(),
+            planner: self.planner(&planner)?,
+            clearance: self.clearance(&planner)?,
+            gate_sigma,
+            distrust: raw.filter.as_ref().and_then(|table| table.distrust).unwrap_or(gate_sigma.is_some()),
+        };
+        if let Some(recording) = &raw.recording {
+            self.recorded(raw, recording, read, &mut scenario)?;
+        } else {
+            let n = scenario.motion.state_dim();
+            let target_start = self.target_start(raw.target.as_ref().and_then(|table| table.start.as_ref()), n)?;
+            scenario.prior = self.prior(&raw.prior.clone().unwrap_or_default(), &target_start, seed)?;
+            scenario.source = Source::Simulated { target_start };
+            scenario.robots = self.team(raw.robots.as_ref(), raw.robot.as_deref())?;
+            self.tell_filter(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;
+        }
+        Ok(scenario)
+    }
+
+    /// Gives the filter of a simulation another noise than the truth has.
+    fn tell_filter(&self, table: &FilterTable, scenario: &mut Scenario) -> Result<(), ScenarioError> {
+        if let Some(psd) = table.noise_psd {
+            let psd = self.number("filter.noise_psd", Some(psd), psd, NOISE_PSD)?;
+            let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
+                return Err(self.refuse("filter.noise_psd", "no spectral density beside target.qd", "one"));
+            };
+            *noise_psd = psd;
+        }
+        if let Some(std_m) = table.range_std_m {
+            let std_m = self.number("filter.range_std_m", Some(std_m), std_m, STD_M)?;
+            scenario.robots.iter_mut().for_each(|robot| robot.told_std_m = std_m);
+        }
+        Ok(())
+    }
+    fn clock(&self, raw: &ScenarioFile) -> Result<Clock, ScenarioError> {
+        let default = if raw.recording.is_some() { defaults::RECORDING_CLOCK } else { defaults::CLOCK };
+        match raw.clock.as_deref().unwrap_or(default) {
+            "realtime" => Ok(Clock::Realtime),
+            "lockstep" => Ok(Clock::Lockstep),
+            other => Err(self.refuse("clock", "\"realtime\" or \"lockstep\"", quoted(other))),
+        }
+    }
+
+    fn patience(&self, key: Option<&PatienceKey>) -> Result<Patience, ScenarioError> {
+        match key {
+            None => Ok(Patience::After(Duration::from_secs_f64(defaults::PATIENCE_S))),
+            Some(PatienceKey::Word(word)) if word == "forever" => Ok(Patience::Forever),
+            Some(PatienceKey::Seconds(seconds)) if PATIENCE_S.contains(seconds) => {
+                Ok(Patience::After(Duration::from_secs_f64(*seconds)))
+            }
+            Some(PatienceKey::Word(word)) => Err(self.refuse("patience_s", patience_expected(), quoted(word))),
+            Some(PatienceKey::Seconds(seconds)) => Err(self.refuse("patience_s", patience_expected(), seconds)),
+        }
+    }
+
+    fn gate(&self, raw: &ScenarioFile) -> Result<Option<f64>, ScenarioError> {
+        let default = raw.recording.as_ref().map(|_| defaults::RECORDED_GATE_SIGMA);
+        let key = "filter.gate_sigma";
+        match raw.filter.as_ref().and_then(|table| table.gate_sigma.as_ref()) {
+            None => Ok(default),
+            Some(GateKey::Word(word)) if word == "none" => Ok(None),
+            Some(GateKey::Word(word)) => {
+                let expected = format!("a number from {} to {} or \"none\"", GATE_SIGMA.start(), GATE_SIGMA.end());
+                Err(self.refuse(key, expected, quoted(word)))
+            }
+            Some(GateKey::Sigma(sigma)) => self.number(key, Some(*sigma), *sigma, GATE_SIGMA).map(Some),
+        }
+    }
+}
+
+fn patience_expected() -> String {
+    format!("seconds from {} to {} or \"forever\"", PATIENCE_S.start(), PATIENCE_S.end())
+}

@@ -1,0 +1,41 @@
+//! Planner and clearances.
+
+use super::Checker;
+use super::values::quoted;
+use crate::scenario::bounds::CLEARANCE;
+use crate::scenario::{Clearance, PLANNERS, PlannerSpec, PlannerTable, ScenarioError, defaults};
+
+impl Checker<'_> {
+    pub(super) fn planner(&self, table: &PlannerTable) -> Result<PlannerSpec, ScenarioError> {
+        let iterations =
+            self.whole("planner.iterations", table.iterations, defaults::ITERATIONS, 1..=1_000_000)? as u32;
+        let alpha = self.number("planner.alpha", table.alpha, defaults::ALPHA, 0.0..=1.0)?;
+        let step_rad =
+            self.number("planner.step_rad", table.step_rad, defaults::GRID_STEP_RAD, 1e-6..=std::f64::consts::PI)?;
+        let nodes = self.whole("planner.nodes", table.nodes, defaults::NODES, 1..=1_000_000)? as u32;
+        match table.name.as_deref().unwrap_or(defaults::PLANNER) {
+            "certified" => Ok(PlannerSpec::Certified { nodes }),
+            "adaptive" => Ok(PlannerSpec::Adaptive { iterations, alpha }),
+            "standard" => Ok(PlannerSpec::Standard { iterations }),
+            "grid" => Ok(PlannerSpec::Grid { step_rad }),
+            "greedy" => Ok(PlannerSpec::Greedy),
+            "pursue" => Ok(PlannerSpec::Pursue),
+            "random" => Ok(PlannerSpec::Random),
+            other => {
+                let known = PLANNERS.map(quoted).join(", ");
+                Err(self.refuse("planner.name", format!("one of {known}"), quoted(other)))
+            }
+        }
+    }
+
+    pub(super) fn clearance(&self, table: &PlannerTable) -> Result<Clearance, ScenarioError> {
+        let least = |key: &str, value, default| self.number(key, value, default, CLEARANCE);
+        // Who asks for one measure does not get the default of the other on top.
+        let stand_off_sigma = if table.stand_off_m.is_some() { 0.0 } else { defaults::STAND_OFF_SIGMA };
+        Ok(Clearance {
+            stand_off_m: least("planner.stand_off_m", table.stand_off_m, 0.0)?,
+            stand_off_sigma: least("planner.stand_off_sigma", table.stand_off_sigma, stand_off_sigma)?,
+            separation_m: least("planner.separation_m", table.separation_m, 0.0)?,
+        })
+    }
+}
