@@ -5,7 +5,10 @@
 
 mod campaign;
 mod faults;
+mod live;
 mod outcome;
+mod run;
+mod ticks;
 
 use rangehound_node::rendezvous::living_runs;
 use rangehound_node::signal::Termination;

@@ -1,0 +1,167 @@
+//! A run while it is being hurt.
+
+use std::time::{Duration, Instant};
+
+use rangehound_fusion::standby::STANDBYS_MAX;
+use rangehound_node::rendezvous::{Process, Rendezvous, Role};
+use rustix::process::Signal;
+
+use super::faults::{Fault, Kind};
+use super::outcome::Injected;
+use super::ticks::Ticks;
+use crate::run::remote::{process_in, signal};
+
+/// A run while it is being hurt.
+pub(super) struct Live<'a> {
+    pub(super) run: &'a Rendezvous,
+    pub(super) round: usize,
+    pub(super) began: Instant,
+    pub(super) last_fault: Instant,
+    pub(super) ticks: Ticks<'a>,
+    /// Who is to be continued, and when.
+    pub(super) stopped: Vec<(Instant, Process)>,
+    pub(super) storms: Vec<Storm>,
+    pub(super) recovering: Vec<Recovering>,
+}
+
+pub(super) struct Storm {
+    pub(super) hit: usize,
+    pub(super) role: Role,
+    /// Starts of the role at the last kill.
+    pub(super) starts: u64,
+    pub(super) left: u32,
+}
+
+pub(super) struct Recovering {
+    pub(super) hit: usize,
+    pub(super) role: Role,
+    pub(super) killed: Instant,
+    pub(super) starts: u64,
+    /// What counted as heard of the role when its successor was there.
+    pub(super) heard_before: Option<u64>,
+}
+
+impl<'a> Live<'a> {
+    pub(super) fn new(run: &'a Rendezvous, round: usize, recovering: Option<Recovering>) -> Self {
+        let now = Instant::now();
+        let (stopped, storms, recovering) = (Vec::new(), Vec::new(), recovering.into_iter().collect());
+        Self { run, round, began: now, last_fault: now, ticks: Ticks::of(run), stopped, storms, recovering }
+    }
+
+    /// Does a fault to those of its nodes that are there. False if none is: to be tried again.
+    pub(super) fn inject(&mut self, fault: u64, what: &Fault, injected: &mut Vec<Injected>) -> bool {
+        let mut is_done = false;
+        let everything = [Role::Supervisor];
+        let roles = if what.kind == Kind::Blackout { &everything[..] } else { &what.roles };
+        for role in roles {
+            let Some(role) = self.present(*role) else { continue };
+            let hit = injected.len();
+            let is_hit = match what.kind {
+                Kind::Stop => self.stop(role, what.stop),
+                Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
+                // Done by who can do without the run.
+                Kind::Blackout => true,
+            };
+            if !is_hit {
+                continue;
+            }
+            is_done = true;
+            match what.kind {
+                Kind::Storm => {
+                    let starts = self.recovering.last().map_or(0, |last| last.starts);
+                    self.storms.push(Storm { hit, role, starts, left: what.kills - 1 });
+                }
+                Kind::Kill | Kind::Stop | Kind::Several | Kind::Blackout => {}
+            }
+            let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
+            let round = self.round;
+            injected.push(Injected {
+                fault,
+                round,
+                at_s,
+                tick,
+                kind: what.kind,
+                role,
+                restart_ms: None,
+                recovery_ms: None,
+            });
+        }
+        if is_done {
+            self.last_fault = Instant::now();
+        }
+        is_done
+    }
+
+    /// The role that is meant: standbys go by the numbers that are free when they come.
+    pub(super) fn present(&self, role: Role) -> Option<Role> {
+        let Role::Standby(number) = role else { return Some(role) };
+        let numbers = (number..=STANDBYS_MAX).chain(1..number);
+        let mut roles = numbers.map(Role::Standby);
+        roles.find(|role| self.run.roster().is_held(*role))
+    }
+
+    /// Stops a node for a while: the process, which may have lost its role when it is to go on.
+    pub(super) fn stop(&mut self, role: Role, duration: Duration) -> bool {
+        let Ok(process) = process_in(self.run, role) else { return false };
+        let is_stopped = process.signal(Signal::STOP).is_ok();
+        self.stopped.push((Instant::now() + duration, process));
+        is_stopped
+    }
+
+    /// Kills a node, for the hit of this number; an earlier one that it has not got over counts no more.
+    pub(super) fn kill(&mut self, role: Role, hit: usize) -> bool {
+        let starts = self.run.roster().starts(role);
+        if signal(self.run, role, Signal::KILL).is_err() {
+            return false;
+        }
+        self.recovering.retain(|earlier| earlier.role != role);
+        self.recovering.push(Recovering { hit, role, killed: Instant::now(), starts, heard_before: None });
+        true
+    }
+
+    /// Does what is due of earlier faults, and notes who has recovered.
+    pub(super) fn look(&mut self, injected: &mut [Injected]) {
+        let now = Instant::now();
+        self.ticks.look();
+        let run = self.run;
+        self.stopped.retain(|(due, process)| {
+            let is_due = now >= *due;
+            if is_due {
+                let _ = process.signal(Signal::CONT);
+            }
+            !is_due
+        });
+        for mut storm in std::mem::take(&mut self.storms) {
+            let successor = run.roster().starts(storm.role);
+            if successor > storm.starts && self.kill(storm.role, storm.hit) {
+                (storm.starts, storm.left) = (successor, storm.left - 1);
+                self.last_fault = now;
+            }
+            if storm.left > 0 {
+                self.storms.push(storm);
+            }
+        }
+        let ticks = &self.ticks;
+        self.recovering.retain_mut(|node| {
+            let heard = ticks.heard(node.role);
+            match node.heard_before {
+                None if run.roster().starts(node.role) > node.starts => {
+                    node.heard_before = Some(heard);
+                    injected[node.hit].restart_ms = Some(1e3 * node.killed.elapsed().as_secs_f64());
+                }
+                Some(before) if heard > before => {
+                    injected[node.hit].recovery_ms = Some(1e3 * node.killed.elapsed().as_secs_f64());
+                    return false;
+                }
+                _ => {}
+            }
+            true
+        });
+    }
+
+    pub(super) fn continue_all(&mut self) {
+        for (_, process) in self.stopped.drain(..) {
+            let _ = process.signal(Signal::CONT);
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! What a run's logs tell while they grow.
+
+use std::time::Instant;
+
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
+use rangehound_node::tick_log::TickLogReader;
+use rangehound_shared::record::{FusionRecord, Record, WorldRecord};
+
+use super::outcome::is_repeatable;
+
+/// What the run's logs tell while they grow.
+pub(super) struct Ticks<'a> {
+    pub(super) description: &'a RunDescription,
+    pub(super) world: Option<TickLogReader<WorldRecord>>,
+    pub(super) estimate: Option<TickLogReader<FusionRecord>>,
+    /// Newest tick that is over.
+    pub(super) newest: u64,
+    /// Since when.
+    pub(super) since: Instant,
+    pub(super) newest_estimate: u64,
+    /// Newest tick that was read, and for each robot the newest with a range of it.
+    pub(super) read: Option<u64>,
+    pub(super) heard: Vec<u64>,
+}
+
+impl<'a> Ticks<'a> {
+    pub(super) fn of(run: &'a Rendezvous) -> Self {
+        let description = run.description();
+        let heard = vec![0; description.scenario.robots.len()];
+        let (newest, newest_estimate, since) = (0, 0, Instant::now());
+        Self { description, world: None, estimate: None, newest, since, newest_estimate, read: None, heard }
+    }
+
+    pub(super) fn look(&mut self) {
+        // A log is there once its node has started.
+        if self.world.is_none() {
+            self.world = logs::read_worlds(self.description).ok();
+        }
+        if self.estimate.is_none() {
+            self.estimate = logs::read_estimates(self.description).ok();
+        }
+        fn newest<R: Record>(log: &TickLogReader<R>) -> Option<u64> {
+            log.newest_tick().ok().flatten()
+        }
+        if let Some(tick) = self.estimate.as_ref().and_then(newest::<FusionRecord>) {
+            self.newest_estimate = tick;
+        }
+        let Some(log) = &mut self.world else { return };
+        let Some(tick) = newest(log) else { return };
+        if tick > self.newest {
+            (self.newest, self.since) = (tick, Instant::now());
+        }
+        // Never beyond the records that are whole.
+        while self.read.is_none_or(|read| read < tick) {
+            let Some(Ok((read, record))) = log.next() else { break };
+            self.read = Some(read);
+            for (heard, robot) in self.heard.iter_mut().zip(&record.robots) {
+                if robot.range_sent_ns.is_some() {
+                    *heard = read;
+                }
+            }
+        }
+    }
+
+    /// The newest tick that shows this role at work. In lock step no tick ends without all.
+    pub(super) fn heard(&self, role: Role) -> u64 {
+        match role {
+            _ if is_repeatable(&self.description.scenario) => self.newest,
+            Role::Robot(id) => self.heard.get(id).copied().unwrap_or(0),
+            Role::Fusion | Role::Standby(_) => self.newest_estimate,
+            Role::Sim | Role::Supervisor => self.newest,
+        }
+    }
+}
