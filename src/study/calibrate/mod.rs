@@ -16,8 +16,8 @@ pub mod regression;
 pub mod search;
 #[allow(clippy::needless_range_loop, reason = "matrices by row and column, as in the equations")]
 pub mod smoother;
-pub mod text;
-mod verdict;
+mod text;
+pub mod verdict;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
