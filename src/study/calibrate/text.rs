@@ -8,7 +8,7 @@ use crate::statistics::median;
 
 /// The file's text.
 #[must_use]
-pub fn text(findings: &Findings, names: &[String]) -> String {
+pub(super) fn text(findings: &Findings, names: &[String]) -> String {
     let mut text =
         format!("# measured = (1 + scale) true + bias_m; +- is half of the 95 % interval\nversion = {VERSION}\n");
     let mut stds: Vec<f64> = findings.sensors.iter().filter_map(|s| s.range_std_m.map(|m| m.value)).collect();
