@@ -7,21 +7,8 @@ use clap::error::ErrorKind;
 use rangehound::cli::complete;
 use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::failure::{self, Failure};
-use rangehound::live;
-use rangehound::plan;
 use rangehound::run::experiment::DEFAULT_SCENARIO;
-use rangehound::run::node;
-use rangehound::run::recorder;
 use rangehound::run::remote;
-use rangehound::run::status;
-use rangehound::run::supervisor;
-use rangehound::run::watch;
-use rangehound::study::calibrate;
-use rangehound::study::chaos;
-use rangehound::study::compare;
-use rangehound::study::explore;
-use rangehound::study::latency;
-use rangehound::study::replay;
 use rangehound::terminal;
 
 fn main() -> ExitCode {
@@ -44,27 +31,27 @@ fn exit_code(outcome: Result<(), Failure>) -> ExitCode {
 
 fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
-        Command::Run(args) => supervisor::run(&args),
-        Command::Track(args) => supervisor::track(&args),
-        Command::Sim(args) => node::sim(&args),
-        Command::Fusion(args) => node::fusion(&args),
-        Command::Robot(args) => node::robot(&args),
-        Command::Watch(args) => watch::watch(&args),
-        Command::Record(args) => recorder::record(&args),
-        Command::Replay(args) => replay::replay(&args),
-        Command::Live(args) => live::live(&args),
-        Command::Resume(args) => supervisor::resume(&args),
-        Command::Status(args) => status::status(&args),
-        Command::Kill(args) => remote::kill(&args),
-        Command::Restart(args) => remote::restart(&args),
-        Command::Stop(args) => remote::stop(&args),
-        Command::Chaos(args) => chaos::chaos(&args),
-        Command::Explore(args) => explore::explore(&args),
-        Command::Plan(args) => plan::plan(&args),
-        Command::Compare(args) => compare::compare(&args),
-        Command::Calibrate(args) => calibrate::calibrate(&args),
-        Command::Latency(args) => latency::latency(&args),
-        Command::LatencyNode(args) => latency::reference::latency_node(&args),
+        Command::Run(args) => args.carry_out(),
+        Command::Track(args) => args.carry_out(),
+        Command::Sim(args) => args.carry_out(),
+        Command::Fusion(args) => args.carry_out(),
+        Command::Robot(args) => args.carry_out(),
+        Command::Watch(args) => args.carry_out(),
+        Command::Record(args) => args.carry_out(),
+        Command::Replay(args) => args.carry_out(),
+        Command::Live(args) => args.carry_out(),
+        Command::Resume(args) => args.carry_out(),
+        Command::Status(args) => args.carry_out(),
+        Command::Kill(args) => remote::kill(args.run.name.as_ref(), args.node, args.run.json),
+        Command::Restart(args) => remote::restart(args.run.name.as_ref(), args.node, args.run.json),
+        Command::Stop(args) => remote::stop(args.name.as_ref(), args.json),
+        Command::Chaos(args) => args.carry_out(),
+        Command::Explore(args) => args.carry_out(),
+        Command::Plan(args) => args.carry_out(),
+        Command::Compare(args) => args.carry_out(),
+        Command::Calibrate(args) => args.carry_out(),
+        Command::Latency(args) => args.carry_out(),
+        Command::LatencyNode(args) => args.carry_out(),
         Command::Completions(args) => complete::completions(&args),
         Command::Names(args) => complete::names(&args),
         Command::Man(args) => complete::man(&args),

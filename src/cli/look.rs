@@ -8,6 +8,11 @@ use rangehound_shared::run_name::RunName;
 
 use super::values::{PlannerName, number, port, speed};
 use super::{GateArgs, NodeArgs, RecordLimitArgs, ShowArgs};
+use crate::failure::Failure;
+use crate::live;
+use crate::run::node::end_with;
+use crate::run::{recorder, status, watch};
+use crate::study::replay::{self, Changes, Show, repair};
 
 /// `watch`.
 #[derive(Debug, Args)]
@@ -118,4 +123,71 @@ pub struct RemoteNodeArgs {
     /// The run
     #[command(flatten)]
     pub run: RemoteArgs,
+}
+
+impl WatchArgs {
+    /// Shows the progress.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        watch::watch(&self.node.name, self.json)
+    }
+}
+
+impl LiveArgs {
+    /// Shows the page.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        end_with(self.node.parent.end_with)?;
+        live::live(&self.node.name, self.port, self.json)
+    }
+}
+
+impl RecordArgs {
+    /// Records the run.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        end_with(self.node.parent.end_with)?;
+        let (out, bytes_max) = (self.out.as_deref(), recorder::bytes(self.limit.limit_mb));
+        let recorded = match &self.folder {
+            Some(folder) => Some(recorder::record_folder(folder, out, bytes_max)?),
+            None => recorder::record_run(&self.node.name, out, bytes_max)?,
+        };
+        recorded.map_or(Ok(()), |recorded| recorded.print(self.json))
+    }
+}
+
+impl ReplayArgs {
+    /// Replays the recording, or repairs it.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        if self.repair {
+            return repair::repair(&self.file, self.out.as_deref(), self.json);
+        }
+        let changes = Changes {
+            planner: self.planner.clone(),
+            gate: self.gate.gate.clone(),
+            distrust: self.gate.distrust(),
+            accel_psd: self.accel_psd,
+        };
+        let show = self.show.live.map(|port| Show { port, speed: self.speed });
+        replay::replay(&self.file, &changes, show, self.json)
+    }
+}
+
+impl StatusArgs {
+    /// Shows the run.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        status::status(self.run.name.as_ref(), self.all, self.watch, self.run.json)
+    }
 }

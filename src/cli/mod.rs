@@ -1,4 +1,4 @@
-//! The command line, as clap reads it.
+//! The command line, as clap reads it, and what each command does with it.
 //!
 //! | module | what |
 //! |---|---|
@@ -7,12 +7,14 @@
 //! | `look` | what looks at runs, or acts on them |
 //! | `study` | what measures and compares |
 //! | `shell`, [`complete`] | what a shell asks for: completions, names, manual pages |
+//! | `experiment` | from flags to a scenario file |
 //! | `input` | how a recording is read |
 //! | `values` | values as they are written behind flags |
 //! | `examples` | what `--help` and the manual add to each command |
 
 pub mod complete;
 mod examples;
+mod experiment;
 mod input;
 mod look;
 mod node;
@@ -29,8 +31,7 @@ pub use input::InputArgs;
 pub use look::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 pub use run::{
-    ClockArg, ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs,
-    TrackArgs,
+    ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs, TrackArgs,
 };
 pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, ExploreArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};

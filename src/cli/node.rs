@@ -1,12 +1,22 @@
 //! One node: `sim`, `fusion`, `robot`.
 
+use std::path::Path;
+
 use clap::Args;
-use rangehound_node::rendezvous::Role;
+use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
 use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{Scenario, Source};
 
 use super::ExperimentArgs;
 use super::values::whole;
-use crate::study::latency::reference::Reference;
+use crate::failure::{self, Failure};
+use crate::files::input;
+use crate::files::layout::SCENARIO;
+use crate::files::out_folder::Claim;
+use crate::run::experiment::{Experiment, Naming};
+use crate::run::folder;
+use crate::run::node::{self, input_or_running};
+use crate::study::latency::reference::{Reference, latency_node};
 
 /// `sim`.
 #[derive(Debug, Args)]
@@ -72,4 +82,136 @@ pub struct ParentArgs {
     /// End when this process, the parent, ends
     #[arg(long, value_name = "PID", hide = true)]
     pub end_with: Option<u32>,
+}
+
+impl SimArgs {
+    /// Joins the run that a supervisor has founded, or founds one.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let joined = self.parent.end_with.and(self.experiment.name.as_ref());
+        // Before requests to end are listened for: a wait for a pipe's writer ends as the system ends it.
+        let founded = if joined.is_none() { Some(self.experiment.experiment(Naming::Exact)?) } else { None };
+        let termination = node::prepare(Role::Sim, self.parent.end_with)?;
+        let (rendezvous, _folder) = match (joined, founded) {
+            (Some(name), _) => (node::join(name, &termination)?, None),
+            (None, Some(experiment)) => found(&self.experiment, &experiment)?,
+            (None, None) => return Err(Failure::input("--name: expected the name of a run")),
+        };
+        node::sim(&rendezvous, &termination)
+    }
+}
+
+impl FusionArgs {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        node::fusion(&self.node.name, self.standby, self.node.parent.end_with)
+    }
+}
+
+impl RobotArgs {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        node::robot(&self.node.name, usize::try_from(self.id)?, self.node.parent.end_with)
+    }
+}
+
+impl LatencyNodeArgs {
+    /// Runs it.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        latency_node(self.reference, self.role, &self.node.name, self.node.parent.end_with)
+    }
+}
+
+/// The simulator started by hand founds the run; started again after a kill, it goes back to it. With the claim on the
+/// run folder.
+fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<Claim>), Failure> {
+    if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
+        refuse_other_experiment(args, experiment, living.description())?;
+        failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
+        // Its supervisor may have the folder, if there is one.
+        let folder = folder::look_for_writable(living.description()).ok();
+        return Ok((living, folder));
+    }
+    let name = &experiment.name;
+    // Before nodes can join the run and write into its folder.
+    let folder = folder::prepare_folder(experiment)?;
+    let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
+    let robots = rendezvous.description().scenario.robots.len();
+    failure::tell(format!(
+        "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
+         rangehound robot --id 0 --name {name}   (to --id {})\n  rangehound watch --name {name}",
+        robots - 1
+    ));
+    Ok((rendezvous, Some(folder)))
+}
+
+/// Refuses flags that say another experiment than the one that goes on: they would be without effect.
+fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &RunDescription) -> Result<(), Failure> {
+    let name = &asked.name;
+    let refuse = |flag: &str, is: &dyn std::fmt::Display| {
+        Failure::input(format!(
+            "{flag}: run {name} goes on already, with {is}: leave the flag out to take the simulator's place, or choose another \
+             --name"
+        ))
+    };
+    let real = |folder: &Path| folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    if args.out.is_some() && real(&asked.description.out_dir) != real(&living.out_dir) {
+        return Err(refuse("--out", &format_args!("its folder in {}", living.out_dir.display())));
+    }
+    let other = &"another scenario";
+    // The run's copy of a recording says less of how it was read.
+    let same_recording = |given: &Source| matches!((given, &living.scenario.source), (Source::Recorded(a), Source::Recorded(b)) if a.digest == b.digest);
+    let scenario = |given: &Scenario| {
+        let source = if same_recording(&given.source) { &living.scenario.source } else { &given.source };
+        Scenario { name: String::new(), source: source.clone(), ..given.clone() }
+    };
+    if let Some(file) = &args.scenario {
+        let is_same = scenario(&asked.description.scenario) == scenario(&living.scenario);
+        return if is_same { Ok(()) } else { Err(refuse(&file.display().to_string(), other)) };
+    }
+    let own_file = living.out_dir.join(SCENARIO);
+    for (flag, alone) in one_by_one(args) {
+        // The run's own scenario, with this one flag over it.
+        let with_flag = input::scenario_file(&own_file).map_err(Failure::input).and_then(|mut file| {
+            alone.put_over(&mut file)?;
+            input::scenario(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)
+        });
+        if with_flag.is_ok_and(|with_flag| scenario(&with_flag) == scenario(&living.scenario)) {
+            continue;
+        }
+        return Err(match flag {
+            "--seed" => refuse(flag, &format_args!("seed {}", living.scenario.seed)),
+            "--ticks" => refuse(flag, &format_args!("{} ticks", living.scenario.ticks)),
+            "--robots" => refuse(flag, &format_args!("{} robots", living.scenario.robots.len())),
+            flag => refuse(flag, other),
+        });
+    }
+    Ok(())
+}
+
+/// The flags that change the experiment, each without the others.
+fn one_by_one(args: &ExperimentArgs) -> Vec<(&'static str, ExperimentArgs)> {
+    let none = ExperimentArgs::default;
+    let ExperimentArgs { robots, ticks, seed, clock, planner, stand_off, patience, .. } = args;
+    let each = [
+        ("--robots", robots.is_some(), ExperimentArgs { robots: *robots, ..none() }),
+        ("--ticks", ticks.is_some(), ExperimentArgs { ticks: *ticks, ..none() }),
+        ("--seed", seed.is_some(), ExperimentArgs { seed: *seed, ..none() }),
+        ("--clock", clock.is_some(), ExperimentArgs { clock: *clock, ..none() }),
+        ("--planner", planner.is_some(), ExperimentArgs { planner: planner.clone(), ..none() }),
+        ("--stand-off", stand_off.is_some(), ExperimentArgs { stand_off: *stand_off, ..none() }),
+        ("--patience", patience.is_some(), ExperimentArgs { patience: patience.clone(), ..none() }),
+    ];
+    each.into_iter().filter(|(_, is_given, _)| *is_given).map(|(flag, _, alone)| (flag, alone)).collect()
 }

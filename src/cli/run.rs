@@ -2,15 +2,23 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{GateKey, PatienceKey};
+use rangehound_shared::scenario::{Clock, GateKey, PatienceKey};
 
 use super::ParentArgs;
 use super::input::InputArgs;
-use super::values::{PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole};
+use super::values::{
+    ClockName, PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole,
+};
+use crate::failure::Failure;
+use crate::results::made::Keep;
+use crate::results::report::Truth;
+use crate::run::experiment::{Experiment, Naming};
+use crate::run::node::end_with;
 use crate::run::pin::Pin;
 use crate::run::supervisor::restart::Rule;
+use crate::run::supervisor::{self, Supervision};
 
 /// What is run, under which name, and where its folder is.
 #[derive(Debug, Default, Args)]
@@ -27,8 +35,8 @@ pub struct ExperimentArgs {
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// What starts the next tick: wall time, or all answers
-    #[arg(long)]
-    pub clock: Option<ClockArg>,
+    #[arg(long, value_parser = ClockName)]
+    pub clock: Option<Clock>,
     /// How headings are chosen
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
@@ -45,15 +53,6 @@ pub struct ExperimentArgs {
     /// Run folder: report, tables, logs [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-}
-
-/// What starts the next tick.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum ClockArg {
-    /// Every dt of wall time, whatever is missing
-    Realtime,
-    /// As soon as all have answered
-    Lockstep,
 }
 
 /// `run`.
@@ -234,13 +233,61 @@ impl Default for RecordLimitArgs {
     }
 }
 
-impl RecordLimitArgs {
-    /// The same in bytes.
-    #[must_use]
-    pub fn bytes(self) -> u64 {
-        self.limit_mb.saturating_mul(1_000_000)
+/// Enough for hours of the paper's experiment.
+const RECORD_LIMIT_MB: u64 = 1_000;
+
+impl RunArgs {
+    /// Runs the experiment.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        end_with(self.parent.end_with)?;
+        let experiment = self.experiment.experiment(Naming::Numbered)?;
+        let keep = Keep { ranges: self.write_recording, truth: None, json: self.json, strict: self.strict };
+        execute(experiment, self.in_process, &self.supervision.with(&self.recording), &keep)
     }
 }
 
-/// Enough for hours of the paper's experiment.
-const RECORD_LIMIT_MB: u64 = 1_000;
+impl TrackArgs {
+    /// Tracks the recording.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        // Before a folder is made for the name.
+        let truth = self.truth.as_deref().map(Truth::read).transpose()?;
+        let keep = Keep { ranges: false, truth, json: self.json, strict: self.input.strict };
+        execute(self.experiment()?, self.in_process, &self.supervision.with(&self.recording), &keep)
+    }
+}
+
+impl ResumeArgs {
+    /// Goes on with the run.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let keep = Keep { json: self.json, ..Keep::default() };
+        supervisor::resume(&self.folder, self.name.as_ref(), &self.supervision.with(&self.recording), &keep)
+    }
+}
+
+fn execute(experiment: Experiment, in_process: bool, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
+    if in_process {
+        return supervisor::run_in_process(&experiment, supervision.record_limit_mb, keep);
+    }
+    supervisor::run(experiment, supervision, keep)
+}
+
+impl SupervisionArgs {
+    fn with(&self, recording: &RecordingArgs) -> Supervision {
+        Supervision {
+            standbys: self.standby,
+            rules: self.rules.clone(),
+            pin: self.pin.clone(),
+            live: self.show.live,
+            record_limit_mb: (!recording.no_record).then_some(recording.limit.limit_mb),
+        }
+    }
+}

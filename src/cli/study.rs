@@ -4,10 +4,17 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{Clock, PatienceKey, PlannerTable, Source};
 
-use super::values::{PlannerName, number, standbys, whole};
-use super::{ClockArg, ExperimentArgs, InputArgs};
+use super::values::{ClockName, PlannerName, number, standbys, whole};
+use super::{ExperimentArgs, InputArgs};
+use crate::failure::Failure;
+use crate::plan;
+use crate::run::experiment::{Experiment, Naming, Reserved, free_name};
 use crate::run::pin::Pin;
+use crate::study::chaos::enough_ticks;
+use crate::study::chaos::faults::{Asked, Kind, Victim};
+use crate::study::{calibrate, chaos, compare, explore, latency};
 
 /// `plan`.
 #[derive(Debug, Default, Args)]
@@ -108,8 +115,8 @@ pub struct LatencyArgs {
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub ticks: Option<u64>,
     /// What starts the next tick: wall time, or all answers [default: lockstep, realtime if a rate is given]
-    #[arg(long)]
-    pub clock: Option<ClockArg>,
+    #[arg(long, value_parser = ClockName)]
+    pub clock: Option<Clock>,
     /// Ticks a second in real time [default: the scenario's]
     #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
     pub rate: Option<f64>,
@@ -208,4 +215,170 @@ pub enum RoleArg {
     Robot,
     /// Any fusion that stands by
     Standby,
+}
+
+impl PlanArgs {
+    /// Plans the lines.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let table = PlannerTable {
+            name: self.planner.clone(),
+            nodes: self.nodes,
+            iterations: self.iterations,
+            alpha: self.alpha,
+            step_rad: self.step_rad,
+            ..PlannerTable::default()
+        };
+        plan::plan(table, self.seed, self.file.as_deref())
+    }
+}
+
+impl CompareArgs {
+    /// Compares the planners.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let experiment = ExperimentArgs {
+            scenario: self.scenario.clone().or_else(|| self.scenario_flag.clone()),
+            robots: self.robots,
+            ticks: Some(self.ticks),
+            seed: self.seed,
+            stand_off: self.stand_off,
+            ..ExperimentArgs::default()
+        };
+        let (given, planners) = (experiment.given()?, self.planners.clone());
+        let wanted = compare::Wanted { given, planners, runs: self.runs, threads: self.threads };
+        compare::compare(wanted, self.out.as_deref(), self.json)
+    }
+}
+
+impl CalibrateArgs {
+    /// Finds the sensors' errors.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        calibrate::calibrate(&self.input.table()?, self.truth.as_deref(), self.out.as_deref(), self.json)
+    }
+}
+
+impl LatencyArgs {
+    /// Measures.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let clock = match (self.clock, self.rate) {
+            (Some(Clock::Lockstep), Some(_)) => {
+                return Err(Failure::input("--rate: expected --clock realtime, as lock step has none"));
+            }
+            (clock, None) => clock.unwrap_or(Clock::Lockstep),
+            (_, Some(_)) => Clock::Realtime,
+        };
+        let experiment = ExperimentArgs {
+            scenario: self.scenario.clone(),
+            robots: self.robots,
+            ticks: self.ticks,
+            clock: Some(clock),
+            planner: self.planner.clone(),
+            // In lock step nobody is left out: each wait is a sample.
+            patience: (clock == Clock::Lockstep).then(|| PatienceKey::Word("forever".to_owned())),
+            ..ExperimentArgs::default()
+        };
+        let wanted = latency::Wanted {
+            rate_hz: self.rate,
+            chooses_ticks: self.ticks.is_none(),
+            pin: self.pin.clone(),
+            rounds: self.rounds,
+            name: self.name.clone(),
+        };
+        latency::latency(experiment.given()?, &wanted, self.out.as_deref(), self.json)
+    }
+}
+
+impl ExploreArgs {
+    /// Explores the seeds.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        explore::explore(self.seed, self.seeds, self.story)
+    }
+}
+
+impl ChaosArgs {
+    /// Hurts runs.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let asked = self.asked();
+        let (experiment, _reserved) = self.experiment(&asked)?;
+        chaos::chaos(&experiment, &asked, self.json)
+    }
+
+    /// What is asked of the campaign.
+    pub(crate) fn asked(&self) -> Asked {
+        let kind_of = |arg: &KindArg| match arg {
+            KindArg::Kill => Some(Kind::Kill),
+            KindArg::Stop => Some(Kind::Stop),
+            KindArg::Storm => Some(Kind::Storm),
+            KindArg::Several => Some(Kind::Several),
+            KindArg::Blackout => Some(Kind::Blackout),
+            KindArg::All => None,
+        };
+        let victim = |arg: &RoleArg| match arg {
+            RoleArg::Sim => Victim::Sim,
+            RoleArg::Fusion => Victim::Fusion,
+            RoleArg::Robot => Victim::Robot,
+            RoleArg::Standby => Victim::Standby,
+        };
+        Asked {
+            faults: self.faults,
+            kinds: self.kinds.iter().map(kind_of).collect(),
+            victims: self.roles.iter().map(victim).collect(),
+            standbys: self.standby,
+            longest_stop_s: self.longest_stop,
+            rate_per_s: self.rate,
+            seed: self.chaos_seed,
+        }
+    }
+
+    /// The run to be hurt: in lock step it waits for everybody, so that its digest must not change.
+    fn experiment(&self, asked: &Asked) -> Result<(Experiment, Option<Reserved>), Failure> {
+        let given = &self.experiment;
+        let clock = given.clock.unwrap_or(Clock::Lockstep);
+        let forever = PatienceKey::Word("forever".to_owned());
+        if given.patience.as_ref().is_some_and(|patience| *patience != forever) {
+            return Err(Failure::input("--patience: expected forever, as going on without a node changes the digest"));
+        }
+        let (name, reserved) = match &given.name {
+            Some(name) => (name.clone(), None),
+            None => free_name("chaos", given.out.is_some())?,
+        };
+        let wanted = |ticks| ExperimentArgs {
+            scenario: given.scenario.clone(),
+            robots: given.robots,
+            ticks,
+            seed: given.seed,
+            clock: Some(clock),
+            planner: given.planner.clone(),
+            stand_off: given.stand_off,
+            patience: Some(forever.clone()),
+            name: Some(name.clone()),
+            out: given.out.clone(),
+        };
+        let experiment = wanted(given.ticks).experiment(Naming::Exact)?;
+        let scenario = &experiment.description.scenario;
+        let experiment = match (given.ticks, &scenario.source) {
+            (None, Source::Simulated { .. }) => {
+                wanted(Some(enough_ticks(scenario, asked))).experiment(Naming::Exact)?
+            }
+            _ => experiment,
+        };
+        Ok((experiment, reserved))
+    }
 }

@@ -3,11 +3,11 @@
 use std::ffi::OsStr;
 
 use clap::Arg;
-use clap::builder::{PossibleValue, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
 use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::recording::SensorName;
-use rangehound_shared::scenario::{GateKey, PLANNERS, PatienceKey};
+use rangehound_shared::scenario::{Clock, GateKey, PLANNERS, PatienceKey};
 
 /// What each planner does, in the order of [`PLANNERS`].
 const PLANNERS_DO: [&str; PLANNERS.len()] = [
@@ -18,6 +18,12 @@ const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "Each robot by itself",
     "Straight to the predicted target",
     "Random headings",
+];
+
+/// What each clock does.
+const CLOCKS: [(Clock, &str); 2] = [
+    (Clock::Realtime, "Every dt of wall time, whatever is missing"),
+    (Clock::Lockstep, "As soon as all have answered"),
 ];
 
 /// Completes the names of planners, but takes any: who plans says what is wrong with it.
@@ -35,6 +41,24 @@ impl TypedValueParser for PlannerName {
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
         let planners = PLANNERS.into_iter().zip(PLANNERS_DO);
         Some(Box::new(planners.map(|(name, does)| PossibleValue::new(name).help(does))))
+    }
+}
+
+/// What starts the next tick.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ClockName;
+
+impl TypedValueParser for ClockName {
+    type Value = Clock;
+
+    fn parse_ref(&self, command: &clap::Command, arg: Option<&Arg>, value: &OsStr) -> Result<Clock, clap::Error> {
+        let names = PossibleValuesParser::new(CLOCKS.map(|(clock, _)| clock.name()));
+        let name = names.parse_ref(command, arg, value)?;
+        Ok(CLOCKS.into_iter().find(|(clock, _)| clock.name() == name).map_or(Clock::Lockstep, |(clock, _)| clock))
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(CLOCKS.into_iter().map(|(clock, does)| PossibleValue::new(clock.name()).help(does))))
     }
 }
 

@@ -17,6 +17,9 @@ use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, Scena
 
 use crate::failure::Failure;
 
+/// What complaints about flags name in place of a scenario file.
+pub const COMMAND_LINE: &str = "command line";
+
 /// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 

@@ -31,10 +31,10 @@ use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{LIVE_NOTE, Rendezvous};
 use rangehound_node::signal::Termination;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use serde_json::json;
 
-use crate::cli::LiveArgs;
 use crate::failure::{Failure, print_json, tell};
 use crate::results::frame::Frame;
 use crate::run::node::look_on;
@@ -53,18 +53,18 @@ const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
 ///
 /// # Errors
 /// [`Failure`].
-pub fn live(args: &LiveArgs) -> Result<(), Failure> {
+pub fn live(name: &RunName, port: Option<u16>, json: bool) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    let Some(run) = look_on(c"rh-live", &args.node, &termination)? else { return Ok(()) };
+    let Some(run) = look_on(c"rh-live", name, &termination)? else { return Ok(()) };
     let run = Arc::new(run);
     let scenario = &run.description().scenario;
-    let (listener, token) = address_of_before(&run, args.port).map_or_else(|| new_address(args.port), Ok)?;
+    let (listener, token) = address_of_before(&run, port).map_or_else(|| new_address(port), Ok)?;
     let note = format!("{} {token}", listener.local_addr()?.port());
     let scene = Scene::new(&run.name().to_string(), "run", scenario);
     let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
     // Without it the page is found at another address after a kill.
     let _ = run.leave_note(LIVE_NOTE, &note);
-    if args.json {
+    if json {
         print_json(&json!({ "name": run.name().to_string(), "address": server.address() }))?;
     } else {
         announce("live", &server);

@@ -15,7 +15,7 @@ use serde::{Serialize, Serializer};
 
 use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 use crate::failure::one_short_line;
-use crate::run::experiment::COMMAND_LINE;
+use crate::files::input::COMMAND_LINE;
 
 /// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
 #[derive(Debug)]

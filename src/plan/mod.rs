@@ -12,7 +12,6 @@ use std::path::Path;
 
 use rangehound_shared::scenario::{PlannerTable, defaults};
 
-use crate::cli::PlanArgs;
 use crate::failure::Failure;
 use line::Desk;
 
@@ -22,21 +21,13 @@ const LINE_BYTES_MAX: usize = 16 << 20;
 /// Bytes read or written at once.
 const CHUNK_BYTES: usize = 1 << 16;
 
-/// `rangehound plan`.
+/// `rangehound plan`: answers the lines of a file, or of standard input.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn plan(args: &PlanArgs) -> Result<(), Failure> {
-    let table = PlannerTable {
-        name: args.planner.clone(),
-        nodes: args.nodes,
-        iterations: args.iterations,
-        alpha: args.alpha,
-        step_rad: args.step_rad,
-        ..PlannerTable::default()
-    };
-    let mut desk = Desk::new(table, args.seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
-    let (name, input): (String, Box<dyn Read>) = match args.file.as_deref() {
+pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Result<(), Failure> {
+    let mut desk = Desk::new(table, seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
+    let (name, input): (String, Box<dyn Read>) = match file {
         Some(path) if path != Path::new("-") => {
             let name = path.display().to_string();
             let file = File::open(path).map_err(|error| unreadable(&name, &error))?;

@@ -1,4 +1,4 @@
-//! From the command line to a validated scenario, a run's name and its folder.
+//! From a scenario file to an experiment that may start: checked, with a name and a folder.
 
 use std::path::{Path, PathBuf};
 
@@ -6,23 +6,16 @@ use rangehound_fusion::planner;
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, RunDescription, living_runs};
 use rangehound_shared::recording::{ReadSummary, Recording};
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{
-    FilterTable, PlannerTable, RecordingTable, RobotsTable, Scenario, ScenarioFile, SensorTable, Source, TargetTable,
-    defaults,
-};
+use rangehound_shared::scenario::{Scenario, ScenarioFile, Source};
 
-use crate::cli::{ClockArg, ExperimentArgs, InputArgs, PerSensor, TrackArgs};
 use crate::failure::{self, Failure};
-use crate::files::input::{self, in_utf8};
+use crate::files::input::{self, COMMAND_LINE, in_utf8};
 use crate::files::layout::RUNS;
 use crate::files::out_folder::NUMBERS_END;
 use crate::run::node::input_or_running;
 
 /// The default scenario file, as `rangehound scenario` prints it.
 pub const DEFAULT_SCENARIO: &str = include_str!("../../scenarios/paper.toml");
-
-/// What complaints about flags name in place of a scenario file.
-pub(crate) const COMMAND_LINE: &str = "command line";
 
 /// How a run gets its name when the user gives none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,14 +60,6 @@ impl Drop for Reserved {
 }
 
 impl Experiment {
-    /// The experiment of `run` and `sim`.
-    ///
-    /// # Errors
-    /// [`Failure::Input`] for whatever the user must mend.
-    pub fn from_run(args: &ExperimentArgs, naming: Naming) -> Result<Self, Failure> {
-        Self::from_given(Given::from_args(args)?, args.name.as_ref(), naming, args.out.as_deref())
-    }
-
     /// The experiment of a scenario file as it was given.
     ///
     /// # Errors
@@ -91,60 +76,19 @@ impl Experiment {
         Ok(experiment)
     }
 
-    /// The experiment of `track`.
+    /// The experiment of a recording that has been read already. `inputs` are files that were read beside it.
     ///
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
-    pub fn from_track(args: &TrackArgs) -> Result<Self, Failure> {
-        let mut recording = RecordingTable {
-            range_std_m: args.range_std,
-            start_m: args.start,
-            start_std_m: args.start_std,
-            ..recording_table(&args.input)?
-        };
-        let mut sensors: Vec<SensorTable> = Vec::new();
-        apply(&args.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
-        apply(&args.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
-        recording.sensor = Some(sensors);
-        let mut accel_psd = args.accel_psd;
-        let read = input::recording_of(&recording, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
-        if let Some(path) = &args.calibration {
-            let calibration = crate::files::calibration::read(path)?;
-            let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
-            crate::files::calibration::merge(&calibration, &known, &mut recording, &mut accel_psd);
-        }
-        let file = ScenarioFile {
-            name: Some(name_after(&args.input.ranges)),
-            recording: Some(recording),
-            target: Some(TargetTable { noise_psd: accel_psd, ..TargetTable::default() }),
-            filter: Some(FilterTable {
-                gate_sigma: args.gate.gate.clone(),
-                distrust: args.gate.distrust(),
-                ..FilterTable::default()
-            }),
-            ..ScenarioFile::default()
-        };
-        let (name, out) = (args.name.as_ref(), args.out.as_deref());
+    pub fn from_recording(
+        file: ScenarioFile,
+        read: (Recording, ReadSummary),
+        name: Option<&RunName>,
+        out: Option<&Path>,
+        inputs: impl IntoIterator<Item = PathBuf>,
+    ) -> Result<Self, Failure> {
         let mut experiment = Self::check(file, COMMAND_LINE, Path::new(""), Some(read), name, Naming::Numbered, out)?;
-        experiment.inputs.extend(args.calibration.clone());
-        experiment.inputs.extend(args.truth.clone());
-        let assumed = [
-            (
-                args.range_std.is_none() && args.calibration.is_none(),
-                format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M),
-            ),
-            (
-                args.accel_psd.is_none() && args.calibration.is_none(),
-                format!("an acceleration psd of {} m^2/s^3 (--accel-psd)", defaults::RECORDED_ACCEL_PSD),
-            ),
-        ];
-        let assumed: Vec<String> = assumed.into_iter().filter(|(is, _)| *is).map(|(_, what)| what).collect();
-        if !assumed.is_empty() {
-            failure::tell(format!(
-                "track: assumes {}: give what is known, or find it by `rangehound calibrate`",
-                assumed.join(" and ")
-            ));
-        }
+        experiment.inputs.extend(inputs);
         Ok(experiment)
     }
 
@@ -234,27 +178,7 @@ impl Experiment {
     }
 }
 
-/// What the command line says of a recording's form, as a scenario says it.
-///
-/// # Errors
-/// [`Failure::Input`] for a path that is not UTF-8.
-pub fn recording_table(args: &InputArgs) -> Result<RecordingTable, Failure> {
-    let anchors = args.anchors.as_deref().map(|path| in_utf8("--anchors", path)).transpose()?;
-    Ok(RecordingTable {
-        ranges: Some(in_utf8("RANGES", &args.ranges)?.to_owned()),
-        columns: args.columns.clone(),
-        anchors: anchors.map(str::to_owned),
-        target: args.target.clone(),
-        format: args.format.clone(),
-        rate_hz: args.rate,
-        stamp_unit: args.stamp_unit.clone(),
-        strict: args.strict.then_some(true),
-        target_height_m: args.target_height,
-        ..RecordingTable::default()
-    })
-}
-
-/// A scenario file with the command line's values over its own, not yet checked.
+/// A scenario file as the user gave it, not yet checked.
 #[derive(Debug, Clone)]
 pub struct Given {
     /// The scenario.
@@ -271,14 +195,14 @@ impl Given {
     /// The file that the user named, or the paper's experiment.
     ///
     /// # Errors
-    /// [`Failure::Input`] if the file cannot be read or does not go with the flags.
-    pub fn from_args(args: &ExperimentArgs) -> Result<Self, Failure> {
-        let mut given = match &args.scenario {
+    /// [`Failure::Input`] if the file cannot be read.
+    pub fn read(path: Option<&Path>) -> Result<Self, Failure> {
+        Ok(match path {
             Some(path) => Self {
                 file: input::scenario_file(path).map_err(Failure::input)?,
                 file_name: path.display().to_string(),
                 folder: path.parent().unwrap_or(Path::new("")).to_owned(),
-                path: Some(path.clone()),
+                path: Some(path.to_owned()),
             },
             None => Self {
                 file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
@@ -287,70 +211,8 @@ impl Given {
                 folder: PathBuf::new(),
                 path: None,
             },
-        };
-        override_with(&mut given.file, args)?;
-        Ok(given)
+        })
     }
-}
-
-/// Puts the command line's values over the file's.
-pub(crate) fn override_with(file: &mut ScenarioFile, args: &ExperimentArgs) -> Result<(), Failure> {
-    if args.robots.is_some() {
-        if file.robot.is_some() || file.recording.is_some() {
-            return Err(Failure::input(
-                "--robots: expected a scenario that counts its robots, got one that lists them",
-            ));
-        }
-        file.robots.get_or_insert_with(RobotsTable::default).count = args.robots;
-    }
-    if args.planner.is_some() {
-        file.planner.get_or_insert_with(PlannerTable::default).name.clone_from(&args.planner);
-    }
-    if args.stand_off.is_some() {
-        let planner = file.planner.get_or_insert_default();
-        // However the file says it.
-        (planner.stand_off_m, planner.stand_off_sigma) = (args.stand_off, None);
-    }
-    let clock = args.clock.map(|clock| match clock {
-        ClockArg::Realtime => "realtime".to_owned(),
-        ClockArg::Lockstep => "lockstep".to_owned(),
-    });
-    file.clock = clock.or_else(|| file.clock.take());
-    file.ticks = args.ticks.or(file.ticks);
-    file.seed = args.seed.or(file.seed);
-    file.patience_s = args.patience.clone().or_else(|| file.patience_s.take());
-    Ok(())
-}
-
-/// Sorts values for all sensors from those for one; the last word on each counts.
-fn apply(
-    values: &[PerSensor],
-    all: &mut Option<f64>,
-    sensors: &mut Vec<SensorTable>,
-    field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
-) {
-    for PerSensor { sensor, value } in values {
-        match sensor {
-            None => *all = Some(*value),
-            Some(id) => {
-                let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
-                    sensors.push(SensorTable::new(id.clone()));
-                    sensors.len() - 1
-                });
-                *field(&mut sensors[index]) = Some(*value);
-            }
-        }
-    }
-}
-
-/// A run name after a recording: its file's name, or its folder's if the file is just "ranges".
-fn name_after(ranges: &Path) -> String {
-    let stem = ranges.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-    let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());
-    let best = if stem == "ranges" { folder.unwrap_or(stem) } else { stem };
-    let name: String = best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
-    // Standard input has no name.
-    if name.contains(|c: char| c.is_ascii_alphanumeric()) { name } else { "track".to_owned() }
 }
 
 /// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder

@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, RunDescription};
 use rangehound_node::signal::Termination;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Clock;
 use rustix::thread::{Timespec, nanosleep};
 use serde::Serialize;
 
-use crate::cli::RecordArgs;
 use crate::failure::{self, Failure};
 use crate::files::layout::RECORDING;
 use crate::files::out_folder;
@@ -30,23 +30,32 @@ const CATCH_UP: Duration = Duration::from_secs(5);
 /// Whoever has to wait for longer wants to know what for.
 const UNEXPLAINED: Duration = Duration::from_secs(1);
 
-/// `rangehound record`.
+/// The bytes of so many megabytes.
+#[must_use]
+pub fn bytes(megabytes: u64) -> u64 {
+    megabytes.saturating_mul(1_000_000)
+}
+
+/// Records a run that is over, from its folder.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn record(args: &RecordArgs) -> Result<(), Failure> {
+pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Result<Recorded, Failure> {
     let termination = Termination::listen()?;
-    if let Some(folder) = &args.folder {
-        let description = folder::read_description(folder)?;
-        // A run that goes on writes the recording in its folder itself.
-        let _alone = args.out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
-        let recorded = record_logs(&description, args.out.as_deref(), args.limit.bytes(), &termination)?;
-        return recorded.print(args.json);
-    }
-    match node::look_on(c"rh-recorder", &args.node, &termination)? {
-        Some(rendezvous) => follow(&rendezvous.look_on(), args, &termination)?.print(args.json),
-        None => Ok(()),
-    }
+    let description = folder::read_description(folder)?;
+    // A run that goes on writes the recording in its folder itself.
+    let _alone = out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
+    record_logs(&description, out, bytes_max, &termination)
+}
+
+/// Records a run while it goes on; `None` if asked to end before it could.
+///
+/// # Errors
+/// [`Failure`].
+pub fn record_run(name: &RunName, out: Option<&Path>, bytes_max: u64) -> Result<Option<Recorded>, Failure> {
+    let termination = Termination::listen()?;
+    let rendezvous = node::look_on(c"rh-recorder", name, &termination)?;
+    rendezvous.map(|rendezvous| follow(&rendezvous.look_on(), out, bytes_max, &termination)).transpose()
 }
 
 /// What has been recorded; its fields are the keys of `--json`.
@@ -65,7 +74,11 @@ pub struct Recorded {
 }
 
 impl Recorded {
-    fn print(&self, json: bool) -> Result<(), Failure> {
+    /// Prints it.
+    ///
+    /// # Errors
+    /// [`Failure`] if nobody can be told.
+    pub fn print(&self, json: bool) -> Result<(), Failure> {
         let Self { file, ticks, ticks_of_run, .. } = self;
         match (json, file, ticks) {
             (true, _, _) => failure::print_json(self),
@@ -94,9 +107,14 @@ pub fn record_logs(
 }
 
 /// Records a run until its end, or until asked to end.
-fn follow(rendezvous: &Rendezvous, args: &RecordArgs, termination: &Termination) -> Result<Recorded, Failure> {
+fn follow(
+    rendezvous: &Rendezvous,
+    out: Option<&Path>,
+    bytes_max: u64,
+    termination: &Termination,
+) -> Result<Recorded, Failure> {
     let description = rendezvous.description().clone();
-    let mut recorder = Recorder::begin(&description, args.out.as_deref(), args.limit.bytes())?;
+    let mut recorder = Recorder::begin(&description, out, bytes_max)?;
     // In lock step a run takes all that it is given and would feel every look: its recording waits for its end.
     let goes_along = description.scenario.clock == Clock::Realtime;
     while !rendezvous.is_finished() && !termination.requested() {

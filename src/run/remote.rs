@@ -11,7 +11,6 @@ use rustix::process::{Pid, Signal};
 use serde::Serialize;
 use serde_json::json;
 
-use crate::cli::{RemoteArgs, RemoteNodeArgs};
 use crate::failure::{Failure, print, print_json};
 use crate::run::node::input_or_running;
 use crate::run::watch;
@@ -66,42 +65,42 @@ pub(crate) struct NodeStatus {
 ///
 /// # Errors
 /// [`Failure`].
-pub fn kill(args: &RemoteNodeArgs) -> Result<(), Failure> {
-    let run = join(&args.run)?;
-    let pid = signal(&run, args.node, Signal::KILL)?;
+pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failure> {
+    let run = join(name)?;
+    let pid = signal(&run, node, Signal::KILL)?;
     let pid = pid.as_raw_pid();
-    if args.run.json {
-        return print_json(&json!({ "name": run.name().to_string(), "node": args.node.to_string(), "pid": pid }));
+    if json {
+        return print_json(&json!({ "name": run.name().to_string(), "node": node.to_string(), "pid": pid }));
     }
-    print(format!("killed {}, process {pid}\n", args.node))
+    print(format!("killed {node}, process {pid}\n"))
 }
 
 /// `rangehound restart`: asks a node to end and waits for the one that takes its place.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
-    let run = join(&args.run)?;
+pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failure> {
+    let run = join(name)?;
     if !run.roster().is_held(Role::Supervisor) {
         let problem = format!("expected a run with a supervisor, {} was started by hand", run.name());
         return Err(Failure::input(format!("restart: {problem}: kill the node, and start it again")));
     }
-    let starts = run.roster().starts(args.node);
-    signal(&run, args.node, Signal::TERM)?;
+    let starts = run.roster().starts(node);
+    signal(&run, node, Signal::TERM)?;
     let began = Instant::now();
     loop {
-        if run.roster().starts(args.node) > starts
-            && let Some(pid) = run.roster().holder(args.node)
+        if run.roster().starts(node) > starts
+            && let Some(pid) = run.roster().holder(node)
         {
-            let (starts, node, pid) = (run.roster().starts(args.node), args.node.to_string(), pid.as_raw_pid());
-            if args.run.json {
+            let (starts, node, pid) = (run.roster().starts(node), node.to_string(), pid.as_raw_pid());
+            if json {
                 let name = run.name().to_string();
                 return print_json(&json!({ "name": name, "node": node, "pid": pid, "starts": starts }));
             }
             return print(format!("{node} is now process {pid}, start {starts}\n"));
         }
         if began.elapsed() > PATIENCE {
-            let problem = format!("{} has ended, but nobody has started it again", args.node);
+            let problem = format!("{node} has ended, but nobody has started it again");
             return Err(Failure::Running(anyhow!("{problem}: its run's supervisor is not to")));
         }
         std::thread::sleep(POLL);
@@ -112,8 +111,8 @@ pub fn restart(args: &RemoteNodeArgs) -> Result<(), Failure> {
 ///
 /// # Errors
 /// [`Failure`].
-pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
-    let run = join(args)?;
+pub fn stop(name: Option<&RunName>, json: bool) -> Result<(), Failure> {
+    let run = join(name)?;
     let name = run.name().clone();
     let robots = run.description().scenario.robots.len();
     if run.roster().is_held(Role::Supervisor) {
@@ -144,16 +143,16 @@ pub fn stop(args: &RemoteArgs) -> Result<(), Failure> {
         }
         std::thread::sleep(POLL);
     }
-    if args.json {
+    if json {
         return print_json(&json!({ "name": name.to_string() }));
     }
     print(format!("run {name} has ended\n"))
 }
 
 /// The run that is meant: the one of this name, or the only one there is.
-pub(crate) fn run_named(args: &RemoteArgs) -> Result<RunName, Failure> {
+pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
     let living = living_runs();
-    match (&args.name, living.as_slice()) {
+    match (name, living.as_slice()) {
         (Some(name), _) => Ok(name.clone()),
         (None, [only]) => Ok(only.clone()),
         (None, []) => Err(Failure::input("expected a run that goes on, there is none")),
@@ -164,8 +163,8 @@ pub(crate) fn run_named(args: &RemoteArgs) -> Result<RunName, Failure> {
     }
 }
 
-fn join(args: &RemoteArgs) -> Result<Rendezvous, Failure> {
-    let name = run_named(args)?;
+fn join(name: Option<&RunName>) -> Result<Rendezvous, Failure> {
+    let name = run_named(name)?;
     let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
     run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
 }

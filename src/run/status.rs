@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use anstyle::Style;
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_node::signal::Termination;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::printable;
 
-use crate::cli::StatusArgs;
 use crate::failure::{self, Failure};
 use crate::run::node::input_or_running;
 use crate::run::remote::{ELSEWHERE, NodeStatus, Status, run_named};
@@ -30,27 +30,27 @@ const LOOK: Duration = Duration::from_secs(1);
 /// How soon Ctrl-C is noticed between looks.
 const POLL: Duration = Duration::from_millis(50);
 
-/// `rangehound status`.
+/// `rangehound status`: once, or again and again; with all robots one by one, or alike ones in a line.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn status(args: &StatusArgs) -> Result<(), Failure> {
-    let name = run_named(&args.run)?;
+pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) -> Result<(), Failure> {
+    let name = run_named(name)?;
     let termination = Termination::listen()?;
-    let in_place = args.watch && !args.run.json && terminal::draws_on_stdout();
+    let in_place = again && !json && terminal::draws_on_stdout();
     let mut is_first = true;
     // A member only while it looks: a run has not ended before its last member is out.
     while let Some(run) = Rendezvous::join_if_alive(&name).map_err(input_or_running)? {
         let status = Status::of(&run);
         drop(run);
-        let text = if args.run.json { serde_json::to_string(&status)? } else { status.text(args.all) };
+        let text = if json { serde_json::to_string(&status)? } else { status.text(shows_all) };
         if in_place {
             terminal::clear_screen()?;
-        } else if !is_first && !args.run.json {
+        } else if !is_first && !json {
             failure::print("\n")?;
         }
         let is_read = failure::print_if_read(text + "\n")?;
-        if !args.watch || !is_read {
+        if !again || !is_read {
             return Ok(());
         }
         is_first = false;
@@ -62,7 +62,7 @@ pub fn status(args: &StatusArgs) -> Result<(), Failure> {
             return Ok(());
         }
     }
-    match (is_first, args.run.json) {
+    match (is_first, json) {
         (true, _) => Err(Failure::input(format!("--name: expected a run that goes on, {name} does not"))),
         (false, true) => Ok(()),
         (false, false) => failure::print(format!("run {name} has ended\n")),

@@ -7,8 +7,8 @@ use rangehound_node::bus::{Bus, BusError, Subscriber};
 use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::signal::Termination;
 use rangehound_shared::message::{Estimate, Truth};
+use rangehound_shared::run_name::RunName;
 
-use crate::cli::WatchArgs;
 use crate::failure::{self, Failure};
 use crate::results::made::{self, Keep};
 use crate::results::report::{NodeSummary, position_covariance};
@@ -178,17 +178,17 @@ impl Drop for Progress {
 ///
 /// # Errors
 /// [`Failure`].
-pub fn watch(args: &WatchArgs) -> Result<(), Failure> {
+pub fn watch(name: &RunName, json: bool) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    while !watch_until_removed(args, &termination)? {
-        failure::tell(format_args!("the shared memory of run {} was removed; joining it again", args.node.name));
+    while !watch_until_removed(name, json, &termination)? {
+        failure::tell(format_args!("the shared memory of run {name} was removed; joining it again"));
     }
     Ok(())
 }
 
 /// The same; false if somebody has removed the shared memory of a run, whose supervisor makes it again.
-fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bool, Failure> {
-    let rendezvous = node::join(&args.node.name, termination)?;
+fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) -> Result<bool, Failure> {
+    let rendezvous = node::join(name, termination)?;
     let bus = Bus::connect(&rendezvous, "observer")?;
     let description = rendezvous.description();
     let mut watch = Watch::new(&bus, description.scenario.ticks)?;
@@ -203,7 +203,7 @@ fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bo
         // Nobody marks a run as finished that is ended before its last tick.
         if has_lost_its_supervisor() && !rendezvous.is_finished() {
             watch.finish();
-            return Err(Failure::Running(anyhow::anyhow!("run {} was ended before its last tick", args.node.name)));
+            return Err(Failure::Running(anyhow::anyhow!("run {name} was ended before its last tick")));
         }
         std::thread::sleep(LOOK);
         watch.look()?;
@@ -216,7 +216,7 @@ fn watch_until_removed(args: &WatchArgs, termination: &Termination) -> Result<bo
     let nodes = roles(description.scenario.robots.len())
         .map(|role| NodeSummary::new(role, &description.scenario, rendezvous.roster().starts(role)))
         .collect();
-    let keep = Keep { json: args.json, ..Keep::default() };
+    let keep = Keep { json, ..Keep::default() };
     if roster.starts(Role::Supervisor) > 0 {
         // The supervisor writes the report, and knows more of the nodes.
         return made::print_report(description, &keep, nodes).map(|_| true);

@@ -15,10 +15,10 @@ use rangehound_shared::scenario::Scenario;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
+use super::Supervision;
 use super::cleaner::Cleaner;
 use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
-use crate::cli::SupervisionArgs;
 use crate::failure::{Failure, with_causes};
 use crate::files::out_folder;
 use crate::results::report::{Incident, NodeSummary};
@@ -94,15 +94,15 @@ impl<'a> Nodes<'a> {
     pub(super) fn start(
         rendezvous: &'a Rendezvous,
         hold: &'a RoleHold,
-        supervision: &SupervisionArgs,
+        supervision: &Supervision,
         cleaner: Cleaner,
         before: Vec<NodeSummary>,
     ) -> Result<Self, Failure> {
         let policies = Policies::new(&supervision.rules);
         let scenario = &rendezvous.description().scenario;
         let roles = watch::roles(scenario.robots.len());
-        let roles = roles.chain((1..=supervision.standby).map(Role::Standby));
-        let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standby > 0)).collect();
+        let roles = roles.chain((1..=supervision.standbys).map(Role::Standby));
+        let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standbys > 0)).collect();
         // What has become of each before goes on.
         nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
         let inspection = rendezvous.inspection();

@@ -6,11 +6,11 @@ use rangehound_node::bus::Bus;
 use rangehound_node::rendezvous::{ENDING_NOTE, LIVE_NOTE, Rendezvous, Role};
 use rangehound_node::signal::Termination;
 
+use super::Supervision;
 use super::cleaner::Cleaner;
 use super::companions::Companions;
 use super::losses::Losses;
 use super::nodes::{Ended, Nodes};
-use crate::cli::{RecordingArgs, SupervisionArgs};
 use crate::failure::Failure;
 use crate::results::report::NodeSummary;
 use crate::run::node::input_or_running;
@@ -22,8 +22,7 @@ const REMOVALS_MAX: u32 = 5;
 /// Runs the nodes until the run ends, and once more from its checkpoints whenever somebody has removed its shared memory.
 pub(super) fn go_on_until_the_end(
     rendezvous: Rendezvous,
-    supervision: &SupervisionArgs,
-    recording: &RecordingArgs,
+    supervision: &Supervision,
     termination: &Termination,
 ) -> Result<(Vec<NodeSummary>, anyhow::Result<()>), Failure> {
     let mut rendezvous = rendezvous;
@@ -31,7 +30,7 @@ pub(super) fn go_on_until_the_end(
     let mut removals_in_a_row = 0;
     let mut removed: Option<String> = None;
     loop {
-        let lived = live_once(&rendezvous, supervision, recording, termination, &mut past);
+        let lived = live_once(&rendezvous, supervision, termination, &mut past);
         let with_cause = |error: anyhow::Error| match &removed {
             Some(cause) if past.newest_tick.is_none() && !termination.requested() => error.context(cause.clone()),
             _ => error,
@@ -73,8 +72,7 @@ pub(super) fn go_on_until_the_end(
 /// Starts all processes of the run and sees to them until it ends, or until its shared memory has been removed.
 fn live_once(
     rendezvous: &Rendezvous,
-    supervision: &SupervisionArgs,
-    recording: &RecordingArgs,
+    supervision: &Supervision,
     termination: &Termination,
     past: &mut Past,
 ) -> Result<Ended, Failure> {
@@ -88,10 +86,10 @@ fn live_once(
         let cleaner = Cleaner::start(rendezvous, scope);
         let mut nodes = Nodes::start(rendezvous, &hold, supervision, cleaner, past.summaries.clone())?;
         let mut companions = Companions::of(rendezvous, &hold);
-        if !recording.no_record {
-            companions.start("record", vec!["--record-limit".to_owned(), recording.limit.limit_mb.to_string()]);
+        if let Some(limit_mb) = supervision.record_limit_mb {
+            companions.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);
         }
-        if let Some(port) = supervision.show.live {
+        if let Some(port) = supervision.live {
             // The page is found where it was.
             if let Some(address) = &past.live_address {
                 let _ = rendezvous.leave_note(LIVE_NOTE, address);
@@ -110,7 +108,7 @@ fn live_once(
             }
             losses.look(watch.newest_ticks());
             companions.look();
-            if supervision.show.live.is_some() {
+            if supervision.live.is_some() {
                 past.live_address = rendezvous.note(LIVE_NOTE).or_else(|| past.live_address.take());
             }
         });

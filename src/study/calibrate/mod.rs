@@ -23,16 +23,15 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use rangehound_shared::recording::Recording;
+use rangehound_shared::scenario::RecordingTable;
 
-use crate::cli::CalibrateArgs;
 use crate::failure::{self, Failure};
-use crate::files::input;
+use crate::files::input::{self, COMMAND_LINE};
 use crate::files::layout::Kind;
 use crate::files::layout::{CALIBRATION, RESIDUALS};
 use crate::files::out_folder::claim_or_number;
 use crate::files::whole_file;
 use crate::results::report::Truth;
-use crate::run::experiment::{COMMAND_LINE, recording_table};
 use crate::run::watch::Progress;
 use crate::statistics::median;
 use crate::terminal;
@@ -46,22 +45,21 @@ const OUT: &str = "runs/calibrate";
 ///
 /// # Errors
 /// [`Failure`]; also if nothing could be told.
-pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
-    let table = recording_table(&args.input)?;
-    let (recording, summary) = input::recording_of(&table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path>, json: bool) -> Result<(), Failure> {
+    let (recording, summary) = input::recording_of(table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
     if table.target_height_m.is_some() && !recording.has_heights() {
         let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
         return Err(Failure::input(format!("--target-height: {problem}")));
     }
     summary.lines().iter().for_each(|line| failure::tell(format_args!("recording: {line}")));
     let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
-    inputs.extend(args.truth.clone());
+    inputs.extend(truth.map(Path::to_owned));
     let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
-    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Calibrate, &inputs)?;
+    let claim = claim_or_number(out, OUT, Kind::Calibrate, &inputs)?;
     let out = claim.path();
-    let truth = args.truth.as_deref().map(Truth::read).transpose()?;
+    let truth = truth.map(Truth::read).transpose()?;
     let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
-    let readings = readings(&recording, args.input.target_height);
+    let readings = readings(&recording, table.target_height_m);
     let problem = Problem::new(&readings, names.len());
     if problem.thinned > 0 {
         let used = problem.observations.len();
@@ -76,10 +74,10 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         whole_file::write(&out.join(CALIBRATION), text::text(&findings, &names))?;
         picture::draw(&points, &names, out)?;
     }
-    if args.json {
+    if json {
         failure::print_json(&serde_json::json!({ "determined": found, "sensor_ids": names, "findings": findings }))?;
     } else {
-        failure::print(report(&findings, &names, args, out, found))?;
+        failure::print(report(&findings, &names, table.ranges.as_deref().unwrap_or_default(), out, found))?;
     }
     if found {
         return Ok(());
@@ -165,9 +163,9 @@ fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Find
     (findings, points)
 }
 
-fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Path, found: bool) -> String {
+fn report(findings: &Findings, names: &[String], ranges: &str, out: &Path, found: bool) -> String {
     let title = terminal::TITLE;
-    let mut text = format!("{title}calibration of {}{title:#}\n", args.input.ranges.display());
+    let mut text = format!("{title}calibration of {}{title:#}\n", ranges);
     let cell = |measured: Option<Measured>| {
         measured.map_or("not told".to_owned(), |m| format!("{:.4} ± {:.4}", m.value, m.half_width))
     };
@@ -188,7 +186,6 @@ fn report(findings: &Findings, names: &[String], args: &CalibrateArgs, out: &Pat
     }
     if found {
         let path = out.join(CALIBRATION);
-        let ranges = args.input.ranges.display();
         let _ = writeln!(text, "\nuse it:\n  rangehound track {ranges} --calibration {}", path.display());
         let _ = writeln!(text, "or as flags:\n  {}", flags(findings, names));
         let _ = writeln!(text, "residuals over range in {}", out.join(RESIDUALS).display());

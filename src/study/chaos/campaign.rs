@@ -6,11 +6,10 @@ use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription, files_of};
 use rangehound_node::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::faults::{Fault, Faults, Kind};
+use super::faults::{Asked, Fault, Faults, Kind};
 use super::live::{Live, Recovering};
 use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
 use super::run::{Run, processes_of};
-use crate::cli::ChaosArgs;
 use crate::failure::{self, Failure};
 use crate::files::out_folder;
 use crate::results::report::{self, Report};
@@ -49,10 +48,10 @@ impl<'a> Campaign<'a> {
     pub(super) fn new(
         experiment: &'a Experiment,
         mut faults: Faults,
-        args: &ChaosArgs,
+        asked: &Asked,
         termination: &'a Termination,
     ) -> Self {
-        let (next, count, standbys) = (faults.at(0), args.faults, args.standby);
+        let (next, count, standbys) = (faults.at(0), asked.faults, asked.standbys);
         let (wait, progress) = (next.gap, Progress::new("fault", count));
         let (next_number, injected, rounds) = (0, Vec::new(), 0);
         Self { experiment, faults, count, standbys, termination, progress, next, next_number, wait, injected, rounds }

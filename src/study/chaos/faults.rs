@@ -6,13 +6,12 @@ use rangehound_node::rendezvous::Role;
 use rangehound_shared::draws::{Draws, Stream};
 use serde::Serialize;
 
-use crate::cli::{ChaosArgs, KindArg, RoleArg};
 use crate::failure::Failure;
 
 /// What is done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(super) enum Kind {
+pub enum Kind {
     /// One node is killed.
     Kill,
     /// One node is stopped for a while.
@@ -27,7 +26,44 @@ pub(super) enum Kind {
 
 impl Kind {
     /// All kinds.
-    pub(super) const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::Storm, Self::Several, Self::Blackout];
+    pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::Storm, Self::Several, Self::Blackout];
+}
+
+/// A kind of node that is hurt.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Victim {
+    /// The simulator.
+    Sim,
+    /// Whoever leads.
+    Fusion,
+    /// Any robot.
+    Robot,
+    /// Any fusion that stands by.
+    Standby,
+}
+
+impl Victim {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Sim, Self::Fusion, Self::Robot, Self::Standby];
+}
+
+/// What is asked of a campaign.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    /// Number of faults.
+    pub faults: u64,
+    /// Their kinds; `None` for all, without blackout unless simulator, fusion and robots are to be hurt.
+    pub kinds: Option<Vec<Kind>>,
+    /// Who is hurt.
+    pub victims: Vec<Victim>,
+    /// Fusions that stand by in its runs.
+    pub standbys: usize,
+    /// Longest stop, s.
+    pub longest_stop_s: f64,
+    /// Faults a second in the mean.
+    pub rate_per_s: f64,
+    /// What decides them.
+    pub seed: u64,
 }
 
 /// One fault.
@@ -63,41 +99,41 @@ const STOP_MIN_S: f64 = 0.010;
 const FIXED_DRAWS: usize = 5;
 
 impl Faults {
-    /// The faults that the command line asks for, in a team of so many robots.
+    /// The faults that are asked for, in a team of so many robots.
     ///
     /// # Errors
     /// [`Failure::Input`] if a number makes no sense.
-    pub(super) fn new(args: &ChaosArgs, robots: usize) -> Result<Self, Failure> {
-        if args.faults == 0 {
+    pub(super) fn new(asked: &Asked, robots: usize) -> Result<Self, Failure> {
+        if asked.faults == 0 {
             return Err(Failure::input("--faults: expected at least 1, got 0"));
         }
-        if !(0.01..=1_000.0).contains(&args.rate) {
-            return Err(Failure::input(format!("--rate: expected 0.01 to 1000 a second, got {}", args.rate)));
+        if !(0.01..=1_000.0).contains(&asked.rate_per_s) {
+            return Err(Failure::input(format!("--rate: expected 0.01 to 1000 a second, got {}", asked.rate_per_s)));
         }
-        if !(STOP_MIN_S..=60.0).contains(&args.longest_stop) {
-            return Err(Failure::input(format!("--longest-stop: expected 0.01 to 60 s, got {}", args.longest_stop)));
+        if !(STOP_MIN_S..=60.0).contains(&asked.longest_stop_s) {
+            return Err(Failure::input(format!("--longest-stop: expected 0.01 to 60 s, got {}", asked.longest_stop_s)));
         }
-        if args.standby == 0 && args.roles.contains(&RoleArg::Standby) {
+        if asked.standbys == 0 && asked.victims.contains(&Victim::Standby) {
             return Err(Failure::input("--roles: expected --standby 1 or more with standby, got 0"));
         }
-        let hurts_all = [RoleArg::Sim, RoleArg::Fusion, RoleArg::Robot].iter().all(|role| args.roles.contains(role));
-        let asked = |kind: &Kind| {
-            let is_among_all = *kind != Kind::Blackout || hurts_all;
-            args.kinds.iter().any(|arg| *arg == KindArg::All && is_among_all || Some(*kind) == kind_of(*arg))
+        let hurts_all =
+            [Victim::Sim, Victim::Fusion, Victim::Robot].iter().all(|victim| asked.victims.contains(victim));
+        let is_asked = |kind: &Kind| match &asked.kinds {
+            Some(kinds) => kinds.contains(kind),
+            None => *kind != Kind::Blackout || hurts_all,
         };
-        let nodes_of = |kind: RoleArg| match kind {
-            RoleArg::Sim => vec![Role::Sim],
-            RoleArg::Fusion => vec![Role::Fusion],
-            RoleArg::Robot => (0..robots).map(Role::Robot).collect(),
-            RoleArg::Standby => (1..=args.standby).map(Role::Standby).collect(),
+        let nodes_of = |victim: Victim| match victim {
+            Victim::Sim => vec![Role::Sim],
+            Victim::Fusion => vec![Role::Fusion],
+            Victim::Robot => (0..robots).map(Role::Robot).collect(),
+            Victim::Standby => (1..=asked.standbys).map(Role::Standby).collect(),
         };
-        let kinds_of_node = [RoleArg::Sim, RoleArg::Fusion, RoleArg::Robot, RoleArg::Standby];
         Ok(Self {
-            draws: Draws::new(args.chaos_seed, Stream::Faults),
-            kinds: Kind::ALL.into_iter().filter(asked).collect(),
-            nodes: kinds_of_node.into_iter().filter(|kind| args.roles.contains(kind)).map(nodes_of).collect(),
-            rate_per_s: args.rate,
-            longest_stop_s: args.longest_stop,
+            draws: Draws::new(asked.seed, Stream::Faults),
+            kinds: Kind::ALL.into_iter().filter(is_asked).collect(),
+            nodes: Victim::ALL.into_iter().filter(|victim| asked.victims.contains(victim)).map(nodes_of).collect(),
+            rate_per_s: asked.rate_per_s,
+            longest_stop_s: asked.longest_stop_s,
         })
     }
 
@@ -129,17 +165,6 @@ impl Faults {
     }
 }
 
-fn kind_of(arg: KindArg) -> Option<Kind> {
-    match arg {
-        KindArg::Kill => Some(Kind::Kill),
-        KindArg::Stop => Some(Kind::Stop),
-        KindArg::Storm => Some(Kind::Storm),
-        KindArg::Several => Some(Kind::Several),
-        KindArg::Blackout => Some(Kind::Blackout),
-        KindArg::All => None,
-    }
-}
-
 /// An index below `count` from a uniform draw.
 fn below(count: usize, uniform: f64) -> usize {
     ((uniform * count as f64) as usize).min(count.saturating_sub(1))
@@ -149,11 +174,11 @@ fn below(count: usize, uniform: f64) -> usize {
 mod tests {
     use super::*;
 
-    fn args(words: &str) -> ChaosArgs {
+    fn args(words: &str) -> Asked {
         use clap::Parser as _;
         let words = ["rangehound", "chaos"].into_iter().chain(words.split_whitespace());
         match crate::cli::Cli::try_parse_from(words).unwrap().command {
-            Some(crate::cli::Command::Chaos(args)) => args,
+            Some(crate::cli::Command::Chaos(args)) => args.asked(),
             other => panic!("{other:?}"),
         }
     }

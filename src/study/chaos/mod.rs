@@ -4,7 +4,7 @@
 //! kernel's scheduling, as in life.
 
 mod campaign;
-mod faults;
+pub mod faults;
 mod live;
 mod outcome;
 mod run;
@@ -12,34 +12,32 @@ mod ticks;
 
 use rangehound_node::rendezvous::living_runs;
 use rangehound_node::signal::Termination;
-use rangehound_shared::scenario::{Clock, PatienceKey, Scenario, Source};
+use rangehound_shared::scenario::{Clock, Scenario};
 
-use crate::cli::{ChaosArgs, ClockArg, ExperimentArgs};
 use crate::failure::{self, Failure};
 use crate::files::layout::Kind;
 use crate::files::out_folder;
-use crate::run::experiment::{Experiment, Naming, Reserved, free_name};
+use crate::run::experiment::Experiment;
 use crate::terminal;
 use campaign::Campaign;
-use faults::Faults;
+use faults::{Asked, Faults};
 use outcome::Outcome;
 
-/// `rangehound chaos`.
+/// `rangehound chaos`: hurts runs of an experiment.
 ///
 /// # Errors
 /// [`Failure`], a broken promise among them.
-pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
-    let (experiment, _reserved) = experiment(args)?;
-    let Experiment { name, description, .. } = &experiment;
-    let faults = Faults::new(args, description.scenario.robots.len())?;
+pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), Failure> {
+    let Experiment { name, description, .. } = experiment;
+    let faults = Faults::new(asked, description.scenario.robots.len())?;
     if living_runs().contains(name) {
         return Err(Failure::input(format!("--name: expected a free name, run {name} goes on")));
     }
     let termination = Termination::listen()?;
     let claim = out_folder::claim(&description.out_dir, Kind::Chaos, &experiment.inputs())?;
     claim.clear()?;
-    let mut campaign = Campaign::new(&experiment, faults, args, &termination);
-    let mut outcome = Outcome::new(&description.scenario, args);
+    let mut campaign = Campaign::new(experiment, faults, asked, &termination);
+    let mut outcome = Outcome::new(&description.scenario, asked);
     while campaign.goes_on() {
         outcome.add(campaign.round()?);
         // After each run, so that what it showed is not lost.
@@ -50,7 +48,7 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
             break;
         }
     }
-    if args.json {
+    if json {
         failure::print_json(&outcome)?;
     } else {
         let folder = terminal::field("run folder", description.out_dir.display());
@@ -62,45 +60,13 @@ pub fn chaos(args: &ChaosArgs) -> Result<(), Failure> {
     }
 }
 
-/// The run to be hurt: in lock step it waits for everybody, so that its digest must not change.
-fn experiment(args: &ChaosArgs) -> Result<(Experiment, Option<Reserved>), Failure> {
-    let given = &args.experiment;
-    let clock = given.clock.unwrap_or(ClockArg::Lockstep);
-    let forever = PatienceKey::Word("forever".to_owned());
-    if given.patience.as_ref().is_some_and(|patience| *patience != forever) {
-        return Err(Failure::input("--patience: expected forever, as going on without a node changes the digest"));
-    }
-    let (name, reserved) = match &given.name {
-        Some(name) => (name.clone(), None),
-        None => free_name("chaos", given.out.is_some())?,
-    };
-    let wanted = |ticks| ExperimentArgs {
-        scenario: given.scenario.clone(),
-        robots: given.robots,
-        ticks,
-        seed: given.seed,
-        clock: Some(clock),
-        planner: given.planner.clone(),
-        stand_off: given.stand_off,
-        patience: Some(forever.clone()),
-        name: Some(name.clone()),
-        out: given.out.clone(),
-    };
-    let experiment = Experiment::from_run(&wanted(given.ticks), Naming::Exact)?;
-    let scenario = &experiment.description.scenario;
-    let experiment = match (given.ticks, &scenario.source) {
-        (None, Source::Simulated { .. }) => {
-            Experiment::from_run(&wanted(Some(enough_ticks(scenario, args))), Naming::Exact)?
-        }
-        _ => experiment,
-    };
-    Ok((experiment, reserved))
-}
-
 /// Ticks of one run: seconds in lock step, until the faults are in and got over in real time.
-fn enough_ticks(scenario: &Scenario, args: &ChaosArgs) -> u64 {
+#[must_use]
+pub fn enough_ticks(scenario: &Scenario, asked: &Asked) -> u64 {
     match scenario.clock {
         Clock::Lockstep => (400_000 / scenario.robots.len().max(1) as u64).clamp(4_000, 100_000),
-        Clock::Realtime => ((args.faults as f64 / args.rate + 3.0) / scenario.dt_s).clamp(50.0, 100_000.0) as u64,
+        Clock::Realtime => {
+            ((asked.faults as f64 / asked.rate_per_s + 3.0) / scenario.dt_s).clamp(50.0, 100_000.0) as u64
+        }
     }
 }

@@ -6,8 +6,7 @@ use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::{Clock, Scenario};
 use serde::Serialize;
 
-use super::faults::Kind;
-use crate::cli::ChaosArgs;
+use super::faults::{Asked, Kind};
 use crate::files::layout::CHAOS;
 use crate::files::whole_file;
 use crate::results::report::{HeadingSummary, RangeSummary};
@@ -186,13 +185,13 @@ pub(super) struct Tally {
 impl Outcome {
     /// Nothing yet.
     #[must_use]
-    pub(super) fn new(scenario: &Scenario, args: &ChaosArgs) -> Self {
+    pub(super) fn new(scenario: &Scenario, asked: &Asked) -> Self {
         Self {
             scenario: scenario.name.clone(),
             clock: scenario.clock.name(),
             robots: scenario.robots.len(),
-            chaos_seed: args.chaos_seed,
-            faults_asked: args.faults,
+            chaos_seed: asked.seed,
+            faults_asked: asked.faults,
             faults: Vec::new(),
             ticks: 0,
             ranges: RangeSummary::default(),

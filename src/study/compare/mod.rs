@@ -16,9 +16,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_fusion::planner;
-use rangehound_shared::scenario::{PLANNERS, Scenario};
+use rangehound_shared::scenario::{PLANNERS, Scenario, defaults};
 
-use crate::cli::{CompareArgs, ExperimentArgs};
 use crate::failure::{self, Failure};
 use crate::files::layout::COMPARISON;
 use crate::files::layout::Kind;
@@ -37,14 +36,28 @@ const TICKS_MAX: u64 = 30_000_000;
 
 const THREADS_MAX: u64 = 1_024;
 
+/// What is to be compared.
+#[derive(Debug)]
+pub struct Wanted {
+    /// The scenario; its ticks are those of each run.
+    pub given: Given,
+    /// The planners' names.
+    pub planners: Vec<String>,
+    /// Runs of each.
+    pub runs: u64,
+    /// Threads to run on; `None` for one on each core.
+    pub threads: Option<u64>,
+}
+
 /// `rangehound compare`.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
-    let (trials, scenarios) = checked(args)?;
-    let inputs: Vec<&Path> = args.scenario.iter().chain(&args.scenario_flag).map(PathBuf::as_path).collect();
-    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Compare, &inputs)?;
+pub fn compare(wanted: Wanted, out: Option<&Path>, json: bool) -> Result<(), Failure> {
+    let inputs = wanted.given.path.clone();
+    let (trials, scenarios) = checked(wanted)?;
+    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+    let claim = claim_or_number(out, OUT, Kind::Compare, &inputs)?;
     let out = claim.path();
     let began = Instant::now();
     let results = {
@@ -71,50 +84,43 @@ pub fn compare(args: &CompareArgs) -> Result<(), Failure> {
     };
     whole_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
     pictures::draw(&comparison, &scenarios, out)?;
-    if args.json {
+    if json {
         return failure::print_json(&comparison);
     }
     failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
 }
 
 /// What is to be run, and each planner's first scenario.
-fn checked(args: &CompareArgs) -> Result<(Trials, Vec<Scenario>), Failure> {
-    let given = Given::from_args(&ExperimentArgs {
-        scenario: args.scenario.clone().or_else(|| args.scenario_flag.clone()),
-        robots: args.robots,
-        ticks: Some(args.ticks),
-        seed: args.seed,
-        stand_off: args.stand_off,
-        ..ExperimentArgs::default()
-    })?;
+fn checked(wanted: Wanted) -> Result<(Trials, Vec<Scenario>), Failure> {
+    let Wanted { given, planners, runs, threads } = wanted;
     if given.file.recording.is_some() {
         let problem = "recording: expected a simulated target: robots of a recording cannot be planned for";
         return Err(Failure::input(format!("{}: {problem}", given.file_name)));
     }
-    for (index, name) in args.planners.iter().enumerate() {
+    for (index, name) in planners.iter().enumerate() {
         if !PLANNERS.contains(&name.as_str()) {
             let known = PLANNERS.join(", ");
             return Err(Failure::input(format!("--planners: expected names out of {known}, got {name:?}")));
         }
-        if args.planners[..index].contains(name) {
+        if planners[..index].contains(name) {
             return Err(Failure::input(format!("--planners: expected each name once, got {name} twice")));
         }
     }
-    let ticks = args.runs.saturating_mul(args.ticks).saturating_mul(args.planners.len() as u64);
-    if args.runs == 0 || ticks > TICKS_MAX {
+    let ticks = runs.saturating_mul(given.file.ticks.unwrap_or(defaults::TICKS)).saturating_mul(planners.len() as u64);
+    if runs == 0 || ticks > TICKS_MAX {
         let expected = format!("at least one run and at most {TICKS_MAX} ticks of all runs of all planners");
-        return Err(Failure::input(format!("--runs: expected {expected}, got {} runs", args.runs)));
+        return Err(Failure::input(format!("--runs: expected {expected}, got {runs} runs")));
     }
-    let first_seed = given.file.seed.unwrap_or(rangehound_shared::scenario::defaults::SEED);
-    if first_seed.checked_add(args.runs).is_none() {
-        return Err(Failure::input(format!("--seed: expected room for {} seeds above, got {first_seed}", args.runs)));
+    let first_seed = given.file.seed.unwrap_or(defaults::SEED);
+    if first_seed.checked_add(runs).is_none() {
+        return Err(Failure::input(format!("--seed: expected room for {runs} seeds above, got {first_seed}")));
     }
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get() as u64);
-    let threads = args.threads.unwrap_or(cores);
+    let threads = threads.unwrap_or(cores);
     if !(1..=THREADS_MAX).contains(&threads) {
         return Err(Failure::input(format!("--threads: expected 1 to {THREADS_MAX}, got {threads}")));
     }
-    let mut trials = Trials { given, planners: args.planners.clone(), runs: args.runs, first_seed, threads: 0 };
+    let mut trials = Trials { given, planners, runs, first_seed, threads: 0 };
     trials.threads = threads.min(trials.count()) as usize;
     let scenarios: Result<Vec<Scenario>, _> = trials.planners.iter().map(|name| trials.scenario(name, 0)).collect();
     let scenarios = scenarios.map_err(Failure::input)?;

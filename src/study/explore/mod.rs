@@ -19,7 +19,6 @@ use std::time::Instant;
 
 use rangehound_shared::scenario::{Clock, Scenario, ScenarioFile};
 
-use crate::cli::ExploreArgs;
 use crate::failure::{self, Failure};
 use crate::run::in_process::Team;
 use crate::run::watch::Progress;
@@ -32,17 +31,17 @@ const TICKS_MAX: u64 = 16;
 /// Seeds between two looks at the progress.
 const SHOW: u64 = 64;
 
-/// `rangehound explore`.
+/// `rangehound explore`: so many seeds from the first on, with what each node did if that is to be told.
 ///
 /// # Errors
 /// [`Failure`]; also if a seed breaks a promise.
-pub fn explore(args: &ExploreArgs) -> Result<(), Failure> {
+pub fn explore(first: u64, seeds: u64, tells: bool) -> Result<(), Failure> {
     let mut stage = Stage::default();
-    let mut total = Total { began: Instant::now(), first: args.seed, seeds: 0, counts: Counts::default() };
-    let mut progress = Progress::new("seed", args.seeds);
-    for index in 0..args.seeds {
-        let plan = Plan::new(args.seed.wrapping_add(index));
-        let Outcome { violation, counts, story } = stage.explore(&plan, args.story)?;
+    let mut total = Total { began: Instant::now(), first, seeds: 0, counts: Counts::default() };
+    let mut progress = Progress::new("seed", seeds);
+    for index in 0..seeds {
+        let plan = Plan::new(first.wrapping_add(index));
+        let Outcome { violation, counts, story } = stage.explore(&plan, tells)?;
         total.add(&counts);
         if let Some(violation) = violation {
             progress.finish();
@@ -50,10 +49,10 @@ pub fn explore(args: &ExploreArgs) -> Result<(), Failure> {
             failure::print(total.summary("1 violation"))?;
             return Err(failure);
         }
-        if args.story {
+        if tells {
             failure::print(table(&plan, &story))?;
         }
-        if index % SHOW == 0 || index + 1 == args.seeds {
+        if index % SHOW == 0 || index + 1 == seeds {
             progress.show(index + 1, "");
         }
     }

@@ -20,15 +20,15 @@ use std::path::{Path, PathBuf};
 
 use rangehound_node::signal::Termination;
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario};
 
-use crate::cli::{ClockArg, ExperimentArgs, LatencyArgs};
 use crate::failure::{self, Failure};
 use crate::files::layout::Kind;
 use crate::files::out_folder::{self, claim_or_number};
 use crate::results::frame::{Frames, PutDown};
 use crate::results::hops::HopSummary;
 use crate::run::experiment::{Experiment, Given, Naming};
+use crate::run::pin::Pin;
 use crate::run::watch::Progress;
 use crate::statistics::Samples;
 use outcome::{Contender, Each, Outcome};
@@ -49,17 +49,33 @@ const ROUNDS_MAX: u64 = 1_000;
 /// Ranges of one round: what is kept of them then takes some hundred megabytes.
 const RANGES_MAX: u64 = 20_000_000;
 
+/// What is asked of a measurement.
+#[derive(Debug)]
+pub struct Wanted {
+    /// Ticks a second in real time, if not the scenario's.
+    pub rate_hz: Option<f64>,
+    /// As many ticks as a measurement takes, in place of the scenario's.
+    pub chooses_ticks: bool,
+    /// Processors for all processes.
+    pub pin: Pin,
+    /// How often each is measured.
+    pub rounds: u64,
+    /// Name of the runs.
+    pub name: Option<RunName>,
+}
+
 /// `rangehound latency`.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
-    let mut experiment = experiment(args)?;
+pub fn latency(given: Given, wanted: &Wanted, out: Option<&Path>, json: bool) -> Result<(), Failure> {
+    let inputs = given.path.clone();
+    let mut experiment = experiment(given, wanted, out)?;
     let termination = Termination::listen()?;
     // Whatever is started here inherits it.
-    args.pin.apply().map_err(Failure::input)?;
-    let inputs: Vec<&Path> = args.scenario.iter().map(PathBuf::as_path).collect();
-    let claim = claim_or_number(args.out.as_deref(), OUT, Kind::Latency, &inputs)?;
+    wanted.pin.apply().map_err(Failure::input)?;
+    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+    let claim = claim_or_number(out, OUT, Kind::Latency, &inputs)?;
     experiment.description.out_dir = std::path::absolute(claim.path())?;
     let Experiment { description, .. } = &experiment;
     let folder = &description.out_dir;
@@ -67,9 +83,9 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
     for stale in (1..).map(|round| system::folder(folder, round)).take_while(|stale| stale.exists()) {
         out_folder::remove(&stale);
     }
-    let mut outcome = Outcome::new(&description.scenario, &args.pin)?;
-    let mut progress = Progress::new("measurement", args.rounds * Contender::ALL.len() as u64);
-    for (round, done) in (1..=args.rounds).zip((0..).step_by(Contender::ALL.len())) {
+    let mut outcome = Outcome::new(&description.scenario, &wanted.pin)?;
+    let mut progress = Progress::new("measurement", wanted.rounds * Contender::ALL.len() as u64);
+    for (round, done) in (1..=wanted.rounds).zip((0..).step_by(Contender::ALL.len())) {
         let mut round =
             Round { experiment: &experiment, round, termination: &termination, hops_us: HopSummary::default() };
         let mut latencies_us = Each::samples()?;
@@ -90,54 +106,36 @@ pub fn latency(args: &LatencyArgs) -> Result<(), Failure> {
     }
     progress.finish();
     picture::draw(&outcome, folder)?;
-    if args.json {
+    if json {
         return failure::print_json(&outcome);
     }
     failure::print(format!("{outcome}\nfigures and picture in {}\n", folder.display()))
 }
 
-/// What is measured: checked, as a scenario.
-fn experiment(args: &LatencyArgs) -> Result<Experiment, Failure> {
-    let clock = match (args.clock, args.rate) {
-        (Some(ClockArg::Lockstep), Some(_)) => {
-            return Err(Failure::input("--rate: expected --clock realtime, as lock step has none"));
-        }
-        (clock, None) => clock.unwrap_or(ClockArg::Lockstep),
-        (_, Some(_)) => ClockArg::Realtime,
-    };
-    if args.rounds == 0 || args.rounds > ROUNDS_MAX {
-        return Err(Failure::input(format!("--rounds: expected 1 to {ROUNDS_MAX}, got {}", args.rounds)));
+/// What is measured: checked, as a scenario. One that does not say for how many ticks goes on for as many as it takes.
+fn experiment(mut given: Given, wanted: &Wanted, out: Option<&Path>) -> Result<Experiment, Failure> {
+    if wanted.rounds == 0 || wanted.rounds > ROUNDS_MAX {
+        return Err(Failure::input(format!("--rounds: expected 1 to {ROUNDS_MAX}, got {}", wanted.rounds)));
     }
-    let mut given = Given::from_args(&ExperimentArgs {
-        scenario: args.scenario.clone(),
-        robots: args.robots,
-        ticks: args.ticks,
-        clock: Some(clock),
-        planner: args.planner.clone(),
-        // In lock step nobody is left out: each wait is a sample.
-        patience: matches!(clock, ClockArg::Lockstep).then(|| PatienceKey::Word("forever".to_owned())),
-        ..ExperimentArgs::default()
-    })?;
     if given.file.recording.is_some() {
         let problem = "recording: expected a simulated target, whose ticks come at one rate";
         return Err(Failure::input(format!("{}: {problem}", given.file_name)));
     }
-    if let Some(rate_hz) = args.rate {
+    if let Some(rate_hz) = wanted.rate_hz {
         if !(1e-3..=1e4).contains(&rate_hz) {
             return Err(Failure::input(format!("--rate: expected 0.001 to 10000 Hz, got {rate_hz}")));
         }
         given.file.dt_s = Some(1.0 / rate_hz);
     }
-    let name: RunName = match &args.name {
+    let name: RunName = match &wanted.name {
         Some(name) => name.clone(),
         // Others that start at the same time have other numbers.
         None => format!("latency-{}", std::process::id()).parse().map_err(Failure::input)?,
     };
-    let checked = |given| {
-        Experiment::from_given(given, Some(&name), Naming::Exact, Some(args.out.as_deref().unwrap_or(Path::new(OUT))))
-    };
+    let checked =
+        |given| Experiment::from_given(given, Some(&name), Naming::Exact, Some(out.unwrap_or(Path::new(OUT))));
     let mut experiment = checked(given.clone())?;
-    if args.ticks.is_none() {
+    if wanted.chooses_ticks {
         let scenario = &experiment.description.scenario;
         given.file.ticks = Some(match scenario.clock {
             Clock::Lockstep => TICKS,

@@ -2,12 +2,13 @@
 //! bit; or what would have been different with another planner or filter.
 
 mod differences;
-mod repair;
+pub mod repair;
 mod show;
 pub mod steps;
 
 use std::fs::File;
 use std::io::BufReader;
+use std::path::Path;
 use std::time::Instant;
 
 use rangehound_shared::digest::Digest;
@@ -15,11 +16,10 @@ use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{GateKey, PlannerSpec, PlannerTable, Scenario, Source, bounds};
 use serde::Serialize;
 
-use crate::cli::ReplayArgs;
 use crate::failure::{self, Failure};
+use crate::files::input::COMMAND_LINE;
 use crate::results::run_mcap::read::{FrameReader, Missing, ReadError};
 use crate::results::run_mcap::topics::digest_of;
-use crate::run::experiment::COMMAND_LINE;
 use crate::run::watch::Progress;
 use differences::{Comparison, Differences};
 use steps::{Difference, Fed, StepError, Steps};
@@ -54,23 +54,43 @@ struct Outcome {
     comparison: Option<Comparison>,
 }
 
+/// What is to be different from the recorded run.
+#[derive(Debug, Default)]
+pub struct Changes {
+    /// Another planner.
+    pub planner: Option<String>,
+    /// Another gate.
+    pub gate: Option<GateKey>,
+    /// Whether sensors are distrusted.
+    pub distrust: Option<bool>,
+    /// Another spectral density of the target's noise, m^2/s^3.
+    pub accel_psd: Option<f64>,
+}
+
+/// How it is shown, after it was compared.
+#[derive(Debug, Clone, Copy)]
+pub struct Show {
+    /// The page's port, if not any.
+    pub port: Option<u16>,
+    /// Seconds of the run in a second.
+    pub speed: f64,
+}
+
+fn open(path: &Path) -> Result<FrameReader<BufReader<File>>, Failure> {
+    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
+    let file = File::open(path).map_err(|error| refuse(&error))?;
+    FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))
+}
+
 /// `rangehound replay`.
 ///
 /// # Errors
 /// [`Failure`]: of the input, if the file cannot be read up to its end; of the run, if it differs.
-pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
-    let path = &args.file;
+pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) -> Result<(), Failure> {
     let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
-    let open = || {
-        let file = File::open(path).map_err(|error| refuse(&error))?;
-        FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))
-    };
-    let mut reader = open()?;
-    if args.repair {
-        return repair::repair(args, reader, |error| refuse(error));
-    }
+    let mut reader = open(path)?;
     let recorded = reader.description().map_err(|error| refuse(&error))?.scenario.clone();
-    let replayed = changed(&recorded, args)?;
+    let replayed = changed(&recorded, changes)?;
     let begin = || Steps::new(&replayed).map_err(|error| Failure::input(format!("--planner: {error}")));
     let is_changed = recorded != replayed;
     let fed = feed(&mut reader, begin()?, &recorded, is_changed).map_err(|error| match error {
@@ -110,13 +130,13 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
         digest: digest.to_string(),
         comparison: differences.map(|differences| differences.end(&recorded, &replayed)),
     };
-    if args.json {
+    if json {
         failure::print_json(&outcome)?;
     } else {
         failure::print(&outcome)?;
     }
-    if let Some(port) = args.show.live {
-        show::show(open()?, begin()?, &replayed, port, args.speed)?;
+    if let Some(Show { port, speed }) = show {
+        show::show(open(path)?, begin()?, &replayed, port, speed)?;
     }
     match (&outcome.first_difference, outcome.ticks_missing) {
         (Some(difference), _) => {
@@ -131,9 +151,9 @@ pub fn replay(args: &ReplayArgs) -> Result<(), Failure> {
 }
 
 /// The scenario with the command line's values over the recorded ones.
-fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> {
+fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> {
     let mut scenario = recorded.clone();
-    if let Some(name) = &args.planner {
+    if let Some(name) = &changes.planner {
         if matches!(recorded.source, Source::Recorded { .. }) {
             return Err(Failure::input(
                 "--planner: expected a run with robots that are told where to go, got recorded ranges",
@@ -146,7 +166,7 @@ fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> 
             scenario.planner = spec;
         }
     }
-    if let Some(gate) = &args.gate.gate {
+    if let Some(gate) = &changes.gate {
         scenario.gate_sigma = match gate {
             GateKey::Sigma(sigma) if bounds::GATE_SIGMA.contains(sigma) => Some(*sigma),
             GateKey::Sigma(sigma) => {
@@ -156,8 +176,8 @@ fn changed(recorded: &Scenario, args: &ReplayArgs) -> Result<Scenario, Failure> 
         };
         scenario.distrust = scenario.gate_sigma.is_some();
     }
-    scenario.distrust = args.gate.distrust().unwrap_or(scenario.distrust);
-    if let Some(psd) = args.accel_psd {
+    scenario.distrust = changes.distrust.unwrap_or(scenario.distrust);
+    if let Some(psd) = changes.accel_psd {
         let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
             return Err(Failure::input("--accel-psd: expected a target model with a spectral density, got matrices"));
         };

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::cli::ReplayArgs;
 use crate::failure::{self, Failure};
 use crate::files::whole_file::{PARTIAL, with_ending};
 use crate::results::run_mcap::file::{RunFile, unusable};
@@ -32,13 +31,10 @@ struct Repaired {
 ///
 /// # Errors
 /// [`Failure`] if nothing of it can be read, or the new file cannot be written.
-pub(super) fn repair(
-    args: &ReplayArgs,
-    mut reader: FrameReader<BufReader<File>>,
-    refuse: impl Fn(&ReadError) -> Failure,
-) -> Result<(), Failure> {
-    let path = &args.file;
-    let out = args.out.clone().unwrap_or_else(|| whole_name(path));
+pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure> {
+    let refuse = |error: &ReadError| Failure::input(format!("{}: {error}", path.display()));
+    let mut reader = super::open(path)?;
+    let out = out.map_or_else(|| whole_name(path), Path::to_owned);
     if out.symlink_metadata().is_ok() {
         return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
     }
@@ -58,7 +54,7 @@ pub(super) fn repair(
     };
     let (file, whole) = (path.display().to_string(), out.display().to_string());
     let ticks_of_run = description.scenario.ticks;
-    if args.json {
+    if json {
         let reason = why.map(|why| why.to_string());
         return failure::print_json(&Repaired { file, whole, first_tick, ticks, ticks_of_run, reason });
     }

@@ -9,13 +9,13 @@ use std::time::Duration;
 use anyhow::anyhow;
 use rangehound_node::clock::monotonic_ns;
 use rangehound_node::rendezvous::Role;
+use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use rustix::io::Errno;
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use rustix::time::Timespec;
 
 use super::{Centre, Command, DUE, Reference, Robot, SILENCE, TICK, futex, iceoryx2};
-use crate::cli::LatencyNodeArgs;
 use crate::failure::Failure;
 use crate::run::node::{join, prepare};
 use crate::study::latency::dt_ns;
@@ -23,16 +23,16 @@ use crate::study::latency::dt_ns;
 /// What a node says once it can be heard.
 pub(super) const READY: u64 = u64::from_le_bytes(*b"rh-ready");
 
-/// `rangehound latency-node`.
+/// `rangehound latency-node`: a role of a run over a reference, until its parent ends, if that is given.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn latency_node(args: &LatencyNodeArgs) -> Result<(), Failure> {
-    let termination = prepare(args.role, &args.node.parent)?;
-    let run = join(&args.node.name, &termination)?;
+pub fn latency_node(reference: Reference, role: Role, name: &RunName, parent: Option<u32>) -> Result<(), Failure> {
+    let termination = prepare(role, parent)?;
+    let run = join(name, &termination)?;
     let scenario = &run.description().scenario;
     let silence = SILENCE + Duration::from_nanos(dt_ns(scenario).unwrap_or(0));
-    match (args.reference, args.role) {
+    match (reference, role) {
         (Reference::Iceoryx2, Role::Fusion) => {
             be_centre(iceoryx2::Centre::open(&run, &termination, silence)?, scenario)?;
         }

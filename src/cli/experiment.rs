@@ -1,0 +1,170 @@
+//! From what the command line says of an experiment to a scenario file, and from there to an experiment.
+
+use std::path::Path;
+
+use rangehound_shared::scenario::{
+    FilterTable, PlannerTable, RecordingTable, RobotsTable, ScenarioFile, SensorTable, TargetTable, defaults,
+};
+
+use super::{ExperimentArgs, InputArgs, PerSensor, TrackArgs};
+use crate::failure::{self, Failure};
+use crate::files::calibration;
+use crate::files::input::{self, COMMAND_LINE, in_utf8};
+use crate::run::experiment::{Experiment, Given, Naming};
+
+impl ExperimentArgs {
+    /// The scenario file that the user named, or the paper's, with the command line's values over it.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] if the file cannot be read or does not go with the flags.
+    pub(super) fn given(&self) -> Result<Given, Failure> {
+        let mut given = Given::read(self.scenario.as_deref())?;
+        self.put_over(&mut given.file)?;
+        Ok(given)
+    }
+
+    /// The experiment of `run` and `sim`.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub(super) fn experiment(&self, naming: Naming) -> Result<Experiment, Failure> {
+        Experiment::from_given(self.given()?, self.name.as_ref(), naming, self.out.as_deref())
+    }
+
+    /// Puts the command line's values over the file's.
+    pub(super) fn put_over(&self, file: &mut ScenarioFile) -> Result<(), Failure> {
+        if self.robots.is_some() {
+            if file.robot.is_some() || file.recording.is_some() {
+                return Err(Failure::input(
+                    "--robots: expected a scenario that counts its robots, got one that lists them",
+                ));
+            }
+            file.robots.get_or_insert_with(RobotsTable::default).count = self.robots;
+        }
+        if self.planner.is_some() {
+            file.planner.get_or_insert_with(PlannerTable::default).name.clone_from(&self.planner);
+        }
+        if self.stand_off.is_some() {
+            let planner = file.planner.get_or_insert_default();
+            // However the file says it.
+            (planner.stand_off_m, planner.stand_off_sigma) = (self.stand_off, None);
+        }
+        let clock = self.clock.map(|clock| clock.name().to_owned());
+        file.clock = clock.or_else(|| file.clock.take());
+        file.ticks = self.ticks.or(file.ticks);
+        file.seed = self.seed.or(file.seed);
+        file.patience_s = self.patience.clone().or_else(|| file.patience_s.take());
+        Ok(())
+    }
+}
+
+impl TrackArgs {
+    /// The experiment of `track`.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for whatever the user must mend.
+    pub(super) fn experiment(&self) -> Result<Experiment, Failure> {
+        let mut recording = RecordingTable {
+            range_std_m: self.range_std,
+            start_m: self.start,
+            start_std_m: self.start_std,
+            ..self.input.table()?
+        };
+        let mut sensors: Vec<SensorTable> = Vec::new();
+        apply(&self.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
+        apply(&self.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
+        recording.sensor = Some(sensors);
+        let mut accel_psd = self.accel_psd;
+        let read = input::recording_of(&recording, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+        if let Some(path) = &self.calibration {
+            let known_errors = calibration::read(path)?;
+            let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
+            calibration::merge(&known_errors, &known, &mut recording, &mut accel_psd);
+        }
+        let file = ScenarioFile {
+            name: Some(name_after(&self.input.ranges)),
+            recording: Some(recording),
+            target: Some(TargetTable { noise_psd: accel_psd, ..TargetTable::default() }),
+            filter: Some(FilterTable {
+                gate_sigma: self.gate.gate.clone(),
+                distrust: self.gate.distrust(),
+                ..FilterTable::default()
+            }),
+            ..ScenarioFile::default()
+        };
+        let (name, out) = (self.name.as_ref(), self.out.as_deref());
+        let inputs = self.calibration.iter().chain(&self.truth).cloned();
+        let experiment = Experiment::from_recording(file, read, name, out, inputs)?;
+        let assumed = [
+            (
+                self.range_std.is_none() && self.calibration.is_none(),
+                format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M),
+            ),
+            (
+                self.accel_psd.is_none() && self.calibration.is_none(),
+                format!("an acceleration psd of {} m^2/s^3 (--accel-psd)", defaults::RECORDED_ACCEL_PSD),
+            ),
+        ];
+        let assumed: Vec<String> = assumed.into_iter().filter(|(is, _)| *is).map(|(_, what)| what).collect();
+        if !assumed.is_empty() {
+            failure::tell(format!(
+                "track: assumes {}: give what is known, or find it by `rangehound calibrate`",
+                assumed.join(" and ")
+            ));
+        }
+        Ok(experiment)
+    }
+}
+
+impl InputArgs {
+    /// What the command line says of a recording's form, as a scenario says it.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] for a path that is not UTF-8.
+    pub(super) fn table(&self) -> Result<RecordingTable, Failure> {
+        let anchors = self.anchors.as_deref().map(|path| in_utf8("--anchors", path)).transpose()?;
+        Ok(RecordingTable {
+            ranges: Some(in_utf8("RANGES", &self.ranges)?.to_owned()),
+            columns: self.columns.clone(),
+            anchors: anchors.map(str::to_owned),
+            target: self.target.clone(),
+            format: self.format.clone(),
+            rate_hz: self.rate,
+            stamp_unit: self.stamp_unit.clone(),
+            strict: self.strict.then_some(true),
+            target_height_m: self.target_height,
+            ..RecordingTable::default()
+        })
+    }
+}
+
+/// Sorts values for all sensors from those for one; the last word on each counts.
+fn apply(
+    values: &[PerSensor],
+    all: &mut Option<f64>,
+    sensors: &mut Vec<SensorTable>,
+    field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
+) {
+    for PerSensor { sensor, value } in values {
+        match sensor {
+            None => *all = Some(*value),
+            Some(id) => {
+                let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
+                    sensors.push(SensorTable::new(id.clone()));
+                    sensors.len() - 1
+                });
+                *field(&mut sensors[index]) = Some(*value);
+            }
+        }
+    }
+}
+
+/// A run name after a recording: its file's name, or its folder's if the file is just "ranges".
+fn name_after(ranges: &Path) -> String {
+    let stem = ranges.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+    let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());
+    let best = if stem == "ranges" { folder.unwrap_or(stem) } else { stem };
+    let name: String = best.chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-' || *c == '_').take(20).collect();
+    // Standard input has no name.
+    if name.contains(|c: char| c.is_ascii_alphanumeric()) { name } else { "track".to_owned() }
+}
