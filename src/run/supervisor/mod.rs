@@ -2,6 +2,7 @@
 
 mod cleaner;
 mod companions;
+mod deaths;
 mod losses;
 mod nodes;
 mod removal;

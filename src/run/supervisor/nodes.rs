@@ -17,6 +17,7 @@ use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
 use super::Supervision;
 use super::cleaner::Cleaner;
+use super::deaths::{Deaths, End, Need, Next};
 use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
 use crate::failure::{Failure, with_causes};
@@ -27,18 +28,6 @@ use crate::run::watch;
 
 /// How long nodes may take to end by themselves once the run is over, and once they are asked to.
 const GRACE: Duration = Duration::from_secs(3);
-
-/// A node that fails by itself this often in a row has a reason that starting it again does not mend.
-const FAILURES_MAX: u32 = 5;
-
-/// A node that has lived for this long has got over what ended its forerunner.
-const SETTLED: Duration = Duration::from_secs(1);
-
-/// Wait before the second start in a row of a node that has not settled; it doubles with each further
-/// failure. A kill is somebody else's doing and does not make it longer.
-const BACK_OFF: Duration = Duration::from_millis(10);
-
-const BACK_OFF_MAX: Duration = Duration::from_secs(1);
 
 /// For this long after a death, what the dead left half-made is looked for: whoever waits for it
 /// holds it open now and then, as its maker would.
@@ -74,9 +63,7 @@ struct Node {
     has_standbys: bool,
     running: Option<Running>,
     summary: NodeSummary,
-    /// Deaths since it last settled, and own failures among them: exits and crashes.
-    deaths: u32,
-    failures: u32,
+    deaths: Deaths,
     restart_at: Option<Instant>,
 }
 
@@ -204,7 +191,7 @@ impl<'a> Nodes<'a> {
         for index in 0..self.nodes.len() {
             let can_lead = self.nodes.iter_mut().map(|node| usize::from(node.can_lead() && node.is_running())).sum();
             let node = &mut self.nodes[index];
-            if let Some(status) = node.reap(self.rendezvous)? {
+            if let Some((status, lived)) = node.reap(self.rendezvous)? {
                 if let Some(removed) = self.inspect() {
                     return Ok(Some(removed));
                 }
@@ -215,42 +202,37 @@ impl<'a> Nodes<'a> {
                 self.cleaner.request();
                 // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
                 let is_taken = self.rendezvous.roster().is_held(node.role);
-                let is_own = !is_kill(status) && !is_taken;
-                let is_hopeless = is_own && (status.code() == Some(2) || node.failures >= FAILURES_MAX);
-                let is_replaced = match self.policies.of(node.role) {
-                    Policy::Always => true,
-                    Policy::OnFailure => !status.success(),
-                    Policy::Never => false,
-                };
-                if is_replaced && !is_hopeless {
-                    log::warn!("{message}; it is started again");
-                    node.restart_at = Some(Instant::now() + node.back_off());
-                } else if is_hopeless && !node.can_lead() || !node.is_spare(can_lead) {
-                    let nodes = self.pids();
-                    // Before one is given up that fails again and again.
-                    if is_own && let Some(removed) = self.inspection.removed_of_any(&nodes) {
-                        return Ok(Some(removed));
+                let end = end_of(status);
+                let (need, policy) = (node.need(can_lead), self.policies.of(node.role));
+                match node.deaths.after(end, lived, policy, is_taken, need) {
+                    Next::StartAgain(wait) => {
+                        log::warn!("{message}; it is started again");
+                        node.restart_at = Some(Instant::now() + wait);
                     }
-                    let node = &self.nodes[index];
-                    let log = node.log_path(self.rendezvous);
-                    let said = std::fs::read_to_string(&log).unwrap_or_default();
-                    let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
-                    return Err(anyhow!("{message}{last}"));
-                } else {
-                    log::warn!("{message}; the others go on without it");
+                    Next::GoOnWithout => log::warn!("{message}; the others go on without it"),
+                    Next::EndRun => {
+                        let nodes = self.pids();
+                        // Before one is given up that fails again and again.
+                        if end != End::Killed
+                            && !is_taken
+                            && let Some(removed) = self.inspection.removed_of_any(&nodes)
+                        {
+                            return Ok(Some(removed));
+                        }
+                        let log = self.nodes[index].log_path(self.rendezvous);
+                        let said = std::fs::read_to_string(&log).unwrap_or_default();
+                        let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
+                        return Err(anyhow!("{message}{last}"));
+                    }
                 }
             }
             let node = &mut self.nodes[index];
             if node.restart_at.is_some_and(|at| Instant::now() >= at)
                 && let Err(error) = node.start(self.rendezvous)
             {
-                // The system may have room again before long.
-                (node.deaths, node.failures) = (node.deaths + 1, node.failures + 1);
-                if node.failures >= FAILURES_MAX {
-                    return Err(error);
-                }
+                let Some(wait) = node.deaths.after_failed_start() else { return Err(error) };
                 log::warn!("{}; it is tried again", with_causes(&error));
-                node.restart_at = Some(Instant::now() + node.back_off());
+                node.restart_at = Some(Instant::now() + wait);
             }
         }
         if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
@@ -328,7 +310,7 @@ impl Running {
 impl Node {
     fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
         let summary = NodeSummary::new(role, scenario, 0);
-        Self { role, has_standbys, running: None, summary, deaths: 0, failures: 0, restart_at: None }
+        Self { role, has_standbys, running: None, summary, deaths: Deaths::default(), restart_at: None }
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -381,33 +363,31 @@ impl Node {
         Some(running.silence.hear(newest))
     }
 
-    /// True if the run goes on without it, with this many others that can lead.
-    fn is_spare(&self, can_lead: usize) -> bool {
-        matches!(self.role, Role::Robot(_)) || self.can_lead() && can_lead > 0
+    /// How much the run needs it, with this many others that can lead.
+    fn need(&self, can_lead: usize) -> Need {
+        match (self.can_lead(), self.role) {
+            (true, _) if can_lead > 0 => Need::Spare,
+            (false, Role::Robot(_)) => Need::Can,
+            _ => Need::Cannot,
+        }
     }
 
     fn is_running(&mut self) -> bool {
         self.running.as_mut().is_some_and(|running| matches!(running.child.try_wait(), Ok(None)))
     }
 
-    /// The end of the process before the run's, told once.
-    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<ExitStatus>> {
+    /// The end of the process before the run's, told once, with how long it had lived.
+    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<(ExitStatus, Duration)>> {
         let Some(running) = &mut self.running else { return Ok(None) };
         let Some(status) = running.child.try_wait()? else { return Ok(None) };
-        if running.since.elapsed() >= SETTLED {
-            (self.deaths, self.failures) = (0, 0);
-        }
+        let lived = running.since.elapsed();
         self.running = None;
         // The run is marked as finished before any node ends by itself, so the mark is looked at after.
         if rendezvous.is_finished() {
             return Ok(None);
         }
-        self.deaths += 1;
-        if !status.success() && !is_kill(status) {
-            self.failures += 1;
-        }
         self.note(if status.signal().is_some() { Incident::Killed } else { Incident::Exited });
-        Ok(Some(status))
+        Ok(Some((status, lived)))
     }
 
     /// Counts what has happened to it just now.
@@ -421,20 +401,15 @@ impl Node {
         } += 1;
         incidents.push((monotonic_ns(), incident));
     }
-
-    /// How long to wait before it is started again: not at all after one death, longer and longer while
-    /// it fails before it has settled.
-    fn back_off(&self) -> Duration {
-        if self.deaths <= 1 {
-            return Duration::ZERO;
-        }
-        BACK_OFF.saturating_mul(1 << self.failures.saturating_sub(1).min(16)).min(BACK_OFF_MAX)
-    }
 }
 
-/// True if somebody else ended it.
-fn is_kill(status: ExitStatus) -> bool {
-    status.signal() == Some(Signal::KILL.as_raw())
+fn end_of(status: ExitStatus) -> End {
+    match (status.signal(), status.code()) {
+        (Some(signal), _) if signal == Signal::KILL.as_raw() => End::Killed,
+        (None, Some(0)) => End::InOrder,
+        (None, Some(2)) => End::Refused,
+        _ => End::Failed,
+    }
 }
 
 pub(super) fn describe(status: ExitStatus) -> String {

@@ -1,0 +1,154 @@
+//! What follows from the death of a node, pure: from how it ended, and how long it had lived.
+
+use std::time::Duration;
+
+use super::restart::Policy;
+
+/// A node that fails by itself this often in a row has a reason that starting it again does not mend.
+const FAILURES_MAX: u32 = 5;
+
+/// A node that has lived for this long has got over what ended its forerunner.
+const SETTLED: Duration = Duration::from_secs(1);
+
+/// Wait before the second start in a row of a node that has not settled; it doubles with each further
+/// failure. A kill is somebody else's doing and does not make it longer.
+const BACK_OFF: Duration = Duration::from_millis(10);
+
+const BACK_OFF_MAX: Duration = Duration::from_secs(1);
+
+/// How a node's process ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum End {
+    /// By itself, in order.
+    InOrder,
+    /// By itself, or by a fault of its own.
+    Failed,
+    /// By itself, for what only the user can mend.
+    Refused,
+    /// Somebody killed it.
+    Killed,
+}
+
+/// How much a run needs a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Need {
+    /// It does not go on without it.
+    Cannot,
+    /// It goes on without it, but not if it fails again and again.
+    Can,
+    /// It goes on without it, however it ended.
+    Spare,
+}
+
+/// What is done next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Next {
+    /// It is started again after this time.
+    StartAgain(Duration),
+    /// The others go on without it.
+    GoOnWithout,
+    /// The run ends.
+    EndRun,
+}
+
+/// The deaths of one node since it last settled.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Deaths {
+    all: u32,
+    /// Those among them that were its own: exits and crashes.
+    failures: u32,
+}
+
+impl Deaths {
+    /// Counts a death and says what follows from it. `is_taken` if somebody else has its role by now: then what it failed of
+    /// is that.
+    pub(super) fn after(&mut self, end: End, lived: Duration, policy: Policy, is_taken: bool, need: Need) -> Next {
+        if lived >= SETTLED {
+            *self = Self::default();
+        }
+        self.all += 1;
+        self.failures += u32::from(matches!(end, End::Failed | End::Refused));
+        let is_own = end != End::Killed && !is_taken;
+        let is_hopeless = is_own && (end == End::Refused || self.failures >= FAILURES_MAX);
+        let is_replaced = match policy {
+            Policy::Always => true,
+            Policy::OnFailure => end != End::InOrder,
+            Policy::Never => false,
+        };
+        match need {
+            _ if is_replaced && !is_hopeless => Next::StartAgain(self.back_off()),
+            Need::Spare => Next::GoOnWithout,
+            Need::Can if !is_hopeless => Next::GoOnWithout,
+            Need::Cannot | Need::Can => Next::EndRun,
+        }
+    }
+
+    /// Counts a start that the system refused: it may have room again before long. `None` if that has been so too often.
+    pub(super) fn after_failed_start(&mut self) -> Option<Duration> {
+        (self.all, self.failures) = (self.all + 1, self.failures + 1);
+        (self.failures < FAILURES_MAX).then(|| self.back_off())
+    }
+
+    /// Not at all after one death, longer and longer while it fails before it has settled.
+    fn back_off(&self) -> Duration {
+        if self.all <= 1 {
+            return Duration::ZERO;
+        }
+        BACK_OFF.saturating_mul(1 << self.failures.saturating_sub(1).min(16)).min(BACK_OFF_MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHORT: Duration = Duration::from_millis(20);
+
+    fn again(ms: u64) -> Next {
+        Next::StartAgain(Duration::from_millis(ms))
+    }
+
+    #[test]
+    fn who_fails_again_and_again_waits_longer_and_ends_the_run_at_last() {
+        let mut deaths = Deaths::default();
+        let mut fail = |end| deaths.after(end, SHORT, Policy::Always, false, Need::Cannot);
+        assert_eq!([(); 4].map(|()| fail(End::Failed)), [again(0), again(20), again(40), again(80)]);
+        assert_eq!(fail(End::Failed), Next::EndRun);
+    }
+
+    #[test]
+    fn kills_neither_end_a_run_nor_make_anybody_wait_long_and_a_settled_node_starts_afresh() {
+        let mut deaths = Deaths::default();
+        for kill in 0..100 {
+            let next = deaths.after(End::Killed, SHORT, Policy::Always, false, Need::Cannot);
+            assert_eq!(next, again(if kill == 0 { 0 } else { 10 }));
+        }
+        assert_eq!(deaths.after(End::Failed, SETTLED, Policy::OnFailure, false, Need::Cannot), again(0));
+    }
+
+    #[test]
+    fn what_only_the_user_can_mend_is_not_tried_again_unless_another_has_the_role() {
+        let refused = |is_taken, need| Deaths::default().after(End::Refused, SHORT, Policy::Always, is_taken, need);
+        assert_eq!(refused(false, Need::Cannot), Next::EndRun);
+        assert_eq!(refused(false, Need::Can), Next::EndRun);
+        assert_eq!(refused(false, Need::Spare), Next::GoOnWithout);
+        assert_eq!(refused(true, Need::Cannot), again(0));
+    }
+
+    #[test]
+    fn policies_say_who_is_started_again() {
+        let next = |end, policy, need| Deaths::default().after(end, SHORT, policy, false, need);
+        assert_eq!(next(End::InOrder, Policy::OnFailure, Need::Can), Next::GoOnWithout);
+        assert_eq!(next(End::Killed, Policy::OnFailure, Need::Can), again(0));
+        assert_eq!(next(End::Killed, Policy::Never, Need::Can), Next::GoOnWithout);
+        assert_eq!(next(End::Killed, Policy::Never, Need::Cannot), Next::EndRun);
+    }
+
+    #[test]
+    fn a_start_that_is_refused_is_tried_a_few_times() {
+        let mut deaths = Deaths::default();
+        let waits: Vec<Option<u64>> =
+            (0..5).map(|_| deaths.after_failed_start().map(|wait| wait.as_millis() as u64)).collect();
+        assert_eq!(waits, [Some(0), Some(20), Some(40), Some(80), None]);
+    }
+}
