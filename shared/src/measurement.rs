@@ -1,4 +1,4 @@
-//! What a robot measures, and where: the same from its sensor over the messages to the filter and the logs.
+//! What a robot measures, and where: the same in its message, in fusion and in the logs.
 
 #[cfg(feature = "iceoryx2")]
 use iceoryx2::prelude::ZeroCopySend;

@@ -126,7 +126,7 @@ pub struct Drive {
     pub heading_rad: f64,
     /// Speed, m/s.
     pub speed_mps: f64,
-    /// When it published its range of this tick, monotonic ns; 0 if it had none.
+    /// When its range of this tick was ready to be published, monotonic ns; 0 if it had none.
     pub range_sent_ns: u64,
     /// When it held the heading of this tick, monotonic ns; 0 if it drives without one.
     pub heading_held_ns: u64,

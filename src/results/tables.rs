@@ -3,8 +3,8 @@
 use std::io::Write;
 
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_robot::sensor::{RangeSensor, SimulatedSensor};
-use rangehound_shared::message::{Estimate, RangeKind, WorldEntry};
+use rangehound_shared::measurement::Pose;
+use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{FusionRecord, WorldRecord};
 use rangehound_shared::scenario::Source;
 
@@ -46,30 +46,26 @@ fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) ->
     writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
 }
 
-/// Writes `ranges.csv` and `truth.csv` of a simulated run: what the robots measured, in the form of
-/// a recording, and where the target was.
+/// Writes `ranges.csv` and `truth.csv` of a run with a truth: what fusion heard of the robots' ranges, in the form of a
+/// recording, and where the target was.
 ///
 /// # Errors
 /// If a file cannot be read or written.
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
-    let RunDescription { scenario, out_dir, .. } = description;
+    let out_dir = &description.out_dir;
     let mut ranges = WholeFile::create(&out_dir.join(RANGES))?;
     let mut truths = WholeFile::create(&out_dir.join(TRUTH))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
-    let mut sensors: Vec<SimulatedSensor> =
-        (0..scenario.robots.len()).filter_map(|robot| SimulatedSensor::new(scenario, robot)).collect();
-    Frames::open(description)?.for_each(|PutDown { tick, world, .. }| {
-        let Some(WorldRecord { time_s, truth, robots, .. }) = world else { return Ok(()) };
+    Frames::open(description)?.for_each(|PutDown { fusion, world, .. }| {
+        let Some(WorldRecord { time_s, truth, .. }) = world else { return Ok(()) };
         let &[x_m, y_m, ..] = truth.as_slice() else { return Ok(()) };
         writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
-        for (id, (robot, sensor)) in robots.iter().zip(&mut sensors).enumerate() {
-            let (robot_x_m, robot_y_m) = (robot.pose.x_m, robot.pose.y_m);
-            // Noise is a function of (seed, robot, tick), so the range is measured again, the same.
-            let range_m = (x_m - robot_x_m).hypot(y_m - robot_y_m);
-            let entry = WorldEntry { range_m, range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
-            if let Some(range_m) = sensor.measure(tick, &entry).filter(|_| robot.range_sent_ns.is_some()) {
-                writeln!(ranges, "{time_s:.4},{id},{robot_x_m:.4},{robot_y_m:.4},{:.4}", range_m.max(0.0))?;
+        let exchanges = fusion.map_or(&[][..], |fusion| &fusion.exchanges);
+        for (id, heard) in exchanges.iter().enumerate().filter_map(|(id, exchange)| Some((id, exchange.heard?))) {
+            if let Some((range_m, _)) = heard.measurement.range() {
+                let Pose { x_m, y_m, .. } = heard.measurement.pose;
+                writeln!(ranges, "{time_s:.4},{id},{x_m:.4},{y_m:.4},{:.4}", range_m.max(0.0))?;
             }
         }
         Ok(())

@@ -12,8 +12,8 @@
 //! | `truth` | sim -> observers | the target's true state |
 //!
 //! Data travels on topics; a wake-up ([`Bell`]) only says "look". Each process waits in one [`Bed`], for a
-//! limited time, and drains all of its topics at each wake-up, because wake-ups coalesce. Observers
-//! are never woken: they look when they like.
+//! limited time, and drains the topics that it is called for, or all of them if nobody called, because wake-ups
+//! coalesce. Observers are never woken: they look when they like.
 
 mod senders;
 

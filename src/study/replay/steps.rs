@@ -1,12 +1,13 @@
-//! A fresh fusion centre fed with what the recorded one heard: pure, a frame in, an estimate out.
+//! A fresh fusion that leads, fed with what the recorded one heard: pure, a frame in, an estimate out.
 
 use std::collections::BTreeMap;
 
-use rangehound_fusion::centre::{Diverged, Late};
+use rangehound_fusion::LATE_TICKS_MAX;
+use rangehound_fusion::centre::Diverged;
+use rangehound_fusion::leader::{Action, Leader};
 use rangehound_fusion::planner::PlannerError;
-use rangehound_fusion::{Centre, LATE_TICKS_MAX};
-use rangehound_shared::measurement::Measurement;
-use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::message::{Command, Estimate, Header, Range};
+use rangehound_shared::record::Heard;
 use rangehound_shared::scenario::Scenario;
 
 use crate::results::frame::Frame;
@@ -37,10 +38,10 @@ pub enum StepError {
 /// A replay under way.
 #[derive(Debug)]
 pub struct Steps {
-    centre: Centre,
-    reports: Vec<Option<Measurement>>,
-    /// What came late, by the tick that it was taken at: its own tick, its robot, and itself.
-    late: BTreeMap<u64, Vec<(u64, usize, Measurement)>>,
+    leader: Leader,
+    dt_ns: u64,
+    /// What came late, by the tick that it was taken at, as it was sent.
+    late: BTreeMap<u64, Vec<(Header, Range)>>,
     fed: Fed,
 }
 
@@ -59,12 +60,8 @@ impl Steps {
     /// # Errors
     /// [`PlannerError`] if its planner cannot serve its team.
     pub fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
-        Ok(Self {
-            centre: Centre::new(scenario)?.keeping_the_past(),
-            reports: vec![None; scenario.robots.len()],
-            late: BTreeMap::new(),
-            fed: Fed::default(),
-        })
+        let dt_ns = (scenario.dt_s * 1e9) as u64;
+        Ok(Self { leader: Leader::new(scenario)?, dt_ns, late: BTreeMap::new(), fed: Fed::default() })
     }
 
     /// Goes through a tick with what the recorded centre had heard when it did.
@@ -72,46 +69,41 @@ impl Steps {
     /// # Errors
     /// [`StepError`].
     pub fn step(&mut self, frame: &Frame) -> Result<Estimate, StepError> {
-        let tick = self.centre.next_tick();
+        let tick = self.leader.centre().next_tick();
         if frame.tick != tick {
             return Err(StepError::Hole(Missing::between(tick, frame.tick)));
         }
-        let Self { centre, reports, late, fed } = self;
-        for (robot, (slot, exchange)) in reports.iter_mut().zip(&frame.fusion.exchanges).enumerate() {
-            *slot = None;
-            let Some(heard) = exchange.heard else { continue };
-            let has_range = heard.measurement.has_range;
-            let taken_at = heard.taken_at;
+        let Self { leader, dt_ns, late, fed } = self;
+        // A clock on which each tick begins in time.
+        let now_ns = tick.saturating_add(1).saturating_mul(*dt_ns);
+        for (header, range) in late.remove(&tick).unwrap_or_default() {
+            leader.on_range(&header, &[range], now_ns);
+        }
+        let header = Header { tick, valid_at_s: frame.fusion.time_s, ..Header::default() };
+        for (robot, exchange) in frame.fusion.exchanges.iter().enumerate() {
+            let Some(Heard { measurement, taken_at, .. }) = exchange.heard else { continue };
+            let range = Range { robot: robot as u64, measurement, tick_began_ns: now_ns };
             if taken_at == tick {
-                *slot = Some(heard.measurement);
-                fed.in_time += has_range;
+                leader.on_range(&header, &[range], now_ns);
+                fed.in_time += measurement.has_range;
             } else if (tick + 1..=tick.saturating_add(LATE_TICKS_MAX as u64)).contains(&taken_at) {
-                late.entry(taken_at).or_default().push((tick, robot, heard.measurement));
-                fed.late += has_range;
+                late.entry(taken_at).or_default().push((header, range));
+                fed.late += measurement.has_range;
             } else {
                 return Err(StepError::Senseless { tick, robot, taken_at });
             }
         }
-        let (mut fused_late, mut rejected_late) = (0, 0);
-        for (tick, robot, report) in late.remove(&tick).unwrap_or_default() {
-            match centre.take_late(tick, robot, report) {
-                Late::Fused => fused_late += 1,
-                Late::Rejected => rejected_late += 1,
-                Late::NoRange | Late::Missed => {}
-            }
-        }
-        centre.update(frame.fusion.time_s, reports)?;
-        centre.plan();
+        leader.end_tick();
+        while leader.next_action(now_ns)?.is_some_and(|action| action != Action::Record) {}
         // What was refused, and when what happened, no replay can tell.
-        let recorded = &frame.fusion.estimate;
-        let (late, refused, stages) = (recorded.late, recorded.refused, recorded.stages);
-        Ok(Estimate { late, fused_late, rejected_late, refused, stages, ..centre.estimate() })
+        let &Estimate { late, refused, stages, .. } = &frame.fusion.estimate;
+        Ok(Estimate { late, refused, stages, ..*leader.estimate() })
     }
 
     /// What the replayed centre commanded at the last tick.
     #[must_use]
     pub fn commands(&self) -> &[Command] {
-        self.centre.commands()
+        self.leader.centre().commands()
     }
 
     /// What it was given up to now.
