@@ -79,10 +79,13 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     run.assert_nothing_left();
 }
 
+fn description(run: &Run) -> RunDescription {
+    sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap()
+}
+
 /// What fusion heard of robot 0, m.
 fn heard_m(run: &Run) -> Vec<f64> {
-    let description: RunDescription = sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap();
-    let mut log = logs::read_estimates(&description).unwrap();
+    let mut log = logs::read_estimates(&description(run)).unwrap();
     let mut heard = Vec::new();
     while let Some(Ok((_, record))) = log.next() {
         heard.extend(record.exchanges.iter().filter_map(|robot| robot.heard?.measurement.range()));
@@ -125,6 +128,10 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     }
     let heard = heard_m(&run);
     assert!(!heard.is_empty() && heard.iter().all(|range_m| *range_m == 15.0), "{heard:?}");
+    // The run as a recording has the radio's ranges, not a simulated sensor's.
+    rangehound::results::tables::write_recording(&description(&run)).unwrap();
+    let ranges = run.read("ranges.csv");
+    assert_eq!(ranges.lines().skip(1).filter(|row| row.ends_with(",15.0000")).count(), heard.len(), "{ranges}");
     run.assert_nothing_left();
 }
 
