@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The binary `rangehound` is the tool and also each node: `rangehound sim`, `rangehound fusion`,
-//! `rangehound robot --id 3`. This crate alone knows all roles.
+//! `rangehound robot --id 3`. This crate and `node`, which runs them, know all roles.
 //!
 //! | module | what |
 //! |---|---|

@@ -86,6 +86,7 @@ fn attack(name: &str, cases: u32, mut taken: Vec<Vec<u8>>, target: fn(&[u8]) -> 
 
 /// The files of a folder, if there is one, always in the same order.
 fn documents(folder: &Path) -> Vec<Vec<u8>> {
+    // Sound documents of formats that follow the protocol's number are made, so there may be no folder of them.
     let mut files: Vec<_> = std::fs::read_dir(folder).into_iter().flatten().map(|file| file.unwrap().path()).collect();
     files.sort();
     files.iter().map(|file| std::fs::read(file).unwrap()).collect()
@@ -232,9 +233,9 @@ fn hostile_messages() {
         heading_late: words[3],
         headings_refused: words[4],
     });
-    let entry = ([(); 4].map(|()| number.clone()), prop_oneof![2 => 0..4_u64, 1 => word.clone()]);
-    let entry = entry.prop_map(|([x_m, y_m, range_m, height_m], range_kind)| WorldEntry {
-        pose: Pose { height_m, ..Pose::at([x_m, y_m]) },
+    let entry = ([(); 7].map(|()| number.clone()), prop_oneof![2 => 0..4_u64, 1 => word.clone()]);
+    let entry = entry.prop_map(|([x_m, y_m, range_m, height_m, xx_m2, xy_m2, yy_m2], range_kind)| WorldEntry {
+        pose: Pose { x_m, y_m, height_m, covariance_m2: [xx_m2, xy_m2, yy_m2] },
         range_m,
         range_kind,
     });

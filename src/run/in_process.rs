@@ -20,7 +20,7 @@ use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_sim::World;
 use rangehound_sim::machine as sim;
 
-/// Stamps that say what there was, and give no latency: nobody looks at a clock here.
+/// Stamps of ranges and headings that say what there was, and give no latency.
 const RANGE_SENT_NS: u64 = u64::MAX;
 const HEADING_HELD_NS: u64 = 1;
 

@@ -4,7 +4,6 @@
 //!
 //! | part | what it does |
 //! |---|---|
-//! | `input` | a file, a pipe or standard input |
 //! | `lines` | lines of at most so many bytes; byte order marks |
 //! | `dialect` | comments, fields, quotes, decimal marks |
 //! | `table` | finds header and separator, gives rows as long as the header |
@@ -14,6 +13,7 @@
 //! | `port` | logs of a radio's port, by [`crate::radio`] |
 //! | `gathering` | ranges to a [`Recording`]: order, repeats, instants |
 //! | `checks` | units that cannot be |
+//! | `digest`, `summary`, `write` | what tells a recording from all others, what the reader found, CSV again |
 
 mod anchors;
 mod checks;
@@ -24,7 +24,6 @@ mod error;
 mod gathering;
 mod layout;
 mod lines;
-
 mod name;
 mod names;
 mod options;
@@ -118,15 +117,6 @@ impl Recording {
     #[must_use]
     pub fn has_heights(&self) -> bool {
         self.readings.iter().any(|reading| reading.height_m.is_some())
-    }
-
-    /// Whether an instant is the last of its stamp: a sensor that repeats within a stamp makes several of it.
-    #[must_use]
-    pub fn is_last_of_stamp(&self, index: usize) -> bool {
-        match (self.instants.get(index), self.instants.get(index + 1)) {
-            (Some(this), Some(next)) => this.time_s < next.time_s,
-            (this, _) => this.is_some(),
-        }
     }
 
     /// The sensors by ascending name.

@@ -1,7 +1,7 @@
 //! The typed messages of the six topics.
 //!
-//! Units stand in the names; stamps (`_ns` but for `log_time`) are of the monotonic clock of the machine that ran. A run in
-//! one process looks at no clock: its stamps only say that there is one.
+//! Units stand in the names; stamps (`_ns` but for `log_time`) are of the monotonic clock of the machine that ran. Those of
+//! ranges and headings of a run in one process only say that there was one.
 
 use prost::DecodeError;
 
@@ -37,6 +37,9 @@ pub struct Place {
     /// Height of its sensor above the plane in which the target moves.
     #[prost(double, tag = "4")]
     pub height_m: f64,
+    /// Covariance of its position, of x, of x and y, of y; absent where the position is exact.
+    #[prost(double, repeated, tag = "5")]
+    pub position_covariance_m2: Vec<f64>,
 }
 
 /// Topic `/range`: a robot's word to fusion.
@@ -78,6 +81,9 @@ pub struct Range {
     /// Its own innovation squared over its variance, of one degree of freedom, if anything predicted it.
     #[prost(double, optional, tag = "12")]
     pub normalised_square: Option<f64>,
+    /// Covariance of the sensor's position, of x, of x and y, of y; absent where the position is exact.
+    #[prost(double, repeated, tag = "13")]
+    pub position_covariance_m2: Vec<f64>,
 }
 
 /// Topic `/heading`: fusion's word to all robots.

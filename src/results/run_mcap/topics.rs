@@ -22,13 +22,14 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     let Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world } = frame;
     let (tick, time_s) = (*tick, *time_s);
     let places = world.robots.iter().map(|robot| {
-        let Pose { x_m, y_m, height_m, .. } = robot.pose;
-        Place { x_m, y_m, range_m: robot.range_m, height_m }
+        let Pose { x_m, y_m, height_m, covariance_m2 } = robot.pose;
+        Place { x_m, y_m, range_m: robot.range_m, height_m, position_covariance_m2: told(covariance_m2) }
     });
     let world_message = World { tick, time_s: world.time_s, robots: places.collect(), ended_ns: world.ended_ns };
     let ranges = exchanges.iter().zip(&world.robots).zip(0..).filter_map(move |((exchange, body), robot)| {
         let sent_ns = body.range_sent_ns;
-        let Pose { x_m, y_m, height_m, .. } = exchange.heard.map_or(body.pose, |heard| heard.measurement.pose);
+        let Pose { x_m, y_m, height_m, covariance_m2 } =
+            exchange.heard.map_or(body.pose, |heard| heard.measurement.pose);
         let range = exchange.heard.and_then(|heard| heard.measurement.range());
         let taken_at = exchange.heard.map(|heard| heard.taken_at);
         let judged = exchange.heard.and_then(|heard| heard.judged);
@@ -48,6 +49,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 height_m,
                 used: judged.map(|judged| judged.used.name().to_owned()),
                 normalised_square: judged.and_then(|judged| judged.normalised_square),
+                position_covariance_m2: told(covariance_m2),
             })
         })
     });
@@ -193,15 +195,17 @@ impl Gathering {
                     [place.x_m, place.y_m, place.height_m, place.range_m.unwrap_or(0.0)].into_iter().all(is_near)
                 };
                 (robots.len() == self.robots && robots.iter().all(sound) && time_s.is_finite()).then_some(())?;
-                let robots = robots.into_iter().map(|Place { x_m, y_m, range_m, height_m }| RobotRecord {
-                    pose: Pose { height_m, ..Pose::at([x_m, y_m]) },
-                    range_m,
-                    ..RobotRecord::default()
-                });
-                self.world = Some(WorldRecord { time_s, ended_ns, truth: Vec::new(), robots: robots.collect() });
+                let record = |place: Place| {
+                    let Place { x_m, y_m, range_m, height_m, position_covariance_m2 } = place;
+                    let pose = Pose { x_m, y_m, height_m, covariance_m2: covariance_of(&position_covariance_m2)? };
+                    Some(RobotRecord { pose, range_m, ..RobotRecord::default() })
+                };
+                let robots = robots.into_iter().map(record).collect::<Option<Vec<_>>>()?;
+                self.world = Some(WorldRecord { time_s, ended_ns, truth: Vec::new(), robots });
             }
             OnTopic::Range(range) => {
                 let slot = self.exchanges.get_mut(usize::try_from(range.robot).ok()?)?;
+                let covariance_m2 = covariance_of(&range.position_covariance_m2)?;
                 let Range { x_m, y_m, range_m, range_std_m, taken_at_tick, height_m, used, normalised_square, .. } =
                     range;
                 let range_m = range_m.zip(range_std_m);
@@ -216,7 +220,7 @@ impl Gathering {
                         Some(Judged { used, normalised_square })
                     }
                 };
-                let measurement = Measurement::new(Pose { height_m, ..Pose::at([x_m, y_m]) }, range_m);
+                let measurement = Measurement::new(Pose { x_m, y_m, height_m, covariance_m2 }, range_m);
                 let heard = |taken_at| Heard { measurement, taken_at, judged };
                 slot.heard = taken_at_tick.map(heard);
                 slot.heard.is_none_or(|heard| heard.taken_at >= self.tick).then_some(())?;
@@ -280,6 +284,17 @@ fn name_of(heading: Followed) -> &'static str {
         Followed::Late => "late",
         Followed::None => "none",
     }
+}
+
+/// A covariance as a message has it: left out where there is none.
+fn told(covariance_m2: [f64; 3]) -> Vec<f64> {
+    if covariance_m2 == [0.0; 3] { Vec::new() } else { covariance_m2.to_vec() }
+}
+
+/// The covariance that a message tells; `None` if it makes no sense.
+fn covariance_of(told: &[f64]) -> Option<[f64; 3]> {
+    let covariance_m2 = if told.is_empty() { [0.0; 3] } else { told.try_into().ok()? };
+    covariance_m2.into_iter().all(is_near).then_some(covariance_m2)
 }
 
 fn is_near(value: f64) -> bool {
