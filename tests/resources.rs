@@ -1,10 +1,13 @@
 //! What the system has too little of: one clear line, nothing left behind, and the tracking goes on where it can.
 
 use std::ffi::OsStr;
+use std::io::Write;
+use std::io::Write;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{PermissionsExt, chown};
 use std::path::Path;
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::process::Signal;
 
@@ -203,13 +206,27 @@ fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_and_says_why() 
     let supervisor = run.command_by(&mounted("mount -t tmpfs -o size=2m none /dev/shm"), ENDLESS);
     run.wait_for_ticks(100);
     let shared_memory = format!("/proc/{}/root/dev/shm", supervisor.pid().as_raw_pid());
-    let fill = Path::new(&shared_memory).join("fill");
-    assert!(std::fs::write(&fill, vec![1; 4 << 20]).is_err(), "it was to be filled");
+    let mut fill = std::fs::File::create(Path::new(&shared_memory).join("fill")).unwrap();
+    assert!(fill.write_all(&vec![1; 4 << 20]).is_err(), "it was to be filled");
     let role = Path::new(&shared_memory).join(run.shared_folder().file_name().unwrap()).join("robot-1.role");
     let text = std::fs::read_to_string(role).unwrap();
     let pid = text.trim().split_once(' ').unwrap().1.parse().unwrap();
     signal(rustix::process::Pid::from_raw(pid).unwrap(), Signal::KILL);
-    let outcome = supervisor.finish();
+    // What is cleaned up of the dead would make room.
+    let is_over = AtomicBool::new(false);
+    let outcome = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            // Not without end, if the other thread fails.
+            let began = Instant::now();
+            while !is_over.load(Ordering::Relaxed) && began.elapsed() < Duration::from_secs(150) {
+                while fill.write(&[1; 1 << 12]).is_ok_and(|written| written > 0) {}
+                std::thread::yield_now();
+            }
+        });
+        let outcome = supervisor.finish();
+        is_over.store(true, Ordering::Relaxed);
+        outcome
+    });
     assert_refused(&outcome, 1, &["/dev/shm"]);
 }
 
