@@ -34,7 +34,7 @@ pub use run::{
     ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs, TrackArgs,
 };
 pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
-pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, ExploreArgs, KindArg, LatencyArgs, PlanArgs, RoleArg};
+pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, ExploreArgs, LatencyArgs, PlanArgs};
 pub use values::PerSensor;
 
 /// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre

@@ -8,7 +8,7 @@ use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Scenario, Source};
 
 use super::ExperimentArgs;
-use super::values::whole;
+use super::values::{REFERENCES, whole};
 use crate::failure::{self, Failure};
 use crate::files::input;
 use crate::files::layout::SCENARIO;
@@ -55,7 +55,7 @@ pub struct RobotArgs {
 #[derive(Debug, Args)]
 pub struct LatencyNodeArgs {
     /// How it talks
-    #[arg(long)]
+    #[arg(long, value_parser = REFERENCES)]
     pub reference: Reference,
     /// fusion, who is the centre, or robot-N
     #[arg(long)]
@@ -214,4 +214,21 @@ fn one_by_one(args: &ExperimentArgs) -> Vec<(&'static str, ExperimentArgs)> {
         ("--patience", patience.is_some(), ExperimentArgs { patience: patience.clone(), ..none() }),
     ];
     each.into_iter().filter(|(_, is_given, _)| *is_given).map(|(flag, _, alone)| (flag, alone)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::Cli;
+
+    #[test]
+    fn nodes_can_be_started_as_a_supervisor_starts_them() {
+        let name: RunName = "demo".parse().unwrap();
+        for role in [Role::Sim, Role::Fusion, Role::Standby(1), Role::Robot(255)] {
+            let args = node::command_line(role, &name);
+            Cli::try_parse_from(std::iter::once("rangehound".to_owned()).chain(args)).unwrap();
+        }
+    }
 }

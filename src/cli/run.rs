@@ -8,9 +8,7 @@ use rangehound_shared::scenario::{Clock, GateKey, PatienceKey};
 
 use super::ParentArgs;
 use super::input::InputArgs;
-use super::values::{
-    ClockName, PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole,
-};
+use super::values::{CLOCKS, PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole};
 use crate::failure::Failure;
 use crate::results::made::Keep;
 use crate::results::report::Truth;
@@ -35,7 +33,7 @@ pub struct ExperimentArgs {
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// What starts the next tick: wall time, or all answers
-    #[arg(long, value_parser = ClockName)]
+    #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
     /// How headings are chosen
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Clock, PatienceKey, PlannerTable, Source};
 
-use super::values::{ClockName, PlannerName, number, standbys, whole};
+use super::values::{CLOCKS, KINDS, PlannerName, VICTIMS, number, standbys, whole};
 use super::{ExperimentArgs, InputArgs};
 use crate::failure::Failure;
 use crate::plan;
@@ -115,7 +115,7 @@ pub struct LatencyArgs {
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub ticks: Option<u64>,
     /// What starts the next tick: wall time, or all answers [default: lockstep, realtime if a rate is given]
-    #[arg(long, value_parser = ClockName)]
+    #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
     /// Ticks a second in real time [default: the scenario's]
     #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
@@ -165,11 +165,11 @@ pub struct ChaosArgs {
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 50)]
     pub faults: u64,
     /// Kinds of faults, separated by commas
-    #[arg(long, value_name = "KINDS", value_delimiter = ',', default_value = "all")]
-    pub kinds: Vec<KindArg>,
+    #[arg(long, value_name = "KINDS", value_parser = KINDS, value_delimiter = ',', default_value = "all")]
+    pub kinds: Vec<Option<Kind>>,
     /// Who is hurt: sim, fusion (whoever leads), robot, standby, separated by commas
-    #[arg(long, value_name = "ROLES", value_delimiter = ',', default_value = "sim,fusion,robot")]
-    pub roles: Vec<RoleArg>,
+    #[arg(long, value_name = "ROLES", value_parser = VICTIMS, value_delimiter = ',', default_value = "sim,fusion,robot")]
+    pub roles: Vec<Victim>,
     /// Fusion processes that stand by in the runs
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
     pub standby: usize,
@@ -185,36 +185,6 @@ pub struct ChaosArgs {
     /// Print the outcome as one line of JSON, with the keys of chaos.json
     #[arg(long)]
     pub json: bool,
-}
-
-/// A kind of fault.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum KindArg {
-    /// One node is killed
-    Kill,
-    /// One node is stopped for 10 ms up to the longest stop
-    Stop,
-    /// One node is killed, and its successors as soon as they have its role, 3 to 5 times
-    Storm,
-    /// Two or more nodes are killed at once
-    Several,
-    /// Everything is killed at once, whatever the roles, and the supervisor too; then the run is resumed
-    Blackout,
-    /// All of these; without blackout if not sim, fusion and robot are to be hurt
-    All,
-}
-
-/// A kind of node.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum RoleArg {
-    /// The simulator
-    Sim,
-    /// The fusion centre
-    Fusion,
-    /// Any robot
-    Robot,
-    /// Any fusion that stands by
-    Standby,
 }
 
 impl PlanArgs {
@@ -321,25 +291,11 @@ impl ChaosArgs {
     }
 
     /// What is asked of the campaign.
-    pub(crate) fn asked(&self) -> Asked {
-        let kind_of = |arg: &KindArg| match arg {
-            KindArg::Kill => Some(Kind::Kill),
-            KindArg::Stop => Some(Kind::Stop),
-            KindArg::Storm => Some(Kind::Storm),
-            KindArg::Several => Some(Kind::Several),
-            KindArg::Blackout => Some(Kind::Blackout),
-            KindArg::All => None,
-        };
-        let victim = |arg: &RoleArg| match arg {
-            RoleArg::Sim => Victim::Sim,
-            RoleArg::Fusion => Victim::Fusion,
-            RoleArg::Robot => Victim::Robot,
-            RoleArg::Standby => Victim::Standby,
-        };
+    fn asked(&self) -> Asked {
         Asked {
             faults: self.faults,
-            kinds: self.kinds.iter().map(kind_of).collect(),
-            victims: self.roles.iter().map(victim).collect(),
+            kinds: self.kinds.iter().copied().collect(),
+            victims: self.roles.clone(),
             standbys: self.standby,
             longest_stop_s: self.longest_stop,
             rate_per_s: self.rate,

@@ -9,6 +9,9 @@ use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::recording::SensorName;
 use rangehound_shared::scenario::{Clock, GateKey, PLANNERS, PatienceKey};
 
+use crate::study::chaos::faults::{Kind, Victim};
+use crate::study::latency::reference::Reference;
+
 /// What each planner does, in the order of [`PLANNERS`].
 const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "The global optimum of each step, with a proof",
@@ -20,11 +23,47 @@ const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "Random headings",
 ];
 
-/// What each clock does.
-const CLOCKS: [(Clock, &str); 2] = [
-    (Clock::Realtime, "Every dt of wall time, whatever is missing"),
-    (Clock::Lockstep, "As soon as all have answered"),
-];
+/// What starts the next tick.
+pub(super) const CLOCKS: OneOf<Clock> = OneOf(&[
+    ("realtime", Clock::Realtime, "Every dt of wall time, whatever is missing"),
+    ("lockstep", Clock::Lockstep, "As soon as all have answered"),
+]);
+
+/// Kinds of faults; of all, none is named.
+pub(super) const KINDS: OneOf<Option<Kind>> = OneOf(&[
+    ("kill", Some(Kind::Kill), "One node is killed"),
+    ("stop", Some(Kind::Stop), "One node is stopped for 10 ms up to the longest stop"),
+    ("storm", Some(Kind::Storm), "One node is killed, and its successors as soon as they have its role, 3 to 5 times"),
+    ("several", Some(Kind::Several), "Two or more nodes are killed at once"),
+    (
+        "blackout",
+        Some(Kind::Blackout),
+        "Everything is killed at once, whatever the roles, and the supervisor too; then the run is resumed",
+    ),
+    ("all", None, "All of these; without blackout if not sim, fusion and robot are to be hurt"),
+]);
+
+/// Who is hurt.
+pub(super) const VICTIMS: OneOf<Victim> = OneOf(&[
+    ("sim", Victim::Sim, "The simulator"),
+    ("fusion", Victim::Fusion, "The fusion centre"),
+    ("robot", Victim::Robot, "Any robot"),
+    ("standby", Victim::Standby, "Any fusion that stands by"),
+]);
+
+/// How nodes of a reference talk.
+pub(super) const REFERENCES: OneOf<Reference> = OneOf(&[
+    (
+        "iceoryx2",
+        Reference::Iceoryx2,
+        "Publish-subscribe and events of iceoryx2, as a program would use it that has nothing else to do",
+    ),
+    (
+        "futex",
+        Reference::Futex,
+        "Words of shared memory on which the kernel lets sleepers wait: the least that a wake-up takes",
+    ),
+]);
 
 /// Completes the names of planners, but takes any: who plans says what is wrong with it.
 #[derive(Debug, Clone, Copy)]
@@ -44,21 +83,23 @@ impl TypedValueParser for PlannerName {
     }
 }
 
-/// What starts the next tick.
+/// One of these words: what it stands for, and what `--help` tells of it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct ClockName;
+pub(super) struct OneOf<T: 'static>(&'static [(&'static str, T, &'static str)]);
 
-impl TypedValueParser for ClockName {
-    type Value = Clock;
+impl<T: Copy + Send + Sync + 'static> TypedValueParser for OneOf<T> {
+    type Value = T;
 
-    fn parse_ref(&self, command: &clap::Command, arg: Option<&Arg>, value: &OsStr) -> Result<Clock, clap::Error> {
-        let names = PossibleValuesParser::new(CLOCKS.map(|(clock, _)| clock.name()));
-        let name = names.parse_ref(command, arg, value)?;
-        Ok(CLOCKS.into_iter().find(|(clock, _)| clock.name() == name).map_or(Clock::Lockstep, |(clock, _)| clock))
+    fn parse_ref(&self, command: &clap::Command, arg: Option<&Arg>, value: &OsStr) -> Result<T, clap::Error> {
+        let words = PossibleValuesParser::new(self.0.iter().map(|(word, ..)| *word));
+        // What is not UTF-8 is none of them.
+        let word = words.parse_ref(command, arg, OsStr::new(value.to_string_lossy().as_ref()))?;
+        let found = self.0.iter().find(|(known, ..)| *known == word);
+        found.map(|(_, value, _)| *value).ok_or_else(|| clap::Error::new(ErrorKind::InvalidValue).with_cmd(command))
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
-        Some(Box::new(CLOCKS.into_iter().map(|(clock, does)| PossibleValue::new(clock.name()).help(does))))
+        Some(Box::new(self.0.iter().map(|(word, _, does)| PossibleValue::new(word).help(does))))
     }
 }
 

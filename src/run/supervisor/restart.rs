@@ -3,7 +3,7 @@
 use rangehound_node::rendezvous::Role;
 
 /// When a node that ended is started again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Policy {
     /// However it ended.
     #[default]
@@ -21,7 +21,7 @@ pub struct Rule {
     policy: Policy,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Sim,
     Fusion,
@@ -32,14 +32,21 @@ impl std::str::FromStr for Rule {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        use clap::ValueEnum as _;
-        let expected =
-            || "expected always, on-failure or never, or one of these for sim=, fusion= or robot=".to_owned();
+        let expected = "expected always, on-failure or never, or one of these for sim=, fusion= or robot=";
         let (kind, policy) = match text.split_once('=') {
-            Some((kind, policy)) => (Some(Kind::from_str(kind, false).map_err(|_| expected())?), policy),
             None => (None, text),
+            Some(("sim", policy)) => (Some(Kind::Sim), policy),
+            Some(("fusion", policy)) => (Some(Kind::Fusion), policy),
+            Some(("robot", policy)) => (Some(Kind::Robot), policy),
+            Some(_) => return Err(expected.to_owned()),
         };
-        Ok(Self { kind, policy: Policy::from_str(policy, false).map_err(|_| expected())? })
+        let policy = match policy {
+            "always" => Policy::Always,
+            "on-failure" => Policy::OnFailure,
+            "never" => Policy::Never,
+            _ => return Err(expected.to_owned()),
+        };
+        Ok(Self { kind, policy })
     }
 }
 

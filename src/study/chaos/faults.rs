@@ -174,36 +174,45 @@ fn below(count: usize, uniform: f64) -> usize {
 mod tests {
     use super::*;
 
-    fn args(words: &str) -> Asked {
-        use clap::Parser as _;
-        let words = ["rangehound", "chaos"].into_iter().chain(words.split_whitespace());
-        match crate::cli::Cli::try_parse_from(words).unwrap().command {
-            Some(crate::cli::Command::Chaos(args)) => args.asked(),
-            other => panic!("{other:?}"),
-        }
+    /// What is asked of a campaign: faults of all kinds, but for what is changed here.
+    fn asked(change: impl Fn(&mut Asked)) -> Asked {
+        let mut asked = Asked {
+            faults: 50,
+            kinds: None,
+            victims: vec![Victim::Sim, Victim::Fusion, Victim::Robot],
+            standbys: 0,
+            longest_stop_s: 0.5,
+            rate_per_s: 10.0,
+            seed: 1,
+        };
+        change(&mut asked);
+        asked
     }
 
-    fn faults(words: &str, robots: usize) -> Vec<Fault> {
-        let mut faults = Faults::new(&args(words), robots).unwrap();
+    fn faults(robots: usize, change: impl Fn(&mut Asked)) -> Vec<Fault> {
+        let mut faults = Faults::new(&asked(change), robots).unwrap();
         (0..2_000).map(|index| faults.at(index)).collect()
     }
 
     #[test]
     fn the_seed_decides_the_faults() {
-        assert_eq!(faults("", 3), faults("", 3));
-        assert_ne!(faults("", 3), faults("--chaos-seed 2", 3));
+        assert_eq!(faults(3, |_| ()), faults(3, |_| ()));
+        assert_ne!(faults(3, |_| ()), faults(3, |asked| asked.seed = 2));
     }
 
     #[test]
     fn gaps_have_the_mean_that_the_rate_asks_for() {
-        let mean_s = |words| faults(words, 3).iter().map(|fault| fault.gap.as_secs_f64()).sum::<f64>() / 2_000.0;
-        assert!((mean_s("--rate 10") - 0.1).abs() < 0.01);
-        assert!((mean_s("--rate 100") - 0.01).abs() < 0.001);
+        let mean_s = |rate_per_s| {
+            let faults = faults(3, |asked| asked.rate_per_s = rate_per_s);
+            faults.iter().map(|fault| fault.gap.as_secs_f64()).sum::<f64>() / 2_000.0
+        };
+        assert!((mean_s(10.0) - 0.1).abs() < 0.01);
+        assert!((mean_s(100.0) - 0.01).abs() < 0.001);
     }
 
     #[test]
     fn every_kind_hits_every_role_and_nobody_else() {
-        let all = faults("", 2);
+        let all = faults(2, |_| ());
         for kind in Kind::ALL {
             for role in [Role::Sim, Role::Fusion, Role::Robot(0), Role::Robot(1)] {
                 assert!(all.iter().any(|fault| fault.kind == kind && fault.roles.contains(&role)), "{kind:?} {role}");
@@ -211,30 +220,41 @@ mod tests {
         }
         assert!(all.iter().all(|fault| (3..=5).contains(&fault.kills)));
         assert!(all.iter().all(|fault| fault.stop.as_millis() >= 10 && fault.stop.as_millis() <= 500));
-        assert!(faults("--roles sim,robot", 2).iter().all(|fault| fault.kind != Kind::Blackout));
-        assert!(faults("--roles standby --standby 2", 2).iter().any(|fault| fault.roles == [Role::Standby(2)]));
-        let only = faults("--kinds kill,stop --roles robot", 256);
+        let without_fusion = faults(2, |asked| asked.victims = vec![Victim::Sim, Victim::Robot]);
+        assert!(without_fusion.iter().all(|fault| fault.kind != Kind::Blackout));
+        let standbys = faults(2, |asked| (asked.victims, asked.standbys) = (vec![Victim::Standby], 2));
+        assert!(standbys.iter().any(|fault| fault.roles == [Role::Standby(2)]));
+        let only = faults(256, |asked| {
+            asked.kinds = Some(vec![Kind::Kill, Kind::Stop]);
+            asked.victims = vec![Victim::Robot];
+        });
         assert!(only.iter().all(|fault| matches!(fault.kind, Kind::Kill | Kind::Stop)));
         assert!(only.iter().all(|fault| matches!(fault.roles[..], [Role::Robot(_)])));
     }
 
     #[test]
     fn several_are_at_least_two_and_different() {
-        for fault in faults("--kinds several", 3) {
+        for fault in faults(3, |asked| asked.kinds = Some(vec![Kind::Several])) {
             let mut roles = fault.roles.clone();
             roles.sort();
             roles.dedup();
             assert!(roles.len() == fault.roles.len() && (2..=5).contains(&roles.len()), "{fault:?}");
         }
-        assert!(faults("--kinds several --roles sim", 3).iter().all(|fault| fault.roles == [Role::Sim]));
+        let alone = faults(3, |asked| (asked.kinds, asked.victims) = (Some(vec![Kind::Several]), vec![Victim::Sim]));
+        assert!(alone.iter().all(|fault| fault.roles == [Role::Sim]));
     }
 
     #[test]
     fn nonsense_is_refused() {
-        for words in
-            ["--faults 0", "--rate 0", "--rate -1", "--rate nan", "--rate inf", "--longest-stop 0", "--roles standby"]
-        {
-            assert!(matches!(Faults::new(&args(words), 3), Err(Failure::Input(_))), "{words}");
+        let refused = |change: &dyn Fn(&mut Asked)| {
+            let asked = asked(change);
+            assert!(matches!(Faults::new(&asked, 3), Err(Failure::Input(_))), "{asked:?}");
+        };
+        for rate_per_s in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            refused(&|asked| asked.rate_per_s = rate_per_s);
         }
+        refused(&|asked| asked.faults = 0);
+        refused(&|asked| asked.longest_stop_s = 0.0);
+        refused(&|asked| asked.victims = vec![Victim::Standby]);
     }
 }

@@ -17,13 +17,11 @@ mod processes;
 
 use std::time::Duration;
 
-use clap::ValueEnum;
-
 pub use node::latency_node;
 pub(super) use processes::measure;
 
 /// How nodes of a reference talk.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reference {
     /// Publish-subscribe and events of iceoryx2, as a program would use it that has nothing else to do.
     Iceoryx2,
