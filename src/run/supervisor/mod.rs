@@ -76,7 +76,7 @@ pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -
     })
 }
 
-/// Runs an experiment in this process, and records it unless its recording may have no megabyte.
+/// Runs an experiment in this process, and records it if its recording may have any megabytes.
 ///
 /// # Errors
 /// [`Failure`].
