@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::Estimate;
@@ -25,14 +26,18 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
     let mut last: Option<(f64, Estimate)> = None;
-    Frames::open(description)?.for_each(|PutDown { tick, fusion, .. }| {
-        let Some(FusionRecord { time_s, estimate, .. }) = fusion.filter(|_| tick >= first_tick) else { return Ok(()) };
+    // What the simulator put down is not needed, and the log may be long.
+    let mut log = logs::read_estimates(description)?;
+    while let Some(record) = log.next() {
+        let (tick, FusionRecord { time_s, estimate, .. }) = record?;
+        if tick < first_tick {
+            continue;
+        }
         if let Some((last_s, last)) = last.filter(|(last_s, _)| last_s != time_s) {
             write_estimate_row(&mut out, last_s, &last)?;
         }
         last = Some((*time_s, *estimate));
-        Ok(())
-    })?;
+    }
     if let Some((time_s, estimate)) = last {
         write_estimate_row(&mut out, time_s, &estimate)?;
     }
