@@ -101,11 +101,10 @@ impl Curves {
         if let Some(FusionRecord { time_s, estimate, .. }) = fusion {
             self.add_to_stretch(tick, *time_s, estimate, thinning);
             if thinning.keeps(tick) {
-                let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
                 self.times_s.push(*time_s);
                 self.paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
                 self.paths.covariances_m2.push(position_covariance(estimate));
-                self.paths.truths_m.push(simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s))));
+                self.paths.truths_m.push(put_down.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s))));
                 let least_m2 = estimate.least_trace_m2;
                 if least_m2 > 0.0 && least_m2 <= DRAWABLE_MAX {
                     self.least_traces_m2.push((time_s + scenario.dt_s, least_m2));

@@ -1,6 +1,7 @@
 //! A run tick by tick: all that travelled on its topics, from what the nodes put down. Report, tables, curves, the page and
 //! recordings are made from here.
 
+use nalgebra::Vector2;
 use rangehound_fusion::LATE_TICKS_MAX;
 use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
@@ -31,6 +32,15 @@ pub struct PutDown<'a> {
     pub fusion: Option<&'a FusionRecord>,
     /// Where all were, and what the robots did.
     pub world: Option<&'a WorldRecord>,
+}
+
+impl PutDown<'_> {
+    /// Where the target truly was, if the simulator knew, m.
+    #[must_use]
+    pub fn target_m(&self) -> Option<Vector2<f64>> {
+        let truth = &self.world?.truth;
+        Some(Vector2::new(*truth.first()?, *truth.get(1)?))
+    }
 }
 
 /// The ticks of a run folder, while the run goes on or after it. Nobody is asked or woken: the nodes' own logs are read.

@@ -18,7 +18,6 @@ pub mod verdict;
 
 use std::path::Path;
 
-use nalgebra::Vector2;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::Source;
@@ -46,7 +45,8 @@ pub fn from_logs(
     let scenario = &description.scenario;
     let mut tally = Tally::new()?;
     let mut overlap = truth.map(Overlap::of);
-    Frames::open(description)?.for_each(|PutDown { tick, fusion, world }| {
+    Frames::open(description)?.for_each(|put_down| {
+        let PutDown { tick, fusion, world } = put_down;
         if let Some(world) = world {
             tally.add_world(world.ended_ns, &world.robots);
         }
@@ -56,8 +56,7 @@ pub fn from_logs(
         if let Some(world) = world {
             tally.add_hops(&estimate.stages, &world.robots);
         }
-        let simulated = world.and_then(|world| Some(Vector2::new(*world.truth.first()?, *world.truth.get(1)?)));
-        let truth_m = simulated.or_else(|| truth.and_then(|truth| truth.at(*time_s)));
+        let truth_m = put_down.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s)));
         if let Some(overlap) = overlap.as_mut().filter(|_| tick > 0) {
             overlap.add(*time_s, truth_m.is_some());
         }
