@@ -246,7 +246,9 @@ impl Machine {
         self.repeat_at_ns = now_ns + REPEAT_NS;
         // A simulator that was started again waits for nobody.
         if self.clock == Clock::Realtime && self.tick > 0 {
-            self.due_ns.get_or_insert(now_ns + self.dt_ns);
+            // One that was stopped on the way from tick to tick gives the new one its time.
+            let due_ns = self.due_ns.filter(|due_ns| *due_ns > now_ns);
+            self.due_ns = Some(due_ns.unwrap_or(now_ns + self.dt_ns));
         }
     }
 
