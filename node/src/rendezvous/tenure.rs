@@ -43,5 +43,7 @@ mod tests {
         assert!(tenure.is_silent_since(&7) && !tenure.is_silent_since(&6));
         assert!(!Tenure { starts: 0, sign: None }.is_silent_since(&7));
         assert_eq!(tenure.next_incarnation(), 4);
+        // Also one that takes it from nobody: whoever deposed the first one may have ended before it had moved the file.
+        assert!(!needs_own_checkpoint(1) && needs_own_checkpoint(2) && needs_own_checkpoint(3));
     }
 }

@@ -57,7 +57,7 @@ pub(super) struct Counts {
 /// What happens at a time.
 #[derive(Debug)]
 pub(super) enum Happening {
-    Arrives { to: usize, message: Message },
+    Arrives { to: usize, message: Message, is_garbled: bool },
     Wakes { node: usize, call: Option<Call> },
     Begins(usize),
     ComesUp { node: usize, life: u32 },
@@ -159,7 +159,7 @@ impl<'a> Cluster<'a> {
             sleepers: [Sleepers::default(); 3],
             supervisor: Supervisor::new(plan),
             is_finished: false,
-            witness: Witness::new(scenario, undisturbed, plan.network.garbled > 0.0),
+            witness: Witness::new(scenario, undisturbed, plan),
             counts: Counts::default(),
             story: tells_story.then(Vec::new),
         }
@@ -213,8 +213,8 @@ impl<'a> Cluster<'a> {
 
     fn happen(&mut self, happening: Happening) -> Result<(), Violation> {
         match happening {
-            Happening::Arrives { to, message } => {
-                let is_woken = self.arrive(to, message);
+            Happening::Arrives { to, message, is_garbled } => {
+                let is_woken = self.arrive(to, message, is_garbled);
                 if is_woken { self.run(to) } else { Ok(()) }
             }
             Happening::Wakes { node, call } => {

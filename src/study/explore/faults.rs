@@ -59,8 +59,10 @@ pub(super) enum FaultKind {
         /// For how long, ns.
         for_ns: u64,
     },
-    /// All nodes and the supervisor are stopped at once.
+    /// All nodes are stopped at once, the supervisor too or not.
     StopAll {
+        /// The supervisor too.
+        with_supervisor: bool,
         /// For how long, ns.
         for_ns: u64,
     },
@@ -97,7 +99,7 @@ impl Fault {
             FaultKind::Kill { times, up_ns, .. } => u64::from(times) * (up_ns + 20_000_000),
             FaultKind::Stop { for_ns, .. }
             | FaultKind::StopLeader { for_ns, .. }
-            | FaultKind::StopAll { for_ns }
+            | FaultKind::StopAll { for_ns, .. }
             | FaultKind::StopSupervisor { for_ns }
             | FaultKind::Partition { for_ns, .. } => for_ns.min(HANG_MAX_NS),
             FaultKind::KillHeir { .. } | FaultKind::RefuseStarts { .. } | FaultKind::Break { .. } => 0,
@@ -174,7 +176,7 @@ fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
         62..74 => FaultKind::StopLeader { after_actions, for_ns },
         74..80 if !plan.is_endless => FaultKind::Stop { node, after_actions, for_ns: FOR_EVER_NS },
         74..80 if plan.standbys > 0 => FaultKind::StopLeader { after_actions, for_ns: FOR_EVER_NS },
-        80..85 => FaultKind::StopAll { for_ns: 2 * for_ns },
+        80..85 => FaultKind::StopAll { with_supervisor: random.random_bool(0.5), for_ns: 2 * for_ns },
         85..88 => FaultKind::StopSupervisor { for_ns },
         88..90 => FaultKind::RefuseStarts { times: random.random_range(1..=OWN_FAILURES_MAX) },
         90..91 => FaultKind::Break { node, after_actions: few_actions },

@@ -72,6 +72,10 @@ impl Message {
     }
 }
 
+fn message_of((message, _): (Message, bool)) -> Message {
+    message
+}
+
 impl Cluster<'_> {
     /// Sends a message, which may get lost.
     pub(super) fn send(&mut self, from: usize, to: usize, message: impl Fn() -> Message) {
@@ -81,7 +85,7 @@ impl Cluster<'_> {
         }
         let network = &self.plan.network;
         if self.now_ns >= self.calm_from_ns {
-            self.after(MESSAGE_NS, Happening::Arrives { to, message: message() });
+            self.after(MESSAGE_NS, Happening::Arrives { to, message: message(), is_garbled: false });
             return;
         }
         if self.random.random_bool(network.loss) {
@@ -91,18 +95,18 @@ impl Cluster<'_> {
         for _ in 0..copies {
             let is_slow = self.random.random_bool(network.slow);
             let late_ns = if is_slow { self.random.random_range(0..network.slow_max_ns) } else { 0 };
-            self.after(MESSAGE_NS + late_ns, Happening::Arrives { to, message: message() });
+            self.after(MESSAGE_NS + late_ns, Happening::Arrives { to, message: message(), is_garbled: false });
             if self.random.random_bool(network.garbled) {
                 // In real time a tick may begin with the copy: what it says is not known to be nonsense then.
                 let kinds = if self.plan.clock == Clock::Realtime { 0..2 } else { 0..5 };
                 let message = message().garbled(self.random.random_range(kinds));
-                self.after(MESSAGE_NS + late_ns, Happening::Arrives { to, message });
+                self.after(MESSAGE_NS + late_ns, Happening::Arrives { to, message, is_garbled: true });
             }
         }
     }
 
     /// A message reaches a node, whose process looks at it if that wakes it.
-    pub(super) fn arrive(&mut self, to: usize, message: Message) -> bool {
+    pub(super) fn arrive(&mut self, to: usize, message: Message, is_garbled: bool) -> bool {
         let node = &mut self.nodes[to];
         // Nobody listens yet.
         if matches!(node.process, Process::None | Process::Starting) {
@@ -110,18 +114,28 @@ impl Cluster<'_> {
         }
         if node.inbox.len() == INBOX {
             node.inbox.remove(0);
+            // Nonsense goes with what it is a copy of: alone it could not be told.
+            while node.inbox.first().is_some_and(|(_, is_garbled)| *is_garbled) {
+                node.inbox.remove(0);
+            }
         }
-        node.inbox.push(message);
+        if let Message::Range(header, _) = &message
+            && !is_garbled
+            && node.first_arrival.is_none_or(|(newest, _)| newest < header.tick)
+        {
+            node.first_arrival = Some((header.tick, self.now_ns));
+        }
+        node.inbox.push((message, is_garbled));
         self.plan.network.wakes_on_arrival && node.process.is_woken()
     }
 
     /// What has come; nothing yet for a process that was interrupted, which looks again at once.
-    pub(super) fn take_inbox(&mut self, node: usize) -> Vec<Message> {
+    pub(super) fn take_inbox(&mut self, node: usize) -> impl Iterator<Item = Message> + use<> {
         if std::mem::take(&mut self.nodes[node].is_interrupted) {
             self.after(0, Happening::Wakes { node, call: Some(Call::World) });
-            return Vec::new();
+            return Vec::new().into_iter().map(message_of);
         }
-        std::mem::take(&mut self.nodes[node].inbox)
+        std::mem::take(&mut self.nodes[node].inbox).into_iter().map(message_of)
     }
 
     /// Wakes whom a role asks for.

@@ -16,6 +16,9 @@ use crate::run::supervisor::deaths::End;
 /// A process looks at everything once in so long, called or not.
 const IDLE_NS: u64 = 100_000_000;
 
+/// Most actions of a process before it sleeps.
+const ACTIONS_MAX: u32 = 10_000;
+
 /// A machine in its part of a robot.
 pub(super) struct Robot {
     pub(super) machine: rangehound_robot::machine::Machine,
@@ -57,7 +60,12 @@ pub(super) struct Node {
     doom: Option<Doom>,
     /// What is to become of processes that follow.
     dooms_to_come: Vec<Doom>,
-    pub(super) inbox: Vec<Message>,
+    /// What has come, and whether it is garbled.
+    pub(super) inbox: Vec<(Message, bool)>,
+    /// The newest tick of which a range came, and when the first one did.
+    pub(super) first_arrival: Option<(u64, u64)>,
+    /// What it has done since it last slept.
+    actions: u32,
     pub(super) wakes_at_ns: u64,
     pub(super) incarnation: u64,
     /// Its process's last sign of life, in a role of its own.
@@ -99,6 +107,8 @@ impl Node {
             doom: None,
             dooms_to_come: Vec::new(),
             inbox: Vec::new(),
+            first_arrival: None,
+            actions: 0,
             wakes_at_ns: u64::MAX,
             incarnation: 0,
             signed_ns: None,
@@ -160,9 +170,11 @@ impl Cluster<'_> {
                 self.counts.faults += 1;
                 self.stop_supervisor(for_ns);
             }
-            FaultKind::StopAll { for_ns } => {
+            FaultKind::StopAll { for_ns, with_supervisor } => {
                 self.counts.faults += 1;
-                self.stop_supervisor(for_ns);
+                if with_supervisor {
+                    self.stop_supervisor(for_ns);
+                }
                 for node in 0..self.nodes.len() {
                     if !matches!(self.nodes[node].process, Process::None | Process::Starting) {
                         let later_ns = self.random.random_range(0..1_000_000);
@@ -190,7 +202,15 @@ impl Cluster<'_> {
     }
 
     /// Counts an action of a node, and says what becomes of it before that.
-    pub(super) fn meet_doom(&mut self, node: usize) -> Fate {
+    pub(super) fn meet_doom(&mut self, node: usize) -> Result<Fate, Violation> {
+        self.nodes[node].actions += 1;
+        if self.nodes[node].actions > ACTIONS_MAX {
+            return Err(self.violation(Some(node), "it acts and acts, and comes to no rest".to_owned()));
+        }
+        Ok(self.fate(node))
+    }
+
+    fn fate(&mut self, node: usize) -> Fate {
         let Some(doom) = &mut self.nodes[node].doom else { return Fate::Lives };
         if let Some(fewer) = doom.after_actions.checked_sub(1) {
             doom.after_actions = fewer;
@@ -297,6 +317,7 @@ impl Cluster<'_> {
         }
         let process = std::mem::replace(&mut running.process, Process::None);
         let life = running.life;
+        running.actions = 0;
         // Who leads signs for the lead.
         if matches!(process, Process::Sim(_) | Process::Robot(_) | Process::Standby(_))
             && running.signed_ns.is_none_or(|signed_ns| self.now_ns >= signed_ns + SIGN_NS)

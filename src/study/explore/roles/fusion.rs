@@ -36,10 +36,13 @@ pub(in crate::study::explore) struct Leading {
     /// Its checkpoint file, if it has one.
     pub(in crate::study::explore) disk: Option<usize>,
     pub(in crate::study::explore) turns: Turns,
+    pub(in crate::study::explore) since_ns: u64,
     /// When the first range of a tick came, by its own clock, if neither it nor the simulator was stopped since.
     pub(in crate::study::explore) first_range: Option<(u64, u64)>,
     /// The same in time for which it ran, whoever was stopped.
     pub(in crate::study::explore) ran_at_first_ns: Option<(u64, u64)>,
+    /// It has made sure that it leads since it last commanded.
+    pub(in crate::study::explore) has_looked: bool,
     /// The newest tick of which a range came.
     pub(in crate::study::explore) newest_heard: u64,
 }
@@ -65,7 +68,7 @@ impl Cluster<'_> {
         node: usize,
         mut standing_by: Box<StandingBy>,
     ) -> Result<Process, Violation> {
-        match self.meet_doom(node) {
+        match self.meet_doom(node)? {
             Fate::Dies { .. } => return Ok(Process::None),
             Fate::Stops => return Ok(Process::Standby(standing_by)),
             Fate::Lives => {}
@@ -81,7 +84,7 @@ impl Cluster<'_> {
             *looks_at_ns = self.now_ns + LOOK.as_nanos() as u64;
             *deposes = standby.look(self.lead.sign());
             if deposes.is_some() {
-                match self.meet_doom(node) {
+                match self.meet_doom(node)? {
                     Fate::Dies { .. } => return Ok(Process::None),
                     Fate::Stops => return Ok(Process::Standby(standing_by)),
                     Fate::Lives => {}
@@ -126,7 +129,7 @@ impl Cluster<'_> {
         node: usize,
         mut heir: Box<Heir>,
     ) -> Result<Process, Violation> {
-        let fate = self.meet_doom(node);
+        let fate = self.meet_doom(node)?;
         if let Fate::Dies { .. } = fate {
             return Ok(Process::None);
         }
@@ -155,7 +158,18 @@ impl Cluster<'_> {
         }
         self.sleepers[Sleeper::Fusion as usize].expected = machine.expected();
         let (hold, first_range, newest_heard) = (*hold, None, 0);
-        let leading = Leading { machine, hold, disk, turns, first_range, ran_at_first_ns: None, newest_heard };
+        self.nodes[node].first_arrival = None;
+        let leading = Leading {
+            machine,
+            hold,
+            disk,
+            turns,
+            first_range,
+            since_ns: self.now_ns,
+            ran_at_first_ns: None,
+            has_looked: false,
+            newest_heard,
+        };
         Ok(Process::Leader(Box::new(leading)))
     }
 

@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use rangehound_fusion::leader::{Action, Notice};
+use rangehound_fusion::leader::{Action, Leader, Notice};
 use rangehound_shared::message::Command;
 use rangehound_shared::wake::{Call, Sleeper};
 
@@ -11,7 +11,10 @@ use super::sim::SIM;
 use crate::study::explore::cluster::{Cluster, Happening, Violation};
 use crate::study::explore::network::Message;
 use crate::study::explore::process::{Fate, Node, Process};
-use crate::study::explore::witness::timing::Closing;
+use crate::study::explore::witness::timing::{Closing, Missing};
+
+/// Ticks after which nobody is missing any more for what was before.
+const CALM_TICKS: u64 = 6;
 
 impl Cluster<'_> {
     pub(in crate::study::explore) fn run_leader(
@@ -48,7 +51,7 @@ impl Cluster<'_> {
                 leading.machine.finish();
                 continue;
             };
-            let fate = self.meet_doom(node);
+            let fate = self.meet_doom(node)?;
             if let Fate::Dies { written } = fate {
                 if action == Action::Save {
                     self.save_leader(node, &mut leading, written)?;
@@ -58,6 +61,10 @@ impl Cluster<'_> {
             if action == Action::RequireLead && !self.holds_lead(&leading) {
                 return Ok(self.is_deposed(node, &leading));
             }
+            if action == Action::SendHeadings && !std::mem::take(&mut leading.has_looked) {
+                return Err(self.violation(Some(node), "it commands without a look whether it leads".to_owned()));
+            }
+            leading.has_looked |= action == Action::RequireLead;
             self.act_leader(node, &mut leading, action)?;
             if let Fate::Stops = fate {
                 return Ok(Process::Leader(leading));
@@ -112,7 +119,7 @@ impl Cluster<'_> {
                 witnessed.map_err(|what| self.violation(Some(node), what))?;
             }
             Action::Record => {
-                let missing = self.witness.record(tick, machine).map_err(|what| self.violation(Some(node), what))?;
+                let missing = self.record(node, machine, tick).map_err(|what| self.violation(Some(node), what))?;
                 let closed = self.witness.timing.closes(&self.closing(node, leading, tick, missing));
                 closed.map_err(|what| self.violation(Some(node), what))?;
                 self.sleepers[Sleeper::Fusion as usize].expected = leading.machine.expected();
@@ -126,20 +133,34 @@ impl Cluster<'_> {
         Ok(())
     }
 
+    /// A tick is put down. Robots are missing for a reason: something has been in the way not long ago.
+    fn record(&mut self, node: usize, machine: &Leader, tick: u64) -> Result<Missing, String> {
+        let Self { witness, nodes, plan, .. } = self;
+        let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
+        let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
+        let is_calm = now_ns > self.calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
+        let robots_from = plan.robot_nodes().start;
+        witness.record(tick, machine, |id| is_calm && is_well(robots_from + id))
+    }
+
     /// How a tick came to its end.
-    fn closing(&self, node: usize, leading: &Leading, tick: u64, has_newly_missing: bool) -> Closing {
+    fn closing(&self, node: usize, leading: &Leading, tick: u64, missing: Missing) -> Closing {
         let began_ns = leading.machine.stages().began_ns;
         let of_tick = |first: Option<(u64, u64)>| first.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns);
         let ran_ns = self.now_ns - self.nodes[node].stopped_ns;
         let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);
         Closing {
             tick,
-            has_newly_missing,
+            missing,
             is_cut: leading.newest_heard > tick || self.is_finished,
             at_ns: (began_ns as f64 / fusion.clock_rate) as u64,
+            arrived_ns: fusion.first_arrival.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns),
             held_ns: of_tick(leading.first_range).map(|first_ns| began_ns.saturating_sub(first_ns)),
             ran_ns: of_tick(leading.ran_at_first_ns).map(|first_ns| ran_ns - first_ns),
-            well_for_ns: sim.well_for_ns(self.now_ns).min(fusion.well_for_ns(self.now_ns)),
+            well_for_ns: sim
+                .well_for_ns(self.now_ns)
+                .min(fusion.well_for_ns(self.now_ns))
+                .min(self.now_ns - leading.since_ns),
             late_ns: self.late_ns(),
         }
     }

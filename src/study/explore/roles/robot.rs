@@ -55,7 +55,7 @@ impl Cluster<'_> {
                 robot.machine.before_sleep();
                 continue;
             };
-            let fate = self.meet_doom(node);
+            let fate = self.meet_doom(node)?;
             if let Fate::Dies { .. } = fate {
                 return Ok(Process::None);
             }

@@ -21,8 +21,12 @@ impl Cluster<'_> {
         let world = world.map_err(|error| self.violation(Some(SIM), error.to_string()))?;
         let mut machine = Machine::new(self.scenario, world);
         let (saved, turns) = self.sim_disk.read::<Saved<'static>>().map_err(|what| self.violation(Some(SIM), what))?;
-        if let Some(saved) = saved {
-            machine.restore(saved).map_err(|error| self.violation(Some(SIM), error.to_string()))?;
+        match saved {
+            Some(saved) => machine.restore(saved).map_err(|error| self.violation(Some(SIM), error.to_string()))?,
+            None if self.witness.has_drives() => {
+                return Err(self.violation(Some(SIM), "the state of a tick that was recorded is lost".to_owned()));
+            }
+            None => {}
         }
         self.sim_turns = turns;
         self.sim_starts += 1;
@@ -41,7 +45,7 @@ impl Cluster<'_> {
         }
         let now_ns = self.local_ns(SIM);
         while let Some(action) = machine.next_action(now_ns) {
-            let fate = self.meet_doom(SIM);
+            let fate = self.meet_doom(SIM)?;
             if let Fate::Dies { written } = fate {
                 if action == Action::Save {
                     self.save_sim(&mut machine, written)?;
@@ -82,13 +86,14 @@ impl Cluster<'_> {
                 let ran_ns = self.now_ns - self.nodes[SIM].stopped_ns;
                 let told = self.witness.timing.leaves_out(tick, ran_ns);
                 told.map_err(|what| self.violation(Some(SIM), what))?;
+                self.witness.leaves_out(id);
             }
             Action::Finish => {
                 self.is_finished = true;
                 self.tell(Some(SIM), || "the run is over".to_owned());
             }
             Action::Record => {
-                self.witness.drives(tick, machine.drives());
+                self.witness.drives(tick, machine.drives()).map_err(|what| self.violation(Some(SIM), what))?;
             }
             Action::SendTruth => {}
         }

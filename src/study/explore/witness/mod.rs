@@ -21,8 +21,9 @@ use rangehound_shared::message::{Command, Drive, Estimate, Range, Refusal, World
 use rangehound_shared::record::RangeUse;
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 
+use super::plan::Plan;
 use robot::RobotHistory;
-use timing::Timing;
+use timing::{Missing, Timing};
 
 /// All that has been seen of a team.
 #[derive(Debug)]
@@ -31,6 +32,11 @@ pub(super) struct Witness {
     undisturbed: Rc<Vec<[u64; 2]>>,
     /// The last tick up to which nobody was missing and all robots obeyed: so far the run must be the undisturbed one.
     whole_until: u64,
+    is_realtime: bool,
+    /// The simulator has put down a tick.
+    has_drives: bool,
+    /// Robots that the simulator goes on without.
+    is_left_out: Vec<bool>,
     /// Nobody is ever left out.
     waits_for_all: bool,
     /// Causes for which messages may be refused.
@@ -54,16 +60,19 @@ pub(super) struct Witness {
 }
 
 impl Witness {
-    /// A witness that knows the digests by tick of the undisturbed run. `is_garbled` if messages come with nonsense.
-    pub(super) fn new(scenario: &Scenario, undisturbed: Rc<Vec<[u64; 2]>>, is_garbled: bool) -> Self {
+    /// A witness that knows the digests by tick of the undisturbed run.
+    pub(super) fn new(scenario: &Scenario, undisturbed: Rc<Vec<[u64; 2]>>, plan: &Plan) -> Self {
         let robots = scenario.robots.len();
         let is_realtime = scenario.clock == Clock::Realtime;
-        let mut may_refuse = [is_garbled; Refusal::ALL.len()];
+        let mut may_refuse = [plan.network.garbled > 0.0; Refusal::ALL.len()];
         // Clocks that are apart make a tick come before its time.
-        may_refuse[Refusal::Future as usize] |= is_realtime;
+        may_refuse[Refusal::Future as usize] |= plan.clock_rates.iter().any(|rate| *rate != 1.0);
         Self {
             undisturbed,
             whole_until: u64::MAX,
+            is_realtime,
+            has_drives: false,
+            is_left_out: vec![false; robots],
             waits_for_all: !is_realtime && scenario.patience == Patience::Forever,
             may_refuse,
             robots: (0..robots).map(|_| RobotHistory::default()).collect(),
@@ -122,46 +131,72 @@ impl Witness {
     }
 
     /// The simulator ends a tick with what robots drive.
-    pub(super) fn drives(&mut self, tick: u64, drives: &[Option<Drive>]) {
+    pub(super) fn drives(&mut self, tick: u64, drives: &[Option<Drive>]) -> Result<(), String> {
+        self.has_drives = true;
+        for (robot, drive) in drives.iter().enumerate() {
+            if drive.is_none() && !self.is_realtime && !self.is_left_out[robot] {
+                return Err(format!("sim did not wait for robot-{robot} at tick {tick}"));
+            }
+            self.is_left_out[robot] &= drive.is_none();
+        }
         let is_whole = drives.iter().all(|drive| drive.is_some_and(|drive| drive.heading_held_ns != 0));
         if !is_whole {
             self.whole_until = self.whole_until.min(tick);
         }
+        Ok(())
     }
 
-    /// Whoever leads records a tick: each range is one that was measured, and fused once. True if somebody is missing who was heard
-    /// at the tick before.
-    pub(super) fn record(&mut self, tick: u64, leader: &Leader) -> Result<bool, String> {
+    /// The simulator goes on without a robot until that speaks.
+    pub(super) fn leaves_out(&mut self, robot: usize) {
+        self.is_left_out[robot] = true;
+    }
+
+    /// True if the simulator has put down a tick.
+    pub(super) fn has_drives(&self) -> bool {
+        self.has_drives
+    }
+
+    /// Whoever leads records a tick: each range is one that was measured, and fused once. Says who is missing.
+    /// `is_calm` tells for which robots nothing has been in the way for long.
+    pub(super) fn record(
+        &mut self,
+        tick: u64,
+        leader: &Leader,
+        is_calm: impl Fn(usize) -> bool,
+    ) -> Result<Missing, String> {
         self.estimate(tick, leader.estimate())?;
         let next = self.last_estimate.map_or(0, |last| last + 1);
         if tick > next {
             return Err(format!("tick {next} was never recorded"));
         }
         self.last_estimate = self.last_estimate.max(Some(tick));
-        let is_newly_missing = self.hear(tick, leader)?;
+        let missing = self.hear(tick, leader, is_calm)?;
         let digest = self.undisturbed.get(tick as usize).filter(|_| tick <= self.whole_until);
         if digest.is_some_and(|digest| *digest != leader.estimate().digest) {
             return Err(format!("the digest of tick {tick} is not that of the undisturbed run"));
         }
         self.check_ranges(tick, leader)?;
-        Ok(is_newly_missing)
+        Ok(missing)
     }
 
     /// Takes note of who was heard in time.
-    fn hear(&mut self, tick: u64, leader: &Leader) -> Result<bool, String> {
-        let mut is_newly_missing = false;
+    fn hear(&mut self, tick: u64, leader: &Leader, is_calm: impl Fn(usize) -> bool) -> Result<Missing, String> {
+        let mut missing = Missing::Nobody;
         for (robot, exchange) in leader.exchanges().enumerate() {
             if exchange.heard.is_some() {
                 self.heard_at[robot] = self.heard_at[robot].max(Some(tick));
                 continue;
             }
-            if self.waits_for_all {
+            if self.waits_for_all || is_calm(robot) {
                 return Err(format!("tick {tick} went on without robot-{robot}"));
             }
             self.whole_until = self.whole_until.min(tick.saturating_sub(1));
-            is_newly_missing |= tick == 0 || self.heard_at[robot].is_some_and(|heard| heard + 1 == tick);
+            // After so many misses in a row nobody waits for it.
+            let misses_max = if self.is_realtime { 3 } else { 1 };
+            let is_new = tick == 0 || self.heard_at[robot].is_some_and(|heard| heard + misses_max >= tick);
+            missing = missing.max(if is_new { Missing::Another } else { Missing::AsBefore });
         }
-        Ok(is_newly_missing)
+        Ok(missing)
     }
 
     fn check_ranges(&mut self, tick: u64, leader: &Leader) -> Result<(), String> {

@@ -45,6 +45,8 @@ pub(in crate::study::explore) struct RobotWitness {
     held: Option<(u64, Command)>,
     /// What the actuator was asked to carry out and nobody was told yet.
     carried: Option<Command>,
+    /// The newest tick for which it has said what it drives without a heading.
+    provided: Option<u64>,
     /// When it held the heading that it told of last, by its own clock.
     told_held_ns: u64,
 }
@@ -72,6 +74,7 @@ impl RobotWitness {
             obeyed: None,
             held: None,
             carried: None,
+            provided: None,
             told_held_ns: 0,
         }
     }
@@ -107,8 +110,12 @@ impl RobotWitness {
         Ok(())
     }
 
-    /// It falls asleep: it does not move on and on without a tick.
+    /// It falls asleep: in real time it has said what it drives if no heading comes, and it does not move on and on without a tick.
     pub(in crate::study::explore) fn sleeps(&self, now_ns: u64, late_ns: u64) -> Result<(), String> {
+        let tick = self.newest_tick.map(|(_, tick)| tick).filter(|tick| self.is_realtime && *tick > 0);
+        if tick.is_some() && self.undecided_since_ns.is_some() && self.provided != tick {
+            return Err("it sleeps and has not said what it drives without a heading".to_owned());
+        }
         let longest_ns = (HELD_TICKS + 1) as f64 * self.dt_ns + late_ns as f64;
         if self.is_realtime && self.moves_since_ns.is_some_and(|since_ns| (now_ns - since_ns) as f64 > longest_ns) {
             return Err("it moves though no tick comes any more".to_owned());
@@ -149,7 +156,8 @@ impl RobotWitness {
         if held_ns == 0 {
             let held = self.held.filter(|(held, _)| self.is_realtime && tick - held <= HELD_TICKS);
             let is_held = command == held.map_or(Command::default(), |(_, command)| command);
-            return if !self.is_realtime {
+            self.provided = Some(tick);
+            return if !self.is_realtime || tick == 0 {
                 Err(format!("it drove at tick {tick} without a heading"))
             } else if !is_held {
                 Err(format!("without a heading for tick {tick} it neither held the last one nor stood"))

@@ -15,7 +15,17 @@ const LOOKS_MAX: u64 = 32;
 /// One that has taken part for this long has given signs of it, ns.
 const SIGNS_NS: u64 = 500_000_000;
 
-/// Longest wait before a start, ns: after kills alone, and at all.
+/// Of the looks in which one hangs that is killed for it, others were heard in so many at least.
+const OTHERS_HEARD_MIN: u64 = 5;
+
+/// What each node adds to the time that any of them may take to come up, ns.
+const START_NS: u64 = 100_000_000;
+
+/// One that has lived for so long is started again at once, ns.
+const SETTLED_NS: u64 = 1_000_000_000;
+
+/// Longest wait before a start, ns: at once, after kills alone, and at all.
+const WAIT_AT_ONCE_NS: u64 = 1_000_000;
 const WAIT_AFTER_KILLS_NS: u64 = 11_000_000;
 const WAIT_MAX_NS: u64 = 1_001_000_000;
 
@@ -38,6 +48,10 @@ pub(in crate::study::explore) struct Supervision {
 #[derive(Debug, Clone, Copy, Default)]
 struct Record {
     own_failures: u32,
+    started_ns: u64,
+    /// It had not ended before, or had lived for long.
+    is_settled: bool,
+    has_ended: bool,
     /// When the end of its last process was seen, or its start refused.
     down_since_ns: u64,
     /// The process that was seen to lead, by life.
@@ -107,10 +121,15 @@ impl Supervision {
         let leads = lead.last == Some((index, node.life));
         let is_deposed = self.nodes[index].led == Some(node.life) && !leads;
         let sign_ns = if leads { lead.sign() } else { node.signed_ns };
+        let is_starting = matches!(node.process, Process::Starting);
+        let hangs = node.is_stopped || is_starting;
+        let silence_min_ns = SILENCE_MIN_NS + if is_starting { nodes.len() as u64 * START_NS } else { 0 };
         if node.well_for_ns(now_ns) > SIGNS_NS {
             Err("it was killed as hung, but gives signs of life".to_owned())
-        } else if now_ns - sign_ns.unwrap_or(node.state_since_ns) < SILENCE_MIN_NS {
+        } else if now_ns - sign_ns.unwrap_or(node.state_since_ns) < silence_min_ns {
             Err("it was killed as hung before its time".to_owned())
+        } else if hangs && self.nodes[index].hung.2 < OTHERS_HEARD_MIN {
+            Err("it was killed as hung, though nobody else was heard".to_owned())
         } else if self.is_endless && !is_deposed {
             Err("it was killed as hung, though patience has no end".to_owned())
         } else if self.leaves_robots && index >= self.robots_from {
@@ -122,22 +141,31 @@ impl Supervision {
 
     /// It sees that a node's process has ended.
     pub(in crate::study::explore) fn ends(&mut self, node: usize, end: End, now_ns: u64) {
-        self.nodes[node].own_failures += u32::from(end != End::Killed);
-        self.nodes[node].down_since_ns = now_ns;
+        let record = &mut self.nodes[node];
+        record.own_failures += u32::from(end != End::Killed);
+        record.down_since_ns = now_ns;
+        let had_ended = std::mem::replace(&mut record.has_ended, true);
+        record.is_settled = !had_ended || now_ns - record.started_ns > SETTLED_NS;
     }
 
     /// The system refuses to start a process.
     pub(in crate::study::explore) fn refused(&mut self, node: usize, now_ns: u64) {
         self.ends(node, End::Failed, now_ns);
+        self.nodes[node].is_settled = false;
     }
 
     /// It starts a node again.
-    pub(in crate::study::explore) fn starts(&self, nodes: &[Node], node: usize, now_ns: u64) -> Result<(), String> {
+    pub(in crate::study::explore) fn starts(&mut self, nodes: &[Node], node: usize, now_ns: u64) -> Result<(), String> {
         if !matches!(nodes[node].process, Process::None) {
             return Err("it was started twice".to_owned());
         }
-        let Record { own_failures, down_since_ns, .. } = self.nodes[node];
-        let longest_ns = if own_failures == 0 { WAIT_AFTER_KILLS_NS } else { WAIT_MAX_NS };
+        let Record { own_failures, is_settled, down_since_ns, .. } = self.nodes[node];
+        self.nodes[node].started_ns = now_ns;
+        let longest_ns = match own_failures {
+            _ if is_settled => WAIT_AT_ONCE_NS,
+            0 => WAIT_AFTER_KILLS_NS,
+            _ => WAIT_MAX_NS,
+        };
         if !self.is_stopped_at_times && now_ns - down_since_ns > longest_ns {
             return Err("it was not started again in time".to_owned());
         }

@@ -40,16 +40,29 @@ struct SimTick {
     ran_ns: u64,
 }
 
+/// Who is missing at a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(in crate::study::explore) enum Missing {
+    /// Nobody.
+    Nobody,
+    /// Only who was missing before.
+    AsBefore,
+    /// Somebody who was heard at the tick before.
+    Another,
+}
+
 /// How a tick of fusion's came to its end.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::study::explore) struct Closing {
     pub(in crate::study::explore) tick: u64,
-    /// Somebody is missing who was heard at the tick before.
-    pub(in crate::study::explore) has_newly_missing: bool,
+    /// Who is missing.
+    pub(in crate::study::explore) missing: Missing,
     /// A later tick had begun, or the run had ended.
     pub(in crate::study::explore) is_cut: bool,
     /// When it ended, ns.
     pub(in crate::study::explore) at_ns: u64,
+    /// When its first range came, whenever it was looked at, ns.
+    pub(in crate::study::explore) arrived_ns: Option<u64>,
     /// Time since its first range, if nobody was stopped since, ns.
     pub(in crate::study::explore) held_ns: Option<u64>,
     /// The same, without the time for which fusion was stopped.
@@ -127,9 +140,10 @@ impl Timing {
 
     /// Fusion has ended a tick: not before its time, nor after.
     pub(in crate::study::explore) fn closes(&mut self, closing: &Closing) -> Result<(), String> {
-        let Closing { tick, has_newly_missing, is_cut, at_ns, held_ns, ran_ns, well_for_ns, late_ns } = *closing;
+        let Closing { tick, missing, is_cut, at_ns, arrived_ns, held_ns, ran_ns, well_for_ns, late_ns } = *closing;
         // Of a tick that was closed by a predecessor nobody knows when.
         let Some(world_ns) = self.worlds_ns.get(tick as usize).copied().filter(|_| at_ns > 0) else { return Ok(()) };
+        let has_newly_missing = missing == Missing::Another;
         if has_newly_missing && tick == 0 {
             return Err("tick 0 did not wait for the whole team".to_owned());
         }
@@ -151,7 +165,7 @@ impl Timing {
             return Err(format!("tick {tick} did not wait for a robot until its deadline"));
         }
         let before_is_full = self.last_full.is_some_and(|full| full + 1 == tick);
-        if !has_newly_missing {
+        if missing == Missing::Nobody {
             self.last_full = Some(tick);
         }
         // A tick that nobody told of before may have begun up to a whole one after its first range.
@@ -159,9 +173,12 @@ impl Timing {
         if held_ns.is_some_and(|held_ns| held_ns > longest_ns) {
             return Err(format!("tick {tick} was held beyond its deadline"));
         }
-        let is_settled = well_for_ns > SETTLED_TICKS * self.dt_ns && before_is_full && self.hello_ns < world_ns;
-        if tick >= 2 && is_settled && at_ns > deadline_ns + late_ns && held_ns.is_some_and(|held_ns| held_ns > late_ns)
-        {
+        // Whoever asks for a tick has it begin once more.
+        let is_settled = well_for_ns > SETTLED_TICKS * self.dt_ns
+            && before_is_full
+            && self.hello_ns < self.worlds_ns[tick as usize - 1];
+        let is_late = arrived_ns.is_some_and(|arrived_ns| at_ns > deadline_ns.max(arrived_ns) + late_ns);
+        if tick >= 2 && is_settled && is_late {
             return Err(format!("tick {tick} was held beyond its deadline, though all knew when it began"));
         }
         Ok(())
