@@ -88,6 +88,8 @@ struct RobotRecord {
     heard: u64,
     /// The newest tick at which its place was believed, and the place.
     place: (u64, Vector),
+    /// The newest start of the robot's process whose report was taken.
+    incarnation: u64,
 }
 
 impl Record {
@@ -139,7 +141,8 @@ impl Intake {
     #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
-        let of_robot = |[x, y]: [f64; 2]| RobotRecord { misses: 0, heard: 0, place: (0, Vector::new(x, y)) };
+        let of_robot =
+            |[x, y]: [f64; 2]| RobotRecord { misses: 0, heard: 0, place: (0, Vector::new(x, y)), incarnation: 0 };
         let simulated = matches!(scenario.source, Source::Simulated { .. });
         Self {
             ticks: scenario.ticks,
@@ -215,7 +218,9 @@ impl Intake {
             return Err(Refusal::Future);
         }
         let said = if tick == next { self.reports[id] } else { centre.report_at(tick, id) };
-        if said.is_some_and(|said| said != report) {
+        // A robot that was started again within the tick measures anew: the first report counts, and it needs its heading.
+        let is_restarted = header.incarnation > self.record.robots[id].incarnation;
+        if said.is_some_and(|said| said != report) && !is_restarted {
             return Err(Refusal::Contradiction);
         }
         self.record.robots[id].misses = 0;
@@ -234,8 +239,10 @@ impl Intake {
 
     /// Takes a report of the present tick, from the message that brought it.
     pub fn gather(&mut self, header: &Header, range: &Range, report: Measurement, now_ns: u64) {
-        let Some(slot) = self.reports.get_mut(range.robot as usize) else { return };
+        let id = range.robot as usize;
+        let Some((slot, record)) = self.reports.get_mut(id).zip(self.record.robots.get_mut(id)) else { return };
         *slot = Some(report);
+        record.incarnation = record.incarnation.max(header.incarnation);
         self.began_ns.push(range.tick_began_ns.min(now_ns));
         self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
         self.times_s.push(header.valid_at_s);
@@ -569,6 +576,24 @@ mod tests {
         assert!(!team.asks_repeat());
         let tally = team.tick(&[0, 1, 2]);
         assert_eq!((refused(&tally), tally.late), (vec![(Refusal::Contradiction, 1)], 0));
+    }
+
+    /// Its sensor does not give the same noise twice, as a simulated one does.
+    #[test]
+    fn a_robot_started_again_that_measures_anew_gets_its_heading() {
+        let mut team = Team::new("lockstep");
+        let first = sound(1, 1);
+        team.say(1, first);
+        let anew = with(first, |it| it.range_m = 15.5);
+        let header = Header { tick: 1, valid_at_s: 0.1, incarnation: 1, ..Header::default() };
+        let Team { leader, now_ns } = &mut team;
+        leader.on_range(&header, &[anew], *now_ns);
+        assert_eq!(leader.intake.reports()[1].unwrap().range(), Some((15.0, 1.0)));
+        assert_eq!(refused(&team.tick(&[0, 2])), []);
+        assert!(!team.asks_repeat());
+        team.leader.on_range(&header, &[anew], team.now_ns);
+        assert!(team.asks_repeat());
+        assert_eq!(refused(&team.tick(&[0, 1, 2])), []);
     }
 
     #[test]
