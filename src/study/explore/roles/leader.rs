@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use rangehound_fusion::leader::{Action, Leader, Notice};
+use rangehound_fusion::leader::{Action, Notice};
 use rangehound_shared::message::Command;
 use rangehound_shared::wake::{Call, Sleeper};
 
@@ -119,7 +119,7 @@ impl Cluster<'_> {
                 witnessed.map_err(|what| self.violation(Some(node), what))?;
             }
             Action::Record => {
-                let missing = self.record(node, machine, tick).map_err(|what| self.violation(Some(node), what))?;
+                let missing = self.record(node, leading, tick).map_err(|what| self.violation(Some(node), what))?;
                 let closed = self.witness.timing.closes(&self.closing(node, leading, tick, missing));
                 closed.map_err(|what| self.violation(Some(node), what))?;
                 self.sleepers[Sleeper::Fusion as usize].expected = leading.machine.expected();
@@ -134,13 +134,14 @@ impl Cluster<'_> {
     }
 
     /// A tick is put down. Robots are missing for a reason: something has been in the way not long ago.
-    fn record(&mut self, node: usize, machine: &Leader, tick: u64) -> Result<Missing, String> {
+    fn record(&mut self, node: usize, leading: &Leading, tick: u64) -> Result<Missing, String> {
         let Self { witness, nodes, plan, .. } = self;
         let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
         let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
-        let is_calm = now_ns > self.calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
+        let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
+        let is_calm = now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
         let robots_from = plan.robot_nodes().start;
-        witness.record(tick, machine, |id| is_calm && is_well(robots_from + id))
+        witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
     }
 
     /// How a tick came to its end.
