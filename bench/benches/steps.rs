@@ -8,7 +8,8 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
 use rangehound_fusion::filter::{Estimate, RangeInformation};
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
-use rangehound_fusion::planner::{self, Plan, Sensor, Situation, Vector};
+use rangehound_fusion::planner::{self, Plan, Sensor, Situation};
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{Clearance, PlannerSpec};
 

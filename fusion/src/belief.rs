@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, SMatrix, SVector};
 use rangehound_shared::STATE_DIM_MAX;
 
 use crate::filter::Estimate;
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// A Gaussian of the target's state, position first. Beyond the dimension of its motion model all entries are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

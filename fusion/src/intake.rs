@@ -8,14 +8,14 @@ use std::cmp::Ordering;
 
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Header, Range, Refusal};
+use rangehound_shared::protocol::timing::range_deadline_ns;
 use rangehound_shared::record::{Heard, Judged};
 use rangehound_shared::scenario::bounds;
 use rangehound_shared::scenario::{Clock, Patience, Scenario, Source};
-use rangehound_shared::timing::range_deadline_ns;
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{Centre, Late};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// A range this many standard deviations below zero is no noise of a target close by.
 const NEGATIVE_SIGMA_MAX: f64 = 10.0;

@@ -1,6 +1,6 @@
 //! What is fuzzed: one function for each kind of input. It takes or refuses the input, and panics if a promise is broken.
 //!
-//! `fuzz_targets/` hands these functions to libFuzzer, `tests/hostile.rs` to the ordinary tests.
+//! `fuzz_targets/` hands these functions to libFuzzer, `tests/command_line/hostile.rs` to the ordinary tests.
 
 pub mod made;
 

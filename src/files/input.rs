@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use rangehound_node::bounded;
+use rangehound_node::system::bounded;
 use rangehound_shared::recording::{
     Anchors, ColumnMap, ReadOptions, ReadSummary, Recording, RecordingError, TrackPoint, parse_track,
 };

@@ -19,8 +19,6 @@ use rangehound_node::rendezvous::Role;
 use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::COPY;
 
-use super::whole_file::PARTIAL;
-
 /// Where run folders go unless told otherwise; other results go below it too.
 pub const RUNS: &str = "runs";
 
@@ -75,6 +73,9 @@ pub const LATENCY_PICTURE: &str = "latency.svg";
 
 /// The outcome of a campaign of faults.
 pub const CHAOS: &str = "chaos.json";
+
+/// How the names of files end that are not finished.
+pub const PARTIAL: &str = ".partial";
 
 /// What an output folder holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use rangehound_node::rendezvous::{Role, RunDescription};
-use rangehound_node::{bounded, checkpoint, logs};
+use rangehound_node::system::bounded;
+use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
 

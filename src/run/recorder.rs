@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, RunDescription};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Clock;
 use rustix::thread::{Timespec, nanosleep};

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anstyle::Style;
 use rangehound_node::rendezvous::Rendezvous;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::printable;
 

@@ -1,7 +1,7 @@
 //! The tracker for a Gaussian prior: one extended Kalman filter.
 
 use rangehound_shared::ROBOTS_MAX;
-use rangehound_shared::matrix::Matrix;
+use rangehound_shared::motion::matrix::Matrix;
 use rangehound_shared::motion::{MotionModel, Transition};
 use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;

@@ -35,9 +35,9 @@ use rangehound_shared::sealed::{self, SealError};
 use rustix::process::Signal;
 
 use crate::bells;
-use crate::bounded;
-use crate::resources::{self};
-use crate::signal::Termination;
+use crate::system::bounded;
+use crate::system::resources::{self};
+use crate::system::signal::Termination;
 use crate::tick_log::TickLogWriter;
 pub use description::RunDescription;
 pub use error::RendezvousError;

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
-use rangehound_shared::digest::Digest;
 use rangehound_shared::message::{Estimate, Stages};
+use rangehound_shared::record::digest::Digest;
 use rangehound_shared::record::{Exchange, RangeUse, RobotRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source};

@@ -1,8 +1,8 @@
 //! What travels on the six topics: the messages of a [`Frame`], and a frame of its messages, bit for bit.
 
-use rangehound_shared::digest::Digest;
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
+use rangehound_shared::record::digest::Digest;
 use rangehound_shared::record::{
     Exchange, FusionRecord, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
 };

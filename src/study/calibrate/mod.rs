@@ -35,8 +35,8 @@ use crate::results::report::Truth;
 use crate::run::watch::Progress;
 use crate::statistics::median;
 use crate::terminal;
-use model::{Model, Problem, Reading};
-use verdict::{Findings, Measured};
+use model::{Measured, Model, Problem, Reading};
+use verdict::Findings;
 
 /// Where the findings go unless told otherwise.
 const OUT: &str = "runs/calibrate";

@@ -1,8 +1,7 @@
 //! From ranges alone to the model that fits: a rough path, then the path, noise and errors of each model.
 
-use super::model::{Model, Problem, Reading};
+use super::model::{Measured, Model, Problem, Reading};
 use super::smoother::{Estimate, Solution, settle, update_sigmas};
-use super::verdict::Measured;
 use crate::statistics::{Z_95, median};
 
 /// What one model makes of the data.

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription, files_of};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::faults::{Asked, Fault, Faults, Kind};

@@ -11,7 +11,7 @@ mod run;
 mod ticks;
 
 use rangehound_node::rendezvous::living_runs;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::failure::{self, Failure};

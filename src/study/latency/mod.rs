@@ -18,7 +18,7 @@ mod system;
 
 use std::path::{Path, PathBuf};
 
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Clock, Scenario};
 

@@ -11,8 +11,8 @@ use std::io::BufReader;
 use std::path::Path;
 use std::time::Instant;
 
-use rangehound_shared::digest::Digest;
 use rangehound_shared::motion::MotionModel;
+use rangehound_shared::record::digest::Digest;
 use rangehound_shared::scenario::{GateKey, PlannerSpec, PlannerTable, Scenario, Source, bounds};
 use serde::Serialize;
 

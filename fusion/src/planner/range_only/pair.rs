@@ -1,7 +1,7 @@
 //! Two robots at once, in closed form: escapes the minima in which each robot alone is stuck.
 
 use super::arm::{Arm, Extent};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// The directions of two arms for which `|rest + lambda_1 u_1 + lambda_2 u_2|` is least.
 ///

@@ -7,8 +7,8 @@ use std::io::{Read, Write};
 use std::time::Duration;
 
 use anyhow::anyhow;
-use rangehound_node::clock::monotonic_ns;
 use rangehound_node::rendezvous::Role;
+use rangehound_node::system::clock::monotonic_ns;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use rustix::io::Errno;

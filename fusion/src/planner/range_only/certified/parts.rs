@@ -3,8 +3,8 @@
 use std::cmp::Ordering;
 
 use super::bound::Hull;
-use crate::planner::Vector;
 use crate::planner::range_only::arm::{Arm, Extent};
+use crate::vector::Vector;
 
 /// The tree of the parts that have been made, and the arcs of one of them.
 #[derive(Debug, Clone, Default)]

@@ -2,19 +2,12 @@
 
 use std::f64::consts::PI;
 
-use super::cell::{clip, disc};
+use super::polygon::{Limit, clip, disc};
 use super::{Reach, Room};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// A stand-off that is kept but for this share of it is kept.
 const ROUNDED: f64 = 1e-12;
-
-/// A half-plane that a robot stays in: `normal . offset <= offset_m`, offset from where it is.
-#[derive(Debug, Clone, Copy)]
-pub(in super::super) struct Limit {
-    pub(super) normal: Vector,
-    pub(super) offset_m: f64,
-}
 
 impl Limit {
     /// What robot `me` leaves to its neighbour `other`: half of the room between them, less half of the
