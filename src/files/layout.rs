@@ -11,7 +11,7 @@
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `run.mcap` | the whole run in one file |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_node::tick_log` |
-//! | `run.sealed` | what the run is, for `resume` |
+//! | `run.sealed` | what the run is, for `resume`: JSON with a checksum |
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_node::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 

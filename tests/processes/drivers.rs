@@ -7,7 +7,6 @@ use std::path::PathBuf;
 
 use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_shared::sealed;
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat};
 use rustix::process::Signal;
 
@@ -80,7 +79,7 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
 }
 
 fn description(run: &Run) -> RunDescription {
-    sealed::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap()
+    RunDescription::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap()
 }
 
 /// What fusion heard of robot 0, m.

@@ -131,7 +131,16 @@ fn assert_one_line(outcome: &Outcome, code: i32, names: &[&str]) {
     assert!(complaints.len() == 1 && names.iter().all(|name| complaints[0].contains(name)), "{outcome:#?}");
 }
 
-/// Makes a sealed file, from this place on, one of the version to come.
+/// Makes a description one of the version to come.
+fn make_future_description(path: &Path) {
+    let text = std::fs::read_to_string(path).unwrap();
+    let build = |program: &str, protocol| format!("{{\"program\":\"{program}\",\"protocol\":{protocol},");
+    let other = text.replace(&build(VERSION, PROTOCOL), &build("99.8.7", PROTOCOL + 1));
+    assert_ne!(other, text);
+    std::fs::write(path, other).unwrap();
+}
+
+/// Makes a sealed checkpoint, from this place on, one of the version to come.
 fn make_future(path: &Path, offset: u64) {
     let file = std::fs::OpenOptions::new().write(true).open(path).unwrap();
     file.write_all_at(&(PROTOCOL + 1).to_le_bytes(), offset + 8).unwrap();
@@ -147,7 +156,7 @@ fn two_versions_in_one_run_refuse_each_other_and_the_run_goes_on() {
     let run = Run::new();
     let supervisor = run.lockstep(ENDLESS);
     run.wait_for_ticks(10);
-    make_future(&run.shared_folder().join("run"), 0);
+    make_future_description(&run.shared_folder().join("run"));
     let [other, this] = versions();
     for words in ["fusion", "robot --id 0", "watch", "status", "kill sim", "stop"] {
         let outcome = run.node(words).finish();
@@ -177,11 +186,15 @@ fn resumed_after(change: impl FnOnce(&Path)) -> (Run, Outcome) {
 
 #[test]
 fn a_run_of_another_version_is_not_resumed() {
-    let (run, outcome) = resumed_after(|out| make_future(&out.join("run.sealed"), 0));
+    let (run, outcome) = resumed_after(|out| make_future_description(&out.join("run.sealed")));
     let [other, this] = versions();
     assert_one_line(&outcome, 2, &["run.sealed", &other, &this]);
     assert!(run.path("out/sim.checkpoint").exists());
-    drop(run);
+    // As protocols up to 4 wrote it.
+    let head = [&b"rhsealed"[..], &4_u32.to_le_bytes(), b"0.1.0\0\0\0\0\0\0\0\0\0\0\0", &[0; 100]].concat();
+    std::fs::write(run.path("out/run.sealed"), head).unwrap();
+    let outcome = run.start(&["resume", "out", "--name", &run.name]).finish();
+    assert_one_line(&outcome, 2, &["run.sealed", "written by rangehound 0.1.0 (protocol 4)", &this]);
 }
 
 /// Bytes that two slots of a checkpoint start at, after their lengths.

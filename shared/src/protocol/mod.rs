@@ -9,13 +9,13 @@ pub mod timing;
 pub mod wake;
 
 /// Version of the messages, the run's description and the checkpoints.
-pub const PROTOCOL: u32 = 4;
+pub const PROTOCOL: u32 = 5;
 
 /// Version of this program, for people.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");
 
 /// A file of another build.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize, thiserror::Error)]
 #[error("rangehound {program} (protocol {protocol}); this is {PROGRAM} (protocol {PROTOCOL})")]
 pub struct OtherBuild {
     /// Its program's version.

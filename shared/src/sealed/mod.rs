@@ -1,4 +1,4 @@
-//! Values in files that must be whole: bincode under a magic number, the build's version and a checksum.
+//! States in files that must be whole, the checkpoints of nodes: bincode under a magic number, the build's version and a checksum.
 
 pub mod slots;
 
@@ -12,7 +12,7 @@ use crate::protocol::{OtherBuild, PROGRAM, PROTOCOL};
 pub const MAGIC: [u8; 8] = *b"rhsealed";
 
 /// Room for the program's version, padded with zeros.
-const PROGRAM_LEN: usize = 16;
+pub const PROGRAM_LEN: usize = 16;
 
 const CHECKSUM_LEN: usize = 8;
 
