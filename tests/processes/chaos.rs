@@ -72,6 +72,9 @@ fn nonsense_is_refused_before_anything_starts() {
     for (words, expected) in [
         ("chaos --faults 0", "--faults: expected at least 1"),
         ("chaos --rate 0", "--rate: expected 0.01 to 1000"),
+        ("chaos --rate -1", "--rate: expected 0.01 to 1000"),
+        ("chaos --rate nan", "--rate: expected 0.01 to 1000"),
+        ("chaos --rate inf", "--rate: expected 0.01 to 1000"),
         ("chaos --kinds flood", "expected one of: kill, stop, storm, several, blackout, all"),
         ("chaos --longest-stop 0", "--longest-stop: expected 0.01 to 60 s"),
         ("chaos --roles standby", "--roles: expected --standby 1 or more"),
