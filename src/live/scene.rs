@@ -34,7 +34,7 @@ pub(super) struct Scene {
     newest: Option<Frame>,
     trails: VecDeque<Places>,
     history: History,
-    tally: Tally,
+    tally: RangeCounter,
     latencies: Latencies,
     rate: VecDeque<(Instant, u64)>,
     nodes: Option<(u64, Value)>,
@@ -70,7 +70,7 @@ struct Counts {
 
 /// Adds ranges up as the report does. The newest ticks can be taken back: of one that is read again, what was read last counts.
 #[derive(Debug, Default)]
-struct Tally {
+struct RangeCounter {
     settled_ticks: u64,
     settled: RangeSummary,
     recent: VecDeque<(u64, Estimate)>,
@@ -133,7 +133,7 @@ impl Scene {
             newest: None,
             trails: VecDeque::new(),
             history: History::default(),
-            tally: Tally::default(),
+            tally: RangeCounter::default(),
             latencies: Latencies::default(),
             rate: VecDeque::new(),
             nodes: None,
@@ -263,7 +263,7 @@ impl Scene {
     }
 }
 
-impl Tally {
+impl RangeCounter {
     fn count(&mut self, tick: u64, estimate: &Estimate) {
         if let Some((_, before)) = self.recent.iter_mut().find(|(at, _)| *at == tick) {
             *before = *estimate;
@@ -375,7 +375,7 @@ mod tests {
 
     #[test]
     fn what_came_late_was_not_missing_and_a_tick_read_again_counts_once() {
-        let mut tally = Tally::default();
+        let mut tally = RangeCounter::default();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
         tally.count(1, &tick(3, 0));
         // Put down anew after a kill.

@@ -1,7 +1,7 @@
 //! From ranges alone to the model that fits: a rough path, then the path, noise and errors of each model.
 
 use super::model::{Measured, Model, Problem, Reading};
-use super::smoother::{Estimate, Solution, settle, update_sigmas};
+use super::smoother::{FitParameters, Solution, settle, update_sigmas};
 use crate::statistics::{Z_95, median};
 
 /// What one model makes of the data.
@@ -10,7 +10,7 @@ pub struct Fit {
     /// The model.
     pub model: Model,
     /// Its estimate.
-    pub estimate: Estimate,
+    pub estimate: FitParameters,
     /// How likely it is, and how sure.
     pub solution: Solution,
     /// Standard deviation of the logarithm of the manoeuvring noise.
@@ -84,11 +84,11 @@ fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
 }
 
 /// Fits one model from an estimate: noise and manoeuvring noise by turns, until the evidence stays.
-fn fit(problem: &Problem, model: Model, mut estimate: Estimate) -> Option<Fit> {
+fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<Fit> {
     let errors = model.prior_stds(problem.sensors, problem.span_m).len();
     estimate.errors = vec![0.0; errors];
     let least_m = 1e-5 * problem.span_m;
-    let with_noise = |mut estimate: Estimate, turns: usize| -> Option<(Estimate, Solution)> {
+    let with_noise = |mut estimate: FitParameters, turns: usize| -> Option<(FitParameters, Solution)> {
         let mut solution = settle(problem, model, &mut estimate)?;
         for _ in 0..turns {
             update_sigmas(problem, &solution, &mut estimate.sigmas_m, least_m);
@@ -132,7 +132,7 @@ fn fit(problem: &Problem, model: Model, mut estimate: Estimate) -> Option<Fit> {
 const LOG_PSD_STEP: f64 = 0.5;
 
 /// An estimate to begin with, from a path.
-fn start(problem: &Problem, states: Vec<[f64; 4]>) -> Estimate {
+fn start(problem: &Problem, states: Vec<[f64; 4]>) -> FitParameters {
     let mut left: Vec<f64> = problem
         .observations
         .iter()
@@ -146,7 +146,7 @@ fn start(problem: &Problem, states: Vec<[f64; 4]>) -> Estimate {
     let dt = median(&mut gaps).unwrap_or(1.0).max(1e-6);
     // A target that crosses its scene within some thousand ranges, and turns as it likes.
     let accel_psd = (problem.span_m / (200.0 * dt)).powi(2) / (50.0 * dt);
-    Estimate { states, errors: Vec::new(), sigmas_m: vec![sigma; problem.sensors], accel_psd }
+    FitParameters { states, errors: Vec::new(), sigmas_m: vec![sigma; problem.sensors], accel_psd }
 }
 
 /// All models that can be fitted, the most likely first; `tell` hears how many are done.

@@ -18,9 +18,9 @@ pub fn student_weight(ratio: f64) -> f64 {
 type Block = [[f64; 4]; 4];
 type Column = [f64; 4];
 
-/// An estimate of everything.
+/// What a fit estimates: the path, and the errors and noise of the sensors.
 #[derive(Debug, Clone)]
-pub struct Estimate {
+pub struct FitParameters {
     /// `[x y vx vy]` at each knot.
     pub states: Vec<Column>,
     /// Biases, then scale errors, as the model numbers them.
@@ -56,7 +56,7 @@ struct Normal {
 }
 
 /// Distance, direction, bias, scale and residual of one observation.
-fn residual(problem: &Problem, model: Model, estimate: &Estimate, index: usize) -> (f64, f64, [f64; 2], f64) {
+fn residual(problem: &Problem, model: Model, estimate: &FitParameters, index: usize) -> (f64, f64, [f64; 2], f64) {
     let observation = &problem.observations[index];
     let sensor = observation.reading.sensor;
     let state = &estimate.states[observation.knot];
@@ -83,7 +83,7 @@ fn motion_weight(dt: f64, psd: f64) -> (f64, f64, f64) {
     (12.0 / (psd * dt * dt * dt), -6.0 / (psd * dt * dt), 4.0 / (psd * dt))
 }
 
-fn cost(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> f64 {
+fn cost(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds: &[f64]) -> f64 {
     let mut sum = 0.0;
     for (index, observation) in problem.observations.iter().enumerate() {
         let sigma = estimate.sigmas_m[observation.reading.sensor];
@@ -108,7 +108,7 @@ pub fn prior_cost(errors: &[f64], prior_stds: &[f64]) -> f64 {
     errors.iter().zip(prior_stds).map(|(error, std)| 0.5 * (error / std).powi(2) + std.ln()).sum()
 }
 
-fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> Normal {
+fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds: &[f64]) -> Normal {
     let (knots, errors) = (problem.knots_s.len(), estimate.errors.len());
     let mut n = Normal {
         diagonal: vec![[[0.0; 4]; 4]; knots],
@@ -264,7 +264,7 @@ fn solve(n: &Normal) -> Option<Solved> {
 }
 
 /// Improves an estimate until it stays; `None` where the numbers break down.
-pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Option<Solution> {
+pub fn settle(problem: &Problem, model: Model, estimate: &mut FitParameters) -> Option<Solution> {
     let prior_stds = model.prior_stds(problem.sensors, problem.span_m);
     let mut now = cost(problem, model, estimate, &prior_stds);
     for _ in 0..STEPS_MAX {

@@ -8,7 +8,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::faults::{Asked, Fault, Faults, Kind};
 use super::live::{Live, Recovering};
-use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
+use super::outcome::{Ended, Injected, Round, RunResult, is_repeatable};
 use super::run::{Run, processes_of};
 use crate::failure::{self, Failure};
 use crate::files::out_folder;
@@ -199,14 +199,14 @@ enum Life {
     BlackedOut(usize),
 }
 
-fn tally(description: &RunDescription) -> anyhow::Result<Tally> {
+fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
     let report = report::from_logs(description, None, Vec::new())?;
     let Report { ticks, digest, ranges, headings, position_rmse_m, .. } = report;
-    Ok(Tally { ticks, digest, ranges, headings, position_rmse_m })
+    Ok(RunResult { ticks, digest, ranges, headings, position_rmse_m })
 }
 
 /// The same run left alone, composed in this process.
-fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
+fn alone(description: &RunDescription) -> anyhow::Result<RunResult> {
     let out_dir = description.out_dir.join("alone");
     let claim = out_folder::claim(&out_dir, crate::files::layout::Kind::Run, &[])
         .map_err(|refusal| anyhow::anyhow!("{refusal}"))?;

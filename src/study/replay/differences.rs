@@ -9,7 +9,7 @@ use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
 use crate::results::frame::Frame;
-use crate::results::report::{Background, Report, Tally};
+use crate::results::report::{Accumulator, Background, Report};
 use crate::statistics::Mean;
 
 /// Characters of a setting: a space is left between the columns.
@@ -23,7 +23,7 @@ pub(super) struct Differences {
 }
 
 struct Side {
-    tally: Tally,
+    totals: Accumulator,
     objective: Mean,
     bound: Mean,
 }
@@ -86,7 +86,8 @@ pub(super) struct Figures {
 
 impl Differences {
     pub(super) fn new() -> anyhow::Result<Self> {
-        let side = || anyhow::Ok(Side { tally: Tally::new()?, objective: Mean::default(), bound: Mean::default() });
+        let side =
+            || anyhow::Ok(Side { totals: Accumulator::new()?, objective: Mean::default(), bound: Mean::default() });
         Ok(Self { sides: [side()?, side()?], headings_apart: Apart::default(), positions_apart: Apart::default() })
     }
 
@@ -95,7 +96,7 @@ impl Differences {
         let truth_m = frame.world.truth.first_chunk().map(|[x_m, y_m]| Vector2::new(*x_m, *y_m));
         let recorded = &frame.fusion.estimate;
         for (side, estimate) in self.sides.iter_mut().zip([recorded, replayed]) {
-            side.tally.add_estimate(frame.tick, estimate, truth_m);
+            side.totals.add_estimate(frame.tick, estimate, truth_m);
             // Who plans nothing has no objective.
             if estimate.objective > 0.0 {
                 side.objective.add(estimate.objective);
@@ -147,7 +148,7 @@ impl Side {
             position_trace_m2,
             ranges,
             ..
-        } = self.tally.report(scenario, Background::default(), Vec::new());
+        } = self.totals.report(scenario, Background::default(), Vec::new());
         Figures {
             planner,
             gate_sigma: scenario.gate_sigma,

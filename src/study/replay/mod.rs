@@ -105,7 +105,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
         Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
         // Ticks that are not there are a difference; what diverges with other flags is a result too.
         Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error).context(path.display().to_string())),
-        Stopped::Tally(error) => Failure::Running(error),
+        Stopped::Comparing(error) => Failure::Running(error),
     })?;
     let Replayed { ticks, run_s, wall_s, fed: Fed { in_time, late }, first_difference, digest, differences } = fed;
     let outcome = Outcome {
@@ -188,7 +188,7 @@ enum Stopped {
     Empty,
     Reading(ReadError),
     Stepping(StepError),
-    Tally(anyhow::Error),
+    Comparing(anyhow::Error),
 }
 
 /// What has been replayed.
@@ -211,7 +211,7 @@ fn feed(
 ) -> Result<Replayed, Stopped> {
     let began = Instant::now();
     let mut progress = Progress::new("tick", recorded.ticks);
-    let mut differences = is_changed.then(Differences::new).transpose().map_err(Stopped::Tally)?;
+    let mut differences = is_changed.then(Differences::new).transpose().map_err(Stopped::Comparing)?;
     let (mut ticks, mut first_difference, mut digest) = (0, None, Digest::default());
     let mut times_s: Option<(f64, f64)> = None;
     while let Some(frame) = reader.next_frame().map_err(Stopped::Reading)? {

@@ -57,14 +57,14 @@ struct Place {
 }
 
 /// Why a row gives no range.
-enum Fault {
+enum RowError {
     /// It is passed over and counted.
     Bad(Complaint),
     /// The file is refused.
     Fatal(RecordingError),
 }
 
-impl From<RecordingError> for Fault {
+impl From<RecordingError> for RowError {
     fn from(error: RecordingError) -> Self {
         Self::Fatal(error)
     }
@@ -209,14 +209,14 @@ impl<R: Read> Log<'_, R> {
     fn read_rows(&mut self) -> Result<(), RecordingError> {
         while let Some(row) = self.table.next()? {
             let taken = match row {
-                Row::Bad(complaint) => Err(Fault::Bad(complaint)),
+                Row::Bad(complaint) => Err(RowError::Bad(complaint)),
                 Row::Whole => self.take_row(),
             };
             match taken {
                 Ok(()) => {}
-                Err(Fault::Fatal(error)) => return Err(error),
-                Err(Fault::Bad(complaint)) if self.options.strict => return Err(self.table.row_error(complaint)),
-                Err(Fault::Bad(complaint)) => {
+                Err(RowError::Fatal(error)) => return Err(error),
+                Err(RowError::Bad(complaint)) if self.options.strict => return Err(self.table.row_error(complaint)),
+                Err(RowError::Bad(complaint)) => {
                     self.summary.bad_rows += 1;
                     if self.summary.first_bad_row.is_none() {
                         self.summary.first_bad_row = Some(self.table.row_problem(complaint).to_string());
@@ -227,7 +227,7 @@ impl<R: Read> Log<'_, R> {
         Ok(())
     }
 
-    fn take_row(&mut self) -> Result<(), Fault> {
+    fn take_row(&mut self) -> Result<(), RowError> {
         if !self.is_of_target() {
             self.summary.other_targets += 1;
             return Ok(());
@@ -260,11 +260,11 @@ impl<R: Read> Log<'_, R> {
         self.options.target.is_none()
     }
 
-    fn time_s(&mut self) -> Result<f64, Fault> {
+    fn time_s(&mut self) -> Result<f64, RowError> {
         let Column { index, unit, is_told } = self.layout.time;
         if unit == Unit::Iso {
             let time_s = stamp::seconds(self.table.field(index));
-            return time_s.ok_or_else(|| Fault::Bad(self.table.complaint(index, A_STAMP)));
+            return time_s.ok_or_else(|| RowError::Bad(self.table.complaint(index, A_STAMP)));
         }
         if !self.last_time.0.is_empty() && self.last_time.0 == self.table.field(index) {
             return Ok(self.last_time.1);
@@ -282,10 +282,10 @@ impl<R: Read> Log<'_, R> {
         {
             let hint = self.hint(Role::Time, index, likely);
             let expected = format!("seconds; this looks like {} since 1970: {hint}", likely.symbol());
-            return Err(Fault::Fatal(self.table.row_error(self.table.complaint(index, expected))));
+            return Err(RowError::Fatal(self.table.row_error(self.table.complaint(index, expected))));
         }
         let is_clock = self.table.field(index).contains(&b':');
-        Err(Fault::Bad(self.table.complaint(index, if is_clock { A_STAMP } else { A_TIME })))
+        Err(RowError::Bad(self.table.complaint(index, if is_clock { A_STAMP } else { A_TIME })))
     }
 
     fn take_long(
@@ -294,7 +294,7 @@ impl<R: Read> Log<'_, R> {
         sensor_index: usize,
         range: Column,
         place: Option<&Place>,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), RowError> {
         let sensor = self.gathering.sensor(self.table.field(sensor_index));
         let sensor = sensor.map_err(|refusal| self.fault(sensor_index, refusal))?;
         let (position_m, height_m) = match place {
@@ -308,7 +308,7 @@ impl<R: Read> Log<'_, R> {
             // A sensor without an anchor is complained about at the end, with all others of its kind.
             None => self.gathering.place(sensor).map_or(([0.0; 2], None), |place| (place.position_m, place.height_m)),
         };
-        let range_m = self.range_m(range).ok_or_else(|| Fault::Bad(self.table.complaint(range.index, A_RANGE)))?;
+        let range_m = self.range_m(range).ok_or_else(|| RowError::Bad(self.table.complaint(range.index, A_RANGE)))?;
         if range_m == 0.0 {
             self.summary.not_heard += 1;
             return Ok(());
@@ -316,7 +316,7 @@ impl<R: Read> Log<'_, R> {
         self.push(time_s, RecordedRange { sensor, position_m, height_m, range_m })
     }
 
-    fn take_wide(&mut self, time_s: f64, columns: &[(AnchorColumn, usize)]) -> Result<(), Fault> {
+    fn take_wide(&mut self, time_s: f64, columns: &[(AnchorColumn, usize)]) -> Result<(), RowError> {
         let mut first_fault = None;
         for (column, sensor) in columns {
             let Some(place) = self.gathering.place(*sensor) else { continue };
@@ -333,7 +333,7 @@ impl<R: Read> Log<'_, R> {
                     self.push(time_s, RecordedRange { sensor: *sensor, position_m, height_m, range_m })?;
                 }
                 None if !is_minus_one => {
-                    first_fault.get_or_insert_with(|| Fault::Bad(self.table.complaint(cell.index, A_RANGE)));
+                    first_fault.get_or_insert_with(|| RowError::Bad(self.table.complaint(cell.index, A_RANGE)));
                 }
                 _ => self.summary.not_heard += 1,
             }
@@ -341,26 +341,26 @@ impl<R: Read> Log<'_, R> {
         first_fault.map_or(Ok(()), Err)
     }
 
-    fn push(&mut self, time_s: f64, reading: RecordedRange) -> Result<(), Fault> {
+    fn push(&mut self, time_s: f64, reading: RecordedRange) -> Result<(), RowError> {
         self.gathering.push(time_s, reading).map_err(|refusal| self.fault(self.layout.time.index, refusal))
     }
 
-    fn coordinate_m(&mut self, column: Column) -> Result<f64, Fault> {
+    fn coordinate_m(&mut self, column: Column) -> Result<f64, RowError> {
         let value = self.table.number(column.index, column.unit).filter(|value| value.abs() <= COORDINATE_MAX_M);
-        value.ok_or_else(|| Fault::Bad(self.table.complaint(column.index, A_COORDINATE)))
+        value.ok_or_else(|| RowError::Bad(self.table.complaint(column.index, A_COORDINATE)))
     }
 
     fn range_m(&mut self, column: Column) -> Option<f64> {
         self.table.number(column.index, column.unit).filter(|value| (0.0..=RANGE_MAX_M).contains(value))
     }
 
-    fn fault(&self, index: usize, refusal: Refusal) -> Fault {
+    fn fault(&self, index: usize, refusal: Refusal) -> RowError {
         match refusal {
-            Refusal::NoName(expected) => Fault::Bad(self.table.complaint(index, expected)),
-            Refusal::TooMany(expected) => Fault::Fatal(self.table.row_error(self.table.complaint(index, expected))),
+            Refusal::NoName(expected) => RowError::Bad(self.table.complaint(index, expected)),
+            Refusal::TooMany(expected) => RowError::Fatal(self.table.row_error(self.table.complaint(index, expected))),
             Refusal::NotInOrder(before_s) => {
                 let expected = format!("a time not before the row above ({before_s}): sort the rows by time");
-                Fault::Fatal(self.table.row_error(self.table.complaint(index, expected)))
+                RowError::Fatal(self.table.row_error(self.table.complaint(index, expected)))
             }
         }
     }

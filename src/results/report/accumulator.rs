@@ -23,7 +23,7 @@ const SQUARE_CAP: f64 = 16.0;
 
 /// Adds up a run tick by tick.
 #[derive(Debug)]
-pub struct Tally {
+pub struct Accumulator {
     ticks: u64,
     digest: Digest,
     squared_error_m2: Mean,
@@ -60,7 +60,7 @@ impl Sensor {
     }
 }
 
-impl Tally {
+impl Accumulator {
     /// Nothing yet.
     ///
     /// # Errors
@@ -311,14 +311,14 @@ mod tests {
 
     #[test]
     fn what_came_late_was_not_missing_after_all() {
-        let mut tally = Tally::new().unwrap();
+        let mut totals = Accumulator::new().unwrap();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
-        tally.add_estimate(1, &tick(1, 2), None);
-        tally.add_estimate(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }, None);
-        tally.add_estimate(3, &Estimate { rejected: 1, ..tick(1, 1) }, None);
+        totals.add_estimate(1, &tick(1, 2), None);
+        totals.add_estimate(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }, None);
+        totals.add_estimate(3, &Estimate { rejected: 1, ..tick(1, 1) }, None);
         let expected = RangeSummary { published: 0, fused: 6, rejected: 2, late: 3, fused_late: 1, missing: 1 };
-        assert_eq!(tally.ranges, expected);
-        assert_eq!(tally.ranges.fused + tally.ranges.rejected + tally.ranges.missing, 3 * 3);
+        assert_eq!(totals.ranges, expected);
+        assert_eq!(totals.ranges.fused + totals.ranges.rejected + totals.ranges.missing, 3 * 3);
     }
 
     #[test]
@@ -330,13 +330,13 @@ mod tests {
         let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
         let told = RobotRecord { range_sent_ns: Some(1), ..RobotRecord::default() };
         let robots = [told, RobotRecord::default(), RobotRecord::default(), told];
-        let mut tally = Tally::new().unwrap();
-        tally.add_world(1, &robots);
-        tally.add_untold(&heard, &robots);
-        assert_eq!(tally.ranges.published, 3);
+        let mut totals = Accumulator::new().unwrap();
+        totals.add_world(1, &robots);
+        totals.add_untold(&heard, &robots);
+        assert_eq!(totals.ranges.published, 3);
         // The tick under way when a run is ended: the simulator has not put it down.
-        tally.add_untold(&heard, &[]);
-        assert_eq!(tally.ranges.published, 5);
+        totals.add_untold(&heard, &[]);
+        assert_eq!(totals.ranges.published, 5);
     }
 
     #[test]
@@ -349,15 +349,15 @@ mod tests {
             }),
             command: Command::default(),
         };
-        let mut tally = Tally::new().unwrap();
+        let mut totals = Accumulator::new().unwrap();
         let (fused, rejected, distrusted) = (RangeUse::Fused, RangeUse::Rejected, RangeUse::Distrusted);
-        tally.add_sensors(&[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
-        tally.add_sensors(&[
+        totals.add_sensors(&[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
+        totals.add_sensors(&[
             exchange(Some((fused, Some(0.5)))),
             Exchange::default(),
             exchange(Some((rejected, Some(20.0)))),
         ]);
-        let told: Vec<SensorSummary> = tally.sensors.iter().map(|sensor| sensor.summary("a")).collect();
+        let told: Vec<SensorSummary> = totals.sensors.iter().map(|sensor| sensor.summary("a")).collect();
         let expected = [(2, 2, 0, 0, Some(0.5)), (0, 0, 0, 0, None), (2, 0, 1, 1, Some(12.5))];
         for (told, (ranges, fused, rejected, distrusted, nis_mean)) in told.into_iter().zip(expected) {
             assert_eq!(told, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
@@ -366,41 +366,41 @@ mod tests {
 
     #[test]
     fn the_nis_of_all_ranges_is_beside_that_of_the_fused_ones() {
-        let mut tally = Tally::new().unwrap();
-        tally.add_estimate(
+        let mut totals = Accumulator::new().unwrap();
+        totals.add_estimate(
             1,
             &Estimate { nis: 1.5, fused: 2, nis_all: 30.0, tested: 4, rejected: 2, ..Estimate::default() },
             None,
         );
-        tally.add_estimate(
+        totals.add_estimate(
             2,
             &Estimate { nis_all: 20.0, tested: 1, noise_scale: 2.0, rejected: 1, ..Estimate::default() },
             None,
         );
-        assert_eq!((tally.nis.mean(), tally.nis_all.mean(), tally.gate_widened), (Some(0.75), Some(10.0), 1));
+        assert_eq!((totals.nis.mean(), totals.nis_all.mean(), totals.gate_widened), (Some(0.75), Some(10.0), 1));
     }
 
     #[test]
     fn times_of_distrust_begin_and_end() {
-        let mut tally = Tally::new().unwrap();
+        let mut totals = Accumulator::new().unwrap();
         let distrusted = [&[][..], &[1], &[1, 70], &[70], &[1, 70]];
         for (tick, robots) in distrusted.iter().enumerate() {
             let mut set = RobotSet::default();
             robots.iter().for_each(|robot| set.set(*robot, true));
             let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
-            tally.add_estimate(tick as u64, &estimate, None);
+            totals.add_estimate(tick as u64, &estimate, None);
         }
         let distrust = |robot, from_tick, to_tick| Distrust { robot, sensor: robot.to_string(), from_tick, to_tick };
-        assert_eq!(tally.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
+        assert_eq!(totals.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
     }
 
     #[test]
     fn refusals_are_told_by_cause() {
-        let mut tally = Tally::new().unwrap();
+        let mut totals = Accumulator::new().unwrap();
         let estimate = Estimate { refused: [1, 2, 3, 4, 5, 6], ..Estimate::default() };
-        tally.add_estimate(1, &estimate, None);
-        tally.add_estimate(2, &estimate, None);
-        let json = serde_json::to_string(&tally.refused).unwrap();
+        totals.add_estimate(1, &estimate, None);
+        totals.add_estimate(2, &estimate, None);
+        let json = serde_json::to_string(&totals.refused).unwrap();
         let expected = r#"{"impostor":2,"out_of_range":4,"malformed":6,"future":8,"contradiction":10,"jump":12}"#;
         assert_eq!(json, expected);
     }
