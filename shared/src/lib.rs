@@ -52,33 +52,16 @@ pub const STATE_DIM_MAX: usize = 8;
 #[macro_export]
 macro_rules! with_state_dim {
     ($dim:expr, $N:ident => $body:expr) => {
+        $crate::with_state_dim!(@each $dim, $N => $body, 2 3 4 5 6 7)
+    };
+    (@each $dim:expr, $N:ident => $body:expr, $($n:literal)+) => {
         match $dim {
-            2 => {
-                const $N: usize = 2;
+            $($n => {
+                const $N: usize = $n;
                 $body
-            }
-            3 => {
-                const $N: usize = 3;
-                $body
-            }
-            4 => {
-                const $N: usize = 4;
-                $body
-            }
-            5 => {
-                const $N: usize = 5;
-                $body
-            }
-            6 => {
-                const $N: usize = 6;
-                $body
-            }
-            7 => {
-                const $N: usize = 7;
-                $body
-            }
+            })+
             _ => {
-                const $N: usize = 8;
+                const $N: usize = $crate::STATE_DIM_MAX;
                 $body
             }
         }

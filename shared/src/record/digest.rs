@@ -37,10 +37,10 @@ impl Digest {
         self.0
     }
 
-    /// The digest that [`Self::to_bits`] was taken of.
+    /// The digest in the words of a message, the lower one first.
     #[must_use]
-    pub fn from_bits(bits: u128) -> Self {
-        Self(bits)
+    pub fn from_words([low, high]: [u64; 2]) -> Self {
+        Self(u128::from(high) << 64 | u128::from(low))
     }
 }
 

@@ -90,7 +90,7 @@ impl Accumulator {
 
     /// Adds fusion's side of a tick; `truth_m` is the target's true position, where it is known.
     pub fn add_estimate(&mut self, tick: u64, estimate: &Estimate, truth_m: Option<Vector2<f64>>) {
-        self.digest = Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]));
+        self.digest = Digest::from_words(estimate.digest);
         self.ranges.add(estimate);
         self.refused.add(estimate);
         self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));

@@ -110,18 +110,12 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
         objective: estimate.objective,
         lower_bound: estimate.lower_bound,
         stages: Some(Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns }),
-        digest: digest_of(estimate).to_string(),
+        digest: Digest::from_words(estimate.digest).to_string(),
         nis_all: estimate.nis_all,
         tested: estimate.tested,
         noise_scale: estimate.noise_scale,
         least_trace_m2: estimate.least_trace_m2,
     }
-}
-
-/// The rolling digest after an estimate.
-#[must_use]
-pub fn digest_of(estimate: &EstimateOfFusion) -> Digest {
-    Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]))
 }
 
 /// Why messages do not form a tick of a run.

@@ -1,5 +1,7 @@
 //! From ranges alone to the model that fits: a rough path, then the path, noise and errors of each model.
 
+use nalgebra::Vector4;
+
 use super::model::{Measured, Model, Problem, Reading};
 use super::smoother::{FitParameters, Solution, settle, update_sigmas};
 use crate::statistics::{Z_95, median};
@@ -27,10 +29,10 @@ impl Fit {
 }
 
 /// A path from the ranges alone: at each knot the place that most of the ranges around it agree on.
-fn rough_path(problem: &Problem) -> Vec<[f64; 4]> {
+fn rough_path(problem: &Problem) -> Vec<Vector4<f64>> {
     let all = &problem.observations;
     let around = (2 * problem.sensors).clamp(6, 24);
-    let mut path: Vec<[f64; 4]> = Vec::with_capacity(problem.knots_s.len());
+    let mut path: Vec<Vector4<f64>> = Vec::with_capacity(problem.knots_s.len());
     let mut next = 0;
     for knot in 0..problem.knots_s.len() {
         while next < all.len() && all[next].knot < knot {
@@ -57,7 +59,7 @@ fn rough_path(problem: &Problem) -> Vec<[f64; 4]> {
                 crossings(a, b).into_iter().flatten().for_each(&mut consider);
             }
         }
-        path.push([best.1[0], best.1[1], 0.0, 0.0]);
+        path.push(Vector4::new(best.1[0], best.1[1], 0.0, 0.0));
     }
     path
 }
@@ -132,7 +134,7 @@ fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<F
 const LOG_PSD_STEP: f64 = 0.5;
 
 /// An estimate to begin with, from a path.
-fn start(problem: &Problem, states: Vec<[f64; 4]>) -> FitParameters {
+fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
     let mut left: Vec<f64> = problem
         .observations
         .iter()
@@ -166,7 +168,7 @@ pub fn search(problem: &Problem, mut tell: impl FnMut(usize)) -> Vec<Fit> {
 
 /// The manoeuvring noise that fits corrected ranges along a known track.
 #[must_use]
-pub fn manoeuvring(problem: &Problem, states: Vec<[f64; 4]>) -> Option<Measured> {
+pub fn manoeuvring(problem: &Problem, states: Vec<Vector4<f64>>) -> Option<Measured> {
     let start = start(problem, states);
     let model = Model { bias: super::model::Sharing::Absent, scale: super::model::Sharing::Absent };
     fit(problem, model, start).map(|fit| fit.accel_psd(1.0))
