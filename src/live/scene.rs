@@ -27,7 +27,7 @@ const TRAIL_MAX: usize = 240;
 const RATE_SPAN: Duration = Duration::from_secs(2);
 
 /// What the page shows of a run.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Scene {
     about: Value,
     trail_max: usize,
@@ -127,18 +127,7 @@ impl Scene {
             "robot_colours": (0..COLOURS.len() - 1).map(|id| hex(chart::robot_colour(id))).collect::<Vec<_>>(),
             "estimate_colour": hex(chart::ESTIMATE),
         });
-        Self {
-            about,
-            trail_max,
-            newest: None,
-            trails: VecDeque::new(),
-            history: History::default(),
-            tally: RangeCounter::default(),
-            latencies: Latencies::default(),
-            rate: VecDeque::new(),
-            nodes: None,
-            ended: None,
-        }
+        Self { about, trail_max, ..Self::default() }
     }
 
     /// Takes one tick in; the last of them is what is shown.

@@ -211,6 +211,7 @@ fn solve(n: &Normal) -> Option<Solved> {
                 *column -= carried * before;
             }
         }
+        // Of the two triangles, which rounding has made differ, the upper one counts.
         let factored = Cholesky::new(pivot.transpose())?;
         path_log_det += 2.0 * factored.l_dirty().diagonal().map(f64::ln).sum();
         inverse_pivots.push(factored.inverse().transpose());

@@ -14,7 +14,7 @@ use crate::statistics::Ascending;
 use crate::terminal::{BAD, GOOD, TITLE, field};
 
 /// What a campaign came to; its fields are the keys of `chaos.json`.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct Outcome {
     /// Name of the scenario.
     pub(super) scenario: String,
@@ -192,18 +192,7 @@ impl Outcome {
             robots: scenario.robots.len(),
             chaos_seed: asked.seed,
             faults_asked: asked.faults,
-            faults: Vec::new(),
-            ticks: 0,
-            ranges: RangeSummary::default(),
-            headings: HeadingSummary::default(),
-            without_heading: 0,
-            position_rmse_m: None,
-            digest_equal: None,
-            files_left: Vec::new(),
-            processes_left: Vec::new(),
-            broken: Vec::new(),
-            rounds: Vec::new(),
-            injected: Vec::new(),
+            ..Self::default()
         }
     }
 
