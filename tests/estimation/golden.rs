@@ -1,7 +1,7 @@
 //! The filter against a reference that Stone Soup, filterpy and 50-digit arithmetic agree on.
 
 use nalgebra::{SMatrix, SVector, Vector2};
-use rangehound_fusion::filter::{Estimate, RangeInformation};
+use rangehound_fusion::filter::{Gaussian, RangeInformation};
 use rangehound_shared::motion::MotionModel;
 use serde_json::Value;
 
@@ -25,7 +25,7 @@ fn covariance(value: &Value) -> SMatrix<f64, 4, 4> {
     SMatrix::from_row_slice(&rows)
 }
 
-fn step(before: Estimate<4>, sensors: &Value, ranges: &Value) -> (Estimate<4>, Estimate<4>) {
+fn step(before: Gaussian<4>, sensors: &Value, ranges: &Value) -> (Gaussian<4>, Gaussian<4>) {
     let model = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 };
     let predicted = before.predict(&model.transition(0.1));
     let mut information = RangeInformation::default();
@@ -35,7 +35,7 @@ fn step(before: Estimate<4>, sensors: &Value, ranges: &Value) -> (Estimate<4>, E
     (predicted, predicted.update(&information))
 }
 
-fn assert_close(estimate: &Estimate<4>, expected: &Value, what: &str) {
+fn assert_close(estimate: &Gaussian<4>, expected: &Value, what: &str) {
     let error = (estimate.x - state(&expected["x"])).amax().max((estimate.p - covariance(&expected["P"])).amax());
     assert!(error < TOLERANCE, "{what}: off by {error:e}");
 }
@@ -43,13 +43,13 @@ fn assert_close(estimate: &Estimate<4>, expected: &Value, what: &str) {
 #[test]
 fn one_step_and_a_sequence_match_the_reference() {
     let reference = reference();
-    let start = Estimate { x: state(&reference["x0"]), p: SMatrix::identity() * 10.0 };
+    let start = Gaussian { x: state(&reference["x0"]), p: SMatrix::identity() * 10.0 };
     let (predicted, updated) = step(start, &reference["sensors"], &reference["z"]);
     assert_close(&predicted, &reference["predicted"], "prediction");
     assert_close(&updated, &reference["updated_joint"], "joint update");
 
     let sequence = &reference["sequence_20_steps"];
-    let mut estimate = Estimate { x: state(&sequence["x0"]), p: SMatrix::identity() * 10.0 };
+    let mut estimate = Gaussian { x: state(&sequence["x0"]), p: SMatrix::identity() * 10.0 };
     let steps = sequence["steps"].as_array().unwrap();
     assert_eq!(steps.len(), 20);
     for expected in steps {

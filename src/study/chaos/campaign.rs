@@ -6,7 +6,7 @@ use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription, files_of};
 use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::faults::{Asked, Fault, Faults, Kind};
+use super::faults::{Asked, Faults, Kind, PlannedFault};
 use super::live::{Live, Recovering};
 use super::outcome::{Ended, Injected, Round, RunResult, is_repeatable};
 use super::run::{Run, processes_of};
@@ -37,7 +37,7 @@ pub(super) struct Campaign<'a> {
     termination: &'a Termination,
     progress: Progress,
     /// The next fault, and what is left of the time before it.
-    next: Fault,
+    next: PlannedFault,
     next_number: u64,
     wait: Duration,
     injected: Vec<Injected>,

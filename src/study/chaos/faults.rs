@@ -66,7 +66,7 @@ pub struct Asked {
 
 /// One fault.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Fault {
+pub(super) struct PlannedFault {
     /// Time since the fault before.
     pub(super) gap: Duration,
     /// What is done.
@@ -121,7 +121,7 @@ impl Faults {
     }
 
     /// The fault of this number.
-    pub(super) fn at(&mut self, index: u64) -> Fault {
+    pub(super) fn at(&mut self, index: u64) -> PlannedFault {
         let all: Vec<Role> = self.nodes.concat();
         let mut uniform = vec![0.0; FIXED_DRAWS + all.len()];
         self.draws.uniform(index, &mut uniform);
@@ -137,7 +137,7 @@ impl Faults {
             let nodes = &self.nodes[below(self.nodes.len(), fixed[2])];
             vec![nodes[below(nodes.len(), fixed[3])]]
         };
-        Fault {
+        PlannedFault {
             // The draw is below 1, so this is at most 37 times the mean.
             gap: Duration::from_secs_f64(-(1.0 - fixed[0]).ln() / self.rate_per_s),
             kind,
@@ -172,7 +172,7 @@ mod tests {
         asked
     }
 
-    fn faults(robots: usize, change: impl Fn(&mut Asked)) -> Vec<Fault> {
+    fn faults(robots: usize, change: impl Fn(&mut Asked)) -> Vec<PlannedFault> {
         let mut faults = Faults::new(&asked(change), robots);
         (0..2_000).map(|index| faults.at(index)).collect()
     }
