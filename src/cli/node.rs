@@ -129,7 +129,12 @@ impl LatencyNodeArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        latency_node(self.reference, self.role, &self.node.name, self.node.parent.end_with)
+        let robot = match self.role {
+            Role::Fusion => None,
+            Role::Robot(id) => Some(id),
+            role => return Err(Failure::input(format!("--role: expected fusion or robot-N, got {role}"))),
+        };
+        latency_node(self.reference, robot, &self.node.name, self.node.parent.end_with)
     }
 }
 
