@@ -14,8 +14,8 @@ use rangehound_node::world::world_of;
 use rangehound_robot::machine as robot;
 use rangehound_robot::sensor::{Sensor, measure};
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
+use rangehound_shared::protocol::wake::{Call, Notification, Sleeper, When};
 use rangehound_shared::scenario::{Clock, Scenario};
-use rangehound_shared::wake::{Call, Notification, Sleeper, When};
 use rangehound_sim::machine as sim;
 
 use super::disk::Disk;

@@ -1,6 +1,6 @@
 //! Checkpoint files in memory, which a kill may leave half written.
 
-use rangehound_shared::slots;
+use rangehound_shared::sealed::slots;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
