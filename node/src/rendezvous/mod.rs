@@ -24,6 +24,7 @@ mod place;
 mod presence;
 mod role;
 mod roster;
+pub mod tenure;
 
 use std::fs::{File, TryLockError};
 use std::path::PathBuf;

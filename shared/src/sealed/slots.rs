@@ -29,17 +29,61 @@ pub enum Unusable {
     Sealed(#[from] SealError),
 }
 
-/// Replaces `bytes` by a slot with this state. Allocates nothing once it has written one as large.
-///
-/// # Errors
-/// [`SealError`] if it cannot be encoded, or is too large for any reader.
-pub fn write(run_id: u64, sequence: u64, state: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), SealError> {
-    bytes.clear();
-    bytes.extend([0; LEN_BYTES]);
-    sealed::seal_into(&Slot { run_id, sequence, state }, bytes)?;
-    let len = (bytes.len() - LEN_BYTES) as u32;
-    bytes[..LEN_BYTES].copy_from_slice(&len.to_le_bytes());
-    Ok(())
+/// What is written to the slots: which of the two is next, and its bytes.
+#[derive(Debug, Default)]
+pub struct Turns {
+    run_id: u64,
+    sequence: u64,
+    bytes: Vec<u8>,
+}
+
+impl Turns {
+    /// The turns of a run after the state of this number; 0 if there is none.
+    #[must_use]
+    pub fn after(run_id: u64, sequence: u64) -> Self {
+        Self { run_id, sequence, bytes: Vec::new() }
+    }
+
+    /// Makes the bytes of the next state: [`Self::bytes`]. Allocates nothing once it has made as many.
+    ///
+    /// # Errors
+    /// [`SealError`] if it cannot be encoded, or is too large for any reader.
+    pub fn encode(&mut self, state: &impl Serialize) -> Result<(), SealError> {
+        let Self { run_id, sequence, bytes } = self;
+        bytes.clear();
+        bytes.extend([0; LEN_BYTES]);
+        sealed::seal_into(&Slot { run_id: *run_id, sequence: *sequence + 1, state }, bytes)?;
+        let len = (bytes.len() - LEN_BYTES) as u32;
+        bytes[..LEN_BYTES].copy_from_slice(&len.to_le_bytes());
+        Ok(())
+    }
+
+    /// What [`Self::encode`] made.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The slot that the next state is written to: not the one that has the newest.
+    #[must_use]
+    pub fn next_slot(&self) -> usize {
+        slot_of(self.sequence + 1)
+    }
+
+    /// The slot that has the newest state, if there is one.
+    #[must_use]
+    pub fn newest_slot(&self) -> usize {
+        slot_of(self.sequence)
+    }
+
+    /// The next state has been written wholly.
+    pub fn written(&mut self) {
+        self.sequence += 1;
+    }
+}
+
+fn slot_of(sequence: u64) -> usize {
+    (sequence % 2) as usize
 }
 
 /// The newest state of a run in two slots, `None` if nothing was written to either.

@@ -2,8 +2,9 @@
 
 mod cleaner;
 mod companions;
-mod deaths;
+pub(crate) mod deaths;
 mod losses;
+pub(crate) mod machine;
 mod nodes;
 mod removal;
 pub mod restart;
