@@ -11,12 +11,12 @@ use std::time::Duration;
 
 use iceoryx2::prelude::ZeroCopySend;
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
-use rangehound_shared::wake::{Answers, CALLS, Call, Calls, Notification, Sleeper, When};
+use rangehound_shared::protocol::wake::{Answers, CALLS, Call, Calls, Notification, Sleeper, When};
 use rustix::thread::futex;
 use rustix::time::Timespec;
 
 use crate::block::{Block, BlockError};
-use crate::clock::monotonic_ns;
+use crate::system::clock::monotonic_ns;
 
 /// Name of the block that holds them.
 const NAME: &str = "bells";

@@ -14,8 +14,8 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use rangehound_shared::sealed::slots::{self, LEN_BYTES, Turns};
 use rangehound_shared::sealed::{self, SealError};
-use rangehound_shared::slots::{self, LEN_BYTES, Turns};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

@@ -14,10 +14,10 @@ use rangehound_shared::sealed::SealError;
 
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use crate::checkpoint::{Checkpoint, CheckpointError};
-use crate::clock::{monotonic_ns, until};
 use crate::logs;
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
-use crate::signal::Termination;
+use crate::system::clock::{monotonic_ns, until};
+use crate::system::signal::Termination;
 use crate::tick_log::{TickLogError, TickLogWriter};
 
 /// Why fusion ended early.
@@ -233,7 +233,7 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
-    fn notify(&self, notification: &rangehound_shared::wake::Notification) {
+    fn notify(&self, notification: &rangehound_shared::protocol::wake::Notification) {
         match notification.to {
             Sleeper::Sim => self.sim.notify(notification),
             Sleeper::Robots | Sleeper::Fusion => {

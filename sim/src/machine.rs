@@ -7,10 +7,10 @@ use std::borrow::Cow;
 
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::message::{Drive, Truth};
+use rangehound_shared::protocol::timing::Suspension;
+use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_shared::sealed::SealError;
-use rangehound_shared::timing::Suspension;
-use rangehound_shared::wake::{Call, Notification, Sleeper};
 use serde::{Deserialize, Serialize};
 
 use crate::World;

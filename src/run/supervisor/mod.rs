@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Rendezvous;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 
 use crate::failure::Failure;

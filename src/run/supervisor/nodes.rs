@@ -8,9 +8,9 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_node::clock::{monotonic_ns, until};
 use rangehound_node::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::clock::{monotonic_ns, until};
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::scenario::Scenario;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};

@@ -7,9 +7,9 @@ use std::rc::Rc;
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
+use rangehound_shared::protocol::wake::Call;
 use rangehound_shared::scenario::{Clock, Scenario};
-use rangehound_shared::slots::Turns;
-use rangehound_shared::wake::Call;
+use rangehound_shared::sealed::slots::Turns;
 
 use super::disk::Disk;
 use super::lead::Lead;
@@ -113,7 +113,7 @@ pub(super) struct Cluster<'a> {
     pub(super) sim_turns: Turns,
     /// Fusion's checkpoint files; the last one has the name.
     pub(super) disks: Vec<Disk>,
-    /// By [`Sleeper`](rangehound_shared::wake::Sleeper).
+    /// By [`Sleeper`](rangehound_shared::protocol::wake::Sleeper).
     pub(super) sleepers: [Sleepers; 3],
     pub(super) supervisor: Supervisor,
     pub(super) is_finished: bool,

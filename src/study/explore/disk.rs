@@ -1,6 +1,6 @@
 //! Checkpoint files in memory, which a kill may leave half written.
 
-use rangehound_shared::slots::{self, Turns};
+use rangehound_shared::sealed::slots::{self, Turns};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

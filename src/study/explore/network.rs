@@ -4,8 +4,8 @@ use std::rc::Rc;
 
 use rand::RngExt as _;
 use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
+use rangehound_shared::protocol::wake::{Answers, Call, Notification, Sleeper, When};
 use rangehound_shared::scenario::Clock;
-use rangehound_shared::wake::{Answers, Call, Notification, Sleeper, When};
 
 use super::cluster::{Cluster, Happening};
 use super::process::Process;

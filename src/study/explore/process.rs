@@ -2,7 +2,7 @@
 
 use rand::RngExt as _;
 use rangehound_robot::sensor::Sensor;
-use rangehound_shared::wake::Call;
+use rangehound_shared::protocol::wake::Call;
 use rangehound_sim::machine as sim;
 
 use super::cluster::{Cluster, Happening, Violation};

@@ -3,8 +3,8 @@
 use rangehound_fusion::leader::{Leader, Saved};
 use rangehound_fusion::standby::{LOOK, Standby};
 use rangehound_node::rendezvous::tenure::needs_own_checkpoint;
-use rangehound_shared::slots::Turns;
-use rangehound_shared::wake::{Call, Sleeper};
+use rangehound_shared::protocol::wake::{Call, Sleeper};
+use rangehound_shared::sealed::slots::Turns;
 
 use crate::study::explore::cluster::{Cluster, Happening, Violation};
 use crate::study::explore::lead::Hold;

@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use rangehound_fusion::leader::{Action, Notice};
 use rangehound_shared::message::Command;
-use rangehound_shared::wake::{Call, Sleeper};
+use rangehound_shared::protocol::wake::{Call, Sleeper};
 
 use super::fusion::Leading;
 use super::sim::SIM;

@@ -4,8 +4,8 @@ use std::rc::Rc;
 
 use rangehound_node::world::world_of;
 use rangehound_shared::message::WorldEntry;
-use rangehound_shared::slots::Turns;
-use rangehound_shared::wake::Sleeper;
+use rangehound_shared::protocol::wake::Sleeper;
+use rangehound_shared::sealed::slots::Turns;
 use rangehound_sim::machine::{Action, Machine, Saved};
 
 use crate::study::explore::cluster::{Cluster, Violation};
