@@ -19,7 +19,9 @@ use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
 use rangehound::files::{calibration, input};
 use rangehound::plan::line::Desk;
-use rangehound::results::report::{self, Truth};
+use rangehound::results::curves::CurvesBuilder;
+use rangehound::results::frame::Frames;
+use rangehound::results::report::{self, ReportBuilder, Truth};
 use rangehound::results::run_mcap::read::FrameReader;
 use rangehound::results::run_mcap::scene::Scene;
 use rangehound::results::{made as pictures, tables};
@@ -306,13 +308,20 @@ fn results(description: &RunDescription, logs: [&[u8]; 2]) -> Verdict {
         std::fs::write(folder.path().join(name), log)?;
     }
     let description = RunDescription { out_dir: folder.path().to_owned(), ..description.clone() };
-    let report = report::from_logs(&description, None, Vec::new())?;
+    let mut report = ReportBuilder::new(None)?;
+    let mut curves = CurvesBuilder::new(&description.scenario, None);
+    Frames::open(&description)?.for_each(|put_down| {
+        report.add(put_down);
+        curves.add(put_down);
+        Ok(())
+    })?;
+    let report = report.finish(&description.scenario, Vec::new());
     report::write(&report, folder.path())?;
     tables::write_estimate_csv(&description)?;
     tables::write_recording(&description)?;
     // Slow, and mostly the same.
     if logs.concat().len() % 50 == 0 {
-        pictures::draw(&report, &description, None)?;
+        pictures::draw(&report, curves, folder.path())?;
     }
     Ok(())
 }

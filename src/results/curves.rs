@@ -4,14 +4,13 @@ use std::ops::Range;
 
 use nalgebra::Vector2;
 use rangehound_fusion::LATE_TICKS_MAX;
-use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{FusionRecord, Heading, WorldRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 use crate::draw::field::Paths;
-use crate::results::frame::{Frames, PutDown};
+use crate::results::frame::PutDown;
 use crate::results::report::{Truth, position_covariance};
 
 /// Points of a curve: more would not be seen.
@@ -76,26 +75,43 @@ impl Stretch {
     }
 }
 
-impl Curves {
-    /// Reads them from the logs of a run; `truth` is the target's true track where the logs do not hold one.
-    ///
-    /// # Errors
-    /// If a log cannot be read, or holds numbers that cannot be drawn.
-    pub fn read(description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<Self> {
-        let mut curves = Self { paths: Paths::of_team(&description.scenario), ..Self::default() };
-        let thinning = Thinning::of(&description.scenario);
-        Frames::open(description)?.for_each(|put_down| {
-            if put_down.tick > 0 {
-                curves.add(put_down, &description.scenario, thinning, truth);
-            }
-            Ok(())
-        })?;
-        if !curves.can_be_drawn() {
-            anyhow::bail!("the logs hold numbers that cannot be drawn");
-        }
-        Ok(curves)
+/// Gathers the curves of a run tick by tick; `truth` is the target's true track where the run knows none.
+#[derive(Debug)]
+pub struct CurvesBuilder<'a> {
+    curves: Curves,
+    scenario: &'a Scenario,
+    thinning: Thinning,
+    truth: Option<&'a Truth>,
+}
+
+impl<'a> CurvesBuilder<'a> {
+    /// Curves before their first tick.
+    #[must_use]
+    pub fn new(scenario: &'a Scenario, truth: Option<&'a Truth>) -> Self {
+        let curves = Curves { paths: Paths::of_team(scenario), ..Curves::default() };
+        Self { curves, scenario, thinning: Thinning::of(scenario), truth }
     }
 
+    /// Adds the next tick.
+    pub fn add(&mut self, put_down: PutDown<'_>) {
+        if put_down.tick > 0 {
+            self.curves.add(put_down, self.scenario, self.thinning, self.truth);
+        }
+    }
+
+    /// The curves of all ticks that were added.
+    ///
+    /// # Errors
+    /// If the logs hold numbers that cannot be drawn.
+    pub fn finish(self) -> anyhow::Result<Curves> {
+        if !self.curves.can_be_drawn() {
+            anyhow::bail!("the logs hold numbers that cannot be drawn");
+        }
+        Ok(self.curves)
+    }
+}
+
+impl Curves {
     fn add(&mut self, put_down: PutDown<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
         let PutDown { tick, fusion, world } = put_down;
         if let Some(FusionRecord { time_s, estimate, .. }) = fusion {

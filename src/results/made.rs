@@ -4,8 +4,9 @@ use std::path::Path;
 
 use rangehound_node::rendezvous::RunDescription;
 
-use super::curves::Curves;
-use super::report::{self, NodeSummary, Report, Truth};
+use super::curves::CurvesBuilder;
+use super::frame::{Frames, PutDown};
+use super::report::{self, NodeSummary, Report, ReportBuilder, Truth};
 use super::tables::{write_estimate_csv, write_recording};
 use super::{page, picture};
 use crate::failure::{self, Failure};
@@ -38,11 +39,12 @@ pub fn report_and_tables(
 ) -> Result<Report, Failure> {
     let &Keep { ranges, ref truth, strict, .. } = keep;
     let truth = truth.as_ref();
-    let (report, printed) = make_report(description, keep, nodes)?;
+    let mut curves = CurvesBuilder::new(&description.scenario, truth);
+    let (report, printed) = make_report(description, keep, nodes, |put_down| curves.add(put_down))?;
     let written = report::write(&report, &description.out_dir);
     let table = write_estimate_csv(description);
     let recorded = if ranges { write_recording(description) } else { Ok(()) };
-    if let Err(error) = draw(&report, description, truth) {
+    if let Err(error) = draw(&report, curves, &description.out_dir) {
         log::warn!("there is no picture, or no page: {error}");
     }
     written.and(table).and(recorded)?;
@@ -58,15 +60,16 @@ pub fn report_and_tables(
 /// # Errors
 /// [`Failure::Running`] if a log cannot be read, or standard output not written.
 pub fn print_report(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSummary>) -> Result<Report, Failure> {
-    let (report, printed) = make_report(description, keep, nodes)?;
+    let (report, printed) = make_report(description, keep, nodes, |_| ())?;
     printed.map(|()| report)
 }
 
-/// A run's report, and whether it could be printed.
+/// A run's report, and whether it could be printed. The logs are read once: `also` is shown each tick too.
 fn make_report(
     description: &RunDescription,
     keep: &Keep,
     nodes: Vec<NodeSummary>,
+    mut also: impl FnMut(PutDown<'_>),
 ) -> anyhow::Result<(Report, Result<(), Failure>)> {
     let &Keep { ref truth, json, .. } = keep;
     let truth = truth.as_ref();
@@ -74,7 +77,13 @@ fn make_report(
     if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
         failure::tell("the run is over, its report is made");
     }
-    let report = report::from_logs(description, truth, nodes)?;
+    let mut builder = ReportBuilder::new(truth)?;
+    Frames::open(description)?.for_each(|put_down| {
+        builder.add(put_down);
+        also(put_down);
+        Ok(())
+    })?;
+    let report = builder.finish(scenario, nodes);
     let printed = if json {
         failure::print_json(&report)
     } else {
@@ -94,9 +103,9 @@ pub(crate) fn from_here(path: &Path) -> &Path {
 /// Draws what people look at: the page, and the picture.
 ///
 /// # Errors
-/// If a log cannot be read, holds numbers that cannot be drawn, or a file cannot be written.
-pub fn draw(report: &Report, description: &RunDescription, truth: Option<&Truth>) -> anyhow::Result<()> {
-    let curves = Curves::read(description, truth)?;
-    picture::draw(&curves, &description.out_dir)?;
-    page::write(report, &curves, &description.out_dir)
+/// If the logs hold numbers that cannot be drawn, or a file cannot be written.
+pub fn draw(report: &Report, curves: CurvesBuilder<'_>, out_dir: &Path) -> anyhow::Result<()> {
+    let curves = curves.finish()?;
+    picture::draw(&curves, out_dir)?;
+    page::write(report, &curves, out_dir)
 }

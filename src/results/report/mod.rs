@@ -20,7 +20,7 @@ use std::path::Path;
 
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::FusionRecord;
-use rangehound_shared::scenario::Source;
+use rangehound_shared::scenario::{Scenario, Source};
 
 use crate::files::layout::REPORT;
 use crate::files::whole_file;
@@ -42,15 +42,39 @@ pub fn from_logs(
     truth: Option<&Truth>,
     nodes: Vec<NodeSummary>,
 ) -> anyhow::Result<Report> {
-    let scenario = &description.scenario;
-    let mut totals = Accumulator::new()?;
-    let mut overlap = truth.map(Overlap::of);
+    let mut builder = ReportBuilder::new(truth)?;
     Frames::open(description)?.for_each(|put_down| {
+        builder.add(put_down);
+        Ok(())
+    })?;
+    Ok(builder.finish(&description.scenario, nodes))
+}
+
+/// Adds up the report of a run tick by tick; `truth` is the target's true track where the run knows none.
+#[derive(Debug)]
+pub struct ReportBuilder<'a> {
+    totals: Accumulator,
+    truth: Option<&'a Truth>,
+    overlap: Option<Overlap>,
+}
+
+impl<'a> ReportBuilder<'a> {
+    /// A report before its first tick.
+    ///
+    /// # Errors
+    /// If there is no memory for its histograms.
+    pub fn new(truth: Option<&'a Truth>) -> anyhow::Result<Self> {
+        Ok(Self { totals: Accumulator::new()?, truth, overlap: truth.map(Overlap::of) })
+    }
+
+    /// Adds the next tick.
+    pub fn add(&mut self, put_down: PutDown<'_>) {
+        let Self { totals, truth, overlap } = self;
         let PutDown { tick, fusion, world } = put_down;
         if let Some(world) = world {
             totals.add_world(world.ended_ns, &world.robots);
         }
-        let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return Ok(()) };
+        let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return };
         totals.add_untold(exchanges, world.map_or(&[][..], |world| &world.robots));
         totals.add_sensors(exchanges);
         if let Some(world) = world {
@@ -61,20 +85,25 @@ pub fn from_logs(
             overlap.add(*time_s, truth_m.is_some());
         }
         totals.add_estimate(tick, estimate, truth_m);
-        Ok(())
-    })?;
-    let recording = match &scenario.source {
-        Source::Recorded(ranges) => Some(RecordingEvidence {
-            doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),
-            has_unused_heights: ranges.has_heights && ranges.target_height_m.is_none(),
-        }),
-        Source::Simulated { .. } => None,
-    };
-    let background = Background { truth: overlap.map(Overlap::evidence), recording };
-    Ok(totals.report(scenario, background, nodes))
+    }
+
+    /// The report of all ticks that were added.
+    #[must_use]
+    pub fn finish(self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
+        let recording = match &scenario.source {
+            Source::Recorded(ranges) => Some(RecordingEvidence {
+                doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),
+                has_unused_heights: ranges.has_heights && ranges.target_height_m.is_none(),
+            }),
+            Source::Simulated { .. } => None,
+        };
+        let background = Background { truth: self.overlap.map(Overlap::evidence), recording };
+        self.totals.report(scenario, background, nodes)
+    }
 }
 
 /// How a true track overlaps a run.
+#[derive(Debug)]
 struct Overlap {
     evidence: TruthEvidence,
     ticks: u64,
