@@ -8,6 +8,7 @@
 //! | `drivers` | a robot whose sensor and drive are on a port: the example, fed through a FIFO |
 //! | `golden` | the filter against numbers from independent implementations |
 //! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
+//! | `book` | README, ARCHITECTURE.md and `docs/`: every command works, every link and name leads somewhere |
 //! | `chaos` | campaigns of faults: every promise kept, nothing left behind |
 //! | `comparison` | Monte Carlo of the planners: figures, pictures, threads |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
@@ -29,6 +30,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
 
 mod believed;
+mod book;
 mod chaos;
 mod command_line;
 mod comparison;
