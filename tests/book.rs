@@ -26,7 +26,7 @@ fn pages() -> Vec<Page> {
 }
 
 #[test]
-fn links_and_paths_lead_somewhere() {
+fn links_and_names_lead_somewhere() {
     let sources = Sources::read();
     let mut faults = Vec::new();
     for page in pages().into_iter().chain([Page::of("CHANGELOG.md")]) {
@@ -40,6 +40,9 @@ fn links_and_paths_lead_somewhere() {
         for (line, name) in page.names() {
             if is_path(&sources, name) && !sources.has(name) {
                 faults.push(format!("{}: no such file: {name}", page.at(line)));
+            }
+            if is_of_rust(name) && !sources.has_words(name) {
+                faults.push(format!("{}: not in the sources: {name}", page.at(line)));
             }
         }
     }
@@ -63,6 +66,13 @@ fn is_path(sources: &Sources, name: &str) -> bool {
     let is_folder = name.ends_with('/') && !name.starts_with('/') && !name.contains("NAME");
     let first = name.split_once('/').map(|(first, _)| first);
     !name.contains(' ') && (is_source || is_folder || first.is_some_and(|first| sources.has_at_its_root(first)))
+}
+
+/// Whether a name between backticks is one of a type or function: `Plan`, `Centre::update`.
+fn is_of_rust(name: &str) -> bool {
+    let is_type = name.starts_with(|c: char| c.is_ascii_uppercase())
+        && name.chars().nth(1).is_some_and(|c| c.is_ascii_lowercase());
+    name.chars().all(|c| c.is_alphanumeric() || c == ':' || c == '_') && (is_type || name.contains("::"))
 }
 
 #[test]

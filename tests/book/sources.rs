@@ -12,17 +12,21 @@ pub(super) struct Sources {
     /// Files and folders, from the project's folder.
     paths: Vec<PathBuf>,
     tests: BTreeSet<String>,
+    /// Every identifier of the Rust sources.
+    words: BTreeSet<String>,
 }
 
 impl Sources {
     pub(super) fn read() -> Self {
         let mut paths = Vec::new();
         collect(Path::new(""), &mut paths);
-        let mut tests = BTreeSet::new();
+        let (mut tests, mut words) = (BTreeSet::new(), BTreeSet::new());
         for path in paths.iter().filter(|path| path.extension().is_some_and(|extension| extension == "rs")) {
-            tests.extend(tests_of(&std::fs::read_to_string(root().join(path)).unwrap()).map(str::to_owned));
+            let source = std::fs::read_to_string(root().join(path)).unwrap();
+            tests.extend(tests_of(&source).map(str::to_owned));
+            words.extend(words_of(&source).map(str::to_owned));
         }
-        Self { paths, tests }
+        Self { paths, tests, words }
     }
 
     /// True for a path from the project's folder, and for the end of one: `certified/`, `frame.rs`.
@@ -33,6 +37,11 @@ impl Sources {
     /// True for the name of a file or folder that lies in the project's folder itself.
     pub(super) fn has_at_its_root(&self, name: &str) -> bool {
         self.paths.iter().any(|path| path == Path::new(name))
+    }
+
+    /// True if each part of a name of Rust, such as `Centre::update`, stands in the sources.
+    pub(super) fn has_words(&self, name: &str) -> bool {
+        words_of(name).all(|word| self.words.contains(word))
     }
 
     pub(super) fn has_test(&self, name: &str) -> bool {
@@ -58,6 +67,10 @@ fn collect(folder: &Path, paths: &mut Vec<PathBuf>) {
 fn tests_of(source: &str) -> impl Iterator<Item = &str> {
     source.split("#[test]").skip(1).filter_map(|rest| {
         let name = rest.split_once("fn ")?.1;
-        name.split(|c: char| !c.is_alphanumeric() && c != '_').next()
+        words_of(name).next()
     })
+}
+
+fn words_of(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| !word.is_empty())
 }
