@@ -19,7 +19,7 @@ use rangehound_shared::wake::{Call, Notification, Sleeper};
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{self, Centre, Diverged};
-use crate::intake::{self, Admitted, Intake, LateReport, Tally};
+use crate::intake::{self, Admitted, Intake, IntakeCounts, LateReport};
 use crate::planner::PlannerError;
 
 /// What the driver does next.
@@ -37,7 +37,7 @@ pub enum Action {
     Notify(Notification),
     /// Publish [`Leader::estimate`].
     SendEstimate,
-    /// Write down the last tick: [`Leader::estimate`], [`Leader::exchanges`], [`Leader::said_late`].
+    /// Write down the last tick: [`Leader::estimate`], [`Leader::exchanges`], [`Leader::late_reports`].
     Record,
     /// Tell the user.
     Tell(Notice),
@@ -97,7 +97,7 @@ pub struct Leader {
     /// A robot said again what was fused: it has missed its heading.
     pub(crate) repeat_asked: bool,
     stages: Stages,
-    pub(crate) tally: Tally,
+    pub(crate) counts: IntakeCounts,
     estimate: Estimate,
     distrusted: RobotSet,
     noise_scale: f64,
@@ -110,9 +110,9 @@ pub struct Leader {
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Saved<'a> {
     centre: centre::Saved<'a>,
-    intake: Cow<'a, intake::Record>,
+    intake: Cow<'a, intake::IntakeState>,
     /// Of the last estimate.
-    tally: Tally,
+    counts: IntakeCounts,
 }
 
 impl Leader {
@@ -139,7 +139,7 @@ impl Leader {
             asks_repeat: false,
             repeat_asked: false,
             stages: Stages::default(),
-            tally: Tally::default(),
+            counts: IntakeCounts::default(),
             estimate: Estimate::default(),
             distrusted: RobotSet::default(),
             noise_scale: 1.0,
@@ -154,14 +154,14 @@ impl Leader {
     /// # Errors
     /// If this is not what a fusion centre of the same run saved.
     pub fn restore(&mut self, saved: Saved<'_>, now_ns: u64) -> Result<(), SealError> {
-        let Saved { centre, intake, tally } = saved;
+        let Saved { centre, intake, counts } = saved;
         self.centre.restore(centre)?;
         if !self.intake.restore(intake.into_owned(), now_ns) {
             return Err(SealError::Malformed);
         }
         (self.distrusted, self.noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
         if self.centre.next_tick() > 0 {
-            self.tally = tally;
+            self.counts = counts;
             self.estimate = self.estimate_with(Stages::default());
             self.actions.push_back(Action::Record);
         }
@@ -173,7 +173,7 @@ impl Leader {
     /// # Errors
     /// If the tracker cannot be encoded.
     pub fn saved(&mut self) -> Result<Saved<'_>, SealError> {
-        Ok(Saved { centre: self.centre.saved()?, intake: Cow::Borrowed(self.intake.record()), tally: self.tally })
+        Ok(Saved { centre: self.centre.saved()?, intake: Cow::Borrowed(self.intake.state()), counts: self.counts })
     }
 
     /// Takes a message of the topic `range` that came at `now_ns`.
@@ -228,7 +228,7 @@ impl Leader {
             }
             Phase::Close => {
                 self.stages.planned_ns = now_ns;
-                self.tally = self.intake.close(self.centre.next_tick() - 1, self.stages.filtered_ns);
+                self.counts = self.intake.close(self.centre.next_tick() - 1, self.stages.filtered_ns);
                 // A deposed one writes nothing that its successor could read.
                 (Phase::Save, Action::RequireLead)
             }
@@ -294,13 +294,13 @@ impl Leader {
 
     /// The last tick's exchange with each robot.
     pub fn exchanges(&self) -> impl Iterator<Item = Exchange> {
-        self.centre.exchanges(self.centre.next_tick().saturating_sub(1), self.intake.record().said())
+        self.centre.exchanges(self.centre.next_tick().saturating_sub(1), self.intake.state().reports())
     }
 
     /// What was said of earlier ticks since the one before the last.
     #[must_use]
-    pub fn said_late(&self) -> &[LateReport] {
-        self.intake.record().said_late()
+    pub fn late_reports(&self) -> &[LateReport] {
+        self.intake.state().late_reports()
     }
 
     /// Others are ahead: this process was stopped or started late. The ticks between are gone for it; it predicts
@@ -317,7 +317,7 @@ impl Leader {
     }
 
     fn gather(&mut self, now_ns: u64) -> Result<Option<Action>, Diverged> {
-        self.intake.forgive(self.suspension.look(now_ns));
+        self.intake.extend(self.suspension.look(now_ns));
         let next = self.centre.next_tick();
         if next < self.over_before || self.intake.is_ready(next, now_ns) {
             self.stages = Stages { last_range_ns: self.intake.last_range_ns(), began_ns: now_ns, ..Stages::default() };
@@ -339,7 +339,7 @@ impl Leader {
     }
 
     fn estimate_with(&self, stages: Stages) -> Estimate {
-        let Tally { late, fused_late, rejected_late, refused } = self.tally;
+        let IntakeCounts { late, fused_late, rejected_late, refused } = self.counts;
         Estimate { late, fused_late, rejected_late, refused, stages, ..self.centre.estimate() }
     }
 
@@ -367,7 +367,7 @@ impl Leader {
     /// Tells once of each cause that messages are refused; the report counts them.
     fn tell_of_refusals(&mut self) {
         for refusal in Refusal::ALL {
-            let is_new = self.tally.refused[refusal as usize] > 0 && !self.told[refusal as usize];
+            let is_new = self.counts.refused[refusal as usize] > 0 && !self.told[refusal as usize];
             if is_new {
                 self.told[refusal as usize] = true;
                 self.tell(Notice::Refused(refusal));

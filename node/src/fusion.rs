@@ -294,7 +294,7 @@ impl<'a> Driver<'a> {
 /// Records a tick, with all that it takes to go through it again: what was heard of each robot, in time or late.
 fn write(log: &mut TickLogWriter<FusionRecord>, leader: &Leader, tick: u64) -> Result<(), TickLogError> {
     log.write(tick, |record| record.set(leader.centre().time_s(), leader.estimate(), leader.exchanges()))?;
-    for late in leader.said_late() {
+    for late in leader.late_reports() {
         log.amend(late.tick, |record| {
             if let Some(exchange) = record.exchanges.get_mut(late.robot) {
                 exchange.heard = Some(late.heard_at(tick));

@@ -93,7 +93,7 @@ impl Witness {
         self.last_estimate = self.last_estimate.max(Some(tick));
         let in_time =
             leader.exchanges().enumerate().filter_map(|(robot, exchange)| Some((robot, tick, exchange.heard?)));
-        let late = leader.said_late().iter().map(|late| (late.robot, late.tick, late.heard_at(tick)));
+        let late = leader.late_reports().iter().map(|late| (late.robot, late.tick, late.heard_at(tick)));
         for (robot, range_tick, heard) in in_time.chain(late) {
             let measured = self.ranges.get(&(robot as u64, range_tick)).ok_or_else(|| {
                 format!("a range of robot-{robot} was taken at tick {tick} that it never measured at tick {range_tick}")

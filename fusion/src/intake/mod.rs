@@ -1,0 +1,340 @@
+//! Which messages count, pure: robots' messages in, what each is to the present tick out.
+//!
+//! Messages come from processes that may be broken or hostile. What cannot be true is refused and counted by
+//! [`Refusal`]; what was reported before is a repeat; what is of a tick that is over is late. Nothing here grows
+//! with the number of messages, and no robot can hold up a tick by what it reports.
+
+mod timing;
+mod validation;
+
+use std::cmp::Ordering;
+
+use rangehound_shared::measurement::Measurement;
+use rangehound_shared::message::{Header, Range, Refusal};
+use rangehound_shared::record::{Heard, Judged};
+use rangehound_shared::scenario::{Clock, Scenario};
+use serde::{Deserialize, Serialize};
+
+use crate::centre::{Centre, Late};
+use crate::planner::Vector;
+use timing::{Timing, lower_median};
+use validation::Validation;
+
+/// Ticks that are over for which it is known who was heard: bits of a word.
+const HEARD_TICKS: u64 = 64;
+
+/// What came between two estimates besides the present tick's ranges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct IntakeCounts {
+    /// Ranges of earlier ticks.
+    pub late: u64,
+    /// Of those, how many were fused at their own time.
+    pub fused_late: u64,
+    /// Of those, how many were rejected at their own time.
+    pub rejected_late: u64,
+    /// Messages refused, in the order of [`Refusal::ALL`].
+    pub refused: [u64; Refusal::ALL.len()],
+}
+
+/// What the intake knows beyond the tick that it gathers: part of fusion's checkpoint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct IntakeState {
+    robots: Vec<RobotState>,
+    /// When the last tick began, monotonic ns.
+    began_ns: u64,
+    /// What was reported of the last tick, by robot, and since the one before of earlier ones: the last tick's record needs it.
+    reports: Vec<Option<Measurement>>,
+    late_reports: Vec<LateReport>,
+}
+
+/// A report that came after its tick and was used all the same.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LateReport {
+    /// Its own tick.
+    pub tick: u64,
+    /// Whose it is.
+    pub robot: usize,
+    /// What it reports.
+    pub report: Measurement,
+    /// What became of its range.
+    pub judged: Option<Judged>,
+}
+
+/// What an admitted message is to the tick that is being gathered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Admitted {
+    /// A report of that tick: for [`Intake::gather`].
+    Now(Measurement),
+    /// A report of a tick that is over: for [`Centre::take_late`], and what became of it for [`Intake::gather_late`].
+    Late(Measurement),
+    /// What was reported before.
+    Repeat,
+    /// Of a later tick: the ticks before it are over.
+    Ahead,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct RobotState {
+    /// Ticks in a row at which it said nothing.
+    misses: u32,
+    /// The ticks at which it was heard: bit i for the i-th before the present one.
+    heard: u64,
+    /// The newest tick at which its place was believed, and the place.
+    place: (u64, Vector),
+    /// The newest start of the robot's process whose report was taken.
+    incarnation: u64,
+}
+
+impl RobotState {
+    fn new([x_m, y_m]: [f64; 2]) -> Self {
+        Self { misses: 0, heard: 0, place: (0, Vector::new(x_m, y_m)), incarnation: 0 }
+    }
+
+    fn was_heard_at(&self, age: u64) -> bool {
+        age < HEARD_TICKS && self.heard >> age & 1 == 1
+    }
+}
+
+impl IntakeState {
+    /// What was reported of the last tick, by robot.
+    #[must_use]
+    pub fn reports(&self) -> &[Option<Measurement>] {
+        &self.reports
+    }
+
+    /// What was reported of earlier ticks since the one before the last.
+    #[must_use]
+    pub fn late_reports(&self) -> &[LateReport] {
+        &self.late_reports
+    }
+}
+
+impl LateReport {
+    /// As it is recorded, with the first tick whose estimate knows of it.
+    #[must_use]
+    pub fn heard_at(&self, tick: u64) -> Heard {
+        Heard { measurement: self.report, taken_at: tick, judged: self.judged }
+    }
+}
+
+/// Gathers the reports of the present tick.
+#[derive(Debug)]
+pub struct Intake {
+    /// Misses in a row after which a robot is not waited for until it speaks again.
+    misses_max: u32,
+    validation: Validation,
+    timing: Timing,
+    state: IntakeState,
+    reports: Vec<Option<Measurement>>,
+    /// Robots that have sent something of this tick, even if it was refused: nobody waits for them.
+    spoke: Vec<bool>,
+    /// Which time the tick has, as each report says.
+    times_s: Vec<f64>,
+    counts: IntakeCounts,
+    late: Vec<LateReport>,
+}
+
+impl Intake {
+    /// The intake of a run before its first tick.
+    #[must_use]
+    pub fn new(scenario: &Scenario) -> Self {
+        let robots = scenario.robots.len();
+        let misses_max = match scenario.clock {
+            // The deadline has cut short a busy robot now and then; a dead one costs all of them latency.
+            Clock::Realtime => 3,
+            Clock::Lockstep => 1,
+        };
+        Self {
+            misses_max,
+            validation: Validation::new(scenario),
+            timing: Timing::new(scenario),
+            state: IntakeState {
+                robots: scenario.robots.iter().map(|robot| RobotState::new(robot.start_m)).collect(),
+                began_ns: 0,
+                reports: vec![None; robots],
+                late_reports: Vec::new(),
+            },
+            reports: vec![None; robots],
+            spoke: vec![false; robots],
+            times_s: Vec::with_capacity(robots),
+            counts: IntakeCounts::default(),
+            late: Vec::new(),
+        }
+    }
+
+    /// What [`Self::restore`] needs to go on after the last [`Self::close`].
+    #[must_use]
+    pub fn state(&self) -> &IntakeState {
+        &self.state
+    }
+
+    /// Goes on from the state of an intake of the same scenario; false if it is not such. `now_ns` is monotonic.
+    pub fn restore(&mut self, state: IntakeState, now_ns: u64) -> bool {
+        let fits = [state.robots.len(), state.reports.len()] == [self.reports.len(); 2];
+        if fits {
+            self.state = state;
+            if self.state.began_ns > now_ns {
+                // The clock of before the machine was started again says nothing.
+                self.state.began_ns = 0;
+            }
+        }
+        fits
+    }
+
+    /// Counts messages that were refused.
+    pub fn refuse(&mut self, refusal: Refusal, count: u64) {
+        self.counts.refused[refusal as usize] += count;
+    }
+
+    /// Judges a message that came at `now_ns`, monotonic. A report is the caller's to deliver.
+    ///
+    /// # Errors
+    /// The [`Refusal`] of a message that counts for nothing; it is counted.
+    pub fn admit(
+        &mut self,
+        centre: &Centre,
+        header: &Header,
+        message: &[Range],
+        now_ns: u64,
+    ) -> Result<Admitted, Refusal> {
+        self.judge(centre, header, message, now_ns).inspect_err(|refusal| self.refuse(*refusal, 1))
+    }
+
+    fn judge(&mut self, centre: &Centre, header: &Header, message: &[Range], now_ns: u64) -> Result<Admitted, Refusal> {
+        let [range] = message else { return Err(Refusal::Malformed) };
+        let id = usize::try_from(range.robot).ok().filter(|id| *id < self.reports.len()).ok_or(Refusal::OutOfRange)?;
+        let (tick, next) = (header.tick, centre.next_tick());
+        if tick == next {
+            self.spoke[id] = true;
+            self.timing.hear(now_ns);
+        }
+        let report = self.validation.measurement(centre, header, range)?;
+        if tick > self.timing.newest_tick(next, self.state.began_ns, now_ns) {
+            return Err(Refusal::Future);
+        }
+        let robot = &mut self.state.robots[id];
+        let before = if tick == next { self.reports[id] } else { centre.report_at(tick, id) };
+        // A robot that was started again within the tick measures anew: its first report counts, and it needs its heading.
+        let is_restarted = header.incarnation > robot.incarnation;
+        if before.is_some_and(|before| before != report) && !is_restarted {
+            return Err(Refusal::Contradiction);
+        }
+        robot.misses = 0;
+        if before.is_some() || tick < next && robot.was_heard_at(next - tick - 1) {
+            return Ok(Admitted::Repeat);
+        }
+        // A robot that is refused goes on being measured against where it was last believed to be: the longer ago, the
+        // more it may have moved.
+        let place = (tick, report.pose.into());
+        if !self.validation.can_reach(id, robot.place, place) {
+            return Err(Refusal::Jump);
+        }
+        if tick >= robot.place.0 {
+            robot.place = place;
+        }
+        Ok(match tick.cmp(&next) {
+            Ordering::Greater => Admitted::Ahead,
+            Ordering::Equal => Admitted::Now(report),
+            Ordering::Less => Admitted::Late(report),
+        })
+    }
+
+    /// Takes a report of the present tick, from the message that brought it.
+    pub fn gather(&mut self, header: &Header, range: &Range, report: Measurement, now_ns: u64) {
+        let id = range.robot as usize;
+        let Some((slot, robot)) = self.reports.get_mut(id).zip(self.state.robots.get_mut(id)) else { return };
+        *slot = Some(report);
+        robot.incarnation = robot.incarnation.max(header.incarnation);
+        self.timing.take(header, range, now_ns);
+        self.times_s.push(header.valid_at_s);
+    }
+
+    /// Takes note of a report of a tick that is over, and of what became of it.
+    pub fn gather_late(&mut self, next: u64, late: LateReport, outcome: Late) {
+        let age = next.wrapping_sub(late.tick + 1);
+        if let Some(robot) = self.state.robots.get_mut(late.robot).filter(|_| age < HEARD_TICKS) {
+            robot.heard |= 1 << age;
+        }
+        self.counts.late += u64::from(late.report.range().is_some());
+        match outcome {
+            Late::Fused => self.counts.fused_late += 1,
+            Late::Rejected => self.counts.rejected_late += 1,
+            Late::NoRange => {}
+            Late::Missed => return,
+        }
+        self.late.push(late);
+    }
+
+    /// When the last report of the present tick was sent, as its robot says, monotonic ns; 0 without any.
+    #[must_use]
+    pub fn last_range_ns(&self) -> u64 {
+        self.timing.last_range_ns()
+    }
+
+    /// True if nothing has come of the present tick.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.timing.is_silent()
+    }
+
+    /// When waiting for the rest of the tick ends, monotonic ns, if it ever does.
+    #[must_use]
+    pub fn deadline_ns(&self, next: u64) -> Option<u64> {
+        self.timing.deadline_ns(next, self.state.began_ns)
+    }
+
+    /// True if the present tick has all it will wait for.
+    #[must_use]
+    pub fn is_ready(&self, next: u64, now_ns: u64) -> bool {
+        let has_spoken = |(spoke, robot): (&bool, &RobotState)| *spoke || !self.is_waited_for(robot);
+        !self.is_empty()
+            && (self.spoke.iter().zip(&self.state.robots).all(has_spoken)
+                || self.deadline_ns(next).is_some_and(|deadline_ns| deadline_ns <= now_ns))
+    }
+
+    /// Time for which this process was suspended is nobody's silence.
+    pub fn extend(&mut self, suspended_ns: u64) {
+        self.timing.extend(suspended_ns);
+    }
+
+    /// How many robots the present tick waits for.
+    #[must_use]
+    pub fn expected(&self) -> usize {
+        self.state.robots.iter().filter(|robot| self.is_waited_for(robot)).count()
+    }
+
+    fn is_waited_for(&self, robot: &RobotState) -> bool {
+        robot.misses < self.misses_max
+    }
+
+    /// The reports of the present tick, by robot.
+    #[must_use]
+    pub fn reports(&self) -> &[Option<Measurement>] {
+        &self.reports
+    }
+
+    /// The time of the present tick, s: what most of its reports say.
+    pub fn time_s(&mut self, centre: &Centre) -> f64 {
+        let reported_s = |times_s: &mut [f64]| lower_median(times_s, f64::total_cmp).unwrap_or(centre.time_s());
+        self.validation.time_s(centre.next_tick()).unwrap_or_else(|| reported_s(&mut self.times_s))
+    }
+
+    /// Ends the present tick, processed at `now_ns`, and returns what came besides since the last one.
+    pub fn close(&mut self, next: u64, now_ns: u64) -> IntakeCounts {
+        self.state.began_ns = self.timing.close(next, self.state.began_ns, now_ns);
+        for ((robot, report), spoke) in self.state.robots.iter_mut().zip(&self.reports).zip(&mut self.spoke) {
+            robot.misses = if *spoke { 0 } else { robot.misses.saturating_add(1) };
+            robot.heard = robot.heard << 1 | u64::from(report.is_some());
+            *spoke = false;
+        }
+        self.state.reports.copy_from_slice(&self.reports);
+        self.reports.fill(None);
+        self.state.late_reports.clear();
+        self.state.late_reports.append(&mut self.late);
+        self.times_s.clear();
+        std::mem::take(&mut self.counts)
+    }
+}
+
+#[cfg(test)]
+mod tests;

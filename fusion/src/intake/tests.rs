@@ -1,0 +1,288 @@
+use rangehound_shared::measurement::Pose;
+
+use super::timing::AHEAD_TICKS_MAX;
+use super::*;
+use crate::leader::Leader;
+use rangehound_shared::scenario::ScenarioFile;
+
+const DT_NS: u64 = 100_000_000;
+
+/// A team of three at (15, 0) and its fusion centre; ticks pass as the clock of the test says.
+struct Team {
+    leader: Leader,
+    now_ns: u64,
+}
+
+impl Team {
+    fn new(clock: &str) -> Self {
+        let text = format!("clock = \"{clock}\"\nticks = 100\n");
+        let file = ScenarioFile::parse(&text, "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
+        let mut team = Self { leader: Leader::new(&scenario).unwrap(), now_ns: 1_000 * DT_NS };
+        team.tick(&[0, 1, 2]);
+        team
+    }
+
+    fn next(&self) -> u64 {
+        self.leader.centre.next_tick()
+    }
+
+    fn say(&mut self, tick: u64, range: Range) {
+        let header = Header { tick, valid_at_s: tick as f64 * 0.1, ..Header::default() };
+        self.leader.on_range(&header, &[range], self.now_ns);
+    }
+
+    /// The tick that is being gathered, with what has come of it.
+    fn process(&mut self) -> IntakeCounts {
+        self.leader.end_tick();
+        while self.leader.next_action(self.now_ns).unwrap().is_some() {}
+        self.leader.counts
+    }
+
+    fn asks_repeat(&mut self) -> bool {
+        std::mem::take(&mut self.leader.repeat_asked)
+    }
+
+    /// The tick that others are ahead at.
+    fn ahead(&self) -> Option<u64> {
+        Some(self.leader.over_before).filter(|tick| *tick > self.next())
+    }
+
+    /// A tick at which these robots say what is sound.
+    fn tick(&mut self, heard: &[u64]) -> IntakeCounts {
+        let tick = self.next();
+        heard.iter().for_each(|robot| self.say(tick, sound(tick, *robot)));
+        let counts = self.process();
+        self.now_ns += DT_NS;
+        counts
+    }
+}
+
+fn sound(tick: u64, robot: u64) -> Range {
+    let tick_began_ns = (1_000 + tick) * DT_NS;
+    let measurement = Measurement::new(Pose::at([15.0, 0.0]), (tick > 0).then_some((15.0, 1.0)));
+    Range { robot, measurement, tick_began_ns }
+}
+
+/// The same message with something else in its measurement.
+fn with(mut range: Range, change: impl FnOnce(&mut Measurement)) -> Range {
+    change(&mut range.measurement);
+    range
+}
+
+fn refused(counts: &IntakeCounts) -> Vec<(Refusal, u64)> {
+    Refusal::ALL.into_iter().zip(counts.refused).filter(|(_, count)| *count > 0).collect()
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_and_counted_by_cause() {
+    for clock in ["lockstep", "realtime"] {
+        let mut team = Team::new(clock);
+        let ok = sound(1, 1);
+        team.say(1, Range { robot: 3, ..ok });
+        team.say(1, Range { robot: u64::MAX, ..ok });
+        for nonsense in [
+            with(ok, |it| it.has_range = 2),
+            with(ok, |it| it.pose.x_m = f64::NAN),
+            with(ok, |it| it.pose.y_m = f64::INFINITY),
+            with(ok, |it| it.pose.height_m = f64::NAN),
+            with(ok, |it| it.range_m = f64::NAN),
+            with(ok, |it| it.range_m = -11.0),
+            with(ok, |it| it.range_m = 1e300),
+            with(ok, |it| it.range_std_m = 0.0),
+            with(ok, |it| it.range_std_m = -1.0),
+            with(ok, |it| it.range_std_m = 1e-300),
+        ] {
+            team.say(1, nonsense);
+        }
+        let header = Header { tick: 1, valid_at_s: 0.1, ..Header::default() };
+        let Team { leader, now_ns } = &mut team;
+        leader.on_range(&header, &[], *now_ns);
+        leader.on_range(&header, &[ok, ok], *now_ns);
+        leader.on_range(&Header { valid_at_s: f64::NAN, ..header }, &[ok], *now_ns);
+        leader.on_range(&Header { valid_at_s: 0.2, ..header }, &[ok], *now_ns);
+        leader.refuse_impostors(1);
+        let counts = team.tick(&[0, 2]);
+        let expected = [(Refusal::Impostor, 1), (Refusal::OutOfRange, 2), (Refusal::Malformed, 14)];
+        assert_eq!(refused(&counts), expected, "{clock}");
+        let estimate = team.leader.centre.estimate();
+        assert_eq!((estimate.fused, estimate.missing), (2, 1), "{clock}");
+    }
+}
+
+/// A target close by, and noise: the paper's own robots measure less than nothing now and then.
+#[test]
+fn a_range_a_little_below_zero_is_noise() {
+    let mut team = Team::new("lockstep");
+    team.say(1, with(sound(1, 1), |it| it.range_m = -2.5));
+    assert_eq!(team.tick(&[0, 2]), IntakeCounts::default());
+    assert_eq!(team.leader.centre.estimate().fused, 3);
+}
+
+#[test]
+fn the_first_word_counts_and_what_contradicts_it_is_refused() {
+    let mut team = Team::new("lockstep");
+    let first = sound(1, 1);
+    team.say(1, first);
+    team.say(1, first);
+    team.say(1, with(first, |it| it.range_m = 99.0));
+    assert_eq!(team.leader.intake.reports()[1].unwrap().range(), Some((15.0, 1.0)));
+    assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Contradiction, 1)]);
+    assert!(!team.asks_repeat());
+    // The same of a tick that is over: a repeat asks for the heading, another word is refused.
+    team.say(1, first);
+    assert!(team.asks_repeat());
+    team.say(1, with(first, |it| it.pose.x_m = 15.5));
+    assert!(!team.asks_repeat());
+    let counts = team.tick(&[0, 1, 2]);
+    assert_eq!((refused(&counts), counts.late), (vec![(Refusal::Contradiction, 1)], 0));
+}
+
+/// Its sensor does not give the same noise twice, as a simulated one does.
+#[test]
+fn a_robot_started_again_that_measures_anew_gets_its_heading() {
+    let mut team = Team::new("lockstep");
+    let first = sound(1, 1);
+    team.say(1, first);
+    let anew = with(first, |it| it.range_m = 15.5);
+    let header = Header { tick: 1, valid_at_s: 0.1, incarnation: 1, ..Header::default() };
+    let Team { leader, now_ns } = &mut team;
+    leader.on_range(&header, &[anew], *now_ns);
+    assert_eq!(leader.intake.reports()[1].unwrap().range(), Some((15.0, 1.0)));
+    assert_eq!(refused(&team.tick(&[0, 2])), []);
+    assert!(!team.asks_repeat());
+    team.leader.on_range(&header, &[anew], team.now_ns);
+    assert!(team.asks_repeat());
+    assert_eq!(refused(&team.tick(&[0, 1, 2])), []);
+}
+
+#[test]
+fn a_jump_is_refused_until_the_robot_can_have_come_there() {
+    let mut team = Team::new("lockstep");
+    // 10 m/s and 0.1 s: a metre each tick.
+    let away = |tick| with(sound(tick, 1), |it| it.pose.x_m = 19.5);
+    for tick in 1..5 {
+        team.say(tick, away(tick));
+        assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Jump, 1)], "tick {tick}");
+        assert_eq!(team.leader.centre.estimate().missing, 1);
+    }
+    team.say(5, away(5));
+    assert_eq!(team.tick(&[0, 2]), IntakeCounts::default());
+    assert_eq!(team.leader.centre.estimate().fused, 3);
+}
+
+#[test]
+fn in_lock_step_nobody_is_ahead() {
+    let mut team = Team::new("lockstep");
+    team.now_ns += 1_000 * DT_NS;
+    for tick in [2, 3, 50, 101, u64::MAX] {
+        team.say(tick, sound(1, 1));
+    }
+    assert_eq!(team.ahead(), None);
+    let counts = team.tick(&[0, 1, 2]);
+    assert_eq!(counts.refused[Refusal::Future as usize] + counts.refused[Refusal::Malformed as usize], 5);
+    assert!(counts.refused[Refusal::Future as usize] >= 4, "{counts:?}");
+    assert_eq!(team.next(), 2);
+}
+
+#[test]
+fn in_real_time_nobody_is_further_ahead_than_the_time_that_went_by() {
+    let mut team = Team::new("realtime");
+    (1..5).for_each(|_| _ = team.tick(&[0, 1, 2]));
+    assert_eq!(team.next(), 5);
+    let newest = |team: &Team| 5 + AHEAD_TICKS_MAX + (team.now_ns - 1_005 * DT_NS) / DT_NS;
+    for elapsed in [0, 7] {
+        team.now_ns += elapsed * DT_NS;
+        let newest = newest(&team);
+        let before = team.ahead();
+        team.say(newest + 1, sound(newest + 1, 1));
+        assert_eq!(team.ahead(), before);
+        team.say(newest, sound(newest, 1));
+        assert_eq!(team.ahead(), Some(newest));
+    }
+    // The run has no tick after its last, however long it takes.
+    team.now_ns += 1_000 * DT_NS;
+    team.say(101, sound(101, 1));
+    assert_eq!(team.ahead(), Some(14));
+}
+
+/// One robot that is as far ahead as it may be, over and over: fusion stays within reach of the others.
+#[test]
+fn a_robot_that_is_always_ahead_does_not_drive_fusion_away_from_the_others() {
+    let mut team = Team::new("realtime");
+    for tick in 1..50 {
+        for ahead in (tick..tick + 10).rev() {
+            team.say(ahead, sound(ahead, 2));
+        }
+        while team.leader.next_action(team.now_ns).unwrap().is_some() {}
+        for robot in [0, 1] {
+            team.say(tick, sound(tick, robot));
+        }
+        while team.leader.next_action(team.now_ns + DT_NS * 6 / 10).unwrap().is_some() {}
+        assert!(team.next() <= tick + 1 + AHEAD_TICKS_MAX, "tick {tick}: at {}", team.next());
+        team.now_ns += DT_NS;
+    }
+}
+
+#[test]
+fn who_only_talks_nonsense_is_not_waited_for() {
+    for clock in ["lockstep", "realtime"] {
+        let mut team = Team::new(clock);
+        for tick in 1..4 {
+            team.say(tick, sound(tick, 0));
+            team.say(tick, sound(tick, 2));
+            assert!(!team.leader.intake.is_ready(tick, team.now_ns), "{clock}: robot 1 is waited for");
+            team.say(tick, with(sound(tick, 1), |it| it.range_std_m = f64::NAN));
+            assert!(team.leader.intake.is_ready(tick, team.now_ns), "{clock}");
+            // What makes sense after all still counts.
+            team.say(tick, sound(tick, 1));
+            team.tick(&[]);
+            assert_eq!(team.leader.centre.estimate().fused, 3);
+        }
+    }
+}
+
+/// However a robot lies about the beginning of a tick, the tick neither ends before its time nor waits for ever.
+#[test]
+fn a_lie_about_the_beginning_of_a_tick_moves_no_deadline_far() {
+    for lie_ns in [0, u64::MAX] {
+        let mut team = Team::new("realtime");
+        team.tick(&[0, 1, 2]);
+        team.say(2, Range { tick_began_ns: lie_ns, ..sound(2, 1) });
+        let deadline_ns = team.leader.intake.deadline_ns(2).unwrap();
+        assert_eq!(deadline_ns, team.now_ns + DT_NS / 2);
+    }
+}
+
+#[test]
+fn a_late_range_is_counted_once_and_fused_if_its_tick_is_kept() {
+    let mut team = Team::new("realtime");
+    team.tick(&[0, 2]);
+    (2..9).for_each(|_| _ = team.tick(&[0, 1, 2]));
+    team.tick(&[0, 2]);
+    team.tick(&[0, 1, 2]);
+    for _ in 0..3 {
+        team.say(9, sound(9, 1));
+        team.say(1, sound(1, 1));
+    }
+    team.say(9, with(sound(9, 1), |it| it.range_m = 14.0));
+    let counts = team.tick(&[0, 1, 2]);
+    assert_eq!((counts.late, counts.fused_late, counts.rejected_late), (2, 1, 0));
+    assert_eq!(refused(&counts), [(Refusal::Contradiction, 1)]);
+    assert_eq!(team.tick(&[0, 1, 2]), IntakeCounts::default());
+}
+
+#[test]
+fn a_restored_intake_knows_who_was_heard_and_where() {
+    let mut team = Team::new("lockstep");
+    team.tick(&[0, 1, 2]);
+    let (record, now_ns) = (team.leader.intake.state().clone(), team.now_ns);
+    let mut after = Team::new("lockstep");
+    after.tick(&[]);
+    assert!(after.leader.intake.restore(record, now_ns));
+    after.say(1, sound(1, 1));
+    assert!(after.asks_repeat());
+    after.say(2, with(sound(2, 2), |it| it.pose.x_m = 17.0));
+    let counts = after.tick(&[]);
+    assert_eq!((counts.late, refused(&counts)), (0, vec![(Refusal::Jump, 1)]));
+}

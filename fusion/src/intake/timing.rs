@@ -1,0 +1,123 @@
+//! When ticks begin, and how long one is waited for: pure, on stamps that others take.
+
+use rangehound_shared::message::{Header, Range};
+use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::timing::range_deadline_ns;
+
+/// Ticks that a robot may be ahead of what the time since the last tick began makes possible: one for the tick that
+/// the simulator catches up on after it was stopped, one for a tick whose beginning was stamped at its repeat.
+pub(super) const AHEAD_TICKS_MAX: u64 = 2;
+
+/// The times of the tick that is being gathered, monotonic ns.
+#[derive(Debug)]
+pub(super) struct Timing {
+    clock: Clock,
+    patience: Patience,
+    dt_s: f64,
+    last_tick: u64,
+    robots: usize,
+    /// When the tick began, as each report says.
+    began_ns: Vec<u64>,
+    first_ns: Option<u64>,
+    last_range_ns: u64,
+}
+
+impl Timing {
+    pub(super) fn new(scenario: &Scenario) -> Self {
+        let robots = scenario.robots.len();
+        Self {
+            clock: scenario.clock,
+            patience: scenario.patience,
+            dt_s: scenario.dt_s,
+            last_tick: scenario.ticks,
+            robots,
+            began_ns: Vec::with_capacity(robots),
+            first_ns: None,
+            last_range_ns: 0,
+        }
+    }
+
+    /// Something of the present tick has come.
+    pub(super) fn hear(&mut self, now_ns: u64) {
+        self.first_ns.get_or_insert(now_ns);
+    }
+
+    /// A report of the present tick has come.
+    pub(super) fn take(&mut self, header: &Header, range: &Range, now_ns: u64) {
+        self.began_ns.push(range.tick_began_ns.min(now_ns));
+        self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
+    }
+
+    /// True if nothing has come of the present tick.
+    pub(super) fn is_silent(&self) -> bool {
+        self.first_ns.is_none()
+    }
+
+    /// When the last report of the present tick was sent, as its robot says; 0 without any.
+    pub(super) fn last_range_ns(&self) -> u64 {
+        self.last_range_ns
+    }
+
+    /// Time for which this process was suspended is nobody's silence.
+    pub(super) fn extend(&mut self, suspended_ns: u64) {
+        self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(suspended_ns));
+    }
+
+    /// The newest tick that can have begun. In lock step none begins before fusion has answered the last; in real
+    /// time each takes its time, but fusion may have been stopped or started late.
+    pub(super) fn newest_tick(&self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
+        let newest = match (self.clock, next.checked_sub(1)) {
+            (Clock::Realtime, Some(last)) => {
+                let elapsed = now_ns.saturating_sub(last_began_ns) / self.dt_ns();
+                last.saturating_add(elapsed + AHEAD_TICKS_MAX)
+            }
+            _ => next,
+        };
+        newest.min(self.last_tick)
+    }
+
+    /// When waiting for the rest of the tick ends, if it ever does: tick 0 waits for the whole team.
+    pub(super) fn deadline_ns(&self, next: u64, last_began_ns: u64) -> Option<u64> {
+        let first_ns = self.first_ns?;
+        if next == 0 {
+            return None;
+        }
+        match (self.clock, self.patience) {
+            // A robot that speaks before the tick has begun, or says that it began long ago, shall not cut it short.
+            (Clock::Realtime, _) => {
+                let reported_ns = self.began_ns.iter().copied().max().unwrap_or(first_ns);
+                // A tick has begun a step after its first range at the latest, even if the ticks before it began in quick succession,
+                // as those do that the simulator catches up on.
+                let earliest_ns = self.after(last_began_ns).min(first_ns.saturating_add(self.dt_ns()));
+                Some(range_deadline_ns(reported_ns.max(earliest_ns), self.dt_s))
+            }
+            (Clock::Lockstep, Patience::Forever) => None,
+            (Clock::Lockstep, Patience::After(limit)) => Some(first_ns.saturating_add(limit.as_nanos() as u64)),
+        }
+    }
+
+    /// Ends the present tick, processed at `now_ns`; when it began: as most reports say, or a step after the one before.
+    pub(super) fn close(&mut self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
+        let is_majority = 2 * self.began_ns.len() > self.robots;
+        let reported_ns = lower_median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);
+        (self.first_ns, self.last_range_ns) = (None, 0);
+        self.began_ns.clear();
+        // No tick begins before the simulator has its answer to the first.
+        if next == 0 { now_ns } else { reported_ns.unwrap_or_else(|| self.after(last_began_ns)) }
+    }
+
+    /// When a real-time tick can have begun, if the one before began then.
+    fn after(&self, last_began_ns: u64) -> u64 {
+        last_began_ns.saturating_add(self.dt_ns())
+    }
+
+    fn dt_ns(&self) -> u64 {
+        ((self.dt_s * 1e9) as u64).max(1)
+    }
+}
+
+/// What most report is at the lower median, whatever a few report.
+pub(super) fn lower_median<T: Copy>(values: &mut [T], order: impl Fn(&T, &T) -> std::cmp::Ordering) -> Option<T> {
+    let middle = values.len().checked_sub(1)? / 2;
+    Some(*values.select_nth_unstable_by(middle, order).1)
+}

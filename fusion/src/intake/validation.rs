@@ -1,0 +1,69 @@
+//! Which numbers can be true: of one message by itself, and of a robot's way since it was last believed.
+
+use rangehound_shared::measurement::Measurement;
+use rangehound_shared::message::{Header, Range, Refusal};
+use rangehound_shared::scenario::{Scenario, Source, bounds};
+
+use crate::centre::Centre;
+use crate::planner::Vector;
+
+/// A range this many standard deviations below zero is no noise of a target close by.
+const NEGATIVE_SIGMA_MAX: f64 = 10.0;
+
+/// Nothing here is farther from anything, m: the filter's arithmetic stays far within bounds.
+const DISTANCE_MAX_M: f64 = 1e12;
+
+/// Rounding of positions: a share of their coordinates, and of the way.
+const JUMP_ROUNDING: f64 = 1e-9;
+
+/// What a run's messages can say.
+#[derive(Debug)]
+pub(super) struct Validation {
+    dt_s: f64,
+    /// The most that each robot moves in a tick, m; `None` for recordings, whose sensors move as they please.
+    steps_m: Option<Vec<f64>>,
+}
+
+impl Validation {
+    pub(super) fn new(scenario: &Scenario) -> Self {
+        let simulated = matches!(scenario.source, Source::Simulated { .. });
+        let steps_m = scenario.robots.iter().map(|robot| robot.speed_mps * scenario.dt_s);
+        Self { dt_s: scenario.dt_s, steps_m: simulated.then(|| steps_m.collect()) }
+    }
+
+    /// The time of a tick, s, where all steps are alike: not in recordings.
+    pub(super) fn time_s(&self, tick: u64) -> Option<f64> {
+        self.steps_m.as_ref().map(|_| tick as f64 * self.dt_s)
+    }
+
+    /// The measurement of a message.
+    ///
+    /// # Errors
+    /// [`Refusal::Malformed`] if no robot of this run can have sent these numbers.
+    pub(super) fn measurement(&self, centre: &Centre, header: &Header, range: &Range) -> Result<Measurement, Refusal> {
+        let Measurement { pose, has_range, .. } = range.measurement;
+        let near = |value: f64| value.abs() <= DISTANCE_MAX_M;
+        let is_range = |(range_m, std_m): (f64, f64)| {
+            near(range_m) && bounds::STD_M.contains(&std_m) && range_m >= -NEGATIVE_SIGMA_MAX * std_m
+        };
+        let measured = range.measurement.range();
+        let is_valid = has_range <= 1 && pose.numbers().into_iter().all(near) && measured.is_none_or(is_range);
+        let is_timely = match self.time_s(header.tick) {
+            Some(time_s) => header.valid_at_s == time_s,
+            // The times of a recording never go back.
+            None => {
+                let earliest_s = if header.tick < centre.next_tick() { f64::MIN } else { centre.time_s() };
+                header.valid_at_s.is_finite() && (header.valid_at_s >= earliest_s || centre.next_tick() == 0)
+            }
+        };
+        if is_valid && is_timely { Ok(Measurement::new(pose, measured)) } else { Err(Refusal::Malformed) }
+    }
+
+    /// True if a robot can have come from one place to another between two ticks.
+    pub(super) fn can_reach(&self, id: usize, from: (u64, Vector), to: (u64, Vector)) -> bool {
+        let Some(steps_m) = &self.steps_m else { return true };
+        let reach_m = steps_m[id] * from.0.abs_diff(to.0) as f64;
+        let rounding_m = JUMP_ROUNDING * (1.0 + from.1.norm() + to.1.norm() + reach_m);
+        (to.1 - from.1).norm() <= reach_m + rounding_m
+    }
+}
