@@ -8,8 +8,11 @@ mod sources;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use page::{Page, names, root};
+use page::{Block, Page, names, root};
 use sources::Sources;
+
+/// Languages of blocks that are not run; those that are have their tests in [`commands`].
+const SHOWN: [&str; 2] = ["text", "toml"];
 
 /// README and ARCHITECTURE.md are read at one sitting.
 const LINES_MAX: [(&str, usize); 2] = [("README.md", 150), ("ARCHITECTURE.md", 120)];
@@ -114,6 +117,13 @@ fn each_page_starts_with_a_command_and_ends_with_its_limits() {
         if page.headings().last().is_none_or(|(_, heading)| *heading != "Limits") {
             faults.push(format!("{path}: the last section is not Limits"));
         }
+    }
+    for page in pages() {
+        let commands: BTreeSet<usize> = page.commands().map(|block| block.line).collect();
+        let is_known = |block: &Block| commands.contains(&block.line) || SHOWN.contains(&block.language.as_str());
+        let unknown = page.blocks().into_iter().filter(|block| !is_known(block));
+        faults
+            .extend(unknown.map(|block| format!("{}: neither run nor shown: {}", page.at(block.line), block.language)));
     }
     let contents = Page::of("docs/README.md");
     let listed: BTreeSet<&Path> = contents.links().into_iter().map(|(_, link)| Path::new(link)).collect();

@@ -56,9 +56,9 @@ impl Page {
         format!("{}:{line}", self.path.display())
     }
 
-    /// Blocks of a language that is run: of the shell, or of Python.
+    /// Blocks that are run: of the shell, or of Python.
     pub(super) fn commands(&self) -> impl Iterator<Item = Block> {
-        self.blocks().into_iter().filter(|block| ["sh", "bash", "console", "python"].contains(&block.language.as_str()))
+        self.blocks().into_iter().filter(|block| ["sh", "python"].contains(&block.language.as_str()))
     }
 
     pub(super) fn blocks(&self) -> Vec<Block> {
