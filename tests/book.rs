@@ -9,7 +9,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use page::{Block, Page, names, root};
+use serde_json::Value;
 use sources::Sources;
+
+use crate::support::Run;
 
 /// Languages of blocks that are not run; those that are have their tests in [`commands`].
 const SHOWN: [&str; 2] = ["text", "toml"];
@@ -103,6 +106,31 @@ fn each_change_names_its_test() {
     let tests = rows.flat_map(|(line, cell)| names(cell).map(move |name| (line, name)));
     let unknown = tests.filter(|(_, name)| !sources.has_test(name) && !sources.has(name));
     assert_none(unknown.map(|(line, name)| format!("{}: no such test: {name}", page.at(line))).collect());
+}
+
+#[test]
+fn every_key_of_the_report_is_explained() {
+    let run = Run::new();
+    run.command("run --in-process --ticks 5").finish().succeeded();
+    let mut keys = BTreeSet::new();
+    collect_keys(&run.report(), &mut keys);
+    let pages = ["docs/report.md", "docs/outliers.md"].map(Page::of);
+    let explained: BTreeSet<&str> = pages.iter().flat_map(|page| page.names()).map(|(_, name)| name).collect();
+    let faults = keys.iter().filter(|key| !explained.contains(key.as_str()));
+    assert_none(faults.map(|key| format!("docs/report.md: not explained: {key}")).collect());
+}
+
+fn collect_keys(value: &Value, keys: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(entries) => {
+            for (key, value) in entries {
+                keys.insert(key.clone());
+                collect_keys(value, keys);
+            }
+        }
+        Value::Array(values) => values.iter().for_each(|value| collect_keys(value, keys)),
+        _ => {}
+    }
 }
 
 #[test]
