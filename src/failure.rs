@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
-use rangehound_node::limits;
+use rangehound_node::system::limits;
 use serde::Serialize;
 
 use crate::terminal::{self, BAD};

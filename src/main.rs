@@ -8,7 +8,6 @@ use rangehound::cli::complete;
 use rangehound::cli::{self, Cli, Command, RunArgs, one_line};
 use rangehound::failure::{self, Failure};
 use rangehound::run::experiment::DEFAULT_SCENARIO;
-use rangehound::run::remote;
 use rangehound::terminal;
 
 fn main() -> ExitCode {
@@ -42,9 +41,9 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Live(args) => args.carry_out(),
         Command::Resume(args) => args.carry_out(),
         Command::Status(args) => args.carry_out(),
-        Command::Kill(args) => remote::kill(args.run.name.as_ref(), args.node, args.run.json),
-        Command::Restart(args) => remote::restart(args.run.name.as_ref(), args.node, args.run.json),
-        Command::Stop(args) => remote::stop(args.name.as_ref(), args.json),
+        Command::Kill(args) => args.kill(),
+        Command::Restart(args) => args.restart(),
+        Command::Stop(args) => args.stop(),
         Command::Chaos(args) => args.carry_out(),
         Command::Explore(args) => args.carry_out(),
         Command::Plan(args) => args.carry_out(),

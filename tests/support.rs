@@ -13,8 +13,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::WorldRecord;
-use rangehound_shared::sealed;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -208,7 +208,7 @@ impl Run {
 
     /// The newest tick that the simulator has put down.
     pub(crate) fn last_world(&self) -> Option<(u64, WorldRecord)> {
-        let description = sealed::open(&std::fs::read(self.path("out/run.sealed")).ok()?).ok()?;
+        let description = RunDescription::open(&std::fs::read(self.path("out/run.sealed")).ok()?).ok()?;
         let mut log = logs::read_worlds(&description).ok()?;
         let tick = log.newest_tick().ok()??;
         Some((tick, log.at(tick).ok()??.clone()))

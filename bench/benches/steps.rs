@@ -6,9 +6,10 @@ use std::time::Instant;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
-use rangehound_fusion::filter::{Estimate, RangeInformation};
+use rangehound_fusion::filter::{Gaussian, RangeInformation};
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
-use rangehound_fusion::planner::{self, Plan, Sensor, Situation, Vector};
+use rangehound_fusion::planner::{self, Plan, Sensor, Situation};
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{Clearance, PlannerSpec};
 
@@ -27,7 +28,7 @@ const PLANNERS: [PlannerSpec; 6] = [
 fn filter(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("filter step");
     let transition = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 }.transition::<4>(0.1);
-    let start = Estimate { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() };
+    let start = Gaussian { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() };
     for robots in [3, 10, 100, 1_000] {
         let readings: Vec<_> = team(robots)
             .map(|robot| {

@@ -13,7 +13,8 @@ use nalgebra::Matrix2;
 use rangehound::run::in_process::Team;
 use rangehound_fusion::belief::Belief;
 use rangehound_fusion::planner::range_only::Problem;
-use rangehound_fusion::planner::{Situation, TeamMember, Vector};
+use rangehound_fusion::planner::{Situation, TeamMember};
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioFile};
 
 /// A team of `robots` round a target: as far away as in the paper's runs, within reach of a step now

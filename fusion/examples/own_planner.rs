@@ -11,7 +11,8 @@
 
 use rangehound_fusion::Centre;
 use rangehound_fusion::planner::range_only::{Problem, RangeOnly, Solution, Solver};
-use rangehound_fusion::planner::{Planner, Vector, for_team};
+use rangehound_fusion::planner::{Planner, for_team};
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioFile};

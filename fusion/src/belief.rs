@@ -3,8 +3,8 @@
 use nalgebra::{Matrix2, SMatrix, SVector};
 use rangehound_shared::STATE_DIM_MAX;
 
-use crate::filter::Estimate;
-use crate::planner::Vector;
+use crate::filter::Gaussian;
+use crate::vector::Vector;
 
 /// A Gaussian of the target's state, position first. Beyond the dimension of its motion model all entries are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -32,7 +32,7 @@ impl Belief {
     }
 
     /// Becomes a filter's estimate; of one dimension as long as it lives.
-    pub fn assign<const N: usize>(&mut self, estimate: &Estimate<N>) {
+    pub fn assign<const N: usize>(&mut self, estimate: &Gaussian<N>) {
         self.mean.fixed_rows_mut::<N>(0).copy_from(&estimate.x);
         self.covariance.fixed_view_mut::<N, N>(0, 0).copy_from(&estimate.p);
     }

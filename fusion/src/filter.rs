@@ -18,9 +18,9 @@ const ROUNDING: f64 = 1e-12;
 /// Rounding of a difference relative to what it was taken from: some hundred units in the last place.
 const DIFFERENCE_ROUNDING: f64 = 3e-14;
 
-/// Estimate of the target: `X` (position first) and its error covariance `P`.
+/// Gaussian estimate of the target: `X` (position first) and its error covariance `P`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Estimate<const N: usize> {
+pub struct Gaussian<const N: usize> {
     /// State `X = [x y | vx vy | ...]`, m, m/s, ...
     pub x: SVector<f64, N>,
     /// Covariance of its error, symmetric to the bit.
@@ -53,7 +53,7 @@ pub struct Innovation {
     pub noise_variance_m2: f64,
 }
 
-impl<const N: usize> Estimate<N> {
+impl<const N: usize> Gaussian<N> {
     /// Target position, m.
     #[must_use]
     pub fn position(&self) -> Vector2<f64> {
@@ -238,11 +238,11 @@ mod tests {
     use proptest::prelude::*;
     use rangehound_shared::motion::MotionModel;
 
-    fn innovations<const N: usize>(at: &Estimate<N>, ranges: &[(f64, f64, f64, f64)]) -> Vec<Innovation> {
+    fn innovations<const N: usize>(at: &Gaussian<N>, ranges: &[(f64, f64, f64, f64)]) -> Vec<Innovation> {
         ranges.iter().map(|&(x, y, range_m, std_m)| at.innovation(Vector2::new(x, y), range_m, std_m)).collect()
     }
 
-    fn information<const N: usize>(at: &Estimate<N>, ranges: &[(f64, f64, f64, f64)]) -> RangeInformation {
+    fn information<const N: usize>(at: &Gaussian<N>, ranges: &[(f64, f64, f64, f64)]) -> RangeInformation {
         let mut information = RangeInformation::default();
         innovations(at, ranges).iter().for_each(|range| information.add(range));
         information
@@ -256,7 +256,7 @@ mod tests {
     /// One prediction and joint update, worked out in 50-digit arithmetic.
     #[test]
     fn a_step_matches_high_precision_arithmetic() {
-        let start = Estimate { x: SVector::from([0.5, -0.25, 8.0, -8.0]), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
+        let start = Gaussian { x: SVector::from([0.5, -0.25, 8.0, -8.0]), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
         let model = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 };
         let predicted = start.predict(&model.transition(0.1));
         let ranges = [(-5.0, 0.0, 6.4, 1.0), (0.0, 4.0, 5.2, 1.0), (7.0, -3.0, 6.3, 1.0)];
@@ -287,7 +287,7 @@ mod tests {
         ];
         for (correlated, ranges, expected) in cases {
             let p = SMatrix::from([[1e12, correlated], [correlated, 1e12]]);
-            let prior = Estimate { x: SVector::from([1.0, 2.0]), p };
+            let prior = Gaussian { x: SVector::from([1.0, 2.0]), p };
             let nis = prior.nis(innovations(&prior, ranges).iter());
             assert!((nis / expected - 1.0).abs() < 1e-6, "{nis} {expected}");
         }
@@ -304,7 +304,7 @@ mod tests {
             let sensor = Vector2::new(sensor.0, sensor.1);
             let slant = |x: f64, y: f64| Vector2::new(x, y).metric_distance(&sensor).hypot(height_m);
             let root = SMatrix::<f64, 2, 2>::from_iterator(seed);
-            let estimate = Estimate { x: SVector::from([at.0, at.1]), p: (root * root.transpose() + SMatrix::identity() * 0.1) * 0.1 };
+            let estimate = Gaussian { x: SVector::from([at.0, at.1]), p: (root * root.transpose() + SMatrix::identity() * 0.1) * 0.1 };
             let range = estimate.slant_innovation(sensor, height_m, 1.0, 1.0);
             let d = slant(at.0, at.1);
             prop_assert!((range.innovation_m - (1.0 - d)).abs() < 1e-12);
@@ -333,7 +333,7 @@ mod tests {
             ranges in proptest::collection::vec((-20.0..20.0_f64, -20.0..20.0_f64, 0.0..30.0_f64, 0.2..3.0_f64), 1..9),
         ) {
             let root = SMatrix::<f64, 4, 4>::from_iterator(seed);
-            let prior = Estimate { x: SVector::from([1.0, 2.0, 3.0, 4.0]), p: root * root.transpose() + SMatrix::identity() * 0.1 };
+            let prior = Gaussian { x: SVector::from([1.0, 2.0, 3.0, 4.0]), p: root * root.transpose() + SMatrix::identity() * 0.1 };
             let posterior = prior.update(&information(&prior, &ranges));
             let nis = prior.nis(innovations(&prior, &ranges).iter());
             let m = ranges.len();
@@ -370,7 +370,7 @@ mod tests {
         ) {
             let log_std = log_std.max(0.5 * (log_variance - 11.0));
             let p = SMatrix::<f64, 6, 6>::identity() * 10.0_f64.powf(log_variance);
-            let mut estimate = Estimate { x: SVector::zeros(), p };
+            let mut estimate = Gaussian { x: SVector::zeros(), p };
             let model = MotionModel::IntegratorChain { order: 3, noise_psd: 0.1 };
             for step in 0..20 {
                 estimate = estimate.predict(&model.transition(0.1));
@@ -390,7 +390,7 @@ mod tests {
     #[test]
     fn a_million_steps_keep_it_symmetric_and_positive_definite() {
         let transition = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 }.transition::<4>(0.1);
-        let mut estimate = Estimate { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
+        let mut estimate = Gaussian { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
         for step in 0..1_000_000_u32 {
             estimate = estimate.predict(&transition);
             let (sin, cos) = (f64::from(step) * 0.01).sin_cos();
@@ -409,7 +409,7 @@ mod tests {
     fn one_direction_known_far_better_than_the_other_is_survived() {
         let transition = MotionModel::IntegratorChain { order: 2, noise_psd: 0.0 }.transition::<4>(0.1);
         let mut estimate =
-            Estimate { x: SVector::from([0.0, 3.0, -8.0, 4.0]), p: SMatrix::<f64, 4, 4>::identity() * 1e12 };
+            Gaussian { x: SVector::from([0.0, 3.0, -8.0, 4.0]), p: SMatrix::<f64, 4, 4>::identity() * 1e12 };
         for step in 0..500 {
             estimate = estimate.predict(&transition);
             let range_m = estimate.position().norm() + 1e-5;
@@ -420,7 +420,7 @@ mod tests {
 
     #[test]
     fn a_robot_on_the_estimate_informs_of_nothing() {
-        let prior = Estimate { x: SVector::from([3.0, 4.0]), p: SMatrix::<f64, 2, 2>::identity() };
+        let prior = Gaussian { x: SVector::from([3.0, 4.0]), p: SMatrix::<f64, 2, 2>::identity() };
         let posterior = prior.update(&information(&prior, &[(3.0, 4.0, 2.0, 1.0)]));
         assert_eq!(posterior.x, prior.x);
         assert!((posterior.p - prior.p).amax() < 1e-11);

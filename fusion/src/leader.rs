@@ -10,12 +10,12 @@ use std::borrow::Cow;
 use std::collections::VecDeque;
 
 use rangehound_shared::message::{Estimate, Header, Range, Refusal, Stages};
+use rangehound_shared::protocol::timing::Suspension;
+use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
 use rangehound_shared::record::Exchange;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::sealed::SealError;
-use rangehound_shared::timing::Suspension;
-use rangehound_shared::wake::{Call, Notification, Sleeper};
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{self, Centre, Diverged};

@@ -17,6 +17,7 @@
 //! | [`tracker`] | the estimate over time: gate, start from ranges alone, way out of lock-out |
 //! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until it mends |
 //! | [`belief`] | what trackers tell planners of the target |
+//! | [`vector`] | plane vectors, of which bearings are the unit ones |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
 //! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
@@ -34,6 +35,7 @@ pub mod standby;
 pub mod tracker;
 mod tracking;
 pub mod trust;
+pub mod vector;
 
 pub use centre::Centre;
 pub use past::LATE_TICKS_MAX;

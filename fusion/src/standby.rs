@@ -1,4 +1,4 @@
-//! When a standby deposes who leads, pure: counted in looks.
+//! When a standby takes the lead, pure: from whom it waits for, and whom it deposes. Silence is counted in looks.
 
 use std::time::Duration;
 
@@ -23,20 +23,23 @@ pub fn step_max(scenario: &Scenario) -> Duration {
     if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO }
 }
 
-/// One standby's view of who leads; `S` is a sign of life, of which only whether it changes means anything.
+/// One standby's view of who leads; `S` is a sign of life, of which only whether it changes means anything. `L` names the
+/// lock that whoever leads holds, if there is one: another one after somebody was deposed.
 #[derive(Debug, Clone, Copy)]
-pub struct Standby<S> {
+pub struct Standby<S, L> {
     last_sign: Option<S>,
+    /// The lock that it waits for.
+    awaited: Option<L>,
     silent_looks: u32,
     silent_looks_max: u32,
 }
 
-impl<S: Copy + PartialEq> Standby<S> {
-    /// A standby that sees this sign of life first.
+impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
+    /// A standby that sees this sign of life first, and waits for this lock.
     #[must_use]
-    pub fn new(scenario: &Scenario, last_sign: Option<S>) -> Self {
+    pub fn new(scenario: &Scenario, last_sign: Option<S>, awaited: Option<L>) -> Self {
         let silent_looks_max = SILENT_LOOKS_MAX + step_max(scenario).div_duration_f64(LOOK) as u32;
-        Self { last_sign, silent_looks: 0, silent_looks_max }
+        Self { last_sign, awaited, silent_looks: 0, silent_looks_max }
     }
 
     /// Takes the newest sign of life; to be called once every [`LOOK`]. `Some` if who gave it is to be deposed, if it has given no
@@ -45,6 +48,16 @@ impl<S: Copy + PartialEq> Standby<S> {
         self.silent_looks = if sign == self.last_sign { self.silent_looks + 1 } else { 0 };
         self.last_sign = sign;
         sign.filter(|_| self.silent_looks >= self.silent_looks_max)
+    }
+
+    /// True if it shall wait for this lock from now on: the one that it waits for is that of a deposed one. None is there where
+    /// somebody is about to remove the run: no lead is founded in what is left of it.
+    pub fn waits_anew(&mut self, lock: Option<L>) -> bool {
+        let is_other = lock.is_some() && lock != self.awaited;
+        if is_other {
+            self.awaited = lock;
+        }
+        is_other
     }
 
     /// The silence after which who leads is deposed.
@@ -58,10 +71,10 @@ impl<S: Copy + PartialEq> Standby<S> {
 mod tests {
     use super::*;
 
-    fn standby(planner: &str) -> Standby<u64> {
+    fn standby(planner: &str) -> Standby<u64, u64> {
         let text = format!("[planner]\nname = \"{planner}\"\n");
         let file = rangehound_shared::scenario::ScenarioFile::parse(&text, "test").unwrap();
-        Standby::new(&Scenario::from_file(&file, "test").unwrap(), Some(7))
+        Standby::new(&Scenario::from_file(&file, "test").unwrap(), Some(7), Some(1))
     }
 
     #[test]
@@ -71,6 +84,13 @@ mod tests {
         assert_eq!(standby.look(Some(8)), None, "a sign of life, just in time");
         assert!((1..SILENT_LOOKS_MAX).all(|_| standby.look(Some(8)).is_none()));
         assert_eq!(standby.look(Some(8)), Some(8));
+    }
+
+    #[test]
+    fn it_waits_for_the_lock_of_who_leads() {
+        let mut standby = standby("greedy");
+        assert!(!standby.waits_anew(Some(1)) && !standby.waits_anew(None));
+        assert!(standby.waits_anew(Some(2)) && !standby.waits_anew(Some(2)));
     }
 
     #[test]

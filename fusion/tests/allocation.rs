@@ -4,7 +4,7 @@
 
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Late;
-use rangehound_fusion::planner::Vector;
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::scenario::{PlannerTable, RobotsTable, Scenario, ScenarioFile};
 

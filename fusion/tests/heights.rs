@@ -8,8 +8,8 @@ use rangehound_fusion::tracker::imm::Imm;
 use rangehound_fusion::tracker::kalman::Kalman;
 use rangehound_fusion::tracker::{Gate, Reading, Tracker};
 use rangehound_shared::draws::{Draws, Stream};
-use rangehound_shared::matrix::{Matrix, square_root};
 use rangehound_shared::motion::MotionModel;
+use rangehound_shared::motion::matrix::{Matrix, square_root};
 
 const DT_S: f64 = 0.1;
 const STD_M: f64 = 0.1;

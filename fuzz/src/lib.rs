@@ -1,6 +1,6 @@
 //! What is fuzzed: one function for each kind of input. It takes or refuses the input, and panics if a promise is broken.
 //!
-//! `fuzz_targets/` hands these functions to libFuzzer, `tests/hostile.rs` to the ordinary tests.
+//! `fuzz_targets/` hands these functions to libFuzzer, `tests/command_line/hostile.rs` to the ordinary tests.
 
 pub mod made;
 
@@ -101,7 +101,8 @@ pub fn scenarios(bytes: &[u8]) -> Verdict {
     assert!(scenario.is_whole());
     // The run folder's copy and the run's description say the same.
     assert_eq!(ScenarioFile::parse(&file.to_toml().unwrap(), "copy").unwrap(), file);
-    assert_eq!(sealed::open::<Scenario>(&sealed::seal(&scenario).unwrap()).unwrap(), scenario);
+    let described = RunDescription::new(scenario.clone(), PathBuf::from("/nowhere"));
+    assert_eq!(RunDescription::open(described.seal().unwrap().as_bytes()).unwrap(), described);
     let is_slow = match scenario.planner {
         PlannerSpec::Certified { nodes } => nodes > 2_000,
         PlannerSpec::Adaptive { iterations, .. } | PlannerSpec::Standard { iterations } => iterations > 50,

@@ -14,6 +14,7 @@ use rangehound_fusion::Centre;
 use rangehound_node::checkpoint::Checkpoint;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::world::world_of;
+use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
@@ -49,8 +50,8 @@ fn description(file: &str, out_dir: PathBuf) -> RunDescription {
 pub fn run_descriptions() -> Vec<Vec<u8>> {
     let files = ["paper.toml", "mixed_team.toml", "custom_model.toml", "recording/replay.toml"];
     let descriptions = files.map(|file| description(file, PathBuf::from("/nowhere")));
-    let sealed = descriptions.iter().map(|description| sealed::seal(description).unwrap());
-    let bodies = descriptions.iter().map(encoded);
+    let sealed = descriptions.iter().map(|description| description.seal().unwrap().into_bytes());
+    let bodies = descriptions.iter().map(|description| serde_json::to_vec(description).unwrap());
     sealed.chain(bodies).collect()
 }
 
@@ -60,12 +61,12 @@ fn encoded(value: &impl serde::Serialize) -> Vec<u8> {
     bytes
 }
 
-/// A sealed file with this body: damage that no checksum finds.
+/// A sealed description with this body: damage that no checksum finds.
 #[must_use]
 pub fn sealed_body(body: &[u8]) -> Vec<u8> {
-    let empty = sealed::seal(&()).unwrap();
-    let head = &empty[..empty.len() - 8];
-    [head, &xxh3_64(&[head, body].concat()).to_le_bytes(), body].concat()
+    let checksum = xxh3_64(&[format!("{PROGRAM} {PROTOCOL} ").as_bytes(), body].concat());
+    let head = format!(r#"{{"program":"{PROGRAM}","protocol":{PROTOCOL},"checksum":"{checksum:016x}","description":"#);
+    [head.as_bytes(), body, b"}\n"].concat()
 }
 
 /// What the checkpoints hold.

@@ -16,7 +16,7 @@ use clap::{CommandFactory, Parser};
 use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::robot::run_with;
 use rangehound_node::serial::{Radio, SerialActuator, SerialSensor};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::radio::Format;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Calibration, bounds};

@@ -11,12 +11,12 @@ use std::time::Duration;
 
 use iceoryx2::prelude::ZeroCopySend;
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
-use rangehound_shared::wake::{CALLS, Call, Calls, Notification, Sleeper, When};
+use rangehound_shared::protocol::wake::{Answers, CALLS, Call, Calls, Notification, Sleeper, When};
 use rustix::thread::futex;
 use rustix::time::Timespec;
 
 use crate::block::{Block, BlockError};
-use crate::clock::monotonic_ns;
+use crate::system::clock::monotonic_ns;
 
 /// Name of the block that holds them.
 const NAME: &str = "bells";
@@ -34,13 +34,11 @@ struct Words {
     calls: [AtomicU32; CALLS],
     /// Answers without which a tick does not go on.
     expected: AtomicU32,
-    /// Answers to the newest tick: its number, from 1, above, their count in the lowest bits.
+    /// [`Answers`] to the newest tick.
     answers: AtomicU64,
 }
 
 const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && size_of::<Board>() == 3 * 64);
-
-const COUNT_BITS: u32 = 16;
 
 /// How long a process looks out for a call, if other cores may be about to make it: some times what falling asleep and
 /// being woken from another core take, as the rest of the team has to be woken too.
@@ -213,19 +211,11 @@ impl Bell {
     /// counting; one that a restarted robot has made too high costs a wake-up.
     pub fn ring_if_last(&self, call: Call, tick: u64, or_first: bool) {
         let words = self.bells.words(self.sleeper);
-        let number = tick + 1;
-        let counted = |answers: u64| match answers >> COUNT_BITS {
-            newest if newest < number => Some(number << COUNT_BITS | 1),
-            newest if newest == number => Some(answers + 1),
-            _ => None,
-        };
-        let count = match words.answers.fetch_update(AcqRel, Relaxed, counted) {
-            Ok(answers) if answers >> COUNT_BITS == number => (answers & ((1 << COUNT_BITS) - 1)) as u32 + 1,
-            Ok(_) => 1,
-            // Of a tick that is over: whoever needs it waits for nothing else.
-            Err(_) => u32::MAX,
-        };
-        if count >= words.expected.load(Relaxed) || or_first && count == 1 {
+        let counted = |answers: u64| Answers::from_bits(answers).with(tick).map(Answers::to_bits);
+        let before = words.answers.fetch_update(AcqRel, Relaxed, counted).ok();
+        let answers = before.and_then(|before| Answers::from_bits(before).with(tick));
+        // Of a tick that is over: whoever needs it waits for nothing else.
+        if answers.is_none_or(|answers| answers.call(words.expected.load(Relaxed).into(), or_first)) {
             self.ring(call);
         }
     }

@@ -7,18 +7,19 @@
 //! Safe against kills, not against power loss: what was written is in the kernel's hands (no `fsync`), which keeps it when
 //! a process ends, and not when the machine does.
 //!
-//! Who deposes a forerunner that may yet wake up goes on in a new file that takes the old one's name:
-//! whatever the forerunner still writes goes to a file that has none.
+//! Who leads after others, of whom one may have been deposed and wake up yet, goes on in a new file that takes the old one's
+//! name: whatever they still write goes to a file that has none.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use rangehound_shared::sealed::slots::{self, LEN_BYTES, Turns};
 use rangehound_shared::sealed::{self, SealError};
-use rangehound_shared::slots::{self, LEN_BYTES};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::rendezvous::tenure::needs_own_checkpoint;
 use crate::rendezvous::{Rendezvous, Role, RoleHold};
 
 /// File of a role's checkpoint in the run folder.
@@ -77,9 +78,7 @@ pub enum CheckpointError {
 pub struct Checkpoint {
     file: File,
     path: PathBuf,
-    run_id: u64,
-    sequence: u64,
-    bytes: Vec<u8>,
+    turns: Turns,
 }
 
 impl Checkpoint {
@@ -96,14 +95,14 @@ impl Checkpoint {
         let description = rendezvous.description();
         match Self::open(&description.out_dir.join(file_name(role)), description.run_id) {
             Ok((mut checkpoint, state)) => {
-                if hold.by_force {
+                if role == Role::Fusion && needs_own_checkpoint(hold.incarnation) {
                     let partial = beside(&checkpoint.path, &format!(".{}", hold.incarnation));
                     // Nobody is deposed while it is done, so that no successor's file is replaced.
                     let moved = rendezvous.while_current(hold, || checkpoint.move_to_new_file(&partial));
                     let _ = std::fs::remove_file(&partial);
                     match moved {
                         Ok(Some(Ok(()))) => {}
-                        Ok(Some(Err(error))) => log::warn!("shares its checkpoint with the one it deposed: {error}"),
+                        Ok(Some(Err(error))) => log::warn!("shares its checkpoint with those that led before: {error}"),
                         // Deposed itself: the file is its successor's.
                         Ok(None) => return Ok((None, state)),
                         Err(error) => {
@@ -163,7 +162,7 @@ impl Checkpoint {
             }
         };
         let (sequence, state) = newest.map_or((0, None), |slot| (slot.sequence, Some(slot.state)));
-        Ok((Self { file, path: path.to_owned(), run_id, sequence, bytes: Vec::new() }, state))
+        Ok((Self { file, path: path.to_owned(), turns: Turns::after(run_id, sequence) }, state))
     }
 
     /// True if the file is a checkpoint, of whatever run and version, or empty.
@@ -190,7 +189,7 @@ impl Checkpoint {
     /// A new file in the place of the old one, with its newest slot.
     fn move_to_new_file(&mut self, partial: &Path) -> std::io::Result<()> {
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(partial)?;
-        let index = self.sequence % 2;
+        let index = self.turns.newest_slot();
         if let Some(slot) = read_slot(&self.file, index, self.file.metadata()?.len())? {
             file.write_all_at(&slot, slot_start(index))?;
         }
@@ -204,26 +203,26 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`]; the last state that was written stays usable.
     pub fn write(&mut self, state: &impl Serialize) -> Result<(), CheckpointError> {
-        let sequence = self.sequence + 1;
-        let written = slots::write(self.run_id, sequence, state, &mut self.bytes);
-        let len = self.bytes.len().saturating_sub(LEN_BYTES);
-        match written {
-            Ok(()) if self.bytes.len() <= SLOT_LEN => {}
+        let encoded = self.turns.encode(state);
+        let bytes = self.turns.bytes();
+        let len = bytes.len().saturating_sub(LEN_BYTES);
+        match encoded {
+            Ok(()) if bytes.len() <= SLOT_LEN => {}
             Ok(()) | Err(SealError::TooLarge(_)) => {
                 return Err(CheckpointError::TooLarge { file: self.path.clone(), len });
             }
             Err(reason) => return Err(CheckpointError::Unencodable { file: self.path.clone(), reason }),
         }
         self.file
-            .write_all_at(&self.bytes, slot_start(sequence % 2))
+            .write_all_at(bytes, slot_start(self.turns.next_slot()))
             .map_err(|source| CheckpointError::Io { file: self.path.clone(), source })?;
-        self.sequence = sequence;
+        self.turns.written();
         Ok(())
     }
 }
 
-fn slot_start(index: u64) -> u64 {
-    index * SLOT_LEN as u64
+fn slot_start(index: usize) -> u64 {
+    (index * SLOT_LEN) as u64
 }
 
 /// A file of another name in the same folder.
@@ -241,7 +240,7 @@ fn free_name(path: &Path) -> PathBuf {
 }
 
 /// What was written to a slot, as far as its length says; `None` if nothing was.
-fn read_slot(file: &File, index: u64, file_len: u64) -> std::io::Result<Option<Vec<u8>>> {
+fn read_slot(file: &File, index: usize, file_len: u64) -> std::io::Result<Option<Vec<u8>>> {
     let room = file_len.saturating_sub(slot_start(index)).min(SLOT_LEN as u64) as usize;
     let mut bytes = vec![0; room.min(FIRST_READ)];
     file.read_exact_at(&mut bytes, slot_start(index))?;

@@ -14,10 +14,10 @@ use rangehound_shared::sealed::SealError;
 
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use crate::checkpoint::{Checkpoint, CheckpointError};
-use crate::clock::{monotonic_ns, until};
 use crate::logs;
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
-use crate::signal::Termination;
+use crate::system::clock::{monotonic_ns, until};
+use crate::system::signal::Termination;
 use crate::tick_log::{TickLogError, TickLogWriter};
 
 /// Why fusion ended early.
@@ -123,9 +123,8 @@ impl<'a> Driver<'a> {
     /// ranges wait in their buffers.
     fn stand_by(&self, own: &RoleHold, termination: &Termination) -> Result<Option<RoleHold>, FusionError> {
         let roster = self.rendezvous.roster();
-        let mut file = roster.file_of(Role::Fusion);
+        let mut standby = Standby::new(self.scenario, roster.last_sign(Role::Fusion), roster.file_of(Role::Fusion));
         let mut succession = roster.succeed(Role::Fusion);
-        let mut standby = Standby::new(self.scenario, roster.last_sign(Role::Fusion));
         while !termination.requested() && !self.rendezvous.is_finished() {
             if let Some(hold) = roster.take_in_succession(Role::Fusion, &succession, LOOK)? {
                 if self.rendezvous.is_removed() {
@@ -142,11 +141,7 @@ impl<'a> Driver<'a> {
                 log::warn!("fusion gave no sign of life for {:?}: deposed it", standby.silence_max());
                 return Ok(Some(hold));
             }
-            // None where somebody is about to remove the run: no lead is founded in what is left of it.
-            let named = roster.file_of(Role::Fusion);
-            if named.is_some() && named != file {
-                // The lock that is waited for is that of a deposed one.
-                file = named;
+            if standby.waits_anew(roster.file_of(Role::Fusion)) {
                 succession = roster.succeed(Role::Fusion);
             }
         }
@@ -238,7 +233,7 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
-    fn notify(&self, notification: &rangehound_shared::wake::Notification) {
+    fn notify(&self, notification: &rangehound_shared::protocol::wake::Notification) {
         match notification.to {
             Sleeper::Sim => self.sim.notify(notification),
             Sleeper::Robots | Sleeper::Fusion => {

@@ -14,24 +14,18 @@
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`checkpoint`] | the state of a killed node |
 //! | [`tick_log`], [`logs`] | files of fixed-size records, one for each tick |
-//! | [`bounded`] | reading no more of a file than it may have |
-//! | [`limits`], [`resources`] | which limit of the system a refusal is about, and whether there is enough |
-//! | [`clock`], [`signal`] | monotonic time, requests to end |
+//! | [`system`] | the operating system: its limits and resources, monotonic time, requests to end |
 
 pub mod bells;
 pub mod block;
-pub mod bounded;
 pub mod bus;
 pub mod checkpoint;
-pub mod clock;
 pub mod fusion;
-pub mod limits;
 pub mod logs;
 pub mod rendezvous;
-pub mod resources;
 pub mod robot;
 pub mod serial;
-pub mod signal;
 pub mod sim;
+pub mod system;
 pub mod tick_log;
 pub mod world;

@@ -7,9 +7,9 @@ use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
-use crate::clock::{monotonic_ns, until};
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
-use crate::signal::Termination;
+use crate::system::clock::{monotonic_ns, until};
+use crate::system::signal::Termination;
 
 /// Why a robot ended early.
 #[derive(Debug, thiserror::Error)]

@@ -10,10 +10,10 @@ use rangehound_sim::machine::{Action, Machine, Saved};
 
 use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
 use crate::checkpoint::{Checkpoint, CheckpointError};
-use crate::clock::{monotonic_ns, until};
 use crate::logs;
 use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
-use crate::signal::Termination;
+use crate::system::clock::{monotonic_ns, until};
+use crate::system::signal::Termination;
 use crate::tick_log::TickLogWriter;
 use crate::world::{PlaybackError, world_of};
 

@@ -8,9 +8,9 @@ use std::collections::VecDeque;
 
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
+use rangehound_shared::protocol::timing::heading_deadline_ns;
+use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
 use rangehound_shared::scenario::{Clock, Scenario};
-use rangehound_shared::timing::heading_deadline_ns;
-use rangehound_shared::wake::{Call, Notification, Sleeper};
 
 use crate::drive::{Controller, HOLD_TICKS};
 

@@ -7,7 +7,7 @@
 //!
 //! Any linear model will do, `dx = A x dt + dw` with position first. Here it is Singer's: an acceleration that is kept for
 //! some seconds, as a driver would, and then forgotten. A model that the tool should know by name goes into
-//! `shared/src/motion.rs`.
+//! `shared/src/motion/mod.rs`.
 
 use nalgebra::SMatrix;
 

@@ -13,24 +13,19 @@
 //! | module | the one place for |
 //! |---|---|
 //! | [`scenario`] | the experiment: file format, defaults, validation |
-//! | [`motion`], [`matrix`] | linear target models, exactly discretised; matrices of run-time size |
+//! | [`motion`] | linear target models, exactly discretised; matrices of run-time size |
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
 //! | [`recording`] | recorded ranges: tables as loggers write them, and logs of radios |
 //! | [`radio`] | what ranging radios print |
 //! | [`measurement`] | what a robot measures, and where |
 //! | [`message`] | what travels on each topic |
-//! | [`wake`] | who can be woken, and why |
 //! | [`robot_set`] | a set of robots' ids |
-//! | [`record`] | what is put down of each tick |
-//! | [`digest`] | the rolling hash over all estimates |
-//! | [`sealed`], [`slots`] | values that must be whole, the state of a killed node among them |
-//! | [`protocol`] | which builds understand each other |
-//! | [`timing`] | deadlines of a real-time tick |
+//! | [`record`] | what is recorded of each tick, and the rolling digest over all estimates |
+//! | [`sealed`] | values that must be complete, the state of a killed node among them |
+//! | [`protocol`] | which builds understand each other, who wakes whom, deadlines of a real-time tick |
 //! | [`run_name`] | names of runs |
 
-pub mod digest;
 pub mod draws;
-pub mod matrix;
 pub mod measurement;
 pub mod message;
 pub mod motion;
@@ -42,9 +37,6 @@ pub mod robot_set;
 pub mod run_name;
 pub mod scenario;
 pub mod sealed;
-pub mod slots;
-pub mod timing;
-pub mod wake;
 
 /// Most robots in one run: sizes every service and every per-robot bit set.
 pub const ROBOTS_MAX: usize = 256;
@@ -60,33 +52,16 @@ pub const STATE_DIM_MAX: usize = 8;
 #[macro_export]
 macro_rules! with_state_dim {
     ($dim:expr, $N:ident => $body:expr) => {
+        $crate::with_state_dim!(@each $dim, $N => $body, 2 3 4 5 6 7)
+    };
+    (@each $dim:expr, $N:ident => $body:expr, $($n:literal)+) => {
         match $dim {
-            2 => {
-                const $N: usize = 2;
+            $($n => {
+                const $N: usize = $n;
                 $body
-            }
-            3 => {
-                const $N: usize = 3;
-                $body
-            }
-            4 => {
-                const $N: usize = 4;
-                $body
-            }
-            5 => {
-                const $N: usize = 5;
-                $body
-            }
-            6 => {
-                const $N: usize = 6;
-                $body
-            }
-            7 => {
-                const $N: usize = 7;
-                $body
-            }
+            })+
             _ => {
-                const $N: usize = 8;
+                const $N: usize = $crate::STATE_DIM_MAX;
                 $body
             }
         }

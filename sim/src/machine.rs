@@ -7,10 +7,10 @@ use std::borrow::Cow;
 
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::message::{Drive, Truth};
+use rangehound_shared::protocol::timing::Suspension;
+use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_shared::sealed::SealError;
-use rangehound_shared::timing::Suspension;
-use rangehound_shared::wake::{Call, Notification, Sleeper};
 use serde::{Deserialize, Serialize};
 
 use crate::World;
@@ -246,7 +246,9 @@ impl Machine {
         self.repeat_at_ns = now_ns + REPEAT_NS;
         // A simulator that was started again waits for nobody.
         if self.clock == Clock::Realtime && self.tick > 0 {
-            self.due_ns.get_or_insert(now_ns + self.dt_ns);
+            // One that was stopped on the way from tick to tick gives the new one its time.
+            let due_ns = self.due_ns.filter(|due_ns| *due_ns > now_ns);
+            self.due_ns = Some(due_ns.unwrap_or(now_ns + self.dt_ns));
         }
     }
 
@@ -300,5 +302,45 @@ impl Machine {
         self.drives.fill(None);
         self.first_answer_ns = None;
         self.tick += 1;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rangehound_shared::scenario::ScenarioFile;
+
+    use super::*;
+
+    /// Seed 10304 of `rangehound explore` found a tick of no length.
+    #[test]
+    fn a_tick_that_begins_late_has_its_time() {
+        let text = "clock = \"realtime\"\n[robots]\ncount = 1\n";
+        let file = ScenarioFile::parse(text, "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
+        let world = crate::world_of(&scenario, |_| Err::<_, ()>(())).unwrap();
+        let mut machine = Machine::new(&scenario, world);
+        let dt_ns = (scenario.dt_s * 1e9) as u64;
+        let mut began_ns = Vec::new();
+        let mut go_on = |machine: &mut Machine, now_ns: u64| {
+            while let Some(action) = machine.next_action(now_ns) {
+                if action == Action::SendWorld && began_ns.len() as u64 == machine.tick() {
+                    began_ns.push(now_ns);
+                }
+                if action == Action::Record && machine.tick() == 1 {
+                    // It is stopped on the way to tick 2.
+                    return;
+                }
+            }
+        };
+        go_on(&mut machine, 0);
+        machine.on_drive(0, &Drive::default());
+        go_on(&mut machine, 0);
+        go_on(&mut machine, dt_ns);
+        go_on(&mut machine, 2 * dt_ns);
+        let late_ns = 4 * dt_ns;
+        for now_ns in [late_ns, late_ns + dt_ns / 2, late_ns + dt_ns] {
+            go_on(&mut machine, now_ns);
+        }
+        assert_eq!(began_ns, [0, dt_ns, late_ns, late_ns + dt_ns]);
     }
 }

@@ -2,9 +2,9 @@
 
 use nalgebra::{SMatrix, SVector};
 use rangehound_shared::draws::{Draws, Stream};
-use rangehound_shared::matrix::square_root;
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
+use rangehound_shared::motion::matrix::square_root;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::scenario::bounds::TICKS_MAX;
 use rangehound_shared::sealed::{self, SealError};

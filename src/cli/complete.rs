@@ -9,12 +9,13 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
-use rangehound_node::bounded;
 use rangehound_node::rendezvous::{Rendezvous, living_runs};
+use rangehound_node::system::bounded;
 
 use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 use crate::failure::{self, Failure};
-use crate::files::whole_file::{PARTIAL, rename_to_free, with_ending};
+use crate::files::layout::PARTIAL;
+use crate::files::whole_file::{rename_to_free, with_ending};
 use crate::run::watch;
 
 /// Longest manual page that is looked at.

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use clap::Args;
 use rangehound_node::rendezvous::Role;
 use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{GateKey, bounds};
 
-use super::values::{PlannerName, number, port, speed};
+use super::values::{PlannerName, number, port, speed, within};
 use super::{GateArgs, NodeArgs, RecordLimitArgs, ShowArgs};
 use crate::failure::Failure;
 use crate::live;
 use crate::run::node::end_with;
-use crate::run::{recorder, status, watch};
+use crate::run::{recorder, remote, status, watch};
 use crate::study::replay::{self, Changes, Show, repair};
 
 /// `watch`.
@@ -171,14 +172,45 @@ impl ReplayArgs {
         if self.repair {
             return repair::repair(&self.file, self.out.as_deref(), self.json);
         }
-        let changes = Changes {
-            planner: self.planner.clone(),
-            gate: self.gate.gate.clone(),
-            distrust: self.gate.distrust(),
-            accel_psd: self.accel_psd,
-        };
+        let gate = self.gate.gate.clone();
+        if let Some(GateKey::Sigma(sigma)) = gate {
+            within("--gate", bounds::GATE_SIGMA, "a number from 1 to 1e6 or none", sigma)?;
+        }
+        if let Some(psd) = self.accel_psd {
+            within("--accel-psd", bounds::NOISE_PSD, "a number from 0 to 1e9", psd)?;
+        }
+        let (planner, distrust) = (self.planner.clone(), self.gate.distrust());
+        let changes = Changes { planner, gate, distrust, accel_psd: self.accel_psd };
         let show = self.show.live.map(|port| Show { port, speed: self.speed });
         replay::replay(&self.file, &changes, show, self.json)
+    }
+}
+
+impl RemoteNodeArgs {
+    /// Kills the node.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn kill(&self) -> Result<(), Failure> {
+        remote::kill(self.run.name.as_ref(), self.node, self.run.json)
+    }
+
+    /// Ends the node and waits for its successor.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn restart(&self) -> Result<(), Failure> {
+        remote::restart(self.run.name.as_ref(), self.node, self.run.json)
+    }
+}
+
+impl RemoteArgs {
+    /// Ends the run.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn stop(&self) -> Result<(), Failure> {
+        remote::stop(self.name.as_ref(), self.json)
     }
 }
 

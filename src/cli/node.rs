@@ -129,7 +129,12 @@ impl LatencyNodeArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        latency_node(self.reference, self.role, &self.node.name, self.node.parent.end_with)
+        let robot = match self.role {
+            Role::Fusion => None,
+            Role::Robot(id) => Some(id),
+            role => return Err(Failure::input(format!("--role: expected fusion or robot-N, got {role}"))),
+        };
+        latency_node(self.reference, robot, &self.node.name, self.node.parent.end_with)
     }
 }
 
@@ -183,7 +188,7 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
     let own_file = living.out_dir.join(SCENARIO);
     for (flag, alone) in one_by_one(args) {
         // The run's own scenario, with this one flag over it.
-        let with_flag = input::scenario_file(&own_file).map_err(Failure::input).and_then(|mut file| {
+        let with_flag = input::scenario_file(&own_file).and_then(|mut file| {
             alone.put_over(&mut file)?;
             input::scenario(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)
         });

@@ -1,6 +1,8 @@
 //! Values as they are written behind flags.
 
 use std::ffi::OsStr;
+use std::fmt::Display;
+use std::ops::RangeInclusive;
 
 use clap::Arg;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -9,6 +11,7 @@ use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::recording::SensorName;
 use rangehound_shared::scenario::{Clock, GateKey, PLANNERS, PatienceKey};
 
+use crate::failure::Failure;
 use crate::study::chaos::faults::{Kind, Victim};
 use crate::study::latency::reference::Reference;
 
@@ -122,6 +125,20 @@ impl std::str::FromStr for PerSensor {
             None => (None, text),
         };
         Ok(Self { sensor, value: value.parse().map_err(|_| expected())? })
+    }
+}
+
+/// A flag's value, if it is in these bounds.
+pub(super) fn within<T: PartialOrd + Display>(
+    flag: &str,
+    bounds: RangeInclusive<T>,
+    expected: &str,
+    value: T,
+) -> Result<T, Failure> {
+    if bounds.contains(&value) {
+        Ok(value)
+    } else {
+        Err(Failure::input(format!("{flag}: expected {expected}, got {value}")))
     }
 }
 

@@ -1,15 +1,16 @@
 //! The files that users give: scenarios, recordings with their anchors, true tracks. A recording may be a pipe, whose writer
 //! may be slow, or standard input.
 
+use std::fmt::Display;
 use std::fs::File;
-use std::io::{Error, ErrorKind, Read};
+use std::io::Read;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use rangehound_node::bounded;
+use rangehound_node::system::bounded;
 use rangehound_shared::recording::{
     Anchors, ColumnMap, ReadOptions, ReadSummary, Recording, RecordingError, TrackPoint, parse_track,
 };
@@ -42,13 +43,14 @@ pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure
 /// Reads a scenario file without checking its values.
 ///
 /// # Errors
-/// If the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
-pub fn scenario_file(path: &Path) -> Result<ScenarioFile, ScenarioError> {
-    let unreadable = |source| ScenarioError::Unreadable { file: path.to_owned(), source };
-    let bytes = bounded::read(path, SCENARIO_LEN_MAX).map_err(unreadable)?;
-    let text =
-        String::from_utf8(bytes).map_err(|error| unreadable(Error::new(ErrorKind::InvalidData, error.utf8_error())))?;
-    ScenarioFile::parse(&text, &path.display().to_string())
+/// [`Failure::Input`] if the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
+pub fn scenario_file(path: &Path) -> Result<ScenarioFile, Failure> {
+    let unreadable = |reason: &dyn Display| {
+        Failure::input(format!("{}: expected a scenario file that can be read: {reason}", path.display()))
+    };
+    let bytes = bounded::read(path, SCENARIO_LEN_MAX).map_err(|error| unreadable(&error))?;
+    let text = String::from_utf8(bytes).map_err(|error| unreadable(&error.utf8_error()))?;
+    ScenarioFile::parse(&text, &path.display().to_string()).map_err(Failure::input)
 }
 
 /// Checks a scenario file, and reads the recording that it names. `file` names it in errors; paths in it are relative to

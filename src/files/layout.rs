@@ -11,15 +11,13 @@
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `run.mcap` | the whole run in one file |
 //! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_node::tick_log` |
-//! | `run.sealed` | what the run is, for `resume` |
+//! | `run.sealed` | what the run is, for `resume`: JSON with a checksum |
 //! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_node::checkpoint` |
 //! | `logs/NODE.log` | what a node had to say |
 
 use rangehound_node::rendezvous::Role;
 use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::COPY;
-
-use super::whole_file::PARTIAL;
 
 /// Where run folders go unless told otherwise; other results go below it too.
 pub const RUNS: &str = "runs";
@@ -75,6 +73,9 @@ pub const LATENCY_PICTURE: &str = "latency.svg";
 
 /// The outcome of a campaign of faults.
 pub const CHAOS: &str = "chaos.json";
+
+/// How the names of files end that are not finished.
+pub const PARTIAL: &str = ".partial";
 
 /// What an output folder holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -10,10 +10,8 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustix::io::Errno;
 
+use crate::files::layout::PARTIAL;
 use crate::files::out_folder;
-
-/// How the names of files end that are not finished.
-pub const PARTIAL: &str = ".partial";
 
 /// The path of a file beside this one, whose name has more at its end.
 #[must_use]

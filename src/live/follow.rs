@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, Role};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::message::Estimate;
 use serde_json::Value;
 

@@ -7,22 +7,15 @@
 //! |---|---|
 //! | `follow` | looks at a run until its end |
 //! | `scene`, `history`, `latency` | what is shown, bounded |
-//! | `server`, `routes`, `stream`, `shared` | how a browser gets it |
-//! | `guard` | who may look and act |
 //! | `act` | what the buttons do |
-//! | `assets`, `page/` | the page itself |
+//! | `server` | how a browser gets it; `guard`: who may look and act; `page/`: the page itself |
 
 mod act;
-mod assets;
 mod follow;
-mod guard;
 mod history;
 mod latency;
-mod routes;
 mod scene;
 mod server;
-mod shared;
-mod stream;
 
 use std::io::IsTerminal;
 use std::net::TcpListener;
@@ -30,7 +23,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{LIVE_NOTE, Rendezvous};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use serde_json::json;
@@ -39,9 +32,8 @@ use crate::failure::{Failure, print_json, tell};
 use crate::results::frame::Frame;
 use crate::run::node::look_on;
 use crate::run::port::listen;
-use guard::Token;
 use scene::Scene;
-use server::Server;
+use server::{Server, Token};
 
 /// How often the page looks at the run, and how often it is shown anew at the most.
 const LOOK: Duration = Duration::from_millis(50);

@@ -27,14 +27,14 @@ const TRAIL_MAX: usize = 240;
 const RATE_SPAN: Duration = Duration::from_secs(2);
 
 /// What the page shows of a run.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Scene {
     about: Value,
     trail_max: usize,
     newest: Option<Frame>,
     trails: VecDeque<Places>,
     history: History,
-    tally: Tally,
+    tally: RangeCounter,
     latencies: Latencies,
     rate: VecDeque<(Instant, u64)>,
     nodes: Option<(u64, Value)>,
@@ -70,7 +70,7 @@ struct Counts {
 
 /// Adds ranges up as the report does. The newest ticks can be taken back: of one that is read again, what was read last counts.
 #[derive(Debug, Default)]
-struct Tally {
+struct RangeCounter {
     settled_ticks: u64,
     settled: RangeSummary,
     recent: VecDeque<(u64, Estimate)>,
@@ -127,18 +127,7 @@ impl Scene {
             "robot_colours": (0..COLOURS.len() - 1).map(|id| hex(chart::robot_colour(id))).collect::<Vec<_>>(),
             "estimate_colour": hex(chart::ESTIMATE),
         });
-        Self {
-            about,
-            trail_max,
-            newest: None,
-            trails: VecDeque::new(),
-            history: History::default(),
-            tally: Tally::default(),
-            latencies: Latencies::default(),
-            rate: VecDeque::new(),
-            nodes: None,
-            ended: None,
-        }
+        Self { about, trail_max, ..Self::default() }
     }
 
     /// Takes one tick in; the last of them is what is shown.
@@ -263,7 +252,7 @@ impl Scene {
     }
 }
 
-impl Tally {
+impl RangeCounter {
     fn count(&mut self, tick: u64, estimate: &Estimate) {
         if let Some((_, before)) = self.recent.iter_mut().find(|(at, _)| *at == tick) {
             *before = *estimate;
@@ -375,7 +364,7 @@ mod tests {
 
     #[test]
     fn what_came_late_was_not_missing_and_a_tick_read_again_counts_once() {
-        let mut tally = Tally::default();
+        let mut tally = RangeCounter::default();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
         tally.count(1, &tick(3, 0));
         // Put down anew after a kill.

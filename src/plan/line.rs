@@ -6,10 +6,11 @@ use std::time::Instant;
 
 use nalgebra::Matrix2;
 use rangehound_fusion::planner::range_only::{Problem, hull_certificate};
-use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Vector, Worth};
+use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Worth};
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::ROBOTS_MAX;
-use rangehound_shared::matrix::Matrix;
 use rangehound_shared::message::Command;
+use rangehound_shared::motion::matrix::Matrix;
 use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
 use serde::{Serialize, Serializer};
 

@@ -199,7 +199,7 @@ impl Given {
     pub fn read(path: Option<&Path>) -> Result<Self, Failure> {
         Ok(match path {
             Some(path) => Self {
-                file: input::scenario_file(path).map_err(Failure::input)?,
+                file: input::scenario_file(path)?,
                 file_name: path.display().to_string(),
                 folder: path.parent().unwrap_or(Path::new("")).to_owned(),
                 path: Some(path.to_owned()),

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use rangehound_node::rendezvous::{Role, RunDescription};
-use rangehound_node::{bounded, checkpoint, logs};
+use rangehound_node::system::bounded;
+use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
 
@@ -31,7 +32,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
             copy.finish()?;
         }
         whole_file::write(&out_dir.join(SCENARIO), experiment.scenario_file.to_toml()?)?;
-        whole_file::write_for_owner(&out_dir.join(DESCRIPTION), sealed::seal(&experiment.description_for_nodes())?)
+        whole_file::write_for_owner(&out_dir.join(DESCRIPTION), experiment.description_for_nodes().seal()?)
     };
     written().map_err(|error: anyhow::Error| {
         Failure::input(format!("--out: expected a folder that can be written: {error}"))

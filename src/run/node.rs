@@ -7,8 +7,8 @@ use std::process;
 use rangehound_node::fusion::FusionError;
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role};
 use rangehound_node::robot::RobotError;
-use rangehound_node::signal::Termination;
 use rangehound_node::sim::SimError;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 

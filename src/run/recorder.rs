@@ -1,13 +1,13 @@
 //! `record`: writes a run into one file while it goes on, and ends with it.
 //!
-//! It reads what the nodes put down anyway, some ticks behind them, so that the run does not know of it: nothing is missed
-//! however far it falls behind, no memory grows, and one that is killed begins anew and loses nothing.
+//! It reads the nodes' logs, some ticks behind them. The run does not notice it. However far it falls behind, it misses no tick
+//! and needs no more memory. If it is killed, another one starts from the first tick and loses nothing.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, RunDescription};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Clock;
 use rustix::thread::{Timespec, nanosleep};
@@ -24,13 +24,13 @@ use crate::run::folder;
 use crate::run::node;
 use crate::run::watch::{self, LOOK, Progress};
 
-/// How long what has been put down is still recorded once an end is asked for.
+/// After a request to end, ticks that are in the logs are recorded for this long.
 const CATCH_UP: Duration = Duration::from_secs(5);
 
-/// Whoever has to wait for longer wants to know what for.
+/// Work that takes longer shows its progress.
 const UNEXPLAINED: Duration = Duration::from_secs(1);
 
-/// The bytes of so many megabytes.
+/// Megabytes as bytes.
 #[must_use]
 pub fn bytes(megabytes: u64) -> u64 {
     megabytes.saturating_mul(1_000_000)
@@ -43,12 +43,12 @@ pub fn bytes(megabytes: u64) -> u64 {
 pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Result<Recorded, Failure> {
     let termination = Termination::listen()?;
     let description = folder::read_description(folder)?;
-    // A run that goes on writes the recording in its folder itself.
+    // A run that goes on writes this recording itself.
     let _alone = out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
     record_logs(&description, out, bytes_max, &termination)
 }
 
-/// Records a run while it goes on; `None` if asked to end before it could.
+/// Records a run while it goes on; `None` if it was asked to end before it could join.
 ///
 /// # Errors
 /// [`Failure`].
@@ -64,12 +64,12 @@ pub struct Recorded {
     /// The file; none if there was nothing to record.
     file: Option<String>,
     scenario: String,
-    /// The last tick that is in it, and that of the whole run.
+    /// The last recorded tick, and the last tick of the whole run.
     ticks: Option<u64>,
     ticks_of_run: u64,
-    /// Ticks before that one that nobody put down.
+    /// Earlier ticks that are not in the logs.
     ticks_lost: u64,
-    /// True if it ends because it has its size.
+    /// True if it ended at its size limit.
     is_full: bool,
 }
 
@@ -77,7 +77,7 @@ impl Recorded {
     /// Prints it.
     ///
     /// # Errors
-    /// [`Failure`] if nobody can be told.
+    /// [`Failure`] if it cannot be printed.
     pub fn print(&self, json: bool) -> Result<(), Failure> {
         let Self { file, ticks, ticks_of_run, .. } = self;
         match (json, file, ticks) {
@@ -85,7 +85,7 @@ impl Recorded {
             (false, Some(file), Some(ticks)) => {
                 failure::print(format_args!("recorded: {ticks} of {ticks_of_run} ticks in {file}\n"))
             }
-            // That has been warned of.
+            // A warning has said so.
             (false, _, _) => Ok(()),
         }
     }
@@ -115,7 +115,7 @@ fn follow(
 ) -> Result<Recorded, Failure> {
     let description = rendezvous.description().clone();
     let mut recorder = Recorder::begin(&description, out, bytes_max)?;
-    // In lock step a run takes all that it is given and would feel every look: its recording waits for its end.
+    // In lock step a run uses all processors that it gets, and recording would slow it down: it is recorded at its end.
     let goes_along = description.scenario.clock == Clock::Realtime;
     while !rendezvous.is_finished() && !termination.requested() {
         if goes_along {
@@ -135,7 +135,7 @@ fn follow(
     recorder.finish()
 }
 
-/// Sleeps; less if a signal comes.
+/// Sleeps until the time is over or a signal comes.
 fn sleep(time: Duration) {
     let _ = nanosleep(&Timespec { tv_sec: time.as_secs().cast_signed(), tv_nsec: time.subsec_nanos().into() });
 }
@@ -147,11 +147,11 @@ struct Recorder<'a> {
     file: RunFile,
     path: PathBuf,
     bytes_max: u64,
-    /// The first tick that is not recorded.
+    /// The next tick to record.
     next: u64,
-    /// The last one that is.
+    /// The last recorded tick.
     last: Option<u64>,
-    /// Ticks that nobody put down, and the first of them.
+    /// The number of ticks that are not in the logs, and the first of them.
     holes: (u64, u64),
     is_full: bool,
 }
@@ -179,7 +179,7 @@ impl<'a> Recorder<'a> {
     /// The newest tick that is in the logs, if there are any.
     fn newest(&mut self) -> Result<Option<u64>, Failure> {
         if self.frames.is_none() {
-            // In the first moments of a run there is none.
+            // A run that has just started has no logs.
             self.frames = Frames::open(self.description).ok();
         }
         Ok(match &self.frames {
@@ -188,7 +188,7 @@ impl<'a> Recorder<'a> {
         })
     }
 
-    /// Records the ticks that nobody will change any more.
+    /// Records the ticks that are final: no late range changes them any more.
     fn advance_to_settled(&mut self) -> Result<(), Failure> {
         if let Some(settled) = self.newest()?.and_then(|newest| newest.checked_sub(UNSETTLED_TICKS as u64)) {
             while self.next <= settled && !self.is_full {
@@ -198,7 +198,7 @@ impl<'a> Recorder<'a> {
         self.file.flush_if_due().map_err(unwritable)
     }
 
-    /// Records all that is there, after the run.
+    /// Records all ticks that are left, after the run.
     fn catch_up(&mut self, termination: &Termination) -> Result<(), Failure> {
         let Some(newest) = self.newest()? else { return Ok(()) };
         let began = Instant::now();
@@ -275,7 +275,7 @@ impl<'a> Recorder<'a> {
     }
 }
 
-/// Beginning anew would not help: the run goes on without a recording.
+/// A failure that a restart would not mend: the run goes on without a recording.
 fn unwritable(error: anyhow::Error) -> Failure {
     Failure::input(format!("recording ends, the file that there is can be repaired: {error:#}"))
 }

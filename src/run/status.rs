@@ -1,11 +1,11 @@
-//! `status`: a run as it is at the moment, for people: who is not well comes first, many robots that are alike share a line.
+//! `status`: the present state of a run as a table. Nodes in trouble come first; many robots in the same state share a line.
 
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
 use anstyle::Style;
 use rangehound_node::rendezvous::Rendezvous;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::printable;
 
@@ -14,11 +14,11 @@ use crate::run::node::input_or_running;
 use crate::run::remote::{ELSEWHERE, NodeStatus, Status, run_named};
 use crate::terminal::{self, BAD, DOUBTFUL, GOOD, TITLE, field, wrapped};
 
-/// All states, who needs somebody first.
+/// All states, the worst first.
 const STATES: [(&str, Style); 5] =
     [("gone", BAD), ("hung", DOUBTFUL), ("stopped", DOUBTFUL), (ELSEWHERE, DOUBTFUL), ("running", GOOD)];
 
-/// Robots in one state that are still shown one by one.
+/// More robots in one state than this share a line.
 const ROBOTS_MAX: usize = 16;
 
 /// Characters of a sensor's name in the table.
@@ -27,10 +27,10 @@ const SENSOR_CHARS_MAX: usize = 16;
 /// Time between two looks of `--watch`.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// How soon Ctrl-C is noticed between looks.
+/// Time between two checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// `rangehound status`: once, or again and again; with all robots one by one, or alike ones in a line.
+/// `rangehound status`, once or every second, with a line for each robot or one for many in the same state.
 ///
 /// # Errors
 /// [`Failure`].
@@ -39,7 +39,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
     let termination = Termination::listen()?;
     let in_place = again && !json && terminal::draws_on_stdout();
     let mut is_first = true;
-    // A member only while it looks: a run has not ended before its last member is out.
+    // It joins only to look: a run does not end while it has members.
     while let Some(run) = Rendezvous::join_if_alive(&name).map_err(input_or_running)? {
         let status = Status::of(&run);
         drop(run);
@@ -77,7 +77,7 @@ enum Row<'a> {
 }
 
 impl Status {
-    /// The status for people; `all`: with a line for each robot.
+    /// The table; `all`: with a line for each robot.
     pub(crate) fn text(&self, all: bool) -> String {
         let Self { name, scenario, tick, ticks, out_dir, leader, leads, standbys, .. } = self;
         let mut out = format!("{TITLE}run {name}{TITLE:#}: {scenario}, tick {tick} of {ticks}\n");
@@ -97,7 +97,7 @@ impl Status {
         let rows = self.rows(all);
         for (style, row) in &rows {
             let _ = write!(out, "\n{}", line(*style, &row.cells()));
-            // Who is meant: of those that run, all the others.
+            // A line of robots that run needs no names: it has all that are not named elsewhere.
             if let Row::Robots(robots) = row
                 && robots.iter().any(|robot| robot.state != "running")
             {
@@ -117,7 +117,7 @@ impl Status {
         self.phase == "finishing"
     }
 
-    /// Who is not well comes first. That nodes of a run that is over are gone is as it should be.
+    /// The rows, nodes in trouble first. Of a run that is over, nodes that are gone are left out, as all nodes end.
     fn rows(&self, all: bool) -> Vec<(Style, Row<'_>)> {
         let mut rows = Vec::new();
         for (state, style) in STATES.into_iter().filter(|(state, _)| !self.is_finishing() || *state != "gone") {
@@ -142,7 +142,7 @@ impl NodeStatus {
         self.name.strip_prefix("robot-")?.parse().ok()
     }
 
-    /// The supervisor of a run that was started by hand.
+    /// True for the supervisor's entry if the run was started by hand, and so has none.
     fn is_of_no_run(&self) -> bool {
         self.name == "run" && self.starts == 0
     }
@@ -173,13 +173,13 @@ impl Row<'_> {
     }
 }
 
-/// A row of the table; the style is the state's, or of all heads.
+/// A row of the table, with the style of its state; or the heads.
 fn line(style: Style, [name, state, pid, starts, silent, memory, sensor]: &[String; 7]) -> String {
     let sensor = if sensor.is_empty() { String::new() } else { format!("  {sensor}") };
     format!("{name:<12} {style}{state:<9}{style:#} {pid:>8} {starts:>7} {silent:>10} {memory:>10}{sensor}")
 }
 
-/// A sensor's name, as far as there is room; `--json` has it whole.
+/// A sensor's name, shortened to the column's width; `--json` has it complete.
 fn shown_sensor(name: &str) -> String {
     let name = printable(name);
     if name.chars().count() <= SENSOR_CHARS_MAX {
@@ -188,7 +188,7 @@ fn shown_sensor(name: &str) -> String {
     name.chars().take(SENSOR_CHARS_MAX - 3).chain("...".chars()).collect()
 }
 
-/// Which robots, neighbours together: `robot-0 to 4, 7`.
+/// The robots' ids, with ranges of successive ones: `robot-0 to 4, 7`.
 fn ids(robots: &[&NodeStatus]) -> String {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for id in robots.iter().filter_map(|robot| robot.robot()) {

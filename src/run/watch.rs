@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use rangehound_node::bus::{Bus, BusError, Subscriber};
 use rangehound_node::rendezvous::{Rendezvous, Role};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::message::{Estimate, Truth};
 use rangehound_shared::run_name::RunName;
 

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::process::{Child, Command, Stdio};
 
 use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 use rustix::process::Signal;

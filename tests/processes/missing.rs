@@ -7,7 +7,6 @@ use rangehound_node::logs;
 use rangehound_node::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::record::{Heading, RobotRecord, WorldRecord};
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
-use rangehound_shared::sealed;
 use rustix::process::{Pid, Signal};
 
 use crate::support::{Process, Run, comm, digest_in_process, is_alive, signal};
@@ -25,7 +24,7 @@ fn start(run: &Run, words: &str) -> Process {
 /// All that the simulator has put down.
 fn worlds(run: &Run) -> Vec<WorldRecord> {
     let sealed = std::fs::read(run.path("out/run.sealed")).unwrap();
-    let description: RunDescription = sealed::open(&sealed).unwrap();
+    let description = RunDescription::open(&sealed).unwrap();
     let mut log = logs::read_worlds(&description).unwrap();
     let mut records = Vec::new();
     while let Some(Ok((_, record))) = log.next() {

@@ -2,9 +2,9 @@
 
 use std::borrow::Cow;
 
-use rangehound_shared::digest::Digest;
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::record::digest::Digest;
 use rangehound_shared::record::{Exchange, Heard, Judged};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source};
@@ -12,10 +12,11 @@ use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
 use crate::past::Past;
-use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Sensor, Situation, TeamMember, Vector, Worth};
+use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Sensor, Situation, TeamMember, Worth};
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
 use crate::trust::Trust;
+use crate::vector::Vector;
 
 /// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
 const SILENCE_TICKS_MAX: u64 = 5;

@@ -16,7 +16,7 @@ use rangehound_shared::scenario::{Clock, Scenario};
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{Centre, Late};
-use crate::planner::Vector;
+use crate::vector::Vector;
 use timing::{Timing, lower_median};
 use validation::Validation;
 

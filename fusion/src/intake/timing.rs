@@ -1,8 +1,8 @@
 //! When ticks begin, and how long one is waited for: pure, on stamps that others take.
 
 use rangehound_shared::message::{Header, Range};
+use rangehound_shared::protocol::timing::range_deadline_ns;
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
-use rangehound_shared::timing::range_deadline_ns;
 
 /// Ticks that a robot may be ahead of what the time since the last tick began makes possible: one for the tick that
 /// the simulator catches up on after it was stopped, one for a tick whose beginning was stamped at its repeat.

@@ -5,7 +5,7 @@ use rangehound_shared::message::{Header, Range, Refusal};
 use rangehound_shared::scenario::{Scenario, Source, bounds};
 
 use crate::centre::Centre;
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// A range this many standard deviations below zero is no noise of a target close by.
 const NEGATIVE_SIGMA_MAX: f64 = 10.0;

@@ -10,14 +10,12 @@
 
 pub mod range_only;
 mod situation;
-mod vector;
 
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::PlannerSpec;
 use serde::{Deserialize, Serialize};
 
 pub use situation::{Sensor, Situation, TeamMember};
-pub use vector::Vector;
 
 /// A way to choose headings.
 pub trait Planner: std::fmt::Debug + Send {

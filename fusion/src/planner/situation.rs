@@ -3,8 +3,8 @@
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::Clearance;
 
-use super::Vector;
 use crate::belief::Belief;
+use crate::vector::Vector;
 
 /// What is known before a step: of the target, of the robots, and of what they keep clear of.
 #[derive(Debug, Clone, PartialEq)]

@@ -9,10 +9,10 @@ use rangehound_shared::motion::MotionModel;
 use rangehound_shared::record::Judged;
 use rangehound_shared::sealed::{self, SealError};
 
-use super::bank::{Bank, Hypothesis, Saved, mixture};
+use super::bank::{Bank, Hypothesis, SavedBank, mixture};
 use super::{Fit, Gate, Reading, Tracker};
 use crate::belief::Belief;
-use crate::filter::Estimate;
+use crate::filter::Gaussian;
 
 /// Noise of the calm model as a share of the given one, which is taken as the manoeuvring target's. The
 /// calmer, the smoother the straights, but the more a range's bias shows.
@@ -29,7 +29,7 @@ const PROBABILITY_MIN: f64 = 1e-6;
 pub struct Imm<const N: usize> {
     motion: MotionModel,
     modes: [Mode<N>; 2],
-    estimate: Estimate<N>,
+    estimate: Gaussian<N>,
 }
 
 #[derive(Debug, Clone)]
@@ -55,7 +55,7 @@ impl<const N: usize> Imm<N> {
 
     /// The same tracker, but it knows where the target is.
     #[must_use]
-    pub fn starting_from(mut self, estimate: Estimate<N>) -> Self {
+    pub fn starting_from(mut self, estimate: Gaussian<N>) -> Self {
         self.modes.iter_mut().for_each(|mode| mode.bank.begin_with(estimate));
         self.estimate = estimate;
         self
@@ -136,7 +136,7 @@ impl<const N: usize> Tracker for Imm<N> {
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
-        let (modes, estimate): ([(f64, Saved<'_, N>); 2], Estimate<N>) = sealed::decode(bytes)?;
+        let (modes, estimate): ([(f64, SavedBank<'_, N>); 2], Gaussian<N>) = sealed::decode(bytes)?;
         for (mode, (probability, bank)) in self.modes.iter_mut().zip(modes) {
             mode.probability = probability;
             mode.bank.restore(bank);

@@ -1,7 +1,7 @@
 //! The tracker for a Gaussian prior: one extended Kalman filter.
 
 use rangehound_shared::ROBOTS_MAX;
-use rangehound_shared::matrix::Matrix;
+use rangehound_shared::motion::matrix::Matrix;
 use rangehound_shared::motion::{MotionModel, Transition};
 use rangehound_shared::record::{Judged, RangeUse};
 use rangehound_shared::robot_set::RobotSet;
@@ -9,14 +9,14 @@ use rangehound_shared::sealed::{self, SealError};
 
 use super::{Fit, Gate, Reading, Tracker, judged_room, use_of};
 use crate::belief::Belief;
-use crate::filter::{Estimate, Innovation, RangeInformation};
+use crate::filter::{Gaussian, Innovation, RangeInformation};
 
 /// One extended Kalman filter with a gate.
 #[derive(Debug, Clone)]
 pub struct Kalman<const N: usize> {
     motion: MotionModel,
     gate: Gate,
-    estimate: Estimate<N>,
+    estimate: Gaussian<N>,
     /// The transition of the last step: most runs have one step length for all ticks.
     transition: (f64, Transition<N>),
     /// Of the last step's readings, in their order.
@@ -30,14 +30,14 @@ impl<const N: usize> Kalman<N> {
     pub fn new(motion: MotionModel, mean: &[f64], covariance: &Matrix, gate: Gate) -> Self {
         let x = nalgebra::SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
         let transition = (0.0, motion.transition(0.0));
-        let estimate = Estimate { x, p: covariance.to_static() };
+        let estimate = Gaussian { x, p: covariance.to_static() };
         Self { motion, gate, estimate, transition, innovations: Vec::with_capacity(ROBOTS_MAX), judged: judged_room() }
     }
 }
 
 /// The innovation of a reading. A sensor at another height than the target's says of places beneath it in second order
 /// what a range in the plane says in first, so there the second-order terms count; in the plane the filter is the paper's.
-fn innovation<const N: usize>(estimate: &Estimate<N>, reading: &Reading) -> Innovation {
+fn innovation<const N: usize>(estimate: &Gaussian<N>, reading: &Reading) -> Innovation {
     let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
     let mut range = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
     if height_m != 0.0 {

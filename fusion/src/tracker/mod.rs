@@ -19,7 +19,7 @@ use rangehound_shared::with_state_dim;
 use serde::{Deserialize, Serialize};
 
 use crate::belief::Belief;
-use crate::filter::Estimate;
+use crate::filter::Gaussian;
 
 /// One range, as fused: calibrated, with the place it was measured from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -113,7 +113,7 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
         // A recording whose start is known is tracked as others are, once they have found the target.
         Prior::Gaussian { mean, covariance } if matches!(scenario.source, Source::Recorded(_)) => {
             let x = SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
-            Box::new(imm::Imm::<N>::new(&motion, gate).starting_from(Estimate { x, p: covariance.to_static() }))
+            Box::new(imm::Imm::<N>::new(&motion, gate).starting_from(Gaussian { x, p: covariance.to_static() }))
         }
         Prior::Gaussian { mean, covariance } => {
             Box::new(kalman::Kalman::<N>::new(motion, mean, covariance, gate))

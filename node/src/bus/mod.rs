@@ -29,15 +29,15 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::ipc::Service;
 use rangehound_shared::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
-pub use rangehound_shared::wake::{Call, Calls, Sleeper};
+pub use rangehound_shared::protocol::wake::{Call, Calls, Sleeper};
 use rustix::process::Pid;
 
 use crate::bells::Bells;
 pub use crate::bells::{Bed, Bell};
 use crate::block::BlockError;
-use crate::clock::monotonic_ns;
 use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
-use crate::resources;
+use crate::system::clock::monotonic_ns;
+use crate::system::resources;
 use senders::{Senders, Standing};
 
 /// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past

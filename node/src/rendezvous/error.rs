@@ -8,7 +8,7 @@ use rangehound_shared::sealed::SealError;
 
 use super::Role;
 use crate::block::BlockError;
-use crate::resources::Shortage;
+use crate::system::resources::Shortage;
 
 /// Why a process cannot take part in a run.
 #[derive(Debug, thiserror::Error)]

@@ -24,6 +24,7 @@ mod place;
 mod presence;
 mod role;
 mod roster;
+pub mod tenure;
 
 use std::fs::{File, TryLockError};
 use std::path::PathBuf;
@@ -35,9 +36,9 @@ use rangehound_shared::sealed::{self, SealError};
 use rustix::process::Signal;
 
 use crate::bells;
-use crate::bounded;
-use crate::resources::{self};
-use crate::signal::Termination;
+use crate::system::bounded;
+use crate::system::resources;
+use crate::system::signal::Termination;
 use crate::tick_log::TickLogWriter;
 pub use description::RunDescription;
 pub use error::RendezvousError;
@@ -115,9 +116,9 @@ impl Rendezvous {
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
         bells::create(place.prefix())?;
-        let sealed = sealed::seal(&description)
-            .map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
-        place.write("run", &sealed)?;
+        let sealed =
+            description.seal().map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
+        place.write("run", sealed.as_bytes())?;
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
         Ok(Self::member(place, description, members))
     }

@@ -11,7 +11,7 @@ use rustix::fs::OFlags;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::RendezvousError;
-use crate::resources::SHARED_MEMORY;
+use crate::system::resources::SHARED_MEMORY;
 
 /// How long to wait for whoever stands in the door, and how often to try.
 const DOOR: Duration = Duration::from_secs(10);

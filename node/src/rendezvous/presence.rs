@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 use rustix::process::Pid;
 
 use super::place::Place;
-use crate::clock::monotonic_ns;
-use crate::resources::SHARED_MEMORY;
+use crate::system::clock::monotonic_ns;
+use crate::system::resources::SHARED_MEMORY;
 
 /// How often a member looks whether the run is still there.
 const LOOK: Duration = Duration::from_millis(50);

@@ -18,6 +18,7 @@ use rustix::process::Pid;
 
 use super::holder::{Holder, Process};
 use super::place::Place;
+use super::tenure::Tenure;
 use super::{RendezvousError, Role};
 
 /// How often a holder gives a sign of life, if it is called or wakes up often enough.
@@ -38,8 +39,6 @@ pub struct RoleHold {
     file: File,
     /// Which holder of the role this is, counted from 1: its fencing token.
     pub incarnation: u64,
-    /// True if it was taken from a holder that may yet wake up.
-    pub by_force: bool,
     signed: Cell<Instant>,
 }
 
@@ -142,18 +141,19 @@ impl Roster {
     /// If the role's file cannot be written.
     pub fn depose(&self, role: Role, last_sign: SystemTime) -> Result<Option<RoleHold>, RendezvousError> {
         let _door = self.place.enter(false)?;
-        if self.last_sign(role) != Some(last_sign) {
+        let tenure = Tenure { starts: self.starts(role), sign: self.last_sign(role) };
+        if !tenure.is_silent_since(&last_sign) {
             return Ok(None);
         }
         let (name, partial) = (file_name(role), format!("{}.partial", file_name(role)));
         let io_error = |source| self.place.io_error(&name, source);
         let mut file = self.place.open(&partial)?;
         file.lock().map_err(io_error)?;
-        let incarnation = self.starts(role) + 1;
+        let incarnation = tenure.next_incarnation();
         // Signed before it has the name: nobody sees a role that is not counted.
         write_entry(&mut file, incarnation).map_err(io_error)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
-        Ok(Some(RoleHold { by_force: true, ..RoleHold::new(role, file, incarnation) }))
+        Ok(Some(RoleHold::new(role, file, incarnation)))
     }
 
     /// Counts a start of the role and puts this process down in its file, whose lock it has. The caller holds the door.
@@ -161,7 +161,8 @@ impl Roster {
         let io_error = |source| self.place.io_error(&file_name(role), source);
         let mut text = String::new();
         file.read_to_string(&mut text).map_err(io_error)?;
-        let incarnation = parse_entry(&text).map_or(0, |(starts, _)| starts) + 1;
+        let starts = parse_entry(&text).map_or(0, |(starts, _)| starts);
+        let incarnation = Tenure::<SystemTime> { starts, sign: None }.next_incarnation();
         write_entry(&mut file, incarnation).map_err(io_error)?;
         Ok(RoleHold::new(role, file, incarnation))
     }
@@ -294,7 +295,7 @@ impl Roster {
 impl RoleHold {
     fn new(role: Role, file: File, incarnation: u64) -> Self {
         role.name_process();
-        Self { file, incarnation, by_force: false, signed: Cell::new(Instant::now()) }
+        Self { file, incarnation, signed: Cell::new(Instant::now()) }
     }
 
     /// False once another process has taken the role from this one: whatever it does then counts for nothing.
@@ -409,7 +410,7 @@ mod tests {
 
         let silence = roster.last_sign(Role::Fusion).unwrap();
         let new = roster.depose(Role::Fusion, silence).unwrap().unwrap();
-        assert!(new.is_current() && new.by_force && !old.is_current() && !old.by_force);
+        assert!(new.is_current() && !old.is_current());
         assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
         assert_eq!(run.while_current(&new, || 7).unwrap(), Some(7));
         assert_eq!(run.while_current(&old, || 7).unwrap(), None);

@@ -2,7 +2,7 @@
 
 use std::io::{Error, ErrorKind, Result};
 
-use rangehound_shared::radio::{Format, Report};
+use rangehound_shared::radio::{Format, RadioReport};
 
 /// So many reports without the anchor are told of.
 const REPORTS_WITHOUT_MAX: u32 = 20;
@@ -47,7 +47,7 @@ pub(super) struct Choice {
 
 impl Choice {
     /// This robot's range in a report, m.
-    pub(super) fn range_m(&mut self, report: &Report<'_>) -> Option<f64> {
+    pub(super) fn range_m(&mut self, report: &RadioReport<'_>) -> Option<f64> {
         if let Some(tag) = report.tag {
             let wanted = self.tag.get_or_insert_with(|| tag.to_owned());
             if wanted != tag {
@@ -71,7 +71,7 @@ impl Choice {
     }
 
     /// A plain line's range, if it has no name or the first one.
-    fn range_of_first_name_m(&mut self, report: &Report<'_>) -> Option<f64> {
+    fn range_of_first_name_m(&mut self, report: &RadioReport<'_>) -> Option<f64> {
         let range = report.ranges.first()?;
         if range.anchor.is_empty() {
             return Some(range.range_m);
@@ -86,7 +86,7 @@ impl Choice {
         None
     }
 
-    fn note_missing(&mut self, report: &Report<'_>) {
+    fn note_missing(&mut self, report: &RadioReport<'_>) {
         for range in report.ranges {
             if self.heard.len() < NAMES_MAX && !self.heard.contains(&range.anchor) {
                 self.heard.push(range.anchor.clone());

@@ -26,7 +26,7 @@ use std::fmt;
 use std::str::FromStr;
 
 pub use lines::LINE_LEN_MAX;
-pub use parser::{Counts, Parser, Report};
+pub use parser::{Counts, Parser, RadioReport};
 pub use stamp::{StampUnit, UnknownUnit};
 
 /// Largest range that one of these radios can report, m; an `int24` of mm ends at 8388 m.

@@ -6,7 +6,7 @@ use super::{Format, RadioRange, Refusal, dwm1001, mauwb, plain};
 
 /// One line or frame of a radio.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Report<'a> {
+pub struct RadioReport<'a> {
     /// Who measured, where the radio says it: the tag's id.
     pub tag: Option<&'a str>,
     /// The radio's own clock, in its own units.
@@ -70,9 +70,9 @@ impl Parser {
     }
 
     /// Takes the next bytes, and gives each report that they end, or why it was refused.
-    pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Result<Report<'_>, Refusal>)) {
+    pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Result<RadioReport<'_>, Refusal>)) {
         let counts = &mut self.counts;
-        let mut take = |report: Result<Report<'_>, Refusal>| {
+        let mut take = |report: Result<RadioReport<'_>, Refusal>| {
             match &report {
                 Ok(report) => {
                     counts.reports += 1;
@@ -98,7 +98,7 @@ impl Parser {
                     ranges.retain(|range| range.range_m > 0.0);
                     tag.clear();
                     tag.push_str(&head.id.to_string());
-                    Report { tag: Some(tag), device_time: Some(head.local_time), ranges }
+                    RadioReport { tag: Some(tag), device_time: Some(head.local_time), ranges }
                 }));
             }),
         }
@@ -138,7 +138,7 @@ impl Text {
     }
 
     /// Reads a line; `None` if it is none that could have ranges.
-    pub(super) fn read(&mut self, line: &str) -> Result<Option<Report<'_>>, Refusal> {
+    pub(super) fn read(&mut self, line: &str) -> Result<Option<RadioReport<'_>>, Refusal> {
         let Self { format, memory, tag, ranges } = self;
         ranges.clear();
         tag.clear();
@@ -151,7 +151,7 @@ impl Text {
         }?;
         ranges.retain(|range| range.range_m > 0.0);
         let tag = (*format == Format::Mauwb).then_some(tag.as_str());
-        Ok(is_report.then_some(Report { tag, device_time: None, ranges }))
+        Ok(is_report.then_some(RadioReport { tag, device_time: None, ranges }))
     }
 }
 

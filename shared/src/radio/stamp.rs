@@ -11,6 +11,9 @@
 
 use std::str::FromStr;
 
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
+
 /// The unit of stamps that are plain numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StampUnit {
@@ -126,13 +129,11 @@ fn date(text: &str) -> Option<(Stamp, &str)> {
     let (year, rest) = digits(text, 4..=4)?;
     let (month, rest) = digits(rest.strip_prefix('-')?, 2..=2)?;
     let (day, rest) = digits(rest.strip_prefix('-')?, 2..=2)?;
-    let (year, month, day): (i64, i64, i64) = (year.parse().ok()?, month.parse().ok()?, day.parse().ok()?);
-    if !(1..=12).contains(&month) || !(1..=31).contains(&day) {
-        return None;
-    }
+    let date = Date::new(year.parse().ok()?, month.parse().ok()?, day.parse().ok()?).ok()?;
+    let midnight_s = date.to_zoned(TimeZone::UTC).ok()?.timestamp().as_second() as f64;
     let (time_s, rest) = clock(rest.strip_prefix(['T', 't', ' '])?)?;
     let (offset_s, rest) = zone(rest)?;
-    Some((Stamp::Date(days_since_1970(year, month, day) as f64 * DAY_S + time_s - offset_s), rest))
+    Some((Stamp::Date(midnight_s + time_s - offset_s), rest))
 }
 
 /// `22:13:19.123`
@@ -174,13 +175,6 @@ fn digits(text: &str, lens: std::ops::RangeInclusive<usize>) -> Option<(&str, &s
     lens.contains(&len).then(|| text.split_at(len))
 }
 
-/// Days of the Gregorian calendar, by counting years from March.
-fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    let day_of_year = (153 * month + 2) / 5 + day - 1;
-    365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + day_of_year - 719_468
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -204,8 +198,9 @@ mod tests {
         ] {
             assert_eq!(split(line, true), Some((stamp, "DIST,0")), "{line}");
         }
-        assert_eq!(days_since_1970(1970, 1, 1), 0);
-        assert_eq!(days_since_1970(2024, 2, 29), 19_782);
+        assert_eq!(split("1970-01-01T00:00:00 x", true), Some((Stamp::Date(0.0), "x")));
+        assert_eq!(split("2024-02-29T00:00:00 x", true), Some((Stamp::Date(19_782.0 * DAY_S), "x")));
+        assert_eq!(split("2023-02-29T00:00:00 x", true), None);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What fusion and simulator put down of each tick.
 
+pub mod digest;
 mod fields;
 
 use serde::{Deserialize, Serialize};

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use super::columns::layout::{Column, Finder};
+use super::columns::names::Kind;
 use super::columns::{ColumnMap, Role};
-use super::layout::{Column, Finder};
-use super::names::Kind;
 use super::table::{Row, Table};
 use super::{RecordingError, SensorName};
 use crate::ROBOTS_MAX;

@@ -16,25 +16,16 @@
 //! | `digest`, `summary`, `write` | what tells a recording from all others, what the reader found, CSV again |
 
 mod anchors;
-mod checks;
 mod columns;
-mod dialect;
 mod digest;
 mod error;
-mod gathering;
-mod layout;
-mod lines;
 mod name;
-mod names;
 mod options;
 mod port;
 mod rows;
-mod stamp;
 mod summary;
 mod table;
 mod track;
-mod unit;
-mod wide;
 mod write;
 
 use std::io::{Read, Write};

@@ -4,7 +4,7 @@ use std::io::{BufReader, Read};
 use std::path::Path;
 
 use super::error::listed;
-use super::gathering::{Gathering, Refusal};
+use super::rows::gathering::{Gathering, Refusal};
 use super::{ReadOptions, ReadSummary, RecordedRange, Recording, RecordingError, SensorName};
 use crate::radio::log::{LogOptions, LogSummary, for_each_row};
 use crate::radio::{Format, LogRow, StampUnit};

@@ -537,7 +537,7 @@ proptest! {
         ),
         names in proptest::collection::vec(name(), 6),
     ) {
-        let mut gathering = gathering::Gathering::new(None);
+        let mut gathering = rows::gathering::Gathering::new(None);
         let mut time_s = 1.7e9;
         for (dt_s, sensor, x_m, height_m, range_m) in rows {
             time_s += dt_s;

@@ -4,12 +4,12 @@ use std::io::Read;
 use std::path::Path;
 
 use super::RecordingError;
+use super::columns::layout::Finder;
+use super::columns::names::Kind;
+use super::columns::stamp;
 use super::columns::{ColumnMap, Role};
-use super::layout::Finder;
-use super::names::Kind;
-use super::stamp;
+use super::table::unit::Unit;
 use super::table::{Row, Table};
-use super::unit::Unit;
 
 /// Most rows.
 const ROWS_MAX: usize = 10_000_000;

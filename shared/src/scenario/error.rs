@@ -1,19 +1,9 @@
 //! What is wrong with a scenario, in one line.
 
-use std::path::PathBuf;
-
 /// Why a scenario was refused. Displays as one line that names the file, the key and what was
 /// expected there.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// The file could not be read.
-    #[error("{}: expected a scenario file that can be read: {source}", .file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
     /// Not TOML, an unknown key, or a value of the wrong type.
     #[error("{file}:{line}: {key}: {problem}")]
     Malformed {

@@ -21,8 +21,8 @@ pub use file::*;
 pub use recorded::{COPY, RecordedRanges};
 
 use crate::ROBOTS_MAX;
-use crate::matrix::Matrix;
 use crate::motion::MotionModel;
+use crate::motion::matrix::Matrix;
 
 /// A validated experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -91,8 +91,8 @@ proptest! {
     #[test]
     fn what_a_node_is_told_is_what_was_checked(file in file()) {
         if let Ok(scenario) = Scenario::from_file(&file, "test") {
-            let sealed = crate::sealed::seal(&scenario).unwrap();
-            prop_assert_eq!(crate::sealed::open::<Scenario>(&sealed), Ok(scenario));
+            let text = serde_json::to_string(&scenario).unwrap();
+            prop_assert_eq!(serde_json::from_str::<Scenario>(&text).unwrap(), scenario);
         }
     }
 }

@@ -9,7 +9,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-use rangehound_node::bounded;
+use rangehound_node::system::bounded;
 
 use super::LOGS;
 

@@ -122,13 +122,13 @@ mod tests {
     use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
     use super::*;
-    use crate::results::report::{Background, Tally};
+    use crate::results::report::{Accumulator, Background};
 
     #[test]
     fn names_are_text_whatever_they_hold() {
         let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.name = "<script>".to_owned();
-        let report = Tally::new().unwrap().report(&scenario, Background::default(), Vec::new());
+        let report = Accumulator::new().unwrap().report(&scenario, Background::default(), Vec::new());
         let html = page(&report, &Curves::default()).unwrap();
         assert!(html.contains("<h1>&lt;script&gt;</h1>") && !html.contains("<script>"), "{html}");
     }
@@ -137,7 +137,7 @@ mod tests {
     fn a_run_without_ticks_has_a_page_without_pictures() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let html =
-            page(&Tally::new().unwrap().report(&scenario, Background::default(), Vec::new()), &Curves::default())
+            page(&Accumulator::new().unwrap().report(&scenario, Background::default(), Vec::new()), &Curves::default())
                 .unwrap();
         assert!(html.contains("<dt>robots</dt>") && !html.contains("<svg"), "{html}");
     }

@@ -3,16 +3,16 @@
 //! | module | what |
 //! |---|---|
 //! | `summary` | the figures: the keys of `report.json` |
-//! | `tally` | adding them up tick by tick |
+//! | `accumulator` | adding them up tick by tick |
 //! | `consistency` | how far NIS and ANEES may be from 1 by chance |
 //! | `verdict` | whether the result can be believed, and why not |
 //! | `truth` | a true track to compare with |
 //! | `print` | the report on the terminal |
 
+mod accumulator;
 pub mod consistency;
 mod print;
 mod summary;
-mod tally;
 mod truth;
 pub mod verdict;
 
@@ -25,11 +25,11 @@ use rangehound_shared::scenario::Source;
 use crate::files::layout::REPORT;
 use crate::files::whole_file;
 use crate::results::frame::{Frames, PutDown};
+pub use accumulator::{Accumulator, Background, position_covariance, position_error};
 pub use summary::{
     Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
     SensorSummary, TraceSummary,
 };
-pub use tally::{Background, Tally, position_covariance, position_error};
 pub use truth::Truth;
 use verdict::{RecordingEvidence, TruthEvidence};
 
@@ -43,24 +43,24 @@ pub fn from_logs(
     nodes: Vec<NodeSummary>,
 ) -> anyhow::Result<Report> {
     let scenario = &description.scenario;
-    let mut tally = Tally::new()?;
+    let mut totals = Accumulator::new()?;
     let mut overlap = truth.map(Overlap::of);
     Frames::open(description)?.for_each(|put_down| {
         let PutDown { tick, fusion, world } = put_down;
         if let Some(world) = world {
-            tally.add_world(world.ended_ns, &world.robots);
+            totals.add_world(world.ended_ns, &world.robots);
         }
         let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return Ok(()) };
-        tally.add_untold(exchanges, world.map_or(&[][..], |world| &world.robots));
-        tally.add_sensors(exchanges);
+        totals.add_untold(exchanges, world.map_or(&[][..], |world| &world.robots));
+        totals.add_sensors(exchanges);
         if let Some(world) = world {
-            tally.add_hops(&estimate.stages, &world.robots);
+            totals.add_hops(&estimate.stages, &world.robots);
         }
         let truth_m = put_down.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s)));
         if let Some(overlap) = overlap.as_mut().filter(|_| tick > 0) {
             overlap.add(*time_s, truth_m.is_some());
         }
-        tally.add_estimate(tick, estimate, truth_m);
+        totals.add_estimate(tick, estimate, truth_m);
         Ok(())
     })?;
     let recording = match &scenario.source {
@@ -71,7 +71,7 @@ pub fn from_logs(
         Source::Simulated { .. } => None,
     };
     let background = Background { truth: overlap.map(Overlap::evidence), recording };
-    Ok(tally.report(scenario, background, nodes))
+    Ok(totals.report(scenario, background, nodes))
 }
 
 /// How a true track overlaps a run.

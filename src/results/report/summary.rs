@@ -1,7 +1,7 @@
 //! What a run came to: the keys of `report.json`.
 
 use rangehound_node::rendezvous::Role;
-use rangehound_shared::message::{Estimate, Refusal};
+use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{Heading, RobotRecord};
 use rangehound_shared::recording::ReadSummary;
 use rangehound_shared::scenario::{Scenario, title_of};
@@ -117,20 +117,20 @@ pub struct SensorSummary {
     pub nis_mean: Option<f64>,
 }
 
-/// Messages that fusion refused, by [`Refusal`].
+/// Messages that fusion refused, by [`Refusal`](rangehound_shared::message::Refusal).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RefusalSummary {
-    /// [`Refusal::Impostor`].
+    /// Its sender does not hold the role.
     pub impostor: u64,
-    /// [`Refusal::OutOfRange`].
+    /// Of no robot of the team.
     pub out_of_range: u64,
-    /// [`Refusal::Malformed`].
+    /// Numbers without sense.
     pub malformed: u64,
-    /// [`Refusal::Future`].
+    /// Of a tick that cannot have begun.
     pub future: u64,
-    /// [`Refusal::Contradiction`].
+    /// Not what was said before.
     pub contradiction: u64,
-    /// [`Refusal::Jump`].
+    /// Where the robot cannot have come.
     pub jump: u64,
 }
 
@@ -237,9 +237,7 @@ impl NodeSummary {
         let sensor = role.robot().and_then(|id| scenario.sensor_of(id)).map(str::to_owned);
         Self { name: role.to_string(), sensor, starts, kills: 0, exits: 0, hangs: 0, incidents: Vec::new() }
     }
-}
 
-impl NodeSummary {
     /// Its name for people: `robot-0 (2938)`.
     #[must_use]
     pub fn title(&self) -> String {
@@ -297,16 +295,9 @@ impl RangeSummary {
 
 impl RefusalSummary {
     pub(super) fn add(&mut self, estimate: &Estimate) {
-        for (refusal, refused) in Refusal::ALL.into_iter().zip(estimate.refused) {
-            let sum = match refusal {
-                Refusal::Impostor => &mut self.impostor,
-                Refusal::OutOfRange => &mut self.out_of_range,
-                Refusal::Malformed => &mut self.malformed,
-                Refusal::Future => &mut self.future,
-                Refusal::Contradiction => &mut self.contradiction,
-                Refusal::Jump => &mut self.jump,
-            };
-            count(sum, refused);
-        }
+        let Self { impostor, out_of_range, malformed, future, contradiction, jump } = self;
+        // In the order of `Refusal::ALL`.
+        let sums = [impostor, out_of_range, malformed, future, contradiction, jump];
+        sums.into_iter().zip(estimate.refused).for_each(|(sum, refused)| count(sum, refused));
     }
 }

@@ -1,20 +1,14 @@
 //! How many ticks a recording holds: as its end says of one just made, and by reading it all of any other.
 
 use std::fs::File;
-use std::io::BufReader;
-use std::os::unix::fs::FileExt;
+use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use mcap::records::op;
+use mcap::Summary;
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 
 use super::messages::TOPICS;
-use super::read::{ESTIMATE, Fields, FrameReader, Missing, count_of};
-
-/// Longest index and summary that is read.
-const SUMMARY_LEN_MAX: u64 = 64 << 20;
-
-/// The last record with its head, and the magic number at the end.
-const FOOTER_LEN: u64 = 1 + 8 + 8 + 8 + 4 + 8;
+use super::read::{ESTIMATE, FrameReader, Missing};
 
 /// What lies under the name that a recording is to have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,34 +51,19 @@ pub fn look(path: &Path, run_id: u64) -> Found {
 
 /// The number of ticks by what the end of the file says; `None` if it has no end.
 #[must_use]
-pub fn ticks_told(file: &File) -> Option<u64> {
-    let len = file.metadata().ok()?.len();
-    let mut footer = [0; FOOTER_LEN as usize];
-    let footer_start = len.checked_sub(FOOTER_LEN)?;
-    file.read_exact_at(&mut footer, footer_start).ok()?;
-    let (head, rest) = footer.split_first_chunk::<9>()?;
-    let (start, _) = rest.split_first_chunk::<8>()?;
-    let start = u64::from_le_bytes(*start);
-    let summary_len = footer_start.checked_sub(start)?;
-    if head[0] != op::FOOTER || !footer.ends_with(mcap::MAGIC) || start == 0 || summary_len > SUMMARY_LEN_MAX {
-        return None;
-    }
-    let mut summary = vec![0; usize::try_from(summary_len).ok()?];
-    file.read_exact_at(&mut summary, start).ok()?;
-    let (mut records, mut estimates, mut statistics) = (Fields(&summary), None, None);
-    while let Some(opcode) = records.take(1) {
-        let len = u64::from_le_bytes(records.take(8)?.try_into().ok()?);
-        let data = records.take(usize::try_from(len).ok()?)?;
-        match opcode[0] {
-            op::CHANNEL => {
-                let (id, topic) = Fields(data).channel()?;
-                if topic == TOPICS[ESTIMATE].as_bytes() {
-                    estimates = Some(id);
-                }
+pub fn ticks_told(mut file: &File) -> Option<u64> {
+    let options = SummaryReaderOptions::default().with_file_size(file.metadata().ok()?.len());
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event.ok()? {
+            SummaryReadEvent::ReadRequest(len) => {
+                let read = file.read(reader.insert(len)).ok()?;
+                reader.notify_read(read);
             }
-            op::STATISTICS => statistics = Some(data),
-            _ => {}
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to).ok()?),
         }
     }
-    count_of(estimates?, statistics?)
+    let Summary { stats, channels, .. } = reader.finish()?;
+    let estimates = channels.values().find(|channel| channel.topic == TOPICS[ESTIMATE])?;
+    stats.map(|stats| stats.channel_message_counts.get(&estimates.id).copied().unwrap_or(0))
 }

@@ -8,16 +8,17 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use mcap::McapError;
-use rangehound_node::bounded;
 use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::system::bounded;
 use rustix::fs::OFlags;
 
 use super::count::{Found, look, ticks_told};
 use super::write::{FrameWriter, Written};
 use crate::failure::Failure;
+use crate::files::layout::PARTIAL;
 use crate::files::layout::SCENARIO;
 use crate::files::out_folder;
-use crate::files::whole_file::{self, PARTIAL, with_ending};
+use crate::files::whole_file::{self, with_ending};
 use crate::results::frame::Frame;
 
 /// Longest scenario file that is put in.

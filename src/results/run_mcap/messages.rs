@@ -5,275 +5,207 @@
 
 use prost::DecodeError;
 
-/// Topic `/world`: where all are, from the simulator to the robots.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct World {
-    /// The tick.
-    #[prost(uint64, tag = "1")]
-    pub tick: u64,
-    /// Its time.
-    #[prost(double, tag = "2")]
-    pub time_s: f64,
-    /// The robots, by id.
-    #[prost(message, repeated, tag = "3")]
-    pub robots: Vec<Place>,
-    /// When the tick was over.
-    #[prost(uint64, tag = "4")]
-    pub ended_ns: u64,
+/// Messages with their fields as Protobuf has them, numbered in this order.
+macro_rules! messages {
+    ($($(#[$doc:meta])* $name:ident {
+        $($(#[$field_doc:meta])* $field:ident: $type:ident $(<$of:ident>)? as $($kind:ident)+,)+
+    })+) => {$(
+        $(#[$doc])*
+        #[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
+        pub struct $name {
+            $($(#[$field_doc])* #[prost($($kind),+)] pub $field: $type $(<$of>)?,)+
+        }
+    )+};
 }
 
-/// One robot's place in the world.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Place {
-    /// East.
-    #[prost(double, tag = "1")]
-    pub x_m: f64,
-    /// North.
-    #[prost(double, tag = "2")]
-    pub y_m: f64,
-    /// What its sensor is told: the true range, or a recorded one.
-    #[prost(double, optional, tag = "3")]
-    pub range_m: Option<f64>,
-    /// Height of its sensor above the plane in which the target moves.
-    #[prost(double, tag = "4")]
-    pub height_m: f64,
-    /// Covariance of its position, of x, of x and y, of y; absent where the position is exact.
-    #[prost(double, repeated, tag = "5")]
-    pub position_covariance_m2: Vec<f64>,
-}
+messages! {
+    /// Topic `/world`: where all are, from the simulator to the robots.
+    World {
+        /// The tick.
+        tick: u64 as uint64,
+        /// Its time.
+        time_s: f64 as double,
+        /// The robots, by id.
+        robots: Vec<Place> as repeated message,
+        /// When the tick was over.
+        ended_ns: u64 as uint64,
+    }
 
-/// Topic `/range`: a robot's word to fusion.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Range {
-    /// The tick.
-    #[prost(uint64, tag = "1")]
-    pub tick: u64,
-    /// Its time.
-    #[prost(double, tag = "2")]
-    pub time_s: f64,
-    /// Whose it is.
-    #[prost(uint64, tag = "3")]
-    pub robot: u64,
-    /// Where the robot was: east.
-    #[prost(double, tag = "4")]
-    pub x_m: f64,
-    /// North.
-    #[prost(double, tag = "5")]
-    pub y_m: f64,
-    /// What it measured, if its sensor had a range and fusion used the message.
-    #[prost(double, optional, tag = "6")]
-    pub range_m: Option<f64>,
-    /// Standard deviation of that.
-    #[prost(double, optional, tag = "7")]
-    pub range_std_m: Option<f64>,
-    /// The first tick whose estimate knows of it: a later one if it came late; none if fusion never used it.
-    #[prost(uint64, optional, tag = "8")]
-    pub taken_at_tick: Option<u64>,
-    /// When it was published, as far as the simulator was told.
-    #[prost(uint64, optional, tag = "9")]
-    pub sent_ns: Option<u64>,
-    /// Height of the sensor above the plane in which the target moves: the range is the slant one.
-    #[prost(double, tag = "10")]
-    pub height_m: f64,
-    /// What fusion did with it: `fused`, `rejected` by the gate, or not fused as its robot is `distrusted`.
-    #[prost(string, optional, tag = "11")]
-    pub used: Option<String>,
-    /// Its own innovation squared over its variance, of one degree of freedom, if anything predicted it.
-    #[prost(double, optional, tag = "12")]
-    pub normalised_square: Option<f64>,
-    /// Covariance of the sensor's position, of x, of x and y, of y; absent where the position is exact.
-    #[prost(double, repeated, tag = "13")]
-    pub position_covariance_m2: Vec<f64>,
-}
+    /// One robot's place in the world.
+    Place {
+        /// East.
+        x_m: f64 as double,
+        /// North.
+        y_m: f64 as double,
+        /// What its sensor is told: the true range, or a recorded one.
+        range_m: Option<f64> as optional double,
+        /// Height of its sensor above the plane in which the target moves.
+        height_m: f64 as double,
+        /// Covariance of its position, of x, of x and y, of y; absent where the position is exact.
+        position_covariance_m2: Vec<f64> as repeated double,
+    }
 
-/// Topic `/heading`: fusion's word to all robots.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Heading {
-    /// The tick.
-    #[prost(uint64, tag = "1")]
-    pub tick: u64,
-    /// Its time.
-    #[prost(double, tag = "2")]
-    pub time_s: f64,
-    /// One for each robot, by id.
-    #[prost(message, repeated, tag = "3")]
-    pub commands: Vec<CommandTo>,
-    /// When it was sent.
-    #[prost(uint64, tag = "4")]
-    pub sent_ns: u64,
-}
+    /// Topic `/range`: a robot's word to fusion.
+    Range {
+        /// The tick.
+        tick: u64 as uint64,
+        /// Its time.
+        time_s: f64 as double,
+        /// Whose it is.
+        robot: u64 as uint64,
+        /// Where the robot was: east.
+        x_m: f64 as double,
+        /// North.
+        y_m: f64 as double,
+        /// What it measured, if its sensor had a range and fusion used the message.
+        range_m: Option<f64> as optional double,
+        /// Standard deviation of that.
+        range_std_m: Option<f64> as optional double,
+        /// The first tick whose estimate knows of it: a later one if it came late; none if fusion never used it.
+        taken_at_tick: Option<u64> as optional uint64,
+        /// When it was published, as far as the simulator was told.
+        sent_ns: Option<u64> as optional uint64,
+        /// Height of the sensor above the plane in which the target moves: the range is the slant one.
+        height_m: f64 as double,
+        /// What fusion did with it: `fused`, `rejected` by the gate, or not fused as its robot is `distrusted`.
+        used: Option<String> as optional string,
+        /// Its own innovation squared over its variance, of one degree of freedom, if anything predicted it.
+        normalised_square: Option<f64> as optional double,
+        /// Covariance of the sensor's position, of x, of x and y, of y; absent where the position is exact.
+        position_covariance_m2: Vec<f64> as repeated double,
+    }
 
-/// What one robot is told.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct CommandTo {
-    /// Anticlockwise from east.
-    #[prost(double, tag = "1")]
-    pub heading_rad: f64,
-    /// Its speed.
-    #[prost(double, tag = "2")]
-    pub speed_mps: f64,
-}
+    /// Topic `/heading`: fusion's word to all robots.
+    Heading {
+        /// The tick.
+        tick: u64 as uint64,
+        /// Its time.
+        time_s: f64 as double,
+        /// One for each robot, by id.
+        commands: Vec<CommandTo> as repeated message,
+        /// When it was sent.
+        sent_ns: u64 as uint64,
+    }
 
-/// Topic `/drive`: what a robot does, to the simulator.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Drive {
-    /// The tick.
-    #[prost(uint64, tag = "1")]
-    pub tick: u64,
-    /// Its time.
-    #[prost(double, tag = "2")]
-    pub time_s: f64,
-    /// Which robot.
-    #[prost(uint64, tag = "3")]
-    pub robot: u64,
-    /// Anticlockwise from east.
-    #[prost(double, tag = "4")]
-    pub heading_rad: f64,
-    /// Its speed.
-    #[prost(double, tag = "5")]
-    pub speed_mps: f64,
-    /// What it drove by: `fresh`, `late`, `none` or `unknown`, as in the report.
-    #[prost(string, tag = "6")]
-    pub heading: String,
-    /// When it had published its range.
-    #[prost(uint64, optional, tag = "7")]
-    pub range_sent_ns: Option<u64>,
-    /// When it held the heading.
-    #[prost(uint64, optional, tag = "8")]
-    pub heading_held_ns: Option<u64>,
-    /// Headings it refused since the tick before.
-    #[prost(uint64, tag = "9")]
-    pub headings_refused: u64,
-}
+    /// What one robot is told.
+    CommandTo {
+        /// Anticlockwise from east.
+        heading_rad: f64 as double,
+        /// Its speed.
+        speed_mps: f64 as double,
+    }
 
-/// Topic `/estimate`: what fusion knows after the tick.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Estimate {
-    /// The tick.
-    #[prost(uint64, tag = "1")]
-    pub tick: u64,
-    /// Its time.
-    #[prost(double, tag = "2")]
-    pub time_s: f64,
-    /// Position first: m, then m/s and so on, as the target model has it.
-    #[prost(double, repeated, tag = "3")]
-    pub state: Vec<f64>,
-    /// Of the state, row by row.
-    #[prost(double, repeated, tag = "4")]
-    pub covariance: Vec<f64>,
-    /// Normalised innovation squared, of `fused` degrees of freedom.
-    #[prost(double, tag = "5")]
-    pub nis: f64,
-    /// Ranges fused.
-    #[prost(uint64, tag = "6")]
-    pub fused: u64,
-    /// Ranges that failed the gate, or whose robot is distrusted.
-    #[prost(uint64, tag = "7")]
-    pub rejected: u64,
-    /// Robots not heard.
-    #[prost(uint64, tag = "8")]
-    pub missing: u64,
-    /// Ranges of earlier ticks since the last estimate.
-    #[prost(uint64, tag = "9")]
-    pub late: u64,
-    /// Of those, fused at their own time.
-    #[prost(uint64, tag = "10")]
-    pub fused_late: u64,
-    /// Of those, rejected at their own time.
-    #[prost(uint64, tag = "11")]
-    pub rejected_late: u64,
-    /// Messages refused since the last estimate.
-    #[prost(message, optional, tag = "12")]
-    pub refused: Option<Refused>,
-    /// Ids of robots that are distrusted.
-    #[prost(uint64, repeated, tag = "13")]
-    pub distrusted: Vec<u64>,
-    /// The planner's `|S|`, 1/m^2.
-    #[prost(double, tag = "14")]
-    pub objective: f64,
-    /// Lower bound on it; minus infinity from planners that prove none.
-    #[prost(double, tag = "15")]
-    pub lower_bound: f64,
-    /// When fusion came how far.
-    #[prost(message, optional, tag = "16")]
-    pub stages: Option<Stages>,
-    /// Rolling hash over all estimates up to this one: after the last, the report's.
-    #[prost(string, tag = "17")]
-    pub digest: String,
-    /// Normalised innovation squared of all ranges of the tick, fused or not, of `tested` degrees of freedom.
-    #[prost(double, tag = "18")]
-    pub nis_all: f64,
-    /// Ranges in it.
-    #[prost(uint64, tag = "19")]
-    pub tested: u64,
-    /// How many times larger than told ranges' standard deviations are taken from the next on: more than 1 while most
-    /// sensors fail together.
-    #[prost(double, tag = "20")]
-    pub noise_scale: f64,
-    /// No headings of this tick lead to a lesser trace of the position covariance at the next, m^2; 0 from planners that
-    /// prove nothing.
-    #[prost(double, tag = "21")]
-    pub least_trace_m2: f64,
-}
+    /// Topic `/drive`: what a robot does, to the simulator.
+    Drive {
+        /// The tick.
+        tick: u64 as uint64,
+        /// Its time.
+        time_s: f64 as double,
+        /// Which robot.
+        robot: u64 as uint64,
+        /// Anticlockwise from east.
+        heading_rad: f64 as double,
+        /// Its speed.
+        speed_mps: f64 as double,
+        /// What it drove by: `fresh`, `late`, `none` or `unknown`, as in the report.
+        heading: String as string,
+        /// When it had published its range.
+        range_sent_ns: Option<u64> as optional uint64,
+        /// When it held the heading.
+        heading_held_ns: Option<u64> as optional uint64,
+        /// Headings it refused since the tick before.
+        headings_refused: u64 as uint64,
+    }
 
-/// Messages refused, by cause.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Refused {
-    /// Its sender does not hold the role.
-    #[prost(uint64, tag = "1")]
-    pub impostor: u64,
-    /// Of no robot of the team.
-    #[prost(uint64, tag = "2")]
-    pub out_of_range: u64,
-    /// Numbers without sense.
-    #[prost(uint64, tag = "3")]
-    pub malformed: u64,
-    /// Of a tick that cannot have begun.
-    #[prost(uint64, tag = "4")]
-    pub future: u64,
-    /// Not what was said before.
-    #[prost(uint64, tag = "5")]
-    pub contradiction: u64,
-    /// Where the robot cannot have come.
-    #[prost(uint64, tag = "6")]
-    pub jump: u64,
-}
+    /// Topic `/estimate`: what fusion knows after the tick.
+    Estimate {
+        /// The tick.
+        tick: u64 as uint64,
+        /// Its time.
+        time_s: f64 as double,
+        /// Position first: m, then m/s and so on, as the target model has it.
+        state: Vec<f64> as repeated double,
+        /// Of the state, row by row.
+        covariance: Vec<f64> as repeated double,
+        /// Normalised innovation squared, of `fused` degrees of freedom.
+        nis: f64 as double,
+        /// Ranges fused.
+        fused: u64 as uint64,
+        /// Ranges that failed the gate, or whose robot is distrusted.
+        rejected: u64 as uint64,
+        /// Robots not heard.
+        missing: u64 as uint64,
+        /// Ranges of earlier ticks since the last estimate.
+        late: u64 as uint64,
+        /// Of those, fused at their own time.
+        fused_late: u64 as uint64,
+        /// Of those, rejected at their own time.
+        rejected_late: u64 as uint64,
+        /// Messages refused since the last estimate.
+        refused: Option<Refused> as optional message,
+        /// Ids of robots that are distrusted.
+        distrusted: Vec<u64> as repeated uint64,
+        /// The planner's `|S|`, 1/m^2.
+        objective: f64 as double,
+        /// Lower bound on it; minus infinity from planners that prove none.
+        lower_bound: f64 as double,
+        /// When fusion came how far.
+        stages: Option<Stages> as optional message,
+        /// Rolling hash over all estimates up to this one: after the last, the report's.
+        digest: String as string,
+        /// Normalised innovation squared of all ranges of the tick, fused or not, of `tested` degrees of freedom.
+        nis_all: f64 as double,
+        /// Ranges in it.
+        tested: u64 as uint64,
+        /// How many times larger than told ranges' standard deviations are taken from the next on: more than 1 while most
+        /// sensors fail together.
+        noise_scale: f64 as double,
+        /// No headings of this tick lead to a lesser trace of the position covariance at the next, m^2; 0 from planners that
+        /// prove nothing.
+        least_trace_m2: f64 as double,
+    }
 
-/// When fusion came to each stage of the tick.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Stages {
-    /// The last range was sent.
-    #[prost(uint64, tag = "1")]
-    pub last_range_ns: u64,
-    /// Fusion had all that it waited for.
-    #[prost(uint64, tag = "2")]
-    pub began_ns: u64,
-    /// The ranges were fused.
-    #[prost(uint64, tag = "3")]
-    pub filtered_ns: u64,
-    /// The headings were chosen.
-    #[prost(uint64, tag = "4")]
-    pub planned_ns: u64,
-    /// The checkpoint was written.
-    #[prost(uint64, tag = "5")]
-    pub saved_ns: u64,
-    /// The headings were sent.
-    #[prost(uint64, tag = "6")]
-    pub sent_ns: u64,
-}
+    /// Messages refused, by cause.
+    Refused {
+        /// Its sender does not hold the role.
+        impostor: u64 as uint64,
+        /// Of no robot of the team.
+        out_of_range: u64 as uint64,
+        /// Numbers without sense.
+        malformed: u64 as uint64,
+        /// Of a tick that cannot have begun.
+        future: u64 as uint64,
+        /// Not what was said before.
+        contradiction: u64 as uint64,
+        /// Where the robot cannot have come.
+        jump: u64 as uint64,
+    }
 
-/// Topic `/truth`: where the target is, which fusion and robots never see.
-#[derive(Clone, PartialEq, prost::Message, foxglove::Encode)]
-pub struct Truth {
-    /// The tick.
-    #[prost(uint64, tag = "1")]
-    pub tick: u64,
-    /// Its time.
-    #[prost(double, tag = "2")]
-    pub time_s: f64,
-    /// As in the estimate.
-    #[prost(double, repeated, tag = "3")]
-    pub state: Vec<f64>,
+    /// When fusion came to each stage of the tick.
+    Stages {
+        /// The last range was sent.
+        last_range_ns: u64 as uint64,
+        /// Fusion had all that it waited for.
+        began_ns: u64 as uint64,
+        /// The ranges were fused.
+        filtered_ns: u64 as uint64,
+        /// The headings were chosen.
+        planned_ns: u64 as uint64,
+        /// The checkpoint was written.
+        saved_ns: u64 as uint64,
+        /// The headings were sent.
+        sent_ns: u64 as uint64,
+    }
+
+    /// Topic `/truth`: where the target is, which fusion and robots never see.
+    Truth {
+        /// The tick.
+        tick: u64 as uint64,
+        /// Its time.
+        time_s: f64 as double,
+        /// As in the estimate.
+        state: Vec<f64> as repeated double,
+    }
 }
 
 /// A message of one of the topics.

@@ -326,7 +326,7 @@ impl Run {
 
 /// How many messages of a channel a file's statistics tell of: after seven counts and two times they have pairs of channel
 /// and count.
-pub(super) fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
+fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
     let (pairs, _) = statistics.get(8 + 2 + 4 * 4 + 8 + 8 + 4..)?.as_chunks::<10>();
     let of_channel = pairs.iter().find(|pair| pair[..2] == channel.to_le_bytes());
     Some(of_channel.map_or(0, |pair| {
@@ -336,10 +336,10 @@ pub(super) fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
 }
 
 /// The fields of a record one after the other. The library's own parser takes as much memory as a damaged length says.
-pub(super) struct Fields<'a>(pub(super) &'a [u8]);
+struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {
-    pub(super) fn take(&mut self, len: usize) -> Option<&'a [u8]> {
+    fn take(&mut self, len: usize) -> Option<&'a [u8]> {
         let (taken, rest) = self.0.split_at_checked(len)?;
         self.0 = rest;
         Some(taken)
@@ -364,7 +364,7 @@ impl<'a> Fields<'a> {
     }
 
     /// Id and topic.
-    pub(super) fn channel(mut self) -> Option<(u16, &'a [u8])> {
+    fn channel(mut self) -> Option<(u16, &'a [u8])> {
         let id = self.u16()?;
         self.u16()?;
         Some((id, self.string()?))

@@ -1,8 +1,8 @@
-//! What travels on the six topics: the messages of a [`Frame`], and a frame of its messages, bit for bit.
+//! Conversion between a [`Frame`] and the messages of the six topics, exact to the last bit.
 
-use rangehound_shared::digest::Digest;
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
+use rangehound_shared::record::digest::Digest;
 use rangehound_shared::record::{
     Exchange, FusionRecord, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
 };
@@ -14,10 +14,10 @@ use super::messages::{
 };
 use crate::results::frame::Frame;
 
-/// Nothing that can have been recorded is farther away, m.
+/// Largest coordinate or range that is accepted, m.
 const PLACE_MAX_M: f64 = 1e12;
 
-/// All that travelled in a tick.
+/// All messages of a tick.
 pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     let Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world } = frame;
     let (tick, time_s) = (*tick, *time_s);
@@ -33,7 +33,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
         let range = exchange.heard.and_then(|heard| heard.measurement.range());
         let taken_at = exchange.heard.map(|heard| heard.taken_at);
         let judged = exchange.heard.and_then(|heard| heard.judged);
-        // What nobody sent and nobody heard was not.
+        // A range that was neither sent nor received has no message.
         (taken_at.is_some() || sent_ns.is_some()).then(|| {
             let (range_m, range_std_m) = range.unzip();
             OnTopic::Range(Range {
@@ -81,7 +81,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     });
     let truth = (!world.truth.is_empty())
         .then(|| OnTopic::Truth(Truth { tick, time_s: world.time_s, state: world.truth.clone() }));
-    // As things happen in a tick.
+    // In the order of events in a tick.
     std::iter::once(OnTopic::World(world_message))
         .chain(truth)
         .chain(ranges)
@@ -110,7 +110,7 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
         objective: estimate.objective,
         lower_bound: estimate.lower_bound,
         stages: Some(Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns }),
-        digest: digest_of(estimate).to_string(),
+        digest: Digest::from_words(estimate.digest).to_string(),
         nis_all: estimate.nis_all,
         tested: estimate.tested,
         noise_scale: estimate.noise_scale,
@@ -118,34 +118,28 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
     }
 }
 
-/// The rolling digest after an estimate.
-#[must_use]
-pub fn digest_of(estimate: &EstimateOfFusion) -> Digest {
-    Digest::from_bits(u128::from(estimate.digest[1]) << 64 | u128::from(estimate.digest[0]))
-}
-
-/// Why messages are no tick of a run.
+/// Why messages do not form a tick of a run.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Senseless {
-    /// Their bytes are damaged, or their numbers.
+    /// A message's bytes or numbers are invalid.
     #[error("tick {tick}: a message on {topic} makes no sense")]
     Message {
         /// The tick.
         tick: u64,
-        /// Of which topic.
+        /// Its topic.
         topic: &'static str,
     },
-    /// One is lacking.
+    /// A message is missing.
     #[error("tick {tick}: nothing on {topic}")]
     Lacking {
         /// The tick.
         tick: u64,
-        /// Of which topic.
+        /// Its topic.
         topic: &'static str,
     },
 }
 
-/// The messages of one tick, until they are a [`Frame`].
+/// Collects the messages of one tick into a [`Frame`].
 #[derive(Debug)]
 pub struct Gathering {
     tick: u64,
@@ -161,7 +155,7 @@ pub struct Gathering {
 }
 
 impl Gathering {
-    /// Nothing yet, of a tick of a run of this scenario.
+    /// An empty collection for a tick of a run of this scenario.
     #[must_use]
     pub fn of(scenario: &Scenario, tick: u64) -> Self {
         let robots = scenario.robots.len();
@@ -182,7 +176,7 @@ impl Gathering {
     /// Takes a message of this tick.
     ///
     /// # Errors
-    /// If it cannot be of such a run.
+    /// If it is not valid in such a run.
     pub fn take(&mut self, message: OnTopic) -> Result<(), Senseless> {
         let topic = TOPICS[message.topic()];
         self.admit(message).ok_or(Senseless::Message { tick: self.tick, topic })
@@ -247,10 +241,10 @@ impl Gathering {
         Some(())
     }
 
-    /// The tick, if all is there.
+    /// The frame, if it is complete.
     ///
     /// # Errors
-    /// With what is lacking.
+    /// Names the missing topic.
     pub fn into_frame(self) -> Result<Frame, Senseless> {
         let Self { tick, has_truth, world, estimate, exchanges, driven, truth, has_headings, .. } = self;
         let lacking = |topic| Senseless::Lacking { tick, topic };
@@ -276,7 +270,7 @@ impl Gathering {
     }
 }
 
-/// What is in a message of what a robot drove by.
+/// The name in a message of what a robot drove by.
 fn name_of(heading: Followed) -> &'static str {
     match heading {
         Followed::Unknown => "unknown",
@@ -286,12 +280,12 @@ fn name_of(heading: Followed) -> &'static str {
     }
 }
 
-/// A covariance as a message has it: left out where there is none.
+/// A covariance as a message has it: empty where it is zero.
 fn told(covariance_m2: [f64; 3]) -> Vec<f64> {
     if covariance_m2 == [0.0; 3] { Vec::new() } else { covariance_m2.to_vec() }
 }
 
-/// The covariance that a message tells; `None` if it makes no sense.
+/// The covariance of a message; `None` if it is invalid.
 fn covariance_of(told: &[f64]) -> Option<[f64; 3]> {
     let covariance_m2 = if told.is_empty() { [0.0; 3] } else { told.try_into().ok()? };
     covariance_m2.into_iter().all(is_near).then_some(covariance_m2)
@@ -301,7 +295,7 @@ fn is_near(value: f64) -> bool {
     value.abs() <= PLACE_MAX_M
 }
 
-/// An estimate as fusion put it down, if its sizes are those of the run.
+/// Fusion's estimate, if its sizes are those of the run.
 fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion> {
     let n = state_dim;
     (message.state.len() == n && message.covariance.len() == n * n && message.time_s.is_finite()).then_some(())?;

@@ -12,7 +12,7 @@ use foxglove::messages::{PointCloud, PosesInFrame, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_shared::{protocol, sealed};
+use rangehound_shared::protocol;
 
 use super::PROFILE;
 use super::messages::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode};
@@ -81,7 +81,7 @@ impl<W: Write + Seek> FrameWriter<W> {
             attach(&mut mcap, SCENARIO, "application/toml", text)?;
         }
         // Whoever reads this one has read all that there is about the run.
-        attach(&mut mcap, DESCRIPTION, "application/octet-stream", &sealed::seal(description)?)?;
+        attach(&mut mcap, DESCRIPTION, "application/json", description.seal()?.as_bytes())?;
         let topics = [
             channel::<World, _>(&mut mcap, TOPICS[0])?,
             channel::<Range, _>(&mut mcap, TOPICS[1])?,

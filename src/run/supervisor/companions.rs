@@ -5,7 +5,7 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, RoleHold};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::nodes::describe;

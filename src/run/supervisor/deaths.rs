@@ -18,7 +18,7 @@ const BACK_OFF_MAX: Duration = Duration::from_secs(1);
 
 /// How a node's process ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum End {
+pub(crate) enum End {
     /// By itself, in order.
     InOrder,
     /// By itself, or by a fault of its own.
@@ -31,7 +31,7 @@ pub(super) enum End {
 
 /// How much a run needs a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Need {
+pub(crate) enum Need {
     /// It does not go on without it.
     Cannot,
     /// It goes on without it, but not if it fails again and again.
@@ -42,7 +42,7 @@ pub(super) enum Need {
 
 /// What is done next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Next {
+pub(crate) enum Next {
     /// It is started again after this time.
     StartAgain(Duration),
     /// The others go on without it.
@@ -53,7 +53,7 @@ pub(super) enum Next {
 
 /// The deaths of one node since it last settled.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Deaths {
+pub(crate) struct Deaths {
     all: u32,
     /// Those among them that were its own: exits and crashes.
     failures: u32,
@@ -62,7 +62,7 @@ pub(super) struct Deaths {
 impl Deaths {
     /// Counts a death and says what follows from it. `is_taken` if somebody else has its role by now: then what it failed of
     /// is that.
-    pub(super) fn after(&mut self, end: End, lived: Duration, policy: Policy, is_taken: bool, need: Need) -> Next {
+    pub(crate) fn after(&mut self, end: End, lived: Duration, policy: Policy, is_taken: bool, need: Need) -> Next {
         if lived >= SETTLED {
             *self = Self::default();
         }
@@ -84,7 +84,7 @@ impl Deaths {
     }
 
     /// Counts a start that the system refused: it may have room again before long. `None` if that has been so too often.
-    pub(super) fn after_failed_start(&mut self) -> Option<Duration> {
+    pub(crate) fn after_failed_start(&mut self) -> Option<Duration> {
         (self.all, self.failures) = (self.all + 1, self.failures + 1);
         (self.failures < FAILURES_MAX).then(|| self.back_off())
     }

@@ -2,8 +2,9 @@
 
 mod cleaner;
 mod companions;
-mod deaths;
+pub(crate) mod deaths;
 mod losses;
+pub(crate) mod machine;
 mod nodes;
 mod removal;
 pub mod restart;
@@ -13,7 +14,7 @@ use std::path::Path;
 
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Rendezvous;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 
 use crate::failure::Failure;

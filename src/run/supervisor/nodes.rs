@@ -8,18 +8,19 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_node::clock::monotonic_ns;
 use rangehound_node::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::clock::{monotonic_ns, until};
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::scenario::Scenario;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
 use super::Supervision;
 use super::cleaner::Cleaner;
-use super::deaths::{Deaths, End, Need, Next};
-use super::restart::{Policies, Policy};
-use super::silence::{self, Silence};
+use super::deaths::End;
+use super::machine::{Action, Machine, Seen};
+use super::restart::Policies;
+use super::silence;
 use crate::failure::{Failure, with_causes};
 use crate::files::out_folder;
 use crate::results::report::{Incident, NodeSummary};
@@ -38,7 +39,7 @@ pub(super) struct Nodes<'a> {
     rendezvous: &'a Rendezvous,
     /// The supervisor's, whose sign of life this gives for it.
     hold: &'a RoleHold,
-    policies: Policies,
+    machine: Machine<SystemTime>,
     cleaner: Cleaner,
     nodes: Vec<Node>,
     last_death: Option<Instant>,
@@ -63,18 +64,14 @@ struct Node {
     has_standbys: bool,
     running: Option<Running>,
     summary: NodeSummary,
-    deaths: Deaths,
-    restart_at: Option<Instant>,
+    /// How its last process ended.
+    epitaph: String,
 }
 
 struct Running {
     child: Child,
     /// Readable once the process has ended; `None` where the kernel gives none.
     ended: Option<OwnedFd>,
-    since: Instant,
-    silence: Silence<SystemTime>,
-    /// True once it has been seen to lead.
-    has_led: bool,
 }
 
 impl<'a> Nodes<'a> {
@@ -85,20 +82,21 @@ impl<'a> Nodes<'a> {
         cleaner: Cleaner,
         before: Vec<NodeSummary>,
     ) -> Result<Self, Failure> {
-        let policies = Policies::new(&supervision.rules);
         let scenario = &rendezvous.description().scenario;
         let roles = watch::roles(scenario.robots.len());
         let roles = roles.chain((1..=supervision.standbys).map(Role::Standby));
         let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standbys > 0)).collect();
+        let machine = Machine::new(nodes.iter().map(|node| node.role), &Policies::new(&supervision.rules));
         // What has become of each before goes on.
         nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
         let inspection = rendezvous.inspection();
-        let mut all = Self { rendezvous, hold, policies, cleaner, nodes, last_death: None, inspection, leads: 0 };
-        for node in &mut all.nodes {
-            if let Err(error) = node.start(rendezvous) {
+        let mut all = Self { rendezvous, hold, machine, cleaner, nodes, last_death: None, inspection, leads: 0 };
+        for index in 0..all.nodes.len() {
+            if let Err(error) = all.nodes[index].start(rendezvous) {
                 all.end(false);
                 return Err(Failure::Running(error));
             }
+            all.machine.on_start(index, monotonic_ns());
         }
         Ok(all)
     }
@@ -123,10 +121,13 @@ impl<'a> Nodes<'a> {
                     return Ok(Ended::Removed(removed));
                 }
                 self.leads = self.leads.max(self.rendezvous.roster().starts(Role::Fusion));
-                self.kill_the_hung();
+                self.listen();
                 listened = Instant::now();
             }
-            if let Some(removed) = self.replace_the_dead()? {
+            if let Some(removed) = self.reap()? {
+                return Ok(Ended::Removed(removed));
+            }
+            if let Some(removed) = self.act()? {
                 return Ok(Ended::Removed(removed));
             }
         }
@@ -146,9 +147,7 @@ impl<'a> Nodes<'a> {
 
     /// Sleeps until a process ends, the next restart is due, or time is up.
     fn wait_for_a_death(&self, at_most: Duration) {
-        let now = Instant::now();
-        let due = self.nodes.iter().filter_map(|node| node.restart_at).min();
-        let wait = due.map_or(at_most, |due| at_most.min(due.saturating_duration_since(now)));
+        let wait = self.machine.wakes_at_ns().map_or(at_most, |due_ns| at_most.min(until(due_ns)));
         let ended = self.nodes.iter().filter_map(|node| node.running.as_ref()?.ended.as_ref());
         let mut watched: Vec<PollFd<'_>> =
             ended.map(|fd| PollFd::from_borrowed_fd(fd.as_fd(), PollFlags::IN)).collect();
@@ -157,82 +156,59 @@ impl<'a> Nodes<'a> {
         let _ = poll(&mut watched, Some(&timeout));
     }
 
-    /// Kills the nodes that have been silent for too long, so that they are started again like any dead one.
-    /// One that would not be may come back by itself.
-    fn kill_the_hung(&mut self) {
-        let (roster, scenario) = (self.rendezvous.roster(), &self.rendezvous.description().scenario);
-        let heard = self.nodes.iter_mut().filter_map(|node| node.listen(roster)).filter(|is_heard| *is_heard).count();
-        if heard == 0 {
-            return;
-        }
-        let count = self.nodes.len();
-        for node in &mut self.nodes {
-            let is_replaced = self.policies.of(node.role) != Policy::Never;
-            let Some(running) = &mut node.running else { continue };
-            running.silence.count();
-            let is_deposed = running.has_led && roster.last_holder(Role::Fusion) != Some(running.pid());
-            let limit = silence::limit(scenario, count, running.silence.has_started(), is_deposed);
-            if let Some(limit) = limit
-                && is_replaced
-                && running.silence.is_longer_than(limit)
-                && running.signal(Signal::KILL)
-            {
-                let title = node.summary.title();
-                log::warn!("{title} gave no sign of life for {limit:?} while others did: it is killed");
-                running.silence = Silence::default();
-                node.note(Incident::Hung);
-            }
-        }
+    /// Takes note of each process's newest sign of life.
+    fn listen(&mut self) {
+        let Self { rendezvous, nodes, machine, .. } = self;
+        machine.look(&rendezvous.description().scenario, |index| nodes[index].see(rendezvous.roster()));
     }
 
-    /// Starts nodes again that have ended, as their policies say; unless it is what has been removed of the run's shared memory
-    /// that they have ended of.
-    fn replace_the_dead(&mut self) -> anyhow::Result<Option<PathBuf>> {
+    /// Takes note of nodes that have ended; unless it is what has been removed of the run's shared memory that they have ended of.
+    fn reap(&mut self) -> anyhow::Result<Option<PathBuf>> {
         for index in 0..self.nodes.len() {
-            let can_lead = self.nodes.iter_mut().map(|node| usize::from(node.can_lead() && node.is_running())).sum();
-            let node = &mut self.nodes[index];
-            if let Some((status, lived)) = node.reap(self.rendezvous)? {
-                if let Some(removed) = self.inspect() {
-                    return Ok(Some(removed));
-                }
-                let node = &mut self.nodes[index];
-                let message = format!("{} {}", node.summary.title(), describe(status));
-                self.last_death = Some(Instant::now());
-                self.rendezvous.remove_half_made();
-                self.cleaner.request();
-                // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
-                let is_taken = self.rendezvous.roster().is_held(node.role);
-                let end = end_of(status);
-                let (need, policy) = (node.need(can_lead), self.policies.of(node.role));
-                match node.deaths.after(end, lived, policy, is_taken, need) {
-                    Next::StartAgain(wait) => {
-                        log::warn!("{message}; it is started again");
-                        node.restart_at = Some(Instant::now() + wait);
-                    }
-                    Next::GoOnWithout => log::warn!("{message}; the others go on without it"),
-                    Next::EndRun => {
-                        let nodes = self.pids();
-                        // Before one is given up that fails again and again.
-                        if end != End::Killed
-                            && !is_taken
-                            && let Some(removed) = self.inspection.removed_of_any(&nodes)
-                        {
-                            return Ok(Some(removed));
-                        }
-                        let log = self.nodes[index].log_path(self.rendezvous);
-                        let said = std::fs::read_to_string(&log).unwrap_or_default();
-                        let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
-                        return Err(anyhow!("{message}{last}"));
-                    }
-                }
+            let Some(status) = self.nodes[index].reap(self.rendezvous)? else { continue };
+            if let Some(removed) = self.inspect() {
+                return Ok(Some(removed));
             }
+            self.last_death = Some(Instant::now());
+            self.rendezvous.remove_half_made();
+            self.cleaner.request();
             let node = &mut self.nodes[index];
-            if node.restart_at.is_some_and(|at| Instant::now() >= at)
-                && let Err(error) = node.start(self.rendezvous)
-            {
-                let Some(wait) = node.deaths.after_failed_start() else { return Err(error) };
-                log::warn!("{}; it is tried again", with_causes(&error));
-                node.restart_at = Some(Instant::now() + wait);
+            node.epitaph = format!("{} {}", node.summary.title(), describe(status));
+            // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
+            let is_taken = self.rendezvous.roster().is_held(node.role);
+            self.machine.on_end(index, end_of(status), is_taken, monotonic_ns());
+        }
+        Ok(None)
+    }
+
+    /// Does what the machine decides.
+    fn act(&mut self) -> anyhow::Result<Option<PathBuf>> {
+        while let Some(action) = self.machine.next_action(monotonic_ns()) {
+            match action {
+                Action::Start(index) => {
+                    if let Err(error) = self.nodes[index].start(self.rendezvous) {
+                        if !self.machine.on_refusal(index, monotonic_ns()) {
+                            return Err(error);
+                        }
+                        log::warn!("{}; it is tried again", with_causes(&error));
+                    } else {
+                        self.machine.on_start(index, monotonic_ns());
+                    }
+                }
+                Action::Kill { node, silence } => self.nodes[node].kill_as_hung(silence),
+                Action::TellRestart(index) => log::warn!("{}; it is started again", self.nodes[index].epitaph),
+                Action::TellLoss(index) => log::warn!("{}; the others go on without it", self.nodes[index].epitaph),
+                Action::EndRun { node, is_own } => {
+                    let nodes = self.pids();
+                    // Before one is given up that fails again and again.
+                    if is_own && let Some(removed) = self.inspection.removed_of_any(&nodes) {
+                        return Ok(Some(removed));
+                    }
+                    let node = &self.nodes[node];
+                    let said = std::fs::read_to_string(node.log_path(self.rendezvous)).unwrap_or_default();
+                    let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
+                    return Err(anyhow!("{}{last}", node.epitaph));
+                }
             }
         }
         if self.last_death.is_some_and(|at| at.elapsed() < HALF_MADE) {
@@ -310,7 +286,7 @@ impl Running {
 impl Node {
     fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
         let summary = NodeSummary::new(role, scenario, 0);
-        Self { role, has_standbys, running: None, summary, deaths: Deaths::default(), restart_at: None }
+        Self { role, has_standbys, running: None, summary, epitaph: String::new() }
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -334,41 +310,31 @@ impl Node {
             .stderr(stderr);
         let child = command.spawn().with_context(|| format!("cannot start {}", self.summary.title()))?;
         let ended = pidfd_open(Pid::from_child(&child), PidfdFlags::empty()).ok();
-        let (since, silence) = (Instant::now(), Silence::default());
-        self.running = Some(Running { child, ended, since, silence, has_led: false });
+        self.running = Some(Running { child, ended });
         self.note(Incident::Started);
-        self.restart_at = None;
         Ok(())
     }
 
-    fn can_lead(&self) -> bool {
-        matches!(self.role, Role::Fusion | Role::Standby(_))
-    }
-
-    /// Takes note of its process's newest sign of life: true if it is new, `None` if there is no process.
-    fn listen(&mut self, roster: &Roster) -> Option<bool> {
-        let role = self.role;
-        let running = self.running.as_mut()?;
-        let pid = running.pid();
-        let sign = |role| roster.signed_by(role).filter(|(signer, _)| *signer == pid).map(|(_, sign)| sign);
-        let newest: Option<SystemTime> = match role {
+    /// What a look shows of its process.
+    fn see(&self, roster: &Roster) -> Seen<SystemTime> {
+        let pid = self.running.as_ref().map(Running::pid);
+        let sign = |role| roster.signed_by(role).filter(|(signer, _)| Some(*signer) == pid).map(|(_, sign)| sign);
+        match self.role {
             // Which of them can lead does, is not told by who was started as what.
             Role::Fusion | Role::Standby(_) => {
                 let lead = sign(Role::Fusion);
-                running.has_led |= lead.is_some();
-                lead.or_else(|| (1..=STANDBYS_MAX).filter_map(|number| sign(Role::Standby(number))).max())
+                let standing_by = || (1..=STANDBYS_MAX).filter_map(|number| sign(Role::Standby(number))).max();
+                Seen { leads: lead.is_some(), sign: lead.or_else(standing_by) }
             }
-            role => sign(role),
-        };
-        Some(running.silence.hear(newest))
+            role => Seen { sign: sign(role), leads: false },
+        }
     }
 
-    /// How much the run needs it, with this many others that can lead.
-    fn need(&self, can_lead: usize) -> Need {
-        match (self.can_lead(), self.role) {
-            (true, _) if can_lead > 0 => Need::Spare,
-            (false, Role::Robot(_)) => Need::Can,
-            _ => Need::Cannot,
+    /// Kills its process, unless it has ended just now.
+    fn kill_as_hung(&mut self, silence: Duration) {
+        if self.running.as_mut().is_some_and(|running| running.signal(Signal::KILL)) {
+            log::warn!("{} gave no sign of life for {silence:?} while others did: it is killed", self.summary.title());
+            self.note(Incident::Hung);
         }
     }
 
@@ -376,18 +342,17 @@ impl Node {
         self.running.as_mut().is_some_and(|running| matches!(running.child.try_wait(), Ok(None)))
     }
 
-    /// The end of the process before the run's, told once, with how long it had lived.
-    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<(ExitStatus, Duration)>> {
+    /// The end of the process before the run's, told once.
+    fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<ExitStatus>> {
         let Some(running) = &mut self.running else { return Ok(None) };
         let Some(status) = running.child.try_wait()? else { return Ok(None) };
-        let lived = running.since.elapsed();
         self.running = None;
         // The run is marked as finished before any node ends by itself, so the mark is looked at after.
         if rendezvous.is_finished() {
             return Ok(None);
         }
         self.note(if status.signal().is_some() { Incident::Killed } else { Incident::Exited });
-        Ok(Some((status, lived)))
+        Ok(Some(status))
     }
 
     /// Counts what has happened to it just now.

@@ -4,7 +4,7 @@
 use anyhow::anyhow;
 use rangehound_node::bus::Bus;
 use rangehound_node::rendezvous::{ENDING_NOTE, LIVE_NOTE, Rendezvous, Role};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 
 use super::Supervision;
 use super::cleaner::Cleaner;

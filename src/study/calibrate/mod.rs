@@ -22,6 +22,7 @@ pub mod verdict;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use nalgebra::Vector4;
 use rangehound_shared::recording::Recording;
 use rangehound_shared::scenario::RecordingTable;
 
@@ -35,8 +36,8 @@ use crate::results::report::Truth;
 use crate::run::watch::Progress;
 use crate::statistics::median;
 use crate::terminal;
-use model::{Model, Problem, Reading};
-use verdict::{Findings, Measured};
+use model::{Measured, Model, Problem, Reading};
+use verdict::Findings;
 
 /// Where the findings go unless told otherwise.
 const OUT: &str = "runs/calibrate";
@@ -144,11 +145,8 @@ fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Find
         })
         .collect();
     let problem = Problem::new(&corrected, names.len());
-    let states: Vec<[f64; 4]> = problem
-        .knots_s
-        .iter()
-        .map(|time_s| truth.at(*time_s).map_or([0.0; 4], |at| [at[0], at[1], 0.0, 0.0]))
-        .collect();
+    let places = problem.knots_s.iter().map(|time_s| truth.at(*time_s).unwrap_or_default());
+    let states = places.map(|place_m| Vector4::new(place_m.x, place_m.y, 0.0, 0.0)).collect();
     if !corrected.is_empty() {
         findings.accel_psd = search::manoeuvring(&problem, states);
     } else {

@@ -2,6 +2,23 @@
 
 use crate::statistics::median;
 
+/// A value with the half width of its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Measured {
+    /// The value.
+    pub value: f64,
+    /// Half width of the interval.
+    pub half_width: f64,
+}
+
+impl Measured {
+    /// So many times as much.
+    #[must_use]
+    pub fn scaled(self, by: f64) -> Self {
+        Self { value: self.value * by, half_width: self.half_width * by }
+    }
+}
+
 /// One range, as the calibration sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {

@@ -1,7 +1,8 @@
 //! Errors of each sensor against a known track, by robust regression.
 
+use super::model::Measured;
 use super::smoother::{FREEDOM, student_weight};
-use super::verdict::{Findings, Measured, correlation};
+use super::verdict::{Findings, correlation};
 use crate::statistics::{Z_95, median};
 
 /// Distances and errors of one sensor, in order of time.

@@ -1,8 +1,9 @@
 //! From ranges alone to the model that fits: a rough path, then the path, noise and errors of each model.
 
-use super::model::{Model, Problem, Reading};
-use super::smoother::{Estimate, Solution, settle, update_sigmas};
-use super::verdict::Measured;
+use nalgebra::Vector4;
+
+use super::model::{Measured, Model, Problem, Reading};
+use super::smoother::{FitParameters, Solution, settle, update_sigmas};
 use crate::statistics::{Z_95, median};
 
 /// What one model makes of the data.
@@ -11,7 +12,7 @@ pub struct Fit {
     /// The model.
     pub model: Model,
     /// Its estimate.
-    pub estimate: Estimate,
+    pub estimate: FitParameters,
     /// How likely it is, and how sure.
     pub solution: Solution,
     /// Standard deviation of the logarithm of the manoeuvring noise.
@@ -28,10 +29,10 @@ impl Fit {
 }
 
 /// A path from the ranges alone: at each knot the place that most of the ranges around it agree on.
-fn rough_path(problem: &Problem) -> Vec<[f64; 4]> {
+fn rough_path(problem: &Problem) -> Vec<Vector4<f64>> {
     let all = &problem.observations;
     let around = (2 * problem.sensors).clamp(6, 24);
-    let mut path: Vec<[f64; 4]> = Vec::with_capacity(problem.knots_s.len());
+    let mut path: Vec<Vector4<f64>> = Vec::with_capacity(problem.knots_s.len());
     let mut next = 0;
     for knot in 0..problem.knots_s.len() {
         while next < all.len() && all[next].knot < knot {
@@ -58,7 +59,7 @@ fn rough_path(problem: &Problem) -> Vec<[f64; 4]> {
                 crossings(a, b).into_iter().flatten().for_each(&mut consider);
             }
         }
-        path.push([best.1[0], best.1[1], 0.0, 0.0]);
+        path.push(Vector4::new(best.1[0], best.1[1], 0.0, 0.0));
     }
     path
 }
@@ -85,11 +86,11 @@ fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
 }
 
 /// Fits one model from an estimate: noise and manoeuvring noise by turns, until the evidence stays.
-fn fit(problem: &Problem, model: Model, mut estimate: Estimate) -> Option<Fit> {
+fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<Fit> {
     let errors = model.prior_stds(problem.sensors, problem.span_m).len();
     estimate.errors = vec![0.0; errors];
     let least_m = 1e-5 * problem.span_m;
-    let with_noise = |mut estimate: Estimate, turns: usize| -> Option<(Estimate, Solution)> {
+    let with_noise = |mut estimate: FitParameters, turns: usize| -> Option<(FitParameters, Solution)> {
         let mut solution = settle(problem, model, &mut estimate)?;
         for _ in 0..turns {
             update_sigmas(problem, &solution, &mut estimate.sigmas_m, least_m);
@@ -133,7 +134,7 @@ fn fit(problem: &Problem, model: Model, mut estimate: Estimate) -> Option<Fit> {
 const LOG_PSD_STEP: f64 = 0.5;
 
 /// An estimate to begin with, from a path.
-fn start(problem: &Problem, states: Vec<[f64; 4]>) -> Estimate {
+fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
     let mut left: Vec<f64> = problem
         .observations
         .iter()
@@ -147,7 +148,7 @@ fn start(problem: &Problem, states: Vec<[f64; 4]>) -> Estimate {
     let dt = median(&mut gaps).unwrap_or(1.0).max(1e-6);
     // A target that crosses its scene within some thousand ranges, and turns as it likes.
     let accel_psd = (problem.span_m / (200.0 * dt)).powi(2) / (50.0 * dt);
-    Estimate { states, errors: Vec::new(), sigmas_m: vec![sigma; problem.sensors], accel_psd }
+    FitParameters { states, errors: Vec::new(), sigmas_m: vec![sigma; problem.sensors], accel_psd }
 }
 
 /// All models that can be fitted, the most likely first; `tell` hears how many are done.
@@ -167,7 +168,7 @@ pub fn search(problem: &Problem, mut tell: impl FnMut(usize)) -> Vec<Fit> {
 
 /// The manoeuvring noise that fits corrected ranges along a known track.
 #[must_use]
-pub fn manoeuvring(problem: &Problem, states: Vec<[f64; 4]>) -> Option<Measured> {
+pub fn manoeuvring(problem: &Problem, states: Vec<Vector4<f64>>) -> Option<Measured> {
     let start = start(problem, states);
     let model = Model { bias: super::model::Sharing::Absent, scale: super::model::Sharing::Absent };
     fit(problem, model, start).map(|fit| fit.accel_psd(1.0))

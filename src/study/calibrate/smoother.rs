@@ -1,6 +1,6 @@
 //! The target's whole path and the sensors' errors at once: a robust Gauss-Newton step over a chain of blocks with a border.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix4};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix4, Vector4};
 
 use super::model::{Model, Problem};
 
@@ -15,14 +15,11 @@ pub fn student_weight(ratio: f64) -> f64 {
     (FREEDOM + 1.0) / (FREEDOM + ratio * ratio)
 }
 
-type Block = [[f64; 4]; 4];
-type Column = [f64; 4];
-
-/// An estimate of everything.
+/// What a fit estimates: the path, and the errors and noise of the sensors.
 #[derive(Debug, Clone)]
-pub struct Estimate {
+pub struct FitParameters {
     /// `[x y vx vy]` at each knot.
-    pub states: Vec<Column>,
+    pub states: Vec<Vector4<f64>>,
     /// Biases, then scale errors, as the model numbers them.
     pub errors: Vec<f64>,
     /// Scale of each sensor's noise, m.
@@ -47,16 +44,16 @@ pub struct Solution {
 }
 
 struct Normal {
-    diagonal: Vec<Block>,
-    upper: Vec<Block>,
-    border: Vec<Vec<Column>>,
+    diagonal: Vec<Matrix4<f64>>,
+    upper: Vec<Matrix4<f64>>,
+    border: Vec<Vec<Vector4<f64>>>,
     corner: DMatrix<f64>,
-    pull: Vec<Column>,
+    pull: Vec<Vector4<f64>>,
     errors_pull: DVector<f64>,
 }
 
 /// Distance, direction, bias, scale and residual of one observation.
-fn residual(problem: &Problem, model: Model, estimate: &Estimate, index: usize) -> (f64, f64, [f64; 2], f64) {
+fn residual(problem: &Problem, model: Model, estimate: &FitParameters, index: usize) -> (f64, f64, [f64; 2], f64) {
     let observation = &problem.observations[index];
     let sensor = observation.reading.sensor;
     let state = &estimate.states[observation.knot];
@@ -69,13 +66,19 @@ fn residual(problem: &Problem, model: Model, estimate: &Estimate, index: usize) 
     (left, distance, [dx / distance, dy / distance], scale)
 }
 
-fn motion_error(before: &Column, after: &Column, dt: f64) -> Column {
-    [
-        after[0] - before[0] - dt * before[2],
-        after[1] - before[1] - dt * before[3],
-        after[2] - before[2],
-        after[3] - before[3],
-    ]
+/// Derivative of a range with respect to the state at its knot.
+fn slope_of([ux, uy]: [f64; 2], scale: f64, after_s: f64) -> Vector4<f64> {
+    let (gx, gy) = ((1.0 + scale) * ux, (1.0 + scale) * uy);
+    Vector4::new(gx, gy, gx * after_s, gy * after_s)
+}
+
+/// Summed in order: `Vector4::dot` sums in pairs, and figures would differ in their last digits.
+fn dot(a: &Vector4<f64>, b: &Vector4<f64>) -> f64 {
+    a.component_mul(b).sum()
+}
+
+fn motion_error(before: &Vector4<f64>, after: &Vector4<f64>, dt: f64) -> Vector4<f64> {
+    after - before - Vector4::new(dt * before[2], dt * before[3], 0.0, 0.0)
 }
 
 /// The parts of an axis' inverse process noise: position, cross, velocity.
@@ -83,7 +86,7 @@ fn motion_weight(dt: f64, psd: f64) -> (f64, f64, f64) {
     (12.0 / (psd * dt * dt * dt), -6.0 / (psd * dt * dt), 4.0 / (psd * dt))
 }
 
-fn cost(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> f64 {
+fn cost(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds: &[f64]) -> f64 {
     let mut sum = 0.0;
     for (index, observation) in problem.observations.iter().enumerate() {
         let sigma = estimate.sigmas_m[observation.reading.sensor];
@@ -108,14 +111,14 @@ pub fn prior_cost(errors: &[f64], prior_stds: &[f64]) -> f64 {
     errors.iter().zip(prior_stds).map(|(error, std)| 0.5 * (error / std).powi(2) + std.ln()).sum()
 }
 
-fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f64]) -> Normal {
+fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds: &[f64]) -> Normal {
     let (knots, errors) = (problem.knots_s.len(), estimate.errors.len());
     let mut n = Normal {
-        diagonal: vec![[[0.0; 4]; 4]; knots],
-        upper: vec![[[0.0; 4]; 4]; knots.saturating_sub(1)],
-        border: vec![vec![[0.0; 4]; errors]; knots],
+        diagonal: vec![Matrix4::zeros(); knots],
+        upper: vec![Matrix4::zeros(); knots.saturating_sub(1)],
+        border: vec![vec![Vector4::zeros(); errors]; knots],
         corner: DMatrix::zeros(errors, errors),
-        pull: vec![[0.0; 4]; knots],
+        pull: vec![Vector4::zeros(); knots],
         errors_pull: DVector::zeros(errors),
     };
     for k in 1..knots {
@@ -129,48 +132,41 @@ fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f6
             n.pull[k][b] -= wv;
             n.pull[k - 1][a] += wp;
             n.pull[k - 1][b] += dt * wp + wv;
-            n.diagonal[k][a][a] += p;
-            n.diagonal[k][a][b] += c;
-            n.diagonal[k][b][a] += c;
-            n.diagonal[k][b][b] += v;
+            let d = &mut n.diagonal[k];
+            d[(a, a)] += p;
+            d[(a, b)] += c;
+            d[(b, a)] += c;
+            d[(b, b)] += v;
             let d = &mut n.diagonal[k - 1];
-            d[a][a] += p;
-            d[a][b] += dt * p + c;
-            d[b][a] += dt * p + c;
-            d[b][b] += dt * dt * p + 2.0 * dt * c + v;
+            d[(a, a)] += p;
+            d[(a, b)] += dt * p + c;
+            d[(b, a)] += dt * p + c;
+            d[(b, b)] += dt * dt * p + 2.0 * dt * c + v;
             let u = &mut n.upper[k - 1];
-            u[a][a] -= p;
-            u[a][b] -= c;
-            u[b][a] -= dt * p + c;
-            u[b][b] -= dt * c + v;
+            u[(a, a)] -= p;
+            u[(a, b)] -= c;
+            u[(b, a)] -= dt * p + c;
+            u[(b, b)] -= dt * c + v;
         }
     }
-    for k in 0..knots {
-        // A breath of a prior, so that no direction is quite free.
-        let tiny = 1e-8 / (problem.span_m * problem.span_m);
-        (0..4).for_each(|i| n.diagonal[k][i][i] += tiny);
-    }
+    // A very weak prior, so that no direction is quite free.
+    let tiny = Matrix4::from_diagonal_element(1e-8 / (problem.span_m * problem.span_m));
+    n.diagonal.iter_mut().for_each(|diagonal| *diagonal += tiny);
     for (index, observation) in problem.observations.iter().enumerate() {
-        let (left, distance, [ux, uy], scale) = residual(problem, model, estimate, index);
+        let (left, distance, unit, scale) = residual(problem, model, estimate, index);
         let sensor = observation.reading.sensor;
         let sigma = estimate.sigmas_m[sensor];
         let weight = student_weight(left / sigma) / (sigma * sigma);
-        let (gx, gy, t) = ((1.0 + scale) * ux, (1.0 + scale) * uy, observation.after_s);
-        let slope = [gx, gy, gx * t, gy * t];
+        let slope = slope_of(unit, scale, observation.after_s);
+        let weighted = slope * weight;
         let k = observation.knot;
         let slots = [(model.bias_index(sensor), 1.0), (model.scale_index(sensor, problem.sensors), distance)];
-        for i in 0..4 {
-            n.pull[k][i] += weight * slope[i] * left;
-            for j in 0..4 {
-                n.diagonal[k][i][j] += weight * slope[i] * slope[j];
-            }
-        }
+        n.pull[k] += weighted * left;
+        n.diagonal[k] += weighted * slope.transpose();
         for (at, by) in slots {
             let Some(at) = at else { continue };
             n.errors_pull[at] += weight * by * left;
-            for i in 0..4 {
-                n.border[k][at][i] += weight * slope[i] * by;
-            }
+            n.border[k][at] += weighted * by;
             for (other, other_by) in slots {
                 if let Some(other) = other {
                     n.corner[(at, other)] += weight * by * other_by;
@@ -186,12 +182,12 @@ fn normal(problem: &Problem, model: Model, estimate: &Estimate, prior_stds: &[f6
 }
 
 struct Solved {
-    step: Vec<Column>,
+    step: Vec<Vector4<f64>>,
     errors_step: DVector<f64>,
     path_log_det: f64,
     errors_log_det: f64,
-    inverse_pivots: Vec<Block>,
-    gains: Vec<Vec<Column>>,
+    inverse_pivots: Vec<Matrix4<f64>>,
+    gains: Vec<Vec<Vector4<f64>>>,
     /// Inverse of the errors' covariance, and that.
     schur: DMatrix<f64>,
     covariance: DMatrix<f64>,
@@ -200,40 +196,33 @@ struct Solved {
 fn solve(n: &Normal) -> Option<Solved> {
     let (knots, errors) = (n.diagonal.len(), n.corner.nrows());
     let mut path_log_det = 0.0;
-    let mut inverse_pivots: Vec<Block> = Vec::with_capacity(knots);
+    let mut inverse_pivots: Vec<Matrix4<f64>> = Vec::with_capacity(knots);
     // Column 0 is the pull, the rest the border.
-    let mut columns: Vec<Vec<Column>> =
+    let mut columns: Vec<Vec<Vector4<f64>>> =
         (0..knots).map(|k| std::iter::once(n.pull[k]).chain(n.border[k].iter().copied()).collect()).collect();
     for k in 0..knots {
         let mut pivot = n.diagonal[k];
         if k > 0 {
-            let (upper, before) = (&n.upper[k - 1], &inverse_pivots[k - 1]);
-            let carried = product(&transposed(upper), before);
-            let taken = product(&carried, upper);
-            for i in 0..4 {
-                for j in 0..4 {
-                    pivot[i][j] -= taken[i][j];
-                }
-            }
+            let upper = &n.upper[k - 1];
+            let carried = upper.transpose() * inverse_pivots[k - 1];
+            pivot -= carried * upper;
             let (done, rest) = columns.split_at_mut(k);
             for (column, before) in rest[0].iter_mut().zip(&done[k - 1]) {
-                let taken = times(&carried, before);
-                (0..4).for_each(|i| column[i] -= taken[i]);
+                *column -= carried * before;
             }
         }
-        let (inverse, log_det) = inverted(&pivot)?;
-        path_log_det += log_det;
-        inverse_pivots.push(inverse);
+        // Of the two triangles, which rounding has made differ, the upper one counts.
+        let factored = Cholesky::new(pivot.transpose())?;
+        path_log_det += 2.0 * factored.l_dirty().diagonal().map(f64::ln).sum();
+        inverse_pivots.push(factored.inverse().transpose());
     }
     for k in (0..knots).rev() {
         let (now, later) = columns.split_at_mut(k + 1);
         for (at, column) in now[k].iter_mut().enumerate() {
-            let mut right = *column;
             if let Some(after) = later.first() {
-                let taken = times(&n.upper[k], &after[at]);
-                (0..4).for_each(|i| right[i] -= taken[i]);
+                *column -= n.upper[k] * after[at];
             }
-            *column = times(&inverse_pivots[k], &right);
+            *column = inverse_pivots[k] * *column;
         }
     }
     let mut schur = n.corner.clone();
@@ -252,11 +241,8 @@ fn solve(n: &Normal) -> Option<Solved> {
     let step = columns
         .iter()
         .map(|columns| {
-            let mut step = columns[0];
-            for (gain, by) in columns[1..].iter().zip(errors_step.iter()) {
-                (0..4).for_each(|i| step[i] -= gain[i] * by);
-            }
-            step
+            let of_errors = columns[1..].iter().zip(errors_step.iter());
+            of_errors.fold(columns[0], |step, (gain, by)| step - gain * *by)
         })
         .collect();
     let gains = columns.into_iter().map(|columns| columns[1..].to_vec()).collect();
@@ -264,7 +250,7 @@ fn solve(n: &Normal) -> Option<Solved> {
 }
 
 /// Improves an estimate until it stays; `None` where the numbers break down.
-pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Option<Solution> {
+pub fn settle(problem: &Problem, model: Model, estimate: &mut FitParameters) -> Option<Solution> {
     let prior_stds = model.prior_stds(problem.sensors, problem.span_m);
     let mut now = cost(problem, model, estimate, &prior_stds);
     for _ in 0..STEPS_MAX {
@@ -274,7 +260,7 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Optio
         for _ in 0..6 {
             let mut next = estimate.clone();
             for (state, step) in next.states.iter_mut().zip(&solved.step) {
-                (0..4).for_each(|i| state[i] += factor * step[i]);
+                *state += step * factor;
             }
             next.errors.iter_mut().zip(solved.errors_step.iter()).for_each(|(error, step)| *error += factor * step);
             let then = cost(problem, model, &next, &prior_stds);
@@ -298,10 +284,9 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Optio
     let mut residuals_m = Vec::with_capacity(problem.observations.len());
     let mut path_variances_m2 = Vec::with_capacity(problem.observations.len());
     for (index, observation) in problem.observations.iter().enumerate() {
-        let (left, distance, [ux, uy], scale) = residual(problem, model, estimate, index);
-        let (gx, gy, t) = ((1.0 + scale) * ux, (1.0 + scale) * uy, observation.after_s);
-        let slope = [gx, gy, gx * t, gy * t];
-        let mut variance = dot(&slope, &times(&path[observation.knot], &slope));
+        let (left, distance, unit, scale) = residual(problem, model, estimate, index);
+        let slope = slope_of(unit, scale, observation.after_s);
+        let mut variance = dot(&slope, &(path[observation.knot] * slope));
         let mut errors_slope: Vec<f64> = solved.gains[observation.knot].iter().map(|gain| -dot(gain, &slope)).collect();
         let sensor = observation.reading.sensor;
         if let Some(at) = model.bias_index(sensor) {
@@ -326,16 +311,12 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut Estimate) -> Optio
     })
 }
 
-fn path_covariances(n: &Normal, solved: &Solved) -> Vec<Block> {
+fn path_covariances(n: &Normal, solved: &Solved) -> Vec<Matrix4<f64>> {
     let mut all = solved.inverse_pivots.clone();
     for k in (0..all.len().saturating_sub(1)).rev() {
-        let gain = product(&solved.inverse_pivots[k], &n.upper[k]);
-        let added = product(&product(&gain, &all[k + 1]), &transposed(&gain));
-        for i in 0..4 {
-            for j in 0..4 {
-                all[k][i][j] += added[i][j];
-            }
-        }
+        let gain = solved.inverse_pivots[k] * n.upper[k];
+        let added = gain * all[k + 1] * gain.transpose();
+        all[k] += added;
     }
     all
 }
@@ -357,33 +338,4 @@ pub fn update_sigmas(problem: &Problem, solution: &Solution, sigmas_m: &mut [f64
     for (sigma, (sum, count)) in sigmas_m.iter_mut().zip(sums) {
         *sigma = ((sum + (count + 5.0) * usual) / (2.0 * count + 5.0)).sqrt().max(least_m);
     }
-}
-
-fn product(a: &Block, b: &Block) -> Block {
-    let mut c = [[0.0; 4]; 4];
-    for i in 0..4 {
-        for j in 0..4 {
-            c[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j] + a[i][3] * b[3][j];
-        }
-    }
-    c
-}
-
-fn transposed(a: &Block) -> Block {
-    std::array::from_fn(|i| std::array::from_fn(|j| a[j][i]))
-}
-
-fn times(a: &Block, x: &Column) -> Column {
-    std::array::from_fn(|i| dot(&a[i], x))
-}
-
-fn dot(a: &Column, b: &Column) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-}
-
-/// Inverse of a positive definite block, and the logarithm of its determinant.
-fn inverted(a: &Block) -> Option<(Block, f64)> {
-    let factored = Cholesky::new(Matrix4::from(*a))?;
-    let log_det = 2.0 * factored.l_dirty().diagonal().map(f64::ln).sum();
-    Some((factored.inverse().into(), log_det))
 }

@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::verdict::{Findings, Measured};
+use super::model::Measured;
+use super::verdict::Findings;
 use crate::files::calibration::VERSION;
 use crate::statistics::median;
 

@@ -2,30 +2,13 @@
 
 use nalgebra::{Cholesky, DMatrix};
 
-use super::model::{Model, Problem, Reading, Sharing};
+use super::model::{Measured, Model, Problem, Reading, Sharing};
 use super::search::Fit;
 use super::smoother::{FREEDOM, prior_cost, student_weight};
 use crate::statistics::{Z_95, mean};
 
 /// Fewest ranges that are worth a calibration.
 const READINGS_MIN: usize = 60;
-
-/// A value with the half width of its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct Measured {
-    /// The value.
-    pub value: f64,
-    /// Half width of the interval.
-    pub half_width: f64,
-}
-
-impl Measured {
-    /// So many times as much.
-    #[must_use]
-    pub fn scaled(self, by: f64) -> Self {
-        Self { value: self.value * by, half_width: self.half_width * by }
-    }
-}
 
 /// What was found for one sensor; `None` is what could not be told.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]

@@ -3,12 +3,12 @@
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription, files_of};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::faults::{Asked, Fault, Faults, Kind};
+use super::faults::{Asked, Faults, Kind, PlannedFault};
 use super::live::{Live, Recovering};
-use super::outcome::{Ended, Injected, Round, Tally, is_repeatable};
+use super::outcome::{Ended, Injected, Round, RunResult, is_repeatable};
 use super::run::{Run, processes_of};
 use crate::failure::{self, Failure};
 use crate::files::out_folder;
@@ -37,7 +37,7 @@ pub(super) struct Campaign<'a> {
     termination: &'a Termination,
     progress: Progress,
     /// The next fault, and what is left of the time before it.
-    next: Fault,
+    next: PlannedFault,
     next_number: u64,
     wait: Duration,
     injected: Vec<Injected>,
@@ -199,14 +199,14 @@ enum Life {
     BlackedOut(usize),
 }
 
-fn tally(description: &RunDescription) -> anyhow::Result<Tally> {
+fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
     let report = report::from_logs(description, None, Vec::new())?;
     let Report { ticks, digest, ranges, headings, position_rmse_m, .. } = report;
-    Ok(Tally { ticks, digest, ranges, headings, position_rmse_m })
+    Ok(RunResult { ticks, digest, ranges, headings, position_rmse_m })
 }
 
 /// The same run left alone, composed in this process.
-fn alone(description: &RunDescription) -> anyhow::Result<Tally> {
+fn alone(description: &RunDescription) -> anyhow::Result<RunResult> {
     let out_dir = description.out_dir.join("alone");
     let claim = out_folder::claim(&out_dir, crate::files::layout::Kind::Run, &[])
         .map_err(|refusal| anyhow::anyhow!("{refusal}"))?;

@@ -6,7 +6,7 @@ use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_node::rendezvous::{Process, Rendezvous, Role};
 use rustix::process::Signal;
 
-use super::faults::{Fault, Kind};
+use super::faults::{Kind, PlannedFault};
 use super::outcome::Injected;
 use super::ticks::Ticks;
 use crate::run::remote::{process_in, signal};
@@ -49,7 +49,7 @@ impl<'a> Live<'a> {
     }
 
     /// Does a fault to those of its nodes that are there. False if none is: to be tried again.
-    pub(super) fn inject(&mut self, fault: u64, what: &Fault, injected: &mut Vec<Injected>) -> bool {
+    pub(super) fn inject(&mut self, fault: u64, what: &PlannedFault, injected: &mut Vec<Injected>) -> bool {
         let mut is_done = false;
         let everything = [Role::Supervisor];
         let roles = if what.kind == Kind::Blackout { &everything[..] } else { &what.roles };

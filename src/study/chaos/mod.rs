@@ -11,7 +11,7 @@ mod run;
 mod ticks;
 
 use rangehound_node::rendezvous::living_runs;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::failure::{self, Failure};
@@ -29,7 +29,7 @@ use outcome::Outcome;
 /// [`Failure`], a broken promise among them.
 pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), Failure> {
     let Experiment { name, description, .. } = experiment;
-    let faults = Faults::new(asked, description.scenario.robots.len())?;
+    let faults = Faults::new(asked, description.scenario.robots.len());
     if living_runs().contains(name) {
         return Err(Failure::input(format!("--name: expected a free name, run {name} goes on")));
     }

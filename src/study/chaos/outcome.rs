@@ -14,7 +14,7 @@ use crate::statistics::Ascending;
 use crate::terminal::{BAD, GOOD, TITLE, field};
 
 /// What a campaign came to; its fields are the keys of `chaos.json`.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct Outcome {
     /// Name of the scenario.
     pub(super) scenario: String,
@@ -156,9 +156,9 @@ pub(super) struct Round {
     /// Wall time, s.
     pub(super) wall_s: f64,
     /// What its logs tell.
-    pub(super) tally: Tally,
+    pub(super) tally: RunResult,
     /// The same of the run left alone.
-    pub(super) alone: Option<Tally>,
+    pub(super) alone: Option<RunResult>,
     /// True if both must come to the same: in lock step.
     pub(super) is_repeatable: bool,
     /// What lies in shared memory after the end.
@@ -169,7 +169,7 @@ pub(super) struct Round {
 
 /// What a run's logs tell.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub(super) struct Tally {
+pub(super) struct RunResult {
     /// Time steps done.
     pub(super) ticks: u64,
     /// Hash over all estimates.
@@ -192,18 +192,7 @@ impl Outcome {
             robots: scenario.robots.len(),
             chaos_seed: asked.seed,
             faults_asked: asked.faults,
-            faults: Vec::new(),
-            ticks: 0,
-            ranges: RangeSummary::default(),
-            headings: HeadingSummary::default(),
-            without_heading: 0,
-            position_rmse_m: None,
-            digest_equal: None,
-            files_left: Vec::new(),
-            processes_left: Vec::new(),
-            broken: Vec::new(),
-            rounds: Vec::new(),
-            injected: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -257,9 +246,9 @@ impl Outcome {
     }
 
     fn position_error(&self) -> Option<PositionError> {
-        let mean = |of: fn(&Round) -> Option<&Tally>| {
+        let mean = |of: fn(&Round) -> Option<&RunResult>| {
             let squares = self.rounds.iter().map(|round| {
-                let Tally { ticks, position_rmse_m, .. } = of(round)?;
+                let RunResult { ticks, position_rmse_m, .. } = of(round)?;
                 Some((*ticks as f64, position_rmse_m.as_ref()?.powi(2)))
             });
             let squares: Vec<(f64, f64)> = squares.collect::<Option<_>>()?;
@@ -399,7 +388,7 @@ mod tests {
 
     fn round() -> Round {
         let ranges = RangeSummary { published: 30, fused: 30, ..RangeSummary::default() };
-        let tally = Tally { ticks: 10, digest: "a".to_owned(), ranges, ..Tally::default() };
+        let tally = RunResult { ticks: 10, digest: "a".to_owned(), ranges, ..RunResult::default() };
         Round {
             seed: 1,
             ended: Ended::Done,

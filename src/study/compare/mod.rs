@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rangehound_fusion::planner;
-use rangehound_shared::scenario::{PLANNERS, Scenario, defaults};
+use rangehound_shared::scenario::Scenario;
 
 use crate::failure::{self, Failure};
 use crate::files::layout::COMPARISON;
@@ -31,32 +31,13 @@ use summary::{Comparison, Summary};
 /// Where they go unless told otherwise.
 const OUT: &str = "runs/compare";
 
-/// Ticks of all runs together: what is kept of them then takes two gigabytes.
-const TICKS_MAX: u64 = 30_000_000;
-
-const THREADS_MAX: u64 = 1_024;
-
-/// What is to be compared.
-#[derive(Debug)]
-pub struct Wanted {
-    /// The scenario; its ticks are those of each run.
-    pub given: Given,
-    /// The planners' names.
-    pub planners: Vec<String>,
-    /// Runs of each.
-    pub runs: u64,
-    /// Threads to run on; `None` for one on each core.
-    pub threads: Option<u64>,
-}
-
 /// `rangehound compare`.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn compare(wanted: Wanted, out: Option<&Path>, json: bool) -> Result<(), Failure> {
-    let inputs = wanted.given.path.clone();
-    let (trials, scenarios) = checked(wanted)?;
-    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Failure> {
+    let scenarios = first_scenarios(&trials)?;
+    let inputs: Vec<&Path> = trials.given.path.iter().map(PathBuf::as_path).collect();
     let claim = claim_or_number(out, OUT, Kind::Compare, &inputs)?;
     let out = claim.path();
     let began = Instant::now();
@@ -90,45 +71,20 @@ pub fn compare(wanted: Wanted, out: Option<&Path>, json: bool) -> Result<(), Fai
     failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
 }
 
-/// What is to be run, and each planner's first scenario.
-fn checked(wanted: Wanted) -> Result<(Trials, Vec<Scenario>), Failure> {
-    let Wanted { given, planners, runs, threads } = wanted;
-    if given.file.recording.is_some() {
+/// Each planner's first scenario: all of its runs can be set up if that one can.
+fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
+    let Given { file, file_name, .. } = &trials.given;
+    if file.recording.is_some() {
         let problem = "recording: expected a simulated target: robots of a recording cannot be planned for";
-        return Err(Failure::input(format!("{}: {problem}", given.file_name)));
+        return Err(Failure::input(format!("{file_name}: {problem}")));
     }
-    for (index, name) in planners.iter().enumerate() {
-        if !PLANNERS.contains(&name.as_str()) {
-            let known = PLANNERS.join(", ");
-            return Err(Failure::input(format!("--planners: expected names out of {known}, got {name:?}")));
-        }
-        if planners[..index].contains(name) {
-            return Err(Failure::input(format!("--planners: expected each name once, got {name} twice")));
-        }
-    }
-    let ticks = runs.saturating_mul(given.file.ticks.unwrap_or(defaults::TICKS)).saturating_mul(planners.len() as u64);
-    if runs == 0 || ticks > TICKS_MAX {
-        let expected = format!("at least one run and at most {TICKS_MAX} ticks of all runs of all planners");
-        return Err(Failure::input(format!("--runs: expected {expected}, got {runs} runs")));
-    }
-    let first_seed = given.file.seed.unwrap_or(defaults::SEED);
-    if first_seed.checked_add(runs).is_none() {
-        return Err(Failure::input(format!("--seed: expected room for {runs} seeds above, got {first_seed}")));
-    }
-    let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get() as u64);
-    let threads = threads.unwrap_or(cores);
-    if !(1..=THREADS_MAX).contains(&threads) {
-        return Err(Failure::input(format!("--threads: expected 1 to {THREADS_MAX}, got {threads}")));
-    }
-    let mut trials = Trials { given, planners, runs, first_seed, threads: 0 };
-    trials.threads = threads.min(trials.count()) as usize;
     let scenarios: Result<Vec<Scenario>, _> = trials.planners.iter().map(|name| trials.scenario(name, 0)).collect();
     let scenarios = scenarios.map_err(Failure::input)?;
     for scenario in &scenarios {
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
-            .map_err(|error| Failure::input(format!("{}: {error}", trials.given.file_name)))?;
+            .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
     }
-    Ok((trials, scenarios))
+    Ok(scenarios)
 }
 
 fn time_left(elapsed: Duration, done: u64, all: u64) -> String {

@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use nalgebra::Matrix2;
-use rangehound_fusion::planner::{self, Plan, Situation, TeamMember, Vector};
+use rangehound_fusion::planner::{self, Plan, Situation, TeamMember};
+use rangehound_fusion::vector::Vector;
 use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 

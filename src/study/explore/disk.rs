@@ -1,63 +1,77 @@
 //! Checkpoint files in memory, which a kill may leave half written.
 
-use rangehound_shared::slots;
+use rangehound_shared::sealed::slots::{self, Turns};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// All runs are one: nothing of another lies here.
 const RUN_ID: u64 = 1;
 
-/// One role's file.
+/// One file.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Disk {
     slots: [Vec<u8>; 2],
-    is_whole: [bool; 2],
-    sequence: u64,
-    bytes: Vec<u8>,
+    /// The number of the state that was written wholly to each, as far as it still is.
+    whole: [Option<u64>; 2],
+    newest: u64,
 }
 
 impl Disk {
-    /// Writes a state over the older one, or half of it.
+    /// Writes a state in its turn, or only this share of it.
     ///
     /// # Errors
     /// A sentence, if it cannot be encoded.
-    pub(super) fn write(&mut self, state: &impl Serialize, is_torn: bool) -> Result<(), String> {
-        let sequence = self.sequence + 1;
-        slots::write(RUN_ID, sequence, state, &mut self.bytes).map_err(|error| error.to_string())?;
-        let index = (sequence % 2) as usize;
-        let written = if is_torn { self.bytes.len() / 2 } else { self.bytes.len() };
+    pub(super) fn write(&mut self, turns: &mut Turns, state: &impl Serialize, share: f64) -> Result<(), String> {
+        turns.encode(state).map_err(|error| error.to_string())?;
+        let (index, bytes) = (turns.next_slot(), turns.bytes());
+        let is_torn = share < 1.0;
+        let written = if is_torn { (bytes.len() as f64 * share) as usize } else { bytes.len() };
         let slot = &mut self.slots[index];
         slot.resize(slot.len().max(written), 0);
-        slot[..written].copy_from_slice(&self.bytes[..written]);
+        slot[..written].copy_from_slice(&bytes[..written]);
         if !is_torn {
             slot.truncate(written);
-            self.sequence = sequence;
         }
-        self.is_whole[index] = !is_torn;
+        // The rest may be what stood there before.
+        let is_whole = slot == bytes;
+        self.newest += u64::from(is_whole);
+        self.whole[index] = is_whole.then_some(self.newest);
+        if !is_torn {
+            turns.written();
+        }
         Ok(())
     }
 
-    /// The newest state, for the process that goes on from here.
+    /// The newest state and the turns after it, for the process that goes on from here.
     ///
     /// # Errors
     /// A sentence, if it is not the newest one that was written wholly.
-    pub(super) fn read<T: DeserializeOwned>(&mut self) -> Result<Option<T>, String> {
+    pub(super) fn read<T: DeserializeOwned>(&self) -> Result<(Option<T>, Turns), String> {
         let slots = self.slots.each_ref().map(|slot| Some(slot.as_slice()).filter(|slot| !slot.is_empty()));
-        let was_written = self.is_whole.contains(&true);
+        let was_written = self.whole.iter().any(Option::is_some);
         match slots::newest::<T>(slots, RUN_ID) {
-            Err(_) if !was_written => Ok(None),
+            Err(_) | Ok(None) if !was_written => Ok((None, Turns::after(RUN_ID, 0))),
             Err(unusable) => Err(format!("a whole checkpoint was refused: {unusable}")),
-            Ok(None) if !was_written => Ok(None),
             Ok(None) => Err("a whole checkpoint was not found".to_owned()),
             Ok(Some(slot)) => {
-                if !self.is_whole[(slot.sequence % 2) as usize] {
-                    return Err("a torn checkpoint was trusted".to_owned());
+                let turns = Turns::after(RUN_ID, slot.sequence);
+                match self.whole[turns.newest_slot()] {
+                    None => Err("a torn checkpoint was trusted".to_owned()),
+                    whole if whole < self.whole.into_iter().max().flatten() => {
+                        Err("an older checkpoint was taken than the newest".to_owned())
+                    }
+                    _ => Ok((Some(slot.state), turns)),
                 }
-                if slot.sequence != self.sequence {
-                    return Err("an older checkpoint was taken than the newest".to_owned());
-                }
-                Ok(Some(slot.state))
             }
         }
+    }
+
+    /// A file of its own with the newest state alone.
+    pub(super) fn moved(&self, turns: &Turns) -> Self {
+        let mut moved = Self { newest: self.newest, ..Self::default() };
+        let index = turns.newest_slot();
+        moved.slots[index].clone_from(&self.slots[index]);
+        moved.whole[index] = self.whole[index];
+        moved
     }
 }

@@ -2,14 +2,25 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `plan` | what happens to a team, from a seed |
-//! | `cluster` | the roles' machines on a simulated bus, with simulated disks and clocks |
-//! | `disk` | checkpoint files that a kill may leave half written |
+//! | `plan`, `faults` | what happens to a team, from a seed |
+//! | `cluster` | the team: what happens next in simulated time |
+//! | `roles` | the roles' machines, driven in it |
+//! | `process` | processes that are started, stopped and killed between two actions |
+//! | `network`, `disk`, `lead` | messages that get lost, checkpoints that are torn, the lock of whoever leads |
+//! | `supervisor` | the supervisor's machine, driven in it |
 //! | `witness` | the invariants |
+//! | `story` | what happened, as a table |
 
 mod cluster;
 mod disk;
+mod faults;
+mod lead;
+mod network;
 mod plan;
+mod process;
+mod roles;
+mod story;
+mod supervisor;
 mod witness;
 
 use std::collections::HashMap;
@@ -22,8 +33,9 @@ use rangehound_shared::scenario::{Clock, Scenario, ScenarioFile};
 use crate::failure::{self, Failure};
 use crate::run::in_process::Team;
 use crate::run::watch::Progress;
-use cluster::{Cluster, Counts, Event, Outcome, Violation};
+use cluster::{Cluster, Counts, Outcome, Violation};
 use plan::{Network, Plan};
+use story::table;
 
 /// Ticks after which no exploration goes on.
 const TICKS_MAX: u64 = 16;
@@ -98,7 +110,7 @@ impl Stage {
         let is_realtime = plan.clock == Clock::Realtime;
         let scenario = self.scenario(plan.robots, is_realtime, plan.is_endless)?;
         let scenario = Scenario { ticks: plan.ticks, ..scenario };
-        let undisturbed = if is_realtime || !plan.is_endless { None } else { Some(self.undisturbed(plan.robots)?) };
+        let undisturbed = self.undisturbed(plan.robots)?;
         Ok(Cluster::new(plan, &scenario, undisturbed, tells_story).explore())
     }
 
@@ -155,7 +167,7 @@ impl Stage {
         let at_ms = shrunk.at_ns as f64 / 1e6;
         Ok(Failure::Running(anyhow::anyhow!(
             "seed {seed}: {} at {at_ms:.3} ms: {}",
-            fewest.name_of(shrunk.node),
+            shrunk.node.map_or_else(|| "run".to_owned(), |node| fewest.name_of(node)),
             shrunk.what
         )))
     }
@@ -169,6 +181,7 @@ impl Stage {
                 Network { loss: 0.0, ..network },
                 Network { duplicates: 0.0, ..network },
                 Network { slow: 0.0, ..network },
+                Network { garbled: 0.0, ..network },
                 Network { wakes_on_arrival: true, ..network },
             ];
             let fewer = (0..fewest.faults.len()).map(|index| {
@@ -193,15 +206,6 @@ impl Stage {
             }
         }
     }
-}
-
-/// The story as a table: a line for each event, a column for its node.
-fn table(plan: &Plan, story: &[Event]) -> String {
-    let width = (0..plan.nodes()).map(|node| plan.name_of(node).len()).max().unwrap_or(0);
-    story.iter().fold(String::new(), |mut text, Event { at_ns, node, what }| {
-        let _ = writeln!(text, "{:>12.3} ms  {:width$}  {what}", *at_ns as f64 / 1e6, plan.name_of(*node));
-        text
-    })
 }
 
 #[cfg(test)]

@@ -16,10 +16,9 @@ pub mod reference;
 mod samples;
 mod system;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use rangehound_node::signal::Termination;
-use rangehound_shared::run_name::RunName;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::failure::{self, Failure};
@@ -27,7 +26,7 @@ use crate::files::layout::Kind;
 use crate::files::out_folder::{self, claim_or_number};
 use crate::results::frame::{Frames, PutDown};
 use crate::results::hops::HopSummary;
-use crate::run::experiment::{Experiment, Given, Naming};
+use crate::run::experiment::Experiment;
 use crate::run::pin::Pin;
 use crate::run::watch::Progress;
 use crate::statistics::Samples;
@@ -36,46 +35,26 @@ use reference::Reference;
 use samples::Waits;
 
 /// Where they go unless told otherwise.
-const OUT: &str = "runs/latency";
-
-/// Ticks of a round in lock step: seconds.
-const TICKS: u64 = 5_000;
-
-/// Time of a round in real time, s.
-const ROUND_S: f64 = 10.0;
-
-const ROUNDS_MAX: u64 = 1_000;
-
-/// Ranges of one round: what is kept of them then takes some hundred megabytes.
-const RANGES_MAX: u64 = 20_000_000;
+pub const OUT: &str = "runs/latency";
 
 /// What is asked of a measurement.
 #[derive(Debug)]
 pub struct Wanted {
-    /// Ticks a second in real time, if not the scenario's.
-    pub rate_hz: Option<f64>,
-    /// As many ticks as a measurement takes, in place of the scenario's.
-    pub chooses_ticks: bool,
     /// Processors for all processes.
     pub pin: Pin,
     /// How often each is measured.
     pub rounds: u64,
-    /// Name of the runs.
-    pub name: Option<RunName>,
 }
 
 /// `rangehound latency`.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn latency(given: Given, wanted: &Wanted, out: Option<&Path>, json: bool) -> Result<(), Failure> {
-    let inputs = given.path.clone();
-    let mut experiment = experiment(given, wanted, out)?;
+pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, json: bool) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     // Whatever is started here inherits it.
     wanted.pin.apply().map_err(Failure::input)?;
-    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
-    let claim = claim_or_number(out, OUT, Kind::Latency, &inputs)?;
+    let claim = claim_or_number(out, OUT, Kind::Latency, &experiment.inputs())?;
     experiment.description.out_dir = std::path::absolute(claim.path())?;
     let Experiment { description, .. } = &experiment;
     let folder = &description.out_dir;
@@ -110,48 +89,6 @@ pub fn latency(given: Given, wanted: &Wanted, out: Option<&Path>, json: bool) ->
         return failure::print_json(&outcome);
     }
     failure::print(format!("{outcome}\nfigures and picture in {}\n", folder.display()))
-}
-
-/// What is measured: checked, as a scenario. One that does not say for how many ticks goes on for as many as it takes.
-fn experiment(mut given: Given, wanted: &Wanted, out: Option<&Path>) -> Result<Experiment, Failure> {
-    if wanted.rounds == 0 || wanted.rounds > ROUNDS_MAX {
-        return Err(Failure::input(format!("--rounds: expected 1 to {ROUNDS_MAX}, got {}", wanted.rounds)));
-    }
-    if given.file.recording.is_some() {
-        let problem = "recording: expected a simulated target, whose ticks come at one rate";
-        return Err(Failure::input(format!("{}: {problem}", given.file_name)));
-    }
-    if let Some(rate_hz) = wanted.rate_hz {
-        if !(1e-3..=1e4).contains(&rate_hz) {
-            return Err(Failure::input(format!("--rate: expected 0.001 to 10000 Hz, got {rate_hz}")));
-        }
-        given.file.dt_s = Some(1.0 / rate_hz);
-    }
-    let name: RunName = match &wanted.name {
-        Some(name) => name.clone(),
-        // Others that start at the same time have other numbers.
-        None => format!("latency-{}", std::process::id()).parse().map_err(Failure::input)?,
-    };
-    let checked =
-        |given| Experiment::from_given(given, Some(&name), Naming::Exact, Some(out.unwrap_or(Path::new(OUT))));
-    let mut experiment = checked(given.clone())?;
-    if wanted.chooses_ticks {
-        let scenario = &experiment.description.scenario;
-        given.file.ticks = Some(match scenario.clock {
-            Clock::Lockstep => TICKS,
-            Clock::Realtime => (ROUND_S / scenario.dt_s).clamp(20.0, TICKS as f64 * 20.0) as u64,
-        });
-        experiment = checked(given)?;
-    }
-    let Scenario { ticks, robots, .. } = &experiment.description.scenario;
-    if ticks.saturating_mul(robots.len() as u64) > RANGES_MAX {
-        let most = RANGES_MAX / robots.len() as u64;
-        return Err(Failure::input(format!(
-            "--ticks: expected at most {most} for {} robots, got {ticks}",
-            robots.len()
-        )));
-    }
-    Ok(experiment)
 }
 
 /// Ticks of a round that are not counted: caches are cold, memory is touched for the first time.

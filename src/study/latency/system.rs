@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::record::RobotRecord;
 use rustix::process::{Pid, Signal, kill_process};
 

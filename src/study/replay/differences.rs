@@ -9,7 +9,7 @@ use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
 use crate::results::frame::Frame;
-use crate::results::report::{Background, Report, Tally};
+use crate::results::report::{Accumulator, Background};
 use crate::statistics::Mean;
 
 /// Characters of a setting: a space is left between the columns.
@@ -23,7 +23,7 @@ pub(super) struct Differences {
 }
 
 struct Side {
-    tally: Tally,
+    totals: Accumulator,
     objective: Mean,
     bound: Mean,
 }
@@ -86,7 +86,8 @@ pub(super) struct Figures {
 
 impl Differences {
     pub(super) fn new() -> anyhow::Result<Self> {
-        let side = || anyhow::Ok(Side { tally: Tally::new()?, objective: Mean::default(), bound: Mean::default() });
+        let side =
+            || anyhow::Ok(Side { totals: Accumulator::new()?, objective: Mean::default(), bound: Mean::default() });
         Ok(Self { sides: [side()?, side()?], headings_apart: Apart::default(), positions_apart: Apart::default() })
     }
 
@@ -95,7 +96,7 @@ impl Differences {
         let truth_m = frame.world.truth.first_chunk().map(|[x_m, y_m]| Vector2::new(*x_m, *y_m));
         let recorded = &frame.fusion.estimate;
         for (side, estimate) in self.sides.iter_mut().zip([recorded, replayed]) {
-            side.tally.add_estimate(frame.tick, estimate, truth_m);
+            side.totals.add_estimate(frame.tick, estimate, truth_m);
             // Who plans nothing has no objective.
             if estimate.objective > 0.0 {
                 side.objective.add(estimate.objective);
@@ -137,34 +138,24 @@ impl Differences {
 impl Side {
     fn figures(self, scenario: &Scenario) -> Figures {
         let (objective_mean, lower_bound_mean) = (self.objective.value(), self.bound.value());
-        let Report {
-            planner,
-            position_rmse_m,
-            anees,
-            nis_mean,
-            nis_all_mean,
-            gate_widened,
-            position_trace_m2,
-            ranges,
-            ..
-        } = self.tally.report(scenario, Background::default(), Vec::new());
+        let report = self.totals.report(scenario, Background::default(), Vec::new());
         Figures {
-            planner,
+            planner: report.planner,
             gate_sigma: scenario.gate_sigma,
             distrust: scenario.distrust,
             noise_psd: match scenario.filter_motion {
                 MotionModel::IntegratorChain { noise_psd, .. } => Some(noise_psd),
                 MotionModel::Custom { .. } => None,
             },
-            position_rmse_m,
-            anees,
-            nis_mean,
-            nis_all_mean,
-            gate_widened,
-            position_trace_final_m2: position_trace_m2.r#final,
-            position_trace_median_m2: position_trace_m2.median,
-            fused: ranges.fused,
-            rejected: ranges.rejected,
+            position_rmse_m: report.position_rmse_m,
+            anees: report.anees,
+            nis_mean: report.nis_mean,
+            nis_all_mean: report.nis_all_mean,
+            gate_widened: report.gate_widened,
+            position_trace_final_m2: report.position_trace_m2.r#final,
+            position_trace_median_m2: report.position_trace_m2.median,
+            fused: report.ranges.fused,
+            rejected: report.ranges.rejected,
             objective_mean,
             lower_bound_mean,
         }

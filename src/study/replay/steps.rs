@@ -12,7 +12,6 @@ use rangehound_shared::scenario::Scenario;
 
 use crate::results::frame::Frame;
 use crate::results::run_mcap::read::Missing;
-use crate::results::run_mcap::topics::digest_of;
 
 /// Why the replay cannot go on.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -150,8 +149,8 @@ pub fn difference(frame: &Frame, replayed: &Estimate, commands: &[Command]) -> O
         .chain(headings);
     let number = numbers.find_map(|(what, recorded, replayed)| found(what, recorded, replayed));
     number.or_else(|| {
-        let [recorded, replayed] = [recorded, replayed].map(|estimate| digest_of(estimate).to_bits());
         let what = "digest, of the same numbers".to_owned();
-        (recorded != replayed).then_some(Difference { tick: frame.tick, what, recorded: f64::NAN, replayed: f64::NAN })
+        let difference = Difference { tick: frame.tick, what, recorded: f64::NAN, replayed: f64::NAN };
+        (recorded.digest != replayed.digest).then_some(difference)
     })
 }

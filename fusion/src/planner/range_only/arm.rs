@@ -1,6 +1,6 @@
 //! One robot's vector in the sum: a length and the arc of its directions.
 
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// One robot's vector: its length `lambda = sigma^-2` and the arc that its direction may take.
 #[derive(Debug, Clone, Copy, PartialEq)]

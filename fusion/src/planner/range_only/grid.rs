@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use super::{Arm, Extent, PlannerError, Problem, Solution, Solver};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// Candidates beyond which a step would take longer than anybody waits (about a nanosecond each).
 const CANDIDATES_MAX: f64 = 2e9;

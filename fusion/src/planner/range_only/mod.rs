@@ -28,7 +28,7 @@ mod solution;
 
 use rangehound_shared::scenario::PlannerSpec;
 
-use super::{Plan, Planner, PlannerError, Situation, Vector};
+use super::{Plan, Planner, PlannerError, Situation};
 pub use arm::{Arm, Extent};
 pub use problem::Problem;
 pub use solution::{Solution, hull_certificate};
@@ -95,6 +95,7 @@ mod tests {
     use super::*;
     use crate::belief::Belief;
     use crate::planner::TeamMember;
+    use crate::vector::Vector;
     use nalgebra::Matrix2;
     use proptest::prelude::*;
 

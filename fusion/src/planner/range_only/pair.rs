@@ -1,14 +1,14 @@
-//! Two robots at once, in closed form: escapes the minima in which each robot alone is stuck.
+//! The optimum of two robots at once, in closed form. It leaves minima that no single robot can leave.
 
 use super::arm::{Arm, Extent};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// The directions of two arms for which `|rest + lambda_1 u_1 + lambda_2 u_2|` is least.
 ///
-/// At an optimum either one of the two stands at an end of its arc, and the other is the closed form of
-/// one robot ([`Arm::nearest`]); or both are inside, and then the gradient vanishes: the sum is zero
-/// (the triangle of sides `|rest|`, `lambda_1`, `lambda_2`) or both lie on the line of `rest`. All of these
-/// are tried; of equals the first counts.
+/// There are two kinds of optimum. One arm may stand at an end of its arc; the other then follows from the closed form of one
+/// robot ([`Arm::nearest`]). Or both are inside their arcs. The gradient is then zero: the sum vanishes (the triangle of sides
+/// `|rest|`, `lambda_1`, `lambda_2`), or both lie on the line of `rest`. All candidates are compared; the first of equal ones
+/// is taken.
 #[must_use]
 pub fn best_pair(rest: Vector, first: &Arm, second: &Arm) -> [Vector; 2] {
     let mut best = [first.centre, second.centre];
@@ -31,7 +31,7 @@ pub fn best_pair(rest: Vector, first: &Arm, second: &Arm) -> [Vector; 2] {
     for u2 in [second.low, second.high] {
         try_out(first.nearest(-(rest + u2 * second.lambda), first.centre), u2);
     }
-    // Without a direction of its own the rest takes any.
+    // A rest of length zero has no direction: any will do.
     let along = rest.normalised().unwrap_or(Vector::new(1.0, 0.0));
     for u1 in [along, -along] {
         if first.extent == Extent::Circle || first.contains(u1) {
@@ -70,15 +70,15 @@ fn triangle(rest: Vector, lambda_1: f64, lambda_2: f64) -> Option<[(Vector, Vect
 
 /// Directions of free arms (all full circles) for which `|rest + sum lambda_i u_i|` is least.
 ///
-/// If no length, `|rest|` among them, exceeds the sum of the others, they close to a polygon. It is built
-/// from the end: each arm but the last two turns until the chord that is left can still be closed by those after
-/// it, and the last two close the triangle. Otherwise all others point against the longest. O(M).
-/// False, with `directions` untouched, if an arm is not free.
+/// If no length (`|rest|` among them) exceeds the sum of the others, rest and arms form a closed polygon, whose sum is zero.
+/// Each arm but the last two is turned so that the arms after it can still close the remaining chord; the last two close the
+/// triangle. Otherwise all others point against the longest. O(M).
+/// Returns false, with `directions` unchanged, if an arm is not free.
 pub fn best_of_free(rest: Vector, arms: &[Arm], directions: &mut [Vector]) -> bool {
     if arms.iter().any(|arm| arm.extent != Extent::Circle) {
         return false;
     }
-    // What the arms after each can close, kept where its direction will stand: longest and sum.
+    // For each arm the longest and the sum of the arms after it, stored where its direction will be written.
     let (mut longest, mut left) = (0.0_f64, 0.0);
     for (arm, direction) in arms.iter().zip(directions.iter_mut()).rev() {
         *direction = Vector::new(longest, left);
@@ -88,8 +88,8 @@ pub fn best_of_free(rest: Vector, arms: &[Arm], directions: &mut [Vector]) -> bo
     let (mut rest, mut length) = (rest, rest.norm());
     for (arm, direction) in arms.iter().zip(directions.iter_mut()) {
         let Vector { x: longest, y: left } = *direction;
-        // Those after this one close chords from what their longest leaves to their sum. In the middle of
-        // what can be had, for at the ends the triangle is flat and its angles are badly known.
+        // The arms after this one can close chords from `2 longest - sum` to `sum`. The middle of the feasible interval is
+        // taken: at its ends the triangle is flat and its angles are badly conditioned.
         let least = (2.0 * longest - left).max((length - arm.lambda).abs());
         let most = left.min(length + arm.lambda);
         let chord = if least <= most { 0.5 * (least + most) } else { most.max((length - arm.lambda).abs()) };
@@ -98,13 +98,13 @@ pub fn best_of_free(rest: Vector, arms: &[Arm], directions: &mut [Vector]) -> bo
             None => arm.centre,
         };
         rest += *direction * arm.lambda;
-        // The chord, not what rounding made of it: so no arm's triangle waits for the one before.
+        // The exact chord, not the rounded sum: so no arm's triangle depends on the one before.
         length = if length > 0.0 { chord } else { arm.lambda };
     }
     true
 }
 
-/// The direction, from that of the rest, in which an arm turns a rest of this length into one of length `chord`.
+/// The direction, relative to the rest's, of an arm that changes the rest's length from this one to `chord`.
 fn turn_to_chord(length: f64, lambda: f64, chord: f64) -> Vector {
     let double_area = 2.0 * length * lambda;
     if double_area < f64::MIN_POSITIVE {

@@ -5,7 +5,8 @@ use rangehound_shared::message::Command;
 
 use super::arm::Arm;
 use super::reach::{Limit, Reach, stand_off_m};
-use crate::planner::{Sensor, Situation, TeamMember, Vector};
+use crate::planner::{Sensor, Situation, TeamMember};
+use crate::vector::Vector;
 
 /// Part of `T - |S|` that rounding of `|S|` may make up before `T - |S|` itself is what is compared.
 const ROUNDED_MAX: f64 = 1e-8;

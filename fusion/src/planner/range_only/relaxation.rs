@@ -1,7 +1,7 @@
 //! Adaptive relaxation (Eqs. 28, 29) and standard relaxation, its case `alpha = 0`.
 
 use super::{Problem, Solution, Solver};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// The paper's solver: turns one robot's vector after the other to where `|S + V|` is least, the
 /// others held, with the perturbation `V = -alpha S_old` of the cycle's start against local minima.

@@ -3,8 +3,9 @@
 use rangehound_shared::message::Command;
 
 use super::problem::trace_m2;
-use super::{Problem, Vector, certified};
+use super::{Problem, certified};
 use crate::planner::{Certificate, Worth};
+use crate::vector::Vector;
 
 /// The answer to a [`Problem`].
 #[derive(Debug, Clone, PartialEq)]

@@ -21,7 +21,7 @@ use rangehound_shared::record::{Judged, RangeUse};
 use serde::{Deserialize, Serialize};
 
 use super::{Fit, Gate, Reading, judged_room, use_of};
-use crate::filter::{Estimate, Innovation, RangeInformation};
+use crate::filter::{Gaussian, Innovation, RangeInformation};
 use circle::{CIRCLE_MAX, Circle};
 use rejections::Rejections;
 use sight::Sight;
@@ -76,7 +76,7 @@ pub struct Bank<const N: usize> {
     /// By falling weight, but for merged ones; the weights sum to one. Empty: nothing is known.
     hypotheses: Vec<Hypothesis<N>>,
     /// Mean and covariance of the sum: of all estimates the one of the least mean square error.
-    estimate: Estimate<N>,
+    estimate: Gaussian<N>,
     rejections: Rejections,
     /// `ln p(z)` of the last step's ranges given all before.
     log_likelihood: f64,
@@ -88,35 +88,35 @@ pub struct Bank<const N: usize> {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Hypothesis<const N: usize> {
     pub(super) log_weight: f64,
-    pub(super) estimate: Estimate<N>,
+    pub(super) estimate: Gaussian<N>,
 }
 
 /// What [`Bank::restore`] needs: borrowed as it is written, owned as it is read.
 #[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Saved<'a, const N: usize> {
+pub(super) struct SavedBank<'a, const N: usize> {
     hypotheses: Cow<'a, [Hypothesis<N>]>,
-    estimate: Estimate<N>,
+    estimate: Gaussian<N>,
     rejections: Rejections,
     log_likelihood: f64,
 }
 
 impl<const N: usize> Bank<N> {
     /// Begins with this, rather than with nothing.
-    pub(super) fn begin_with(&mut self, estimate: Estimate<N>) {
+    pub(super) fn begin_with(&mut self, estimate: Gaussian<N>) {
         self.hypotheses.clear();
         self.hypotheses.push(Hypothesis { log_weight: 0.0, estimate });
         self.estimate = estimate;
     }
 
     /// What [`Self::restore`] needs to go on from here.
-    pub(super) fn saved(&self) -> Saved<'_, N> {
+    pub(super) fn saved(&self) -> SavedBank<'_, N> {
         let Self { ref hypotheses, estimate, rejections, log_likelihood, .. } = *self;
-        Saved { hypotheses: Cow::Borrowed(hypotheses), estimate, rejections, log_likelihood }
+        SavedBank { hypotheses: Cow::Borrowed(hypotheses), estimate, rejections, log_likelihood }
     }
 
     /// Goes on from what a bank of the same scenario saved.
-    pub(super) fn restore(&mut self, restored: Saved<'_, N>) {
-        let Saved { hypotheses, estimate, rejections, log_likelihood } = restored;
+    pub(super) fn restore(&mut self, restored: SavedBank<'_, N>) {
+        let SavedBank { hypotheses, estimate, rejections, log_likelihood } = restored;
         // Into the memory that is there: steps allocate nothing.
         self.hypotheses.clear();
         self.hypotheses.extend(hypotheses.iter().take(HYPOTHESES_MAX));
@@ -188,7 +188,7 @@ impl<const N: usize> Bank<N> {
     }
 
     /// The one hypothesis that is left, if only one is.
-    pub(super) fn settled(&mut self) -> Option<&mut Estimate<N>> {
+    pub(super) fn settled(&mut self) -> Option<&mut Gaussian<N>> {
         match &mut self.hypotheses[..] {
             [only] => Some(&mut only.estimate),
             _ => None,
@@ -196,7 +196,7 @@ impl<const N: usize> Bank<N> {
     }
 
     /// Mean and covariance of the sum.
-    pub(super) fn estimate(&self) -> &Estimate<N> {
+    pub(super) fn estimate(&self) -> &Gaussian<N> {
         &self.estimate
     }
 
@@ -367,7 +367,7 @@ impl<const N: usize> Bank<N> {
 
     /// Merges into a hypothesis the lighter ones near it.
     fn merge_into(&mut self, heavy: usize) {
-        let Estimate { x, p } = self.hypotheses[heavy].estimate;
+        let Gaussian { x, p } = self.hypotheses[heavy].estimate;
         let Some(root) = Cholesky::new(p) else { return };
         let mut light = heavy + 1;
         while light < self.hypotheses.len() {
@@ -382,12 +382,12 @@ impl<const N: usize> Bank<N> {
     }
 }
 
-fn unknown<const N: usize>() -> Estimate<N> {
-    Estimate { x: SVector::zeros(), p: SMatrix::identity() * (UNKNOWN_STD * UNKNOWN_STD) }
+fn unknown<const N: usize>() -> Gaussian<N> {
+    Gaussian { x: SVector::zeros(), p: SMatrix::identity() * (UNKNOWN_STD * UNKNOWN_STD) }
 }
 
 /// Lifts the covariance clear of rounding. False if it is not positive definite or not all is finite.
-fn make_sound<const N: usize>(estimate: &mut Estimate<N>) -> bool {
+fn make_sound<const N: usize>(estimate: &mut Gaussian<N>) -> bool {
     inflate(&mut estimate.p);
     let finite = estimate.x.iter().chain(estimate.p.iter()).all(|value| value.is_finite());
     finite && Cholesky::new(estimate.p).is_some()
@@ -406,7 +406,7 @@ fn log_sum<const N: usize>(hypotheses: &[Hypothesis<N>]) -> f64 {
 }
 
 /// Mean and covariance of a Gaussian sum.
-pub(super) fn mixture<const N: usize>(hypotheses: &[Hypothesis<N>]) -> Estimate<N> {
+pub(super) fn mixture<const N: usize>(hypotheses: &[Hypothesis<N>]) -> Gaussian<N> {
     let total = log_sum(hypotheses);
     let weighted = || hypotheses.iter().map(|h| ((h.log_weight - total).exp(), &h.estimate));
     let mut x = SVector::zeros();
@@ -420,7 +420,7 @@ pub(super) fn mixture<const N: usize>(hypotheses: &[Hypothesis<N>]) -> Estimate<
     }
     p = (p + p.transpose()) * 0.5;
     inflate(&mut p);
-    Estimate { x, p }
+    Gaussian { x, p }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::super::Reading;
-use crate::filter::{Estimate, Innovation};
+use crate::filter::{Gaussian, Innovation};
 
 /// Share of the ranges taken to be outliers: that of radio ranges without a line of sight.
 const OUTLIER_SHARE: f64 = 0.05;
@@ -27,8 +27,8 @@ pub(super) struct Sight {
 
 impl Sight {
     /// With the second-order terms of `d(X)`: mean `d + bend`, variance `2 bend^2` in the plane, where only one
-    /// direction bends; [`Estimate::bend`] for a sensor at another height, round which all do.
-    pub(super) fn of<const N: usize>(estimate: &Estimate<N>, reading: &Reading) -> Self {
+    /// direction bends; [`Gaussian::bend`] for a sensor at another height, round which all do.
+    pub(super) fn of<const N: usize>(estimate: &Gaussian<N>, reading: &Reading) -> Self {
         let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
         let mut innovation = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
         let covariance = estimate.position_covariance();

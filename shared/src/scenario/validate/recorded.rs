@@ -1,8 +1,8 @@
 //! What a scenario says of its recording.
 
 use super::Checker;
-use crate::matrix::Matrix;
 use crate::motion::MotionModel;
+use crate::motion::matrix::Matrix;
 use crate::recording::{ReadSummary, Recording};
 use crate::scenario::bounds::{BIAS_M, COORDINATE, SCALE, START_STD_M, STD_M};
 use crate::scenario::{

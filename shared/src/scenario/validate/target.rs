@@ -3,8 +3,8 @@
 use super::Checker;
 use super::values::{per_state, quoted};
 use crate::draws::{Draws, Stream};
-use crate::matrix::{Matrix, square_root};
 use crate::motion::MotionModel;
+use crate::motion::matrix::{Matrix, square_root};
 use crate::scenario::bounds::{NOISE_PSD, RELATIVE_EIGENVALUE_MIN, VARIANCE};
 use crate::scenario::{CovarianceKey, MeanKey, Prior, PriorTable, ScenarioError, TargetTable, defaults};
 use crate::{STATE_DIM_MAX, with_state_dim};

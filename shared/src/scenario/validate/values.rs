@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 
 use super::Checker;
-use crate::matrix::Matrix;
+use crate::motion::matrix::Matrix;
 use crate::scenario::bounds::{COORDINATE, MATRIX_ENTRY, STATE};
 use crate::scenario::{ScenarioError, defaults};
 

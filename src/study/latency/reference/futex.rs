@@ -8,7 +8,7 @@ use anyhow::{anyhow, bail};
 use iceoryx2_bb_concurrency::atomic::{AtomicU32, AtomicU64};
 use rangehound_node::block::{Block, BlockError};
 use rangehound_node::rendezvous::Rendezvous;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 use rangehound_shared::ROBOTS_MAX;
 use rustix::io::Errno;
 use rustix::thread::futex;

@@ -15,7 +15,7 @@ use iceoryx2::service::port_factory::event::PortFactory as Event;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 use rangehound_node::bus;
 use rangehound_node::rendezvous::Rendezvous;
-use rangehound_node::signal::Termination;
+use rangehound_node::system::signal::Termination;
 
 use super::{Command, RANGE_TICK, ROBOT, Range, TICK, WAIT};
 

@@ -7,8 +7,8 @@ use std::io::{Read, Write};
 use std::time::Duration;
 
 use anyhow::anyhow;
-use rangehound_node::clock::monotonic_ns;
 use rangehound_node::rendezvous::Role;
+use rangehound_node::system::clock::monotonic_ns;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use rustix::io::Errno;
@@ -23,27 +23,29 @@ use crate::study::latency::dt_ns;
 /// What a node says once it can be heard.
 pub(super) const READY: u64 = u64::from_le_bytes(*b"rh-ready");
 
-/// `rangehound latency-node`: a role of a run over a reference, until its parent ends, if that is given.
+/// `rangehound latency-node`: a robot of a run over a reference, or the centre, until its parent ends, if that is given.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn latency_node(reference: Reference, role: Role, name: &RunName, parent: Option<u32>) -> Result<(), Failure> {
-    let termination = prepare(role, parent)?;
+pub fn latency_node(
+    reference: Reference,
+    robot: Option<usize>,
+    name: &RunName,
+    parent: Option<u32>,
+) -> Result<(), Failure> {
+    let termination = prepare(robot.map_or(Role::Fusion, Role::Robot), parent)?;
     let run = join(name, &termination)?;
     let scenario = &run.description().scenario;
     let silence = SILENCE + Duration::from_nanos(dt_ns(scenario).unwrap_or(0));
-    match (reference, role) {
-        (Reference::Iceoryx2, Role::Fusion) => {
+    match (reference, robot) {
+        (Reference::Iceoryx2, None) => {
             be_centre(iceoryx2::Centre::open(&run, &termination, silence)?, scenario)?;
         }
-        (Reference::Iceoryx2, Role::Robot(id)) => {
+        (Reference::Iceoryx2, Some(id)) => {
             be_robot(iceoryx2::Robot::open(&run, id, &termination, silence)?, id, scenario)?;
         }
-        (Reference::Futex, Role::Fusion) => be_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
-        (Reference::Futex, Role::Robot(id)) => {
-            be_robot(futex::Robot::open(&run, &termination, silence)?, id, scenario)?
-        }
-        (_, role) => return Err(Failure::input(format!("--role: expected fusion or robot-N, got {role}"))),
+        (Reference::Futex, None) => be_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
+        (Reference::Futex, Some(id)) => be_robot(futex::Robot::open(&run, &termination, silence)?, id, scenario)?,
     }
     Ok(())
 }

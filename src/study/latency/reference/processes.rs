@@ -9,9 +9,9 @@ use std::process::{Child, ChildStdout, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use rangehound_node::clock::monotonic_ns;
 use rangehound_node::rendezvous::{Rendezvous, Role};
-use rangehound_node::signal::Termination;
+use rangehound_node::system::clock::monotonic_ns;
+use rangehound_node::system::signal::Termination;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, kill_process};
 

@@ -1,6 +1,6 @@
 //! The best answer of a search so far.
 
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// Nodes closer than this to the best answer are not looked into, relative to `T - |S|`, which makes it an error of the trace.
 pub(super) const TRACE: f64 = 1e-8;

@@ -2,7 +2,7 @@
 
 use super::super::Problem;
 use super::super::arm::{Arm, Extent};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
 /// Support points of a distance query: more are never needed in the plane, as each halves an angle.
 const QUERIES_MAX: usize = 100;

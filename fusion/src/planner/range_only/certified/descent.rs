@@ -1,8 +1,8 @@
 //! Downhill from given directions to where no robot, no pair and no small step of all is better.
 
-use crate::planner::Vector;
 use crate::planner::range_only::Problem;
 use crate::planner::range_only::pair::best_pair;
+use crate::vector::Vector;
 
 /// A sum that is zero but for rounding, relative to the sum of all lambda.
 const CLOSED: f64 = 1e-15;

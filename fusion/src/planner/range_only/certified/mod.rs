@@ -13,7 +13,8 @@ mod search;
 
 use super::pair::best_of_free;
 use super::relaxation::Relaxation;
-use super::{Problem, Solution, Solver, Vector};
+use super::{Problem, Solution, Solver};
+use crate::vector::Vector;
 pub use bound::hull_bound;
 use search::Search;
 

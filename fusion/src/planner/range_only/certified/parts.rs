@@ -1,38 +1,38 @@
-//! Parts of the arcs: what a node of the search keeps each robot to.
+//! Nodes of the search: each keeps every robot to a part of its arc.
 
 use std::cmp::Ordering;
 
 use super::bound::Hull;
-use crate::planner::Vector;
 use crate::planner::range_only::arm::{Arm, Extent};
+use crate::vector::Vector;
 
-/// The tree of the parts that have been made, and the arcs of one of them.
+/// The nodes of the search tree, and the arcs of one of them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Parts {
     nodes: Vec<Node>,
-    /// The arcs of the root. A circle among others that are alike is an arc of a whole turn, which begins at
-    /// one place for all of them: cuts keep them in an order.
+    /// The arcs of the root. Of several equal arms that are free, each has an arc of a whole turn. All of these begin at the
+    /// same direction, so that cuts can keep the arms in order.
     whole: Vec<Arm>,
-    /// The arcs of the node at hand.
+    /// The arcs of the node that was restored last.
     pub(super) arms: Vec<Arm>,
-    /// The arms by number, those that are alike side by side, and where each stands in that.
+    /// The arms' numbers, sorted so that equal arms are neighbours, and the position of each arm in that order.
     order: Vec<usize>,
     place: Vec<usize>,
     path: Vec<Cut>,
 }
 
-/// A part of the search space: its parent's, cut at a direction within one arm's arc.
+/// A node: the part of its parent on one side of a direction within one arm's arc.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Node {
     pub(super) parent: usize,
     pub(super) cut: Cut,
-    /// Where to cut next.
+    /// Where this node is cut.
     pub(super) next: (usize, Vector),
 }
 
-/// One arm kept to the part of its arc before or after a direction. Arms that are all alike are kept in
-/// order of their directions, for every permutation of them is as good: so those before it in the
-/// order are kept before the direction too, those after it after.
+/// Keeps one arm to the part of its arc before or after a direction. Permuting equal arms changes nothing, so the search
+/// sorts them by direction. A cut therefore also keeps the equal arms earlier in the order before the direction, or the
+/// later ones after it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cut {
     pub(super) arm: usize,
@@ -51,7 +51,7 @@ impl Parts {
         Self { nodes: Vec::with_capacity(nodes), ..Self::default() }
     }
 
-    /// Begins with these arcs, whole.
+    /// A tree whose root has these arcs.
     pub(super) fn begin(&mut self, arms: &[Arm]) {
         self.nodes.clear();
         self.put_in_order(arms);
@@ -65,12 +65,12 @@ impl Parts {
         self.nodes.len() - 1
     }
 
-    /// Where a node is cut next.
+    /// Where a node is cut.
     pub(super) fn next(&self, node: usize) -> (usize, Vector) {
         self.nodes[node].next
     }
 
-    /// Puts arms that are alike side by side.
+    /// Sorts the arms so that equal ones are neighbours.
     fn put_in_order(&mut self, arms: &[Arm]) {
         let key = |i: usize| [arms[i].lambda, arms[i].centre.x, arms[i].centre.y, arms[i].low.x];
         self.order.clear();
@@ -93,7 +93,7 @@ impl Parts {
         }
     }
 
-    /// Puts the arcs of a node and of one more cut in place.
+    /// Restores the arcs of a node, with one more cut applied.
     pub(super) fn restrict(&mut self, node: usize, cut: Cut) {
         self.path.clear();
         self.path.push(cut);
@@ -120,13 +120,13 @@ impl Parts {
         }
     }
 
-    /// Where to cut an arm whose share in the hulls' nearest point is `towards`; of arms that are alike all at one place.
+    /// Where to cut an arm whose share in the hulls' nearest point is `towards`. Equal arms are cut at the same direction.
     pub(super) fn middle(&self, arm: usize, towards: Vector) -> Vector {
         let is_alone = self.run_of(self.place[arm]).len() == 1;
         self.arms[arm].middle(if is_alone { towards } else { Vector::default() })
     }
 
-    /// The places of the arms round this one that are alike in this node too.
+    /// Positions in the order of the arms that equal this one and have the same arc in this node.
     fn run_of(&self, place: usize) -> std::ops::Range<usize> {
         let arm = &self.arms[self.order[place]];
         let alike = |other: &&usize| self.arms[**other] == *arm;
@@ -134,9 +134,9 @@ impl Parts {
         start..place + self.order[place..].iter().take_while(alike).count()
     }
 
-    /// Shares the hulls' nearest point out to the arms. Arms that are alike have the same share in it each;
-    /// the same sum comes of some at the one end of their arc, some at the other, and one or two between:
-    /// those are the only ones that leave their arcs.
+    /// Divides the hulls' nearest point among the arms. Equal arms have equal shares in it. The same sum also results if some
+    /// of them stand at one end of their arc, some at the other, and one or two between. Only these one or two leave their
+    /// arcs.
     pub(super) fn share_out(&self, hull: &Hull, in_hull: &mut Vec<Vector>) {
         in_hull.clear();
         in_hull.extend((0..self.arms.len()).map(|i| hull.direction(i)));
@@ -148,7 +148,7 @@ impl Parts {
             if run.len() > 1 && in_hull[first].norm_squared() < 1.0 - 1e-12 {
                 let arm = self.arms[first];
                 let mut corners = hull.corners_of(first);
-                // In order along the arc, as the arms are.
+                // Sorted along the arc, as the arms are.
                 let along = |v: Vector| v.rotated_by(arm.low.conjugate()).angle_rad().rem_euclid(std::f64::consts::TAU);
                 corners.sort_unstable_by(|a, b| along(a.0).total_cmp(&along(b.0)));
                 let count = run.len() as f64;
@@ -169,8 +169,8 @@ impl Parts {
 }
 
 impl Arm {
-    /// Where to cut the arc: in the middle; a full circle across from `towards`, so that one half has it
-    /// in its middle, or where its ends meet and across from there if `towards` is zero.
+    /// Where to cut the arc: in the middle. A full circle is cut across `towards`, so that `towards` is the middle of one
+    /// half. If `towards` is zero, it is cut at its centre and opposite.
     fn middle(&self, towards: Vector) -> Vector {
         match (self.extent, towards.normalised()) {
             (Extent::Circle, Some(towards)) => towards.rotated_by(Vector::new(0.0, 1.0)),
@@ -181,15 +181,16 @@ impl Arm {
     /// The part of the arc before or after a direction in it.
     fn part(&self, at: Vector, side: Side) -> Self {
         let (low, high) = match (self.extent, side) {
-            // A circle begins and ends across from the cut.
+            // A circle begins and ends opposite the cut.
             (Extent::Circle, Side::Before) => (-at, at),
             (Extent::Circle, Side::After) => (at, -at),
             (_, Side::Before) => (self.low, at),
             (_, Side::After) => (at, self.high),
         };
-        // From `low` counter-clockwise to `high`: at most half a turn if that is to the left. Circles are halved.
+        // Counter-clockwise from `low` to `high`, this is at most half a turn if `high` is to the left of `low`.
         let is_narrow = self.extent != Extent::Wide || low.cross(high) >= 0.0;
-        // The middle lies across the chord and along the sum of the ends: whichever has not cancelled tells.
+        // The middle is perpendicular to the chord and parallel to the sum of the ends. The longer of the two is used: the
+        // other suffers from cancellation.
         let (chord, sum) = (high - low, low + high);
         let middle = if chord.norm_squared() > sum.norm_squared() {
             Vector::new(chord.y, -chord.x)
@@ -214,7 +215,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(3_000))]
 
-        /// Whatever is cut where, a configuration with alike robots in order is in one of the two parts.
+        /// Wherever it is cut, a configuration with equal robots in order is in one of the two parts.
         #[test]
         fn cuts_lose_no_configuration(
             groups in proptest::collection::vec((1..5_usize, -PI..PI, prop_oneof![Just(PI), 0.1..3.1_f64]), 1..4),
@@ -232,7 +233,7 @@ mod tests {
             let problem = Problem::of_arms(Vector::default(), arms);
             let mut parts = Parts::default();
             parts.begin(&problem.arms);
-            // Alike robots in order of their directions along the arc.
+            // Equal robots, sorted by their directions along the arc.
             let mut shares: Vec<f64> = places[..problem.len()].to_vec();
             let order = parts.order.clone();
             for run in order.chunk_by(|&i, &j| problem.arms[i] == problem.arms[j]) {

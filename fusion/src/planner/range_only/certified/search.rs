@@ -7,10 +7,10 @@ use super::answer::{Answer, Measure, TRACE};
 use super::bound::{ARC_BOUND_ROBOTS_MAX, Hull, arc_bound, arc_information};
 use super::descent::{ALL_PAIRS_MAX, descend, settle, turn_pairs};
 use super::parts::{Cut, Node, Parts, Side};
-use crate::planner::Vector;
 use crate::planner::range_only::Problem;
 use crate::planner::range_only::arm::{Arm, Extent};
 use crate::planner::range_only::pair::best_pair;
+use crate::vector::Vector;
 
 /// Nodes closer than this to the best answer are not looked into, relative to the sum of all lambda: a
 /// tenth of what a certificate allows.

@@ -5,18 +5,9 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use rangehound_shared::ROBOTS_MAX;
 
 use super::Reach;
-use super::separation::Limit;
-use crate::planner::Vector;
+use super::polygon::{DISC_CORNERS, edges};
 use crate::planner::range_only::arm::Arm;
-
-/// Corners of the polygon that stands for the disc of a robot with neighbours: its inradius, and so
-/// the speed given away at worst, is 0.2 % less.
-const DISC_CORNERS: usize = 48;
-
-/// The polygon that stands for a disc round the robot.
-pub(super) fn disc(radius_m: f64) -> impl Iterator<Item = Vector> {
-    (0..DISC_CORNERS).map(move |k| Vector::from_angle(2.0 * PI * k as f64 / DISC_CORNERS as f64) * radius_m)
-}
+use crate::vector::Vector;
 
 impl Reach {
     /// [`Self::motion`] in a cell; by itself, so that teams without neighbours need not fetch its code.
@@ -117,30 +108,6 @@ impl Reach {
                 let bearing = farthest.and_then(Vector::normalised).unwrap_or(self.sight);
                 Arm::with_half_width(lambda, bearing.doubled(), Vector::new(1.0, 0.0))
             }
-        }
-    }
-}
-
-fn edges(polygon: &[Vector]) -> impl Iterator<Item = (Vector, Vector)> {
-    polygon.iter().copied().zip(polygon.iter().copied().cycle().skip(1))
-}
-
-pub(super) fn is_inside(polygon: &[Vector], place: Vector) -> bool {
-    edges(polygon).all(|(corner, next)| (next - corner).cross(place - corner) >= 0.0)
-}
-
-/// Cuts off the part of the polygon `corners[start..]` that is beyond the limit.
-pub(super) fn clip(corners: &mut Vec<Vector>, start: usize, limit: Limit, scratch: &mut Vec<Vector>) {
-    scratch.clear();
-    scratch.extend_from_slice(&corners[start..]);
-    corners.truncate(start);
-    for (corner, next) in edges(scratch) {
-        let (over, next_over) = (limit.normal.dot(corner) - limit.offset_m, limit.normal.dot(next) - limit.offset_m);
-        if over <= 0.0 {
-            corners.push(corner);
-        }
-        if over * next_over < 0.0 {
-            corners.push(corner + (next - corner) * (over / (over - next_over)));
         }
     }
 }

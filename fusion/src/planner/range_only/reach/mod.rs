@@ -4,6 +4,7 @@
 //! and [`separation`] how much that is.
 
 mod cell;
+mod polygon;
 mod separation;
 
 use std::ops::Range;
@@ -12,8 +13,9 @@ use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Clearance;
 
 use super::arm::Arm;
-use crate::planner::{TeamMember, Vector};
-pub(super) use separation::Limit;
+use crate::planner::TeamMember;
+use crate::vector::Vector;
+pub(super) use polygon::Limit;
 
 /// A place nearer to the predicted target than this, in steps, has no bearing worth the name.
 const ON_TARGET: f64 = 1e-6;
@@ -189,7 +191,7 @@ impl Reach {
         let keeps_off = (self.to_target_m - offset_m).norm() >= self.stand_off_m;
         match &self.room {
             Room::Disc => keeps_off,
-            Room::Cell(corners) => keeps_off && cell::is_inside(&corners_m[corners.clone()], offset_m),
+            Room::Cell(corners) => keeps_off && polygon::is_inside(&corners_m[corners.clone()], offset_m),
             Room::Out(_) => false,
         }
     }

@@ -1,24 +1,17 @@
-//! How much room neighbours leave to a robot, and where it goes if that is none.
+//! The room that neighbours leave to a robot, and where it goes if they leave none.
 
 use std::f64::consts::PI;
 
-use super::cell::{clip, disc};
+use super::polygon::{Limit, clip, disc};
 use super::{Reach, Room};
-use crate::planner::Vector;
+use crate::vector::Vector;
 
-/// A stand-off that is kept but for this share of it is kept.
+/// Relative tolerance of the stand-off.
 const ROUNDED: f64 = 1e-12;
 
-/// A half-plane that a robot stays in: `normal . offset <= offset_m`, offset from where it is.
-#[derive(Debug, Clone, Copy)]
-pub(in super::super) struct Limit {
-    pub(super) normal: Vector,
-    pub(super) offset_m: f64,
-}
-
 impl Limit {
-    /// What robot `me` leaves to its neighbour `other`: half of the room between them, less half of the
-    /// separation. While both keep to it they stay apart; where they are too close, both move out.
+    /// The limit that neighbour `other` sets to robot `me`: half of the distance between them, less half of the separation.
+    /// While both respect it they keep the separation; if they are too close, it moves both apart.
     pub(in super::super) fn between(
         me: (usize, Vector),
         other: (usize, Vector),
@@ -27,7 +20,7 @@ impl Limit {
     ) -> Self {
         let apart = other.1 - me.1;
         let distance_m = apart.norm();
-        // On one spot, each has a way out of its own.
+        // Robots at the same place leave in different directions.
         let spoke = |id: usize| Vector::from_angle(2.0 * PI * id as f64 / robots as f64);
         let normal = apart.normalised().or_else(|| (spoke(other.0) - spoke(me.0)).normalised());
         Self { normal: normal.unwrap_or(Vector::new(1.0, 0.0)), offset_m: 0.5 * (distance_m - separation_m) }
@@ -56,7 +49,7 @@ impl Reach {
         if !is_limited {
             return;
         }
-        // The stand-off that it has, it keeps; who is inside comes no nearer.
+        // A robot within the stand-off need not leave it, but comes no nearer.
         let kept_m = self.stand_off_m.min(self.to_target_m.norm());
         let keeps_off = |place_m: Vector| (self.to_target_m - place_m).norm() >= kept_m;
         self.room = if corners_m[start..].iter().any(|corner| keeps_off(*corner)) {
@@ -67,11 +60,11 @@ impl Reach {
         };
     }
 
-    /// Where to go if the room that the neighbours leave cannot be reached, or is all too near the target: of the way straight
-    /// out of them, which ends at the stand-off, and both ways along the stand-off, the one that comes nearest to that
-    /// room. None goes into another's.
+    /// Where to go if the cell cannot be reached, or lies within the stand-off. There are three candidates: straight away from
+    /// the neighbours, up to the stand-off, and the two ends of the step on the stand-off's circle. The one that violates the
+    /// limits least is taken. None violates a limit that is respected now.
     fn way_out(&self, limits: impl Iterator<Item = Limit> + Clone, away: Vector, kept_m: f64) -> Vector {
-        // The limits that a move in this direction meets, and how far it may go.
+        // How far a move in this direction may go before it violates a limit.
         let free_m = |along: Vector, most_m: f64| {
             let met = limits.clone().filter(|limit| limit.normal.dot(along) > 0.0);
             met.fold(most_m, |free, limit| free.min(limit.offset_m.max(0.0) / limit.normal.dot(along)))
@@ -80,7 +73,7 @@ impl Reach {
             let over_m = limits.clone().map(|limit| limit.normal.dot(place_m) - limit.offset_m);
             over_m.fold(f64::NEG_INFINITY, f64::max)
         };
-        // As far as the worst of them asks for, but not into another.
+        // As far as the limit that is violated most asks for, but not beyond another one.
         let straight = away * worst_m(Vector::default()).max(0.0).min(free_m(away, self.step_m));
         let mut best = Vector::default();
         let mut consider = |place_m: Vector| {
@@ -90,7 +83,7 @@ impl Reach {
             }
         };
         consider(self.up_to_the_stand_off(straight, kept_m));
-        // Where the step ends on the stand-off: triangle of sides d, kept, r.
+        // The ends of the step on the stand-off's circle: triangle of sides d, kept, r.
         let (d, r) = (self.to_target_m.norm(), self.step_m);
         let cos = (d * d + kept_m * kept_m - r * r) / (2.0 * d * kept_m);
         if cos.abs() < 1.0 {
@@ -105,7 +98,7 @@ impl Reach {
         best
     }
 
-    /// The part of a move before it comes nearer to the target than `kept_m`.
+    /// The part of a move up to the point where it would come nearer to the target than `kept_m`.
     fn up_to_the_stand_off(&self, move_m: Vector, kept_m: f64) -> Vector {
         let (a, b) = (move_m.norm_squared(), move_m.dot(self.to_target_m));
         let c = (self.to_target_m.norm_squared() - kept_m * kept_m).max(0.0);

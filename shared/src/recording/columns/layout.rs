@@ -1,0 +1,253 @@
+//! Which column of a header is what, from what the user says, from names, and never by a guess.
+
+use std::io::Read;
+
+use super::names::{Kind, Name};
+use super::stamp;
+use super::{ColumnMap, Role, Told};
+use crate::recording::error::{RecordingError, listed, shown};
+use crate::recording::table::Table;
+use crate::recording::table::unit::Unit;
+
+/// A column that is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::recording) struct Column {
+    pub(in crate::recording) index: usize,
+    /// Of a column of numbers.
+    pub(in crate::recording) unit: Unit,
+    /// The user told the unit.
+    pub(in crate::recording) is_told: bool,
+}
+
+/// Finds columns in a header, and gathers what must be asked.
+pub(in crate::recording) struct Finder<'a> {
+    kind: Kind,
+    header: Vec<String>,
+    first_row: Vec<Vec<u8>>,
+    map: &'a ColumnMap,
+    used: Vec<bool>,
+    /// Columns whose unit is not known, each with the unit that is the likeliest.
+    asks: Vec<Told>,
+    read_as: Vec<String>,
+}
+
+impl<'a> Finder<'a> {
+    pub(in crate::recording) fn new<R: Read>(kind: Kind, table: &Table<R>, map: &'a ColumnMap) -> Self {
+        let header = table.header().to_vec();
+        let first_row = table.first_row().map(|row| row.iter().map(<[u8]>::to_vec).collect()).unwrap_or_default();
+        let used = vec![false; header.len()];
+        Self { kind, header, first_row, map, used, asks: Vec::new(), read_as: Vec::new() }
+    }
+
+    /// The index of the column that has a role: the one that the user tells, or the one whose name says so.
+    pub(in crate::recording) fn index<R: Read>(
+        &self,
+        role: Role,
+        table: &Table<R>,
+    ) -> Result<Option<usize>, RecordingError> {
+        // The number of a log's column says nothing of its anchors file.
+        let is_of_log = |told: &&Told| self.kind == Kind::Anchors && role == Role::Sensor && told.is_by_number();
+        if let Some(told) = self.map.get(role).filter(|told| !is_of_log(told)) {
+            let found = self.told_index(&told.column);
+            return match found {
+                // An anchors file and its log often call the sensor differently.
+                None if self.kind == Kind::Anchors && role == Role::Sensor => self.named_index(role, table),
+                None => Err(table.header_error(&format!(
+                    "--columns {told}: expected one of the columns {}",
+                    table.listed_columns()
+                ))),
+                found => Ok(found),
+            };
+        }
+        self.named_index(role, table)
+    }
+
+    fn told_index(&self, column: &str) -> Option<usize> {
+        let same = |name: &&String| name.as_str() == column;
+        let alike = |name: &String| name.eq_ignore_ascii_case(column);
+        let by_number = || column.parse::<usize>().ok().and_then(|number| number.checked_sub(1));
+        let position = self.header.iter().position(|name| same(&name)).or_else(|| self.header.iter().position(alike));
+        position.or_else(|| by_number().filter(|index| *index < self.header.len()))
+    }
+
+    fn named_index<R: Read>(&self, role: Role, table: &Table<R>) -> Result<Option<usize>, RecordingError> {
+        let ranks: Vec<(usize, usize)> = self
+            .header
+            .iter()
+            .enumerate()
+            .filter(|(index, _)| !self.used[*index])
+            .filter_map(|(index, name)| Some((self.kind.rank(role, name)?, index)))
+            .collect();
+        let Some(&(best, index)) = ranks.iter().min() else { return Ok(None) };
+        let rivals: Vec<usize> = ranks.iter().filter(|(rank, _)| *rank == best).map(|(_, index)| *index).collect();
+        if rivals.len() > 1 {
+            let names = listed(rivals.iter().map(|index| self.header[*index].as_str()));
+            let what = role.key();
+            let told = Told { role, column: self.column_to_type(index), unit: None };
+            let told = match self.unit_of(role, index) {
+                Some(_) => told,
+                None => Told { unit: self.likely_unit(role, index), ..told },
+            };
+            let hint = self.hint(&[told]);
+            return Err(table.header_error(&format!("each of the columns {names} may be the {what}: {hint}")));
+        }
+        Ok(Some(index))
+    }
+
+    /// What to type, or to do where nothing can be typed.
+    fn hint(&self, told: &[Told]) -> String {
+        if self.kind == Kind::Track {
+            return "name the right ones time_s, x_m, y_m".to_owned();
+        }
+        format!("type {}, or as it should be", shown_line(&self.map.line_to_type(told)))
+    }
+
+    /// A column as it can stand in `--columns`.
+    fn column_to_type(&self, index: usize) -> String {
+        let name = &self.header[index];
+        let is_plain =
+            !name.is_empty() && name.len() <= 40 && !name.chars().any(|c| c.is_control() || ",='\"".contains(c));
+        if is_plain { name.clone() } else { (index + 1).to_string() }
+    }
+
+    fn unit_of(&self, role: Role, index: usize) -> Option<Unit> {
+        let is_stamp =
+            role == Role::Time && self.first_row.get(index).is_some_and(|field| stamp::seconds(field).is_some());
+        if is_stamp {
+            return Some(Unit::Iso);
+        }
+        let told = self.map.get(role).and_then(|told| told.unit);
+        told.or_else(|| Name::read(&self.header[index]).unit.filter(|unit| role.takes(*unit)))
+    }
+
+    fn likely_unit(&self, role: Role, index: usize) -> Option<Unit> {
+        match role {
+            Role::Sensor | Role::Target => None,
+            Role::Time => {
+                let field = self.first_row.get(index).map_or(&[][..], Vec::as_slice);
+                let stamp = std::str::from_utf8(field).ok().and_then(|text| text.parse().ok()).unwrap_or(0.0);
+                Some(unit_of_epoch(stamp).unwrap_or(Unit::Second))
+            }
+            Role::Range | Role::X | Role::Y | Role::Z => Some(Unit::Metre),
+        }
+    }
+
+    /// A column of text.
+    pub(in crate::recording) fn text<R: Read>(
+        &mut self,
+        role: Role,
+        table: &Table<R>,
+    ) -> Result<Option<usize>, RecordingError> {
+        let index = self.index(role, table)?;
+        if let Some(index) = index {
+            self.take(role, index, None);
+        }
+        Ok(index)
+    }
+
+    /// A column of numbers. Where its unit cannot be known, that is asked by [`Self::finish`].
+    pub(in crate::recording) fn number<R: Read>(
+        &mut self,
+        role: Role,
+        table: &Table<R>,
+    ) -> Result<Option<Column>, RecordingError> {
+        let Some(index) = self.index(role, table)? else { return Ok(None) };
+        let unit = self.unit_of(role, index);
+        self.take(role, index, unit);
+        if unit.is_none() {
+            let unit = self.likely_unit(role, index);
+            self.asks.push(Told { role, column: self.column_to_type(index), unit });
+        }
+        let is_told = self.map.get(role).is_some_and(|told| told.unit.is_some());
+        Ok(Some(Column { index, unit: unit.unwrap_or(Unit::Metre), is_told }))
+    }
+
+    /// Notes that a column is read.
+    pub(in crate::recording) fn take(&mut self, role: Role, index: usize, unit: Option<Unit>) {
+        self.used[index] = true;
+        let unit = unit.map(|unit| format!(" in {}", unit.symbol())).unwrap_or_default();
+        self.read_as.push(format!("{} \"{}\"{unit}", role.key(), shown(&self.header[index])));
+    }
+
+    /// Asks for a unit that cannot be known.
+    pub(in crate::recording) fn ask(&mut self, told: Told) {
+        self.asks.push(told);
+    }
+
+    pub(in crate::recording) fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    pub(in crate::recording) fn is_used(&self, index: usize) -> bool {
+        self.used[index]
+    }
+
+    /// Refuses a table without a column that it needs.
+    pub(in crate::recording) fn missing<R: Read>(
+        &self,
+        roles: &[Role],
+        table: &Table<R>,
+        hint: &str,
+    ) -> RecordingError {
+        let own: Vec<&str> = roles.iter().map(|role| self.kind.own_name(*role)).collect();
+        let told: Vec<String> = roles.iter().map(|role| format!("{}=NAME", role.key())).collect();
+        let other = if self.kind == Kind::Track {
+            String::new()
+        } else {
+            format!("; if another is meant, type --columns {}{hint}", told.join(","))
+        };
+        let columns = if own.len() > 1 { "columns" } else { "a column" };
+        table.header_error(&format!(
+            "expected {columns} {}, the columns are {}{other}",
+            own.join(" and "),
+            table.listed_columns()
+        ))
+    }
+
+    /// The columns that are not read, and how the others are.
+    ///
+    /// # Errors
+    /// With the words to type, where units are not known.
+    pub(in crate::recording) fn finish<R: Read>(
+        self,
+        table: &Table<R>,
+    ) -> Result<(Vec<String>, String), RecordingError> {
+        if !self.asks.is_empty() {
+            let columns = listed(self.asks.iter().map(|told| told.column.as_str()));
+            let of = if self.asks.len() > 1 { "units of the columns" } else { "unit of the column" };
+            let units: Vec<&str> = [(true, "s, ms, us, ns"), (false, "m, cm, mm")]
+                .into_iter()
+                .filter(|(of_time, _)| self.asks.iter().any(|told| (told.role == Role::Time) == *of_time))
+                .map(|(_, units)| units)
+                .collect();
+            let units = units.join("; ");
+            let hint = if self.kind == Kind::Track {
+                "name them as in time_s, x_m, y_m".to_owned()
+            } else {
+                format!("type {}", shown_line(&self.map.line_to_type(&self.asks)))
+            };
+            return Err(
+                table.header_error(&format!("the {of} {columns} cannot be told: {hint} with the right one of {units}"))
+            );
+        }
+        let ignored = self.header.iter().zip(&self.used).filter(|(_, used)| !**used);
+        let ignored = ignored.map(|(name, _)| if name.is_empty() { "(no name)".to_owned() } else { shown(name) });
+        Ok((ignored.take(100).collect(), self.read_as.join(", ")))
+    }
+}
+
+/// A line to type is useless if cut, but a message must end somewhere.
+fn shown_line(line: &str) -> String {
+    line.chars().filter(|c| !c.is_control()).take(250).collect()
+}
+
+/// The unit in which a stamp is a time since 1970 of this century or the last.
+pub(in crate::recording) fn unit_of_epoch(stamp: f64) -> Option<Unit> {
+    match stamp.abs() {
+        1e8..1e11 => Some(Unit::Second),
+        1e11..1e14 => Some(Unit::Millisecond),
+        1e14..1e17 => Some(Unit::Microsecond),
+        1e17..1e20 => Some(Unit::Nanosecond),
+        _ => None,
+    }
+}

@@ -1,0 +1,195 @@
+//! Which column of a log is what, where the user says so.
+
+pub(super) mod layout;
+pub(super) mod names;
+pub(super) mod stamp;
+
+use crate::recording::table::unit::Unit;
+
+/// What a column can be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Role {
+    /// When a range was measured.
+    Time,
+    /// Which sensor measured it.
+    Sensor,
+    /// The range.
+    Range,
+    /// Where the sensor was.
+    X,
+    /// Where the sensor was.
+    Y,
+    /// How high the sensor was.
+    Z,
+    /// Which target was measured.
+    Target,
+}
+
+impl Role {
+    const ALL: [Self; 7] = [Self::Time, Self::Sensor, Self::Range, Self::X, Self::Y, Self::Z, Self::Target];
+
+    /// The key of `--columns`.
+    pub(super) fn key(self) -> &'static str {
+        match self {
+            Self::Time => "time",
+            Self::Sensor => "sensor",
+            Self::Range => "range",
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+            Self::Target => "target",
+        }
+    }
+
+    /// Whether a unit can be that of its column.
+    pub(super) fn takes(self, unit: Unit) -> bool {
+        match self {
+            Self::Time => unit.is_of_time(),
+            Self::Range | Self::X | Self::Y | Self::Z => !unit.is_of_time(),
+            Self::Sensor | Self::Target => false,
+        }
+    }
+}
+
+/// What the user says of a log's columns: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
+///
+/// Keys are `time`, `sensor`, `range`, `x`, `y`, `z` (the sensor's place) and `target`. A column is named as in the
+/// header, or by its number from 1. Units are `s`, `ms`, `us`, `ns` and `iso` for time, `m`, `cm`, `mm` for lengths.
+/// In a wide log, which has a column for each anchor, `range` is all of them: `range=*:mm`, or `range=d_*:mm` where `*`
+/// stands for the anchor's name.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ColumnMap {
+    told: Vec<Told>,
+}
+
+/// What the user says of one column.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Told {
+    pub(super) role: Role,
+    pub(super) column: String,
+    pub(super) unit: Option<Unit>,
+}
+
+/// Why a text says nothing of columns. Displays as what was expected and what came.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("expected {expected}, got {got:?}")]
+pub struct ColumnMapError {
+    expected: String,
+    got: String,
+}
+
+impl ColumnMap {
+    pub(super) fn get(&self, role: Role) -> Option<&Told> {
+        self.told.iter().find(|told| told.role == role)
+    }
+
+    /// Whether all that is told is told by number, as for a file without a header.
+    pub(super) fn is_by_number(&self) -> bool {
+        !self.told.is_empty() && self.told.iter().all(Told::is_by_number)
+    }
+
+    /// Whether a column's name is told. A number is none: a row of values may hold it.
+    pub(super) fn names(&self, column: &str) -> bool {
+        self.told.iter().any(|told| !told.is_by_number() && told.column.eq_ignore_ascii_case(column))
+    }
+
+    /// The words to type: what has been told already, with `more`.
+    pub(super) fn line_to_type(&self, more: &[Told]) -> String {
+        let replaced = |role| more.iter().any(|told| told.role == role);
+        let all = self.told.iter().filter(|told| !replaced(told.role)).chain(more);
+        let words: Vec<String> = all.map(Told::to_string).collect();
+        let words = words.join(",");
+        // A shell takes these as they are.
+        let is_plain = words.chars().all(|c| c.is_alphanumeric() || "=:,._-".contains(c));
+        if is_plain { format!("--columns {words}") } else { format!("--columns '{words}'") }
+    }
+}
+
+impl Told {
+    /// Whether the column is told by its number.
+    pub(super) fn is_by_number(&self) -> bool {
+        self.column.parse::<usize>().is_ok()
+    }
+}
+
+impl std::fmt::Display for Told {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}={}", self.role.key(), self.column)?;
+        self.unit.map_or(Ok(()), |unit| write!(f, ":{}", unit.symbol()))
+    }
+}
+
+impl std::str::FromStr for ColumnMap {
+    type Err = ColumnMapError;
+
+    fn from_str(text: &str) -> Result<Self, ColumnMapError> {
+        let mut told: Vec<Told> = Vec::new();
+        for word in text.split(',') {
+            let refuse =
+                |expected: &str| ColumnMapError { expected: expected.to_owned(), got: word.chars().take(60).collect() };
+            let (key, column) =
+                word.split_once('=').ok_or_else(|| refuse("KEY=COLUMN[:UNIT],... as in time=stamp:ms"))?;
+            let role = Role::ALL
+                .into_iter()
+                .find(|role| role.key() == key.trim())
+                .ok_or_else(|| refuse("one of the keys time, sensor, range, x, y, z, target"))?;
+            let (column, unit) = match (role, column.rsplit_once(':')) {
+                (Role::Sensor | Role::Target, _) | (_, None) => (column, None),
+                (_, Some((column, unit))) => {
+                    let known = Unit::from_word(&unit.trim().to_lowercase()).filter(|unit| role.takes(*unit));
+                    let units = if role == Role::Time { "s, ms, us, ns or iso" } else { "m, cm or mm" };
+                    let unit = known.ok_or_else(|| refuse(&format!("one of the units {units} after the colon")))?;
+                    (column, Some(unit))
+                }
+            };
+            let column = column.trim();
+            if column.is_empty() || column.len() > 200 || column.chars().any(char::is_control) {
+                return Err(refuse("the name of a column after \"=\""));
+            }
+            if told.iter().any(|before| before.role == role) {
+                return Err(refuse("each key once"));
+            }
+            told.push(Told { role, column: column.to_owned(), unit });
+        }
+        Ok(Self { told })
+    }
+}
+
+impl std::fmt::Display for ColumnMap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let words: Vec<String> = self.told.iter().map(Told::to_string).collect();
+        f.write_str(&words.join(","))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_told_by_key_name_and_unit() {
+        let text = "time=stamp_ns:ns,sensor=anchor:id,range=dist:mm,x=3";
+        let map: ColumnMap = text.parse().unwrap();
+        assert_eq!(map.to_string(), text);
+        assert_eq!(map.get(Role::Sensor).unwrap().column, "anchor:id");
+        assert_eq!(map.get(Role::Range).unwrap().unit, Some(Unit::Millimetre));
+        assert!(map.get(Role::Y).is_none());
+    }
+
+    #[test]
+    fn what_says_nothing_of_columns_is_refused() {
+        for (text, expected) in [
+            ("", "KEY=COLUMN"),
+            ("time", "KEY=COLUMN"),
+            ("clock=t", "keys time, sensor"),
+            ("time=t:m", "units s, ms"),
+            ("range=d:ft", "units m, cm or mm"),
+            ("range=d:", "units m, cm or mm"),
+            ("range=:mm", "name of a column"),
+            ("x=a,x=b", "each key once"),
+        ] {
+            let error = text.parse::<ColumnMap>().unwrap_err().to_string();
+            assert!(error.contains(expected), "{text}: {error}");
+        }
+    }
+}

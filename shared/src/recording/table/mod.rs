@@ -1,0 +1,318 @@
+//! A table as people write them: its header found, its separator told from header and first rows.
+
+mod dialect;
+mod lines;
+pub(super) mod unit;
+
+use std::collections::VecDeque;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::recording::error::{Complaint, Problem, RecordingError, listed, quoted, shown};
+use dialect::{Fields, Numbers, Separator};
+use lines::Lines;
+use unit::Unit;
+
+/// Rows that are looked at to find the separator.
+const LOOK_AHEAD: usize = 5;
+
+/// Comment lines that may be the header.
+const COMMENTS_KEPT: usize = 32;
+
+/// A table that is read row by row.
+pub(super) struct Table<R> {
+    path: PathBuf,
+    lines: Lines<R>,
+    pending: VecDeque<(u64, Vec<u8>)>,
+    separator: Separator,
+    numbers: Numbers,
+    header: Vec<String>,
+    header_line: u64,
+    fields: Fields,
+    row: u64,
+    line: u64,
+}
+
+/// A row of a table.
+pub(super) enum Row {
+    /// It has as many fields as the header.
+    Whole,
+    /// It has not, or they cannot be told apart.
+    Bad(Complaint),
+}
+
+impl<R: Read> Table<R> {
+    /// Finds the header: the first line, or a comment above it. `knows` says which names it may have; where columns are
+    /// told `by_number` it may be missing. `None` if they cannot be.
+    pub(super) fn open(
+        input: R,
+        path: &Path,
+        by_number: Option<bool>,
+        knows: &dyn Fn(&str) -> bool,
+    ) -> Result<Self, RecordingError> {
+        let mut table = Self {
+            path: path.to_owned(),
+            lines: Lines::new(input),
+            pending: VecDeque::new(),
+            separator: Separator::Comma,
+            numbers: Numbers::default(),
+            header: Vec::new(),
+            header_line: 1,
+            fields: Fields::default(),
+            row: 0,
+            line: 0,
+        };
+        let mut comments = VecDeque::new();
+        let mut separators = Separator::ALL.to_vec();
+        let mut line = Vec::new();
+        while table.pending.len() <= LOOK_AHEAD && table.read_line(&mut line)? {
+            let number = table.lines.number();
+            if let Some(comment) = dialect::comment(&line) {
+                if table.pending.is_empty() {
+                    comments.truncate(COMMENTS_KEPT - 1);
+                    comments.push_front((number, comment.to_vec()));
+                }
+            } else if let [b's', b'e', b'p', b'=', byte] = line[..]
+                && let Some(separator) = Separator::from_byte(byte)
+                && table.pending.is_empty()
+            {
+                // Spreadsheets write and want such a line.
+                separators = vec![separator];
+            } else {
+                table.pending.push_back((number, line.clone()));
+            }
+        }
+        let (separator, known) =
+            table.best_separator(&separators, table.pending.front().map(|(_, line)| &line[..]), knows);
+        let in_comment = comments.iter().find_map(|(number, comment)| {
+            let (separator, known) = table.best_separator(&separators, Some(comment), knows);
+            Some((*number, comment, separator, known)).filter(|_| known >= 2)
+        });
+        match in_comment {
+            Some((number, comment, separator, in_comment)) if in_comment > known => {
+                table.separator = separator;
+                (table.header_line, table.header) = (number, names_of(&Fields::of(comment, separator)));
+            }
+            _ => {
+                table.separator = separator;
+                table.take_header(known, by_number)?;
+            }
+        }
+        Ok(table)
+    }
+
+    /// Takes the first line for the header, unless the file has none.
+    fn take_header(&mut self, known: usize, by_number: Option<bool>) -> Result<(), RecordingError> {
+        let Some((number, line)) = self.pending.pop_front() else {
+            return Err(self.header_error("expected a header that names the columns, the file is empty"));
+        };
+        (self.header_line, self.line) = (number, number);
+        let fields = Fields::of(&line, self.separator);
+        if known == 0
+            && let Some(format) = radio_of(&line)
+        {
+            return Err(self.header_error(&format!(
+                "expected a header that names the columns; if this is a log of a radio's port, type --format {format}"
+            )));
+        }
+        let is_data =
+            known == 0 && (0..fields.len()).any(|index| self.numbers.read(fields.get(index), Unit::Metre).is_some());
+        self.numbers = Numbers::default();
+        if !is_data {
+            self.header = names_of(&fields);
+        } else if by_number == Some(true) {
+            self.header = (1..=fields.len()).map(|number| number.to_string()).collect();
+            self.pending.push_front((number, line));
+        } else {
+            let or = match by_number {
+                Some(_) => "; or tell the columns by number, as in --columns time=1:s,sensor=2,range=3:m",
+                None => "",
+            };
+            let got = quoted(&String::from_utf8_lossy(&line));
+            return Err(self.header_error(&format!("expected a header that names the columns, got {got}{or}")));
+        }
+        Ok(())
+    }
+
+    /// The separator under which a header has most names that are known, and its first rows most often as many fields;
+    /// and how many names are known.
+    fn best_separator(
+        &self,
+        separators: &[Separator],
+        header: Option<&[u8]>,
+        knows: &dyn Fn(&str) -> bool,
+    ) -> (Separator, usize) {
+        let mut best = (Separator::Comma, (0, 0, false));
+        for &separator in separators {
+            let names = names_of(&Fields::of(header.unwrap_or_default(), separator));
+            let known = names.iter().filter(|name| knows(name)).count();
+            let fits = |(_, line): &&(u64, Vec<u8>)| Fields::of(line, separator).len() == names.len();
+            let score = (known, self.pending.iter().filter(fits).count(), names.len() > 1);
+            if score > best.1 || best.1 == (0, 0, false) {
+                best = (separator, score);
+            }
+        }
+        (best.0, best.1.0)
+    }
+
+    /// Reads the next line that is not empty.
+    fn read_line(&mut self, line: &mut Vec<u8>) -> Result<bool, RecordingError> {
+        loop {
+            if !self.lines.read(line).map_err(|error| RecordingError::unreadable(&self.path, &error))? {
+                return Ok(false);
+            }
+            if !dialect::is_empty(line) {
+                return Ok(true);
+            }
+        }
+    }
+
+    /// Reads the next row; `None` at the end.
+    ///
+    /// # Errors
+    /// Where a row has more fields than the header: columns have shifted, nobody knows which.
+    pub(super) fn next(&mut self) -> Result<Option<Row>, RecordingError> {
+        loop {
+            if let Some((number, line)) = self.pending.pop_front() {
+                (self.line, self.fields.line) = (number, line);
+            } else {
+                let mut line = std::mem::take(&mut self.fields.line);
+                if !self.read_line(&mut line)? {
+                    return Ok(None);
+                }
+                (self.line, self.fields.line) = (self.lines.number(), line);
+            }
+            if dialect::comment(&self.fields.line).is_none() {
+                break;
+            }
+        }
+        self.row += 1;
+        if !self.fields.split(self.separator) {
+            let expected = "fields with a quote at both ends or at none";
+            return Ok(Some(Row::Bad(Complaint::new("row", expected, &self.fields.line))));
+        }
+        let (count, width) = (self.fields.len(), self.header.len());
+        if count > width {
+            if (width..count).any(|index| !self.fields.get(index).is_empty()) {
+                return Err(self.surplus());
+            }
+            self.fields.truncate(width);
+        }
+        if count < width {
+            let column = &self.header[count];
+            let expected = format!("{width} fields as in the header");
+            return Ok(Some(Row::Bad(Complaint { column: shown(column), expected, got: count.to_string() })));
+        }
+        Ok(Some(Row::Whole))
+    }
+
+    fn surplus(&self) -> RecordingError {
+        let (count, width) = (self.fields.len(), self.header.len());
+        let is_number = |field: &&[u8]| Numbers::default().read(field, Unit::Metre).is_some();
+        let texts = count - self.fields.iter().filter(is_number).count();
+        let cause = if self.separator == Separator::Comma && texts <= 1 {
+            "probably decimal commas in a file whose columns are separated by commas: write decimal points, or separate \
+             the columns by semicolons"
+        } else {
+            "the columns have shifted: put fields that contain a separator in quotes, and name every column in the header"
+        };
+        let complaint = Complaint {
+            column: "row".to_owned(),
+            expected: format!("{width} fields as in the header"),
+            got: format!("{count}; {cause}"),
+        };
+        self.row_error(complaint)
+    }
+
+    /// The file.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The names of the columns.
+    pub(super) fn header(&self) -> &[String] {
+        &self.header
+    }
+
+    /// The first row, before it is read.
+    pub(super) fn first_row(&self) -> Option<Fields> {
+        self.pending.front().map(|(_, line)| Fields::of(line, self.separator))
+    }
+
+    /// A field of the row that was read last.
+    pub(super) fn field(&self, index: usize) -> &[u8] {
+        self.fields.get(index)
+    }
+
+    /// A number of the row that was read last, in seconds or metres.
+    pub(super) fn number(&mut self, index: usize, unit: Unit) -> Option<f64> {
+        self.numbers.read(self.fields.get(index), unit)
+    }
+
+    /// Rows that were read.
+    pub(super) fn rows(&self) -> u64 {
+        self.row
+    }
+
+    /// What separates columns and marks decimals, for people.
+    pub(super) fn dialect(&self) -> String {
+        let commas = if self.numbers.has_decimal_commas() { ", decimal commas" } else { "" };
+        format!("separated by {}{commas}", self.separator.plural())
+    }
+
+    /// A complaint about a field of the row that was read last.
+    pub(super) fn complaint(&self, index: usize, expected: impl Into<String>) -> Complaint {
+        let (field, mut expected) = (self.field(index), expected.into());
+        if field.contains(&b'.') && field.contains(&b',') {
+            expected.push_str(" without thousands separators");
+        } else if self.numbers.is_other_mark(field) {
+            expected.push_str(" with the decimal mark of the rows above");
+        }
+        Complaint::new(self.header.get(index).map_or("", String::as_str), expected, field)
+    }
+
+    /// Refuses the file for the row that was read last.
+    pub(super) fn row_error(&self, complaint: Complaint) -> RecordingError {
+        RecordingError::new(&self.path, self.row_problem(complaint))
+    }
+
+    pub(super) fn row_problem(&self, complaint: Complaint) -> Problem {
+        Problem::Row { row: self.row, line: self.line, complaint }
+    }
+
+    /// Refuses the file for its header.
+    pub(super) fn header_error(&self, text: &str) -> RecordingError {
+        RecordingError::new(&self.path, Problem::Header { line: self.header_line, text: text.to_owned() })
+    }
+
+    /// Refuses the file as a whole.
+    pub(super) fn error(&self, text: impl Into<String>) -> RecordingError {
+        RecordingError::whole(&self.path, text)
+    }
+
+    /// The columns that there are, for people.
+    pub(super) fn listed_columns(&self) -> String {
+        listed(self.header.iter().map(String::as_str))
+    }
+}
+
+/// The radio whose report a line looks like.
+fn radio_of(line: &[u8]) -> Option<&'static str> {
+    let has = |word: &[u8]| line.windows(word.len()).any(|window| window == word);
+    if has(b"DIST,") || has(b"]=") {
+        Some("dwm1001")
+    } else if has(b"AT+RANGE") {
+        Some("mauwb")
+    } else {
+        has(b"\x55\x05").then_some("linktrack")
+    }
+}
+
+/// The names of a header. A separator at its end names nothing.
+fn names_of(fields: &Fields) -> Vec<String> {
+    let mut names: Vec<String> = fields.iter().map(|field| String::from_utf8_lossy(field).into_owned()).collect();
+    while names.len() > 1 && names.last().is_some_and(String::is_empty) {
+        names.pop();
+    }
+    names
+}

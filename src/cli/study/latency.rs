@@ -1,0 +1,129 @@
+//! `latency`: its flags, checked.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
+
+use crate::cli::ExperimentArgs;
+use crate::cli::values::{CLOCKS, PlannerName, number, whole, within};
+use crate::failure::Failure;
+use crate::run::experiment::{Experiment, Given, Naming};
+use crate::run::pin::Pin;
+use crate::study::latency::{self, OUT};
+
+/// Ticks of a round in lock step: seconds.
+const TICKS: u64 = 5_000;
+
+/// Time of a round in real time, s.
+const ROUND_S: f64 = 10.0;
+
+const ROUNDS_MAX: u64 = 1_000;
+
+/// Ranges of one round: what is kept of them then takes some hundred megabytes.
+const RANGES_MAX: u64 = 20_000_000;
+
+/// `latency`.
+#[derive(Debug, Args)]
+pub struct LatencyArgs {
+    /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
+    pub scenario: Option<PathBuf>,
+    /// Number of robots, all alike [default: the scenario's]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub robots: Option<u64>,
+    /// Time steps of each round [default: 5000 in lock step, 10 s in real time]
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub ticks: Option<u64>,
+    /// What starts the next tick: wall time, or all answers [default: lockstep, realtime if a rate is given]
+    #[arg(long, value_parser = CLOCKS)]
+    pub clock: Option<Clock>,
+    /// Ticks a second in real time [default: the scenario's]
+    #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// How headings are chosen [default: the scenario's]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
+    pub planner: Option<String>,
+    /// Processors for all processes: none (any), one-core, or their numbers as in 0,1
+    #[arg(long, value_name = "CPUS", default_value_t)]
+    pub pin: Pin,
+    /// How often each is measured, in turns
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 5)]
+    pub rounds: u64,
+    /// Name of the runs [default: latency and the number of this process]
+    #[arg(long)]
+    pub name: Option<RunName>,
+    /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
+    /// [default: runs/latency, numbered if another measurement goes on in it]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the figures as one line of JSON, with the keys of latency.json
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl LatencyArgs {
+    /// Measures.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let clock = match (self.clock, self.rate) {
+            (Some(Clock::Lockstep), Some(_)) => {
+                return Err(Failure::input("--rate: expected --clock realtime, as lock step has none"));
+            }
+            (clock, None) => clock.unwrap_or(Clock::Lockstep),
+            (_, Some(_)) => Clock::Realtime,
+        };
+        let experiment = ExperimentArgs {
+            scenario: self.scenario.clone(),
+            robots: self.robots,
+            ticks: self.ticks,
+            clock: Some(clock),
+            planner: self.planner.clone(),
+            // In lock step nobody is left out: each wait is a sample.
+            patience: (clock == Clock::Lockstep).then(|| PatienceKey::Word("forever".to_owned())),
+            ..ExperimentArgs::default()
+        };
+        let most = format!("1 to {ROUNDS_MAX}");
+        let rounds = within("--rounds", 1..=ROUNDS_MAX, &most, self.rounds)?;
+        let wanted = latency::Wanted { pin: self.pin.clone(), rounds };
+        latency::latency(self.experiment(experiment.given()?)?, &wanted, self.out.as_deref(), self.json)
+    }
+
+    /// What is measured: checked, as a scenario. One that does not say for how many ticks goes on for as many as it takes.
+    fn experiment(&self, mut given: Given) -> Result<Experiment, Failure> {
+        if given.file.recording.is_some() {
+            let problem = "recording: expected a simulated target, whose ticks come at one rate";
+            return Err(Failure::input(format!("{}: {problem}", given.file_name)));
+        }
+        if let Some(rate_hz) = self.rate {
+            given.file.dt_s = Some(1.0 / within("--rate", 1e-3..=1e4, "0.001 to 10000 Hz", rate_hz)?);
+        }
+        let name: RunName = match &self.name {
+            Some(name) => name.clone(),
+            // Others that start at the same time have other numbers.
+            None => format!("latency-{}", std::process::id()).parse().map_err(Failure::input)?,
+        };
+        let out = self.out.as_deref().unwrap_or(Path::new(OUT));
+        let checked = |given| Experiment::from_given(given, Some(&name), Naming::Exact, Some(out));
+        let mut experiment = checked(given.clone())?;
+        if self.ticks.is_none() {
+            let scenario = &experiment.description.scenario;
+            given.file.ticks = Some(match scenario.clock {
+                Clock::Lockstep => TICKS,
+                Clock::Realtime => (ROUND_S / scenario.dt_s).clamp(20.0, TICKS as f64 * 20.0) as u64,
+            });
+            experiment = checked(given)?;
+        }
+        let Scenario { ticks, robots, .. } = &experiment.description.scenario;
+        if ticks.saturating_mul(robots.len() as u64) > RANGES_MAX {
+            let most = RANGES_MAX / robots.len() as u64;
+            return Err(Failure::input(format!(
+                "--ticks: expected at most {most} for {} robots, got {ticks}",
+                robots.len()
+            )));
+        }
+        Ok(experiment)
+    }
+}

@@ -1,0 +1,113 @@
+//! What measures and compares: `plan`, `compare`, `calibrate`, `latency`, `chaos`, `explore`.
+
+mod chaos;
+mod compare;
+mod latency;
+
+use std::path::PathBuf;
+
+use clap::Args;
+use rangehound_shared::scenario::PlannerTable;
+
+use super::InputArgs;
+use super::values::{PlannerName, number, whole};
+use crate::failure::Failure;
+use crate::plan;
+use crate::study::{calibrate, explore};
+pub use chaos::ChaosArgs;
+pub use compare::CompareArgs;
+pub use latency::LatencyArgs;
+
+/// `plan`.
+#[derive(Debug, Default, Args)]
+pub struct PlanArgs {
+    /// Problems, one JSON object a line; - or nothing for standard input
+    pub file: Option<PathBuf>,
+    /// Planner of the lines that name none [default: certified]
+    #[arg(long, value_name = "NAME", value_parser = PlannerName)]
+    pub planner: Option<String>,
+    /// Node budget of the certified planner
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub nodes: Option<u64>,
+    /// Iterations of the relaxations
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub iterations: Option<u64>,
+    /// Relaxation factor of the adaptive relaxation, 0 to 1
+    #[arg(long, value_name = "A", value_parser = number, allow_negative_numbers = true)]
+    pub alpha: Option<f64>,
+    /// Step of the grid search on the bearing, rad
+    #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
+    pub step_rad: Option<f64>,
+    /// Seed of the random planner, whose headings depend on it and on the line's number
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+}
+
+/// `calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
+    /// What is read, and how
+    #[command(flatten)]
+    pub input: InputArgs,
+    /// True track to compare the ranges with: CSV with time_s,x_m,y_m [default: from the ranges alone]
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Folder for calibration.toml and residuals.svg [default: runs/calibrate]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print the findings as one line of JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `explore`.
+#[derive(Debug, Args)]
+pub struct ExploreArgs {
+    /// The first seed
+    #[arg(long, value_name = "FIRST", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
+    pub seed: u64,
+    /// How many seeds, one after the other
+    #[arg(long, value_name = "COUNT", value_parser = whole, allow_negative_numbers = true, default_value_t = 20_000)]
+    pub seeds: u64,
+    /// Print what each node did, for each seed
+    #[arg(long)]
+    pub story: bool,
+}
+
+impl PlanArgs {
+    /// Plans the lines.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        let table = PlannerTable {
+            name: self.planner.clone(),
+            nodes: self.nodes,
+            iterations: self.iterations,
+            alpha: self.alpha,
+            step_rad: self.step_rad,
+            ..PlannerTable::default()
+        };
+        plan::plan(table, self.seed, self.file.as_deref())
+    }
+}
+
+impl CalibrateArgs {
+    /// Finds the sensors' errors.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        calibrate::calibrate(&self.input.table()?, self.truth.as_deref(), self.out.as_deref(), self.json)
+    }
+}
+
+impl ExploreArgs {
+    /// Explores the seeds.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self) -> Result<(), Failure> {
+        explore::explore(self.seed, self.seeds, self.story)
+    }
+}

@@ -1,0 +1,158 @@
+//! The server of the page: one thread, a bounded number of connections, one request each.
+
+mod assets;
+mod guard;
+mod routes;
+mod shared;
+mod stream;
+mod token;
+
+use std::net::TcpListener;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use axum::{Extension, Router};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use rangehound_node::rendezvous::Rendezvous;
+use tokio::sync::{Semaphore, oneshot, watch};
+
+use self::shared::Shared;
+use self::stream::Life;
+pub(super) use self::token::Token;
+use super::scene::Scene;
+
+/// Connections at once: a browser opens six, and one for each page's stream.
+const CONNECTIONS_MAX: usize = 64;
+
+/// How long a request may take to come, and its answer to be taken.
+const REQUEST: Duration = Duration::from_secs(10);
+
+/// Longest head of a request, bytes.
+const HEAD_MAX: usize = 16 << 10;
+
+/// How long viewers have to take the end of a run.
+const FAREWELL: Duration = Duration::from_secs(2);
+
+/// The page of one run while it is served.
+pub(super) struct Server {
+    shared: Arc<Shared>,
+    change: watch::Sender<u64>,
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// Starts to serve a scene.
+    pub(super) fn start(
+        listener: TcpListener,
+        token: Token,
+        pace: Duration,
+        scene: Scene,
+        run: Option<Arc<Rendezvous>>,
+    ) -> std::io::Result<Self> {
+        let port = listener.local_addr()?.port();
+        listener.set_nonblocking(true)?;
+        let (change, changes) = watch::channel(0);
+        let (end, ended) = oneshot::channel();
+        let streams = AtomicUsize::new(0);
+        let shared = Arc::new(Shared { scene: Mutex::new(scene), changes, token, port, pace, run, streams });
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
+        let served = Arc::clone(&shared);
+        let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
+            runtime.block_on(async {
+                tokio::select! {
+                    () = accept(listener, routes::router(&served)) => {}
+                    _ = ended => {}
+                }
+            });
+        })?;
+        Ok(Self { shared, change, end: Some(end), thread: Some(thread) })
+    }
+
+    /// Where a browser finds it.
+    pub(super) fn address(&self) -> String {
+        let Shared { token, port, .. } = &*self.shared;
+        format!("http://127.0.0.1:{port}/?token={token}")
+    }
+
+    pub(super) fn viewers(&self) -> usize {
+        self.shared.streams.load(Ordering::Relaxed)
+    }
+
+    /// Changes what is shown.
+    pub(super) fn update(&self, change: impl FnOnce(&mut Scene)) {
+        change(&mut self.shared.scene());
+        self.change.send_modify(|count| *count += 1);
+    }
+
+    /// Changes what is told with the next picture.
+    pub(super) fn keep(&self, change: impl FnOnce(&mut Scene)) {
+        change(&mut self.shared.scene());
+    }
+
+    /// Tells all viewers that nothing more comes, and gives them time to hear it.
+    pub(super) fn end(&self, reason: &str) {
+        self.update(|scene| scene.end(reason));
+        let began = Instant::now();
+        while self.viewers() > 0 && began.elapsed() < FAREWELL {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        drop(self.end.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic there has been told already.
+            let _ = thread.join();
+        }
+    }
+}
+
+async fn accept(listener: TcpListener, router: Router) {
+    let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
+    let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // Out of files: others may end.
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            // Not waited for: what does not fit into the socket's empty buffer is not said.
+            let _ =
+                stream.try_write(b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+            continue;
+        };
+        let router = router.clone();
+        tokio::spawn(async move {
+            serve(stream, router).await;
+            drop(place);
+        });
+    }
+}
+
+/// Answers one request. The connection ends when its time is up, or its stream's viewer takes nothing any more. By hyper itself,
+/// as `axum::serve` bounds neither a request's head nor its time.
+async fn serve(stream: tokio::net::TcpStream, router: Router) {
+    // A picture at once, not when the one before has been acknowledged.
+    let _ = stream.set_nodelay(true);
+    let life = Arc::new(Life::new(REQUEST));
+    let service = TowerToHyperService::new(router.layer(Extension(Arc::clone(&life))));
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(REQUEST)
+        .max_buf_size(HEAD_MAX)
+        .keep_alive(false)
+        .serve_connection(TokioIo::new(stream), service);
+    tokio::select! {
+        // What went wrong on a connection is its other end's to know.
+        _ = connection => {}
+        () = life.is_over() => {}
+    }
+}

@@ -1,0 +1,90 @@
+//! What is answered to which request.
+//!
+//! | request | answer | token |
+//! |---|---|---|
+//! | `GET /?token=T` | the page | in the address, which the page takes it out of |
+//! | `GET /T/FILE` | a file of the page | in the address |
+//! | `GET /stream?token=T` | what the page shows, as server-sent events | in the address |
+//! | `POST /act/ACTION/NODE` | does it | in a header |
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{Path, State};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{Method, StatusCode};
+use axum::middleware::from_fn_with_state;
+use axum::response::{Html, IntoResponse, Response};
+use axum::routing::{get, post};
+use serde::Deserialize;
+
+use super::assets;
+use super::guard::{self, MayAct, MayLook, refuse};
+use super::shared::Shared;
+use super::stream;
+use crate::live::act::{Action, Refused};
+
+/// All routes, with the guard before them.
+pub(super) fn router(shared: &Arc<Shared>) -> Router {
+    Router::new()
+        .route("/", get(page))
+        .route("/stream", get(stream::open))
+        .route("/refused.js", get(([(CONTENT_TYPE, assets::SCRIPT)], assets::REFUSED_SCRIPT)))
+        .route("/{token}/{file}", get(file))
+        .route("/act/{action}/{node}", post(act))
+        .route("/act/{action}/", post(act))
+        .fallback(other)
+        .method_not_allowed_fallback(other)
+        .layer(from_fn_with_state(Arc::clone(shared), guard::guard))
+        .with_state(Arc::clone(shared))
+}
+
+async fn page(MayLook(shared): MayLook) -> Html<String> {
+    Html(assets::PAGE.replace("{token}", &shared.token.to_string()))
+}
+
+async fn file(
+    State(shared): State<Arc<Shared>>,
+    path: Result<Path<(String, String)>, PathRejection>,
+) -> Result<Response, impl IntoResponse> {
+    // Whether something is there is not told to who may not see it.
+    let Some(Path((_, file))) = path.ok().filter(|Path((token, _))| shared.token.is(token)) else {
+        return Err(refuse());
+    };
+    Ok(match assets::of(&file) {
+        Some((text, kind)) => ([(CONTENT_TYPE, kind)], text).into_response(),
+        None => (StatusCode::NOT_FOUND, "There is no such file.").into_response(),
+    })
+}
+
+/// What is to be done to whom.
+#[derive(Deserialize)]
+struct Asked {
+    action: String,
+    /// Empty where the path ends before it.
+    #[serde(default)]
+    node: String,
+}
+
+async fn act(MayAct(shared): MayAct, Path(Asked { action, node }): Path<Asked>) -> (StatusCode, String) {
+    let Some(action) = Action::from_name(&action) else {
+        return (StatusCode::BAD_REQUEST, "Expected kill, stop, continue or restart.".to_owned());
+    };
+    let Some(run) = &shared.run else {
+        return (StatusCode::CONFLICT, "A recording has no processes.".to_owned());
+    };
+    match action.on(run, &node) {
+        Ok(done) => (StatusCode::OK, done),
+        Err(Refused::Nonsense(problem)) => (StatusCode::BAD_REQUEST, problem),
+        Err(Refused::NotNow(problem)) => (StatusCode::CONFLICT, problem),
+    }
+}
+
+/// Where nothing is, or not for this method.
+async fn other(method: Method) -> Response {
+    match method {
+        Method::GET => refuse().into_response(),
+        _ => (StatusCode::METHOD_NOT_ALLOWED, "Expected GET, or POST to /act/ACTION/NODE.").into_response(),
+    }
+}

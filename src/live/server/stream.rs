@@ -1,0 +1,117 @@
+//! A viewer's stream of events: always the newest, whatever it has missed.
+//!
+//! What a viewer is sent is made when it has taken what came before. So one that reads slowly sees fewer pictures, and
+//! one that does not read at all costs two of them in memory until its time is up.
+
+use std::convert::Infallible;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+
+use axum::Extension;
+use axum::body::Body;
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use futures_util::stream::unfold;
+use tokio::sync::watch;
+use tokio::time::{Instant, sleep_until, timeout};
+
+use super::guard::MayLook;
+use super::shared::Shared;
+use crate::live::scene::Seen;
+
+/// Viewers at once.
+const STREAMS_MAX: usize = 16;
+
+/// A viewer that takes nothing for this long is let go.
+const STALLED: Duration = Duration::from_secs(30);
+
+/// Without news something is sent all the same: a viewer that is gone is noticed.
+const QUIET: Duration = Duration::from_secs(5);
+
+/// One of the viewers that there may be, for as long as it is one.
+pub(super) struct Place(Arc<Shared>);
+
+impl Place {
+    /// `None` if there are as many as there may be.
+    fn take(shared: &Arc<Shared>) -> Option<Self> {
+        let place = |taken: usize| (taken < STREAMS_MAX).then_some(taken + 1);
+        shared.streams.fetch_update(Ordering::Relaxed, Ordering::Relaxed, place).ok()?;
+        Some(Self(Arc::clone(shared)))
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.0.streams.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Until when a connection may last; streams put it off.
+pub(super) struct Life {
+    end: watch::Sender<Instant>,
+    /// Given back when the connection has ended, with all that was to be sent.
+    place: OnceLock<Place>,
+}
+
+impl Life {
+    pub(super) fn new(time: Duration) -> Self {
+        Self { end: watch::Sender::new(Instant::now() + time), place: OnceLock::new() }
+    }
+
+    pub(super) fn lasts(&self, time: Duration) {
+        self.end.send_replace(Instant::now() + time);
+    }
+
+    pub(super) async fn is_over(&self) {
+        loop {
+            let end = *self.end.borrow();
+            if end <= Instant::now() {
+                return;
+            }
+            sleep_until(end).await;
+        }
+    }
+}
+
+/// Opens a stream, unless there are too many viewers.
+pub(super) async fn open(MayLook(shared): MayLook, Extension(life): Extension<Arc<Life>>) -> Response {
+    let Some(place) = Place::take(&shared) else {
+        return (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another one.").into_response();
+    };
+    // There is one request on a connection, so there is one place.
+    let _ = life.place.set(place);
+    let mut changes = shared.changes.clone();
+    changes.mark_changed();
+    let viewer = Viewer { shared, life, changes, seen: Seen::default(), due: Instant::now() };
+    let events = unfold(Some(viewer), |viewer| async move { viewer?.next().await });
+    ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
+}
+
+/// Who is sent what is new.
+struct Viewer {
+    shared: Arc<Shared>,
+    life: Arc<Life>,
+    changes: watch::Receiver<u64>,
+    seen: Seen,
+    /// Not before this is anything sent.
+    due: Instant,
+}
+
+impl Viewer {
+    /// What is sent next. It is asked for when there is room for it, so what waits is never old. `None` at the end of all;
+    /// no viewer after the last of a run.
+    async fn next(mut self) -> Option<(Result<String, Infallible>, Option<Self>)> {
+        self.life.lasts(STALLED);
+        sleep_until(self.due).await;
+        let (events, is_last) = match timeout(QUIET, self.changes.changed()).await {
+            Ok(Ok(())) => self.shared.scene().news(&mut self.seen),
+            // The server is about to end.
+            Ok(Err(_)) => return None,
+            Err(_) => (": still here\n\n".to_owned(), false),
+        };
+        self.due = Instant::now() + self.shared.pace;
+        Some((Ok(events), (!is_last).then_some(self)))
+    }
+}

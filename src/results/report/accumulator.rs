@@ -1,0 +1,407 @@
+//! Adding up a run tick by tick.
+
+use nalgebra::{Matrix2, Vector2};
+use rangehound_shared::STATE_DIM_MAX;
+use rangehound_shared::message::{Estimate, Stages};
+use rangehound_shared::record::digest::Digest;
+use rangehound_shared::record::{Exchange, RangeUse, RobotRecord};
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::{Scenario, Source};
+
+use super::consistency::{Consistency, ConsistencySummary};
+use super::verdict::{Evidence, RecordingEvidence, SensorEvidence, TruthEvidence, Verdict};
+use super::{
+    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
+    TraceSummary,
+};
+use crate::results::hops::Hops;
+use crate::results::percentiles;
+use crate::statistics::{Mean, Samples, median};
+
+/// Most that one range counts in the NIS by which a result is judged: the square of a usual gate.
+const SQUARE_CAP: f64 = 16.0;
+
+/// Adds up a run tick by tick.
+#[derive(Debug)]
+pub struct Accumulator {
+    ticks: u64,
+    digest: Digest,
+    squared_error_m2: Mean,
+    nees: Consistency,
+    nis: Consistency,
+    nis_all: Consistency,
+    gate_widened: u64,
+    sensors: Vec<Sensor>,
+    traces_m2: Vec<f64>,
+    ranges: RangeSummary,
+    refused: RefusalSummary,
+    distrusted: Vec<Distrust>,
+    headings: HeadingSummary,
+    latency_us: Samples,
+    hops: Hops,
+    ranges_m: Samples,
+    first_end_ns: Option<u64>,
+    last_end_ns: u64,
+}
+
+/// One sensor's ranges.
+#[derive(Debug, Default)]
+struct Sensor {
+    counts: [u64; RangeUse::ALL.len()],
+    nis: Mean,
+    nis_capped: Mean,
+}
+
+impl Sensor {
+    fn summary(&self, name: &str) -> SensorSummary {
+        let [fused, rejected, distrusted] = self.counts;
+        let ranges = fused + rejected + distrusted;
+        SensorSummary { name: name.to_owned(), ranges, fused, rejected, distrusted, nis_mean: self.nis.value() }
+    }
+}
+
+impl Accumulator {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// If the histogram cannot be made.
+    pub fn new() -> anyhow::Result<Self> {
+        Ok(Self {
+            ticks: 0,
+            digest: Digest::default(),
+            squared_error_m2: Mean::default(),
+            nees: Consistency::default(),
+            nis: Consistency::default(),
+            nis_all: Consistency::default(),
+            gate_widened: 0,
+            sensors: Vec::new(),
+            traces_m2: Vec::new(),
+            ranges: RangeSummary::default(),
+            refused: RefusalSummary::default(),
+            distrusted: Vec::new(),
+            headings: HeadingSummary::default(),
+            latency_us: Samples::new()?,
+            hops: Hops::new()?,
+            ranges_m: Samples::new()?,
+            first_end_ns: None,
+            last_end_ns: 0,
+        })
+    }
+
+    /// Adds fusion's side of a tick; `truth_m` is the target's true position, where it is known.
+    pub fn add_estimate(&mut self, tick: u64, estimate: &Estimate, truth_m: Option<Vector2<f64>>) {
+        self.digest = Digest::from_words(estimate.digest);
+        self.ranges.add(estimate);
+        self.refused.add(estimate);
+        self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));
+        self.nis.add(estimate.nis, estimate.fused);
+        self.nis_all.add(estimate.nis_all, estimate.tested);
+        self.gate_widened += u64::from(estimate.noise_scale > 1.0);
+        if tick == 0 {
+            return;
+        }
+        self.ticks = tick;
+        let covariance = position_covariance(estimate);
+        self.traces_m2.push(covariance.trace());
+        if let Some(truth_m) = truth_m {
+            let (squared_error_m2, nees) = position_error(estimate, truth_m);
+            self.squared_error_m2.add(squared_error_m2);
+            if let Some(nees) = nees {
+                self.nees.add(nees, 2);
+            }
+        }
+    }
+
+    /// Begins and ends the times of distrust.
+    fn add_distrust(&mut self, tick: u64, distrusted: RobotSet) {
+        let mut begun = distrusted;
+        for open in self.distrusted.iter_mut().filter(|distrust| distrust.to_tick.is_none()) {
+            if distrusted.contains(open.robot) {
+                begun.set(open.robot, false);
+            } else {
+                open.to_tick = Some(tick);
+            }
+        }
+        if !begun.is_empty() {
+            self.distrusted.extend(begun.iter().map(|robot| Distrust {
+                robot,
+                sensor: robot.to_string(),
+                from_tick: tick,
+                to_tick: None,
+            }));
+        }
+    }
+
+    /// Adds the simulator's side of a tick.
+    pub fn add_world<'a>(&mut self, ended_ns: u64, robots: impl IntoIterator<Item = &'a RobotRecord>) {
+        self.first_end_ns.get_or_insert(ended_ns);
+        self.last_end_ns = ended_ns;
+        for robot in robots {
+            self.ranges.published += u64::from(robot.range_sent_ns.is_some());
+            self.headings.add(robot);
+            if let Some(latency_ns) = robot.latency_ns() {
+                self.latency_us.add(latency_ns);
+            }
+        }
+    }
+
+    /// Adds a tick's ranges that fusion has, but of which the simulator has not put down that they were published: it was
+    /// told too late, or ended before the tick did.
+    pub fn add_untold(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
+        for (robot, exchange) in exchanges.iter().enumerate() {
+            let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
+            let is_heard = exchange.heard.is_some_and(|heard| heard.measurement.range().is_some());
+            self.ranges.published += u64::from(is_heard && !is_told);
+        }
+    }
+
+    /// Adds what became of a tick's ranges, sensor by sensor.
+    pub fn add_sensors(&mut self, exchanges: &[Exchange]) {
+        for (robot, exchange) in exchanges.iter().enumerate() {
+            if self.sensors.len() <= robot {
+                self.sensors.push(Sensor::default());
+            }
+            let Some(heard) = exchange.heard else { continue };
+            if let Some((range_m, _)) = heard.measurement.range() {
+                self.ranges_m.add((range_m * 1e3) as u64);
+            }
+            let Some(judged) = heard.judged else { continue };
+            let sensor = &mut self.sensors[robot];
+            sensor.counts[judged.used as usize] += 1;
+            if let Some(square) = judged.normalised_square {
+                sensor.nis.add(square);
+                sensor.nis_capped.add(square.min(SQUARE_CAP));
+            }
+        }
+    }
+
+    /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
+    pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
+        for robot in robots {
+            self.hops.add(stages, robot);
+        }
+    }
+
+    /// What a verdict weighs.
+    fn evidence(&self, scenario: &Scenario, background: Background) -> Evidence {
+        let sensors: Vec<SensorEvidence> = scenario
+            .robots
+            .iter()
+            .zip(&self.sensors)
+            .map(|(robot, sensor)| SensorEvidence {
+                name: robot.label.clone(),
+                ranges: sensor.counts.iter().sum(),
+                fused: sensor.counts[RangeUse::Fused as usize],
+            })
+            .collect();
+        // A faulty sensor says nothing about the others' result.
+        let of_others = |nis: fn(&Sensor) -> Mean| {
+            let others = sensors.iter().zip(&self.sensors).filter(|(evidence, _)| !evidence.is_faulty());
+            let mean: Mean = others.map(|(_, sensor)| nis(sensor)).sum();
+            let dof_each = mean.count() / self.ticks.max(1) as f64;
+            let all = self.nis_all.summary()?;
+            mean.value().map(|mean| ConsistencySummary::new(mean, all.independent_samples, dof_each))
+        };
+        let (nis_all, nis_capped) = (of_others(|sensor| sensor.nis), of_others(|sensor| sensor.nis_capped));
+        let mut traces_m2 = self.traces_m2[self.traces_m2.len() / 2..].to_vec();
+        let mut stds_m: Vec<f64> = scenario.robots.iter().map(|robot| robot.range_std_m).collect();
+        let Background { truth, recording } = background;
+        Evidence {
+            sensors,
+            nis: self.nis.summary(),
+            nis_all,
+            nis_capped,
+            anees: self.nees.summary(),
+            truth,
+            position_std_m: median(&mut traces_m2).unwrap_or(0.0).max(0.0).sqrt(),
+            median_range_m: self.ranges_m.at(0.5),
+            widened_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
+            range_std_m: median(&mut stds_m).unwrap_or(0.0),
+            recording,
+        }
+    }
+
+    /// The report.
+    #[must_use]
+    pub fn report(mut self, scenario: &Scenario, background: Background, nodes: Vec<NodeSummary>) -> Report {
+        for distrust in &mut self.distrusted {
+            if let Some(robot) = scenario.robots.get(distrust.robot) {
+                distrust.sensor.clone_from(&robot.label);
+            }
+        }
+        let recording = match &scenario.source {
+            Source::Recorded(ranges) => Some(ranges.summary.clone()),
+            Source::Simulated { .. } => None,
+        };
+        let verdict = Verdict::of(&self.evidence(scenario, background));
+        let wall_s = self.first_end_ns.map_or(0.0, |first| self.last_end_ns.saturating_sub(first) as f64 / 1e9);
+        let last_trace_m2 = self.traces_m2.last().copied().unwrap_or(0.0);
+        Report {
+            scenario: scenario.name.clone(),
+            seed: scenario.seed,
+            clock: scenario.clock.name().to_owned(),
+            planner: scenario.planner.name().to_owned(),
+            robots: scenario.robots.len(),
+            ticks: self.ticks,
+            wall_s,
+            ticks_per_s: if wall_s > 0.0 { self.ticks as f64 / wall_s } else { 0.0 },
+            digest: self.digest.to_string(),
+            position_rmse_m: self.squared_error_m2.value().map(f64::sqrt),
+            anees: self.nees.mean(),
+            nis_mean: self.nis.mean(),
+            nis_all_mean: self.nis_all.mean(),
+            gate_widened: self.gate_widened,
+            position_trace_m2: TraceSummary {
+                r#final: last_trace_m2,
+                median: median(&mut self.traces_m2).unwrap_or(0.0),
+            },
+            ranges: self.ranges,
+            sensors: scenario
+                .robots
+                .iter()
+                .zip(self.sensors)
+                .map(|(robot, sensor)| sensor.summary(&robot.label))
+                .collect(),
+            refused: self.refused,
+            recording,
+            distrusted: self.distrusted,
+            headings: self.headings,
+            latency_us: LatencySummary::of(&self.latency_us),
+            percentiles: percentiles::curve(&self.latency_us),
+            hops_us: self.hops.summary(),
+            nodes,
+            verdict,
+        }
+    }
+}
+
+/// What is known of a run from elsewhere than its logs.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Background {
+    /// The true track that the user gave.
+    pub truth: Option<TruthEvidence>,
+    /// The recording.
+    pub recording: Option<RecordingEvidence>,
+}
+
+/// The 2 x 2 block of the position.
+#[must_use]
+pub fn position_covariance(estimate: &Estimate) -> Matrix2<f64> {
+    let n = (estimate.state_dim as usize).clamp(2, STATE_DIM_MAX);
+    let p = &estimate.covariance;
+    Matrix2::new(p[0], p[1], p[n], p[n + 1])
+}
+
+/// Squared position error, m^2, and the same normalised by the covariance (NEES, two degrees of freedom);
+/// `None` for the latter if the covariance is singular.
+#[must_use]
+pub fn position_error(estimate: &Estimate, truth_m: Vector2<f64>) -> (f64, Option<f64>) {
+    let error_m = Vector2::new(estimate.state[0], estimate.state[1]) - truth_m;
+    let inverse = position_covariance(estimate).try_inverse();
+    (error_m.norm_squared(), inverse.map(|inverse| error_m.dot(&(inverse * error_m))))
+}
+
+#[cfg(test)]
+mod tests {
+    use rangehound_shared::measurement::{Measurement, Pose};
+    use rangehound_shared::message::Command;
+    use rangehound_shared::record::{Heard, Judged};
+
+    use super::*;
+
+    #[test]
+    fn what_came_late_was_not_missing_after_all() {
+        let mut totals = Accumulator::new().unwrap();
+        let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
+        totals.add_estimate(1, &tick(1, 2), None);
+        totals.add_estimate(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) }, None);
+        totals.add_estimate(3, &Estimate { rejected: 1, ..tick(1, 1) }, None);
+        let expected = RangeSummary { published: 0, fused: 6, rejected: 2, late: 3, fused_late: 1, missing: 1 };
+        assert_eq!(totals.ranges, expected);
+        assert_eq!(totals.ranges.fused + totals.ranges.rejected + totals.ranges.missing, 3 * 3);
+    }
+
+    #[test]
+    fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
+        let exchange = |range_m| Exchange {
+            heard: Some(Heard { measurement: Measurement::new(Pose::default(), range_m), taken_at: 1, judged: None }),
+            command: Command::default(),
+        };
+        let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
+        let told = RobotRecord { range_sent_ns: Some(1), ..RobotRecord::default() };
+        let robots = [told, RobotRecord::default(), RobotRecord::default(), told];
+        let mut totals = Accumulator::new().unwrap();
+        totals.add_world(1, &robots);
+        totals.add_untold(&heard, &robots);
+        assert_eq!(totals.ranges.published, 3);
+        // The tick under way when a run is ended: the simulator has not put it down.
+        totals.add_untold(&heard, &[]);
+        assert_eq!(totals.ranges.published, 5);
+    }
+
+    #[test]
+    fn each_sensor_is_told_what_became_of_its_ranges() {
+        let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
+            heard: Some(Heard {
+                measurement: Measurement::new(Pose::default(), judged.map(|_| (1.0, 1.0))),
+                taken_at: 1,
+                judged: judged.map(|(used, normalised_square)| Judged { used, normalised_square }),
+            }),
+            command: Command::default(),
+        };
+        let mut totals = Accumulator::new().unwrap();
+        let (fused, rejected, distrusted) = (RangeUse::Fused, RangeUse::Rejected, RangeUse::Distrusted);
+        totals.add_sensors(&[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
+        totals.add_sensors(&[
+            exchange(Some((fused, Some(0.5)))),
+            Exchange::default(),
+            exchange(Some((rejected, Some(20.0)))),
+        ]);
+        let told: Vec<SensorSummary> = totals.sensors.iter().map(|sensor| sensor.summary("a")).collect();
+        let expected = [(2, 2, 0, 0, Some(0.5)), (0, 0, 0, 0, None), (2, 0, 1, 1, Some(12.5))];
+        for (told, (ranges, fused, rejected, distrusted, nis_mean)) in told.into_iter().zip(expected) {
+            assert_eq!(told, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
+        }
+    }
+
+    #[test]
+    fn the_nis_of_all_ranges_is_beside_that_of_the_fused_ones() {
+        let mut totals = Accumulator::new().unwrap();
+        totals.add_estimate(
+            1,
+            &Estimate { nis: 1.5, fused: 2, nis_all: 30.0, tested: 4, rejected: 2, ..Estimate::default() },
+            None,
+        );
+        totals.add_estimate(
+            2,
+            &Estimate { nis_all: 20.0, tested: 1, noise_scale: 2.0, rejected: 1, ..Estimate::default() },
+            None,
+        );
+        assert_eq!((totals.nis.mean(), totals.nis_all.mean(), totals.gate_widened), (Some(0.75), Some(10.0), 1));
+    }
+
+    #[test]
+    fn times_of_distrust_begin_and_end() {
+        let mut totals = Accumulator::new().unwrap();
+        let distrusted = [&[][..], &[1], &[1, 70], &[70], &[1, 70]];
+        for (tick, robots) in distrusted.iter().enumerate() {
+            let mut set = RobotSet::default();
+            robots.iter().for_each(|robot| set.set(*robot, true));
+            let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
+            totals.add_estimate(tick as u64, &estimate, None);
+        }
+        let distrust = |robot, from_tick, to_tick| Distrust { robot, sensor: robot.to_string(), from_tick, to_tick };
+        assert_eq!(totals.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
+    }
+
+    #[test]
+    fn refusals_are_told_by_cause() {
+        let mut totals = Accumulator::new().unwrap();
+        let estimate = Estimate { refused: [1, 2, 3, 4, 5, 6], ..Estimate::default() };
+        totals.add_estimate(1, &estimate, None);
+        totals.add_estimate(2, &estimate, None);
+        let json = serde_json::to_string(&totals.refused).unwrap();
+        let expected = r#"{"impostor":2,"out_of_range":4,"malformed":6,"future":8,"contradiction":10,"jump":12}"#;
+        assert_eq!(json, expected);
+    }
+}

@@ -1,0 +1,185 @@
+//! What can go wrong with a team, drawn from a seed.
+
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::plan::Plan;
+
+/// A hang that nobody ends but the supervisor, ns.
+const FOR_EVER_NS: u64 = 1_000_000_000_000;
+
+/// Longest time in which whoever hangs is started again: silence of 2 s, 0.1 s for each node, and some looks, ns.
+const HANG_MAX_NS: u64 = 5_000_000_000;
+
+/// Something that goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Fault {
+    /// When, ns.
+    pub(super) at_ns: u64,
+    /// What.
+    pub(super) kind: FaultKind,
+}
+
+/// A kind of fault.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum FaultKind {
+    /// A node is killed once it has done so many more actions; so is each process that follows it, as often as it says.
+    Kill {
+        /// Which.
+        node: usize,
+        /// Actions before that.
+        after_actions: u32,
+        /// If that action is to write the checkpoint, this share of it is written.
+        written: f64,
+        /// It is no kill but a failure of its own.
+        is_own: bool,
+        /// Processes.
+        times: u32,
+        /// What the next process takes to come up, ns.
+        up_ns: u64,
+    },
+    /// Whoever takes the lead next is killed so many actions later.
+    KillHeir {
+        /// Actions before that.
+        after_actions: u32,
+    },
+    /// A node is stopped once it has done so many more actions, and continued later.
+    Stop {
+        /// Which.
+        node: usize,
+        /// Actions before that.
+        after_actions: u32,
+        /// For how long, ns.
+        for_ns: u64,
+    },
+    /// Whoever leads is stopped the same.
+    StopLeader {
+        /// Actions before that.
+        after_actions: u32,
+        /// For how long, ns.
+        for_ns: u64,
+    },
+    /// All nodes are stopped at once, the supervisor too or not.
+    StopAll {
+        /// The supervisor too.
+        with_supervisor: bool,
+        /// For how long, ns.
+        for_ns: u64,
+    },
+    /// The supervisor is stopped.
+    StopSupervisor {
+        /// For how long, ns.
+        for_ns: u64,
+    },
+    /// The system refuses to start processes.
+    RefuseStarts {
+        /// How many.
+        times: u32,
+    },
+    /// Each process of a node fails from now on, so many actions after its start.
+    Break {
+        /// Which.
+        node: usize,
+        /// Actions before that.
+        after_actions: u32,
+    },
+    /// Nothing gets from these nodes to the others, or from those to these.
+    Partition {
+        /// Bit i for node i.
+        nodes: u64,
+        /// For how long, ns.
+        for_ns: u64,
+    },
+}
+
+impl Fault {
+    /// When its effects are over, ns.
+    pub(super) fn ends_ns(&self) -> u64 {
+        let lasts_ns = match self.kind {
+            FaultKind::Kill { times, up_ns, .. } => u64::from(times) * (up_ns + 20_000_000),
+            FaultKind::Stop { for_ns, .. }
+            | FaultKind::StopLeader { for_ns, .. }
+            | FaultKind::StopAll { for_ns, .. }
+            | FaultKind::StopSupervisor { for_ns }
+            | FaultKind::Partition { for_ns, .. } => for_ns.min(HANG_MAX_NS),
+            FaultKind::KillHeir { .. } | FaultKind::RefuseStarts { .. } | FaultKind::Break { .. } => 0,
+        };
+        self.at_ns + lasts_ns
+    }
+
+    /// True if it makes processes fail by themselves, or as good as that.
+    fn own_failures(&self) -> u32 {
+        match self.kind {
+            FaultKind::Kill { is_own: true, times, .. } | FaultKind::RefuseStarts { times } => times,
+            _ => 0,
+        }
+    }
+
+    fn is_break(&self) -> bool {
+        matches!(self.kind, FaultKind::Break { .. })
+    }
+
+    fn is_hang(&self) -> bool {
+        matches!(
+            self.kind,
+            FaultKind::Stop { for_ns: FOR_EVER_NS, .. } | FaultKind::StopLeader { for_ns: FOR_EVER_NS, .. }
+        )
+    }
+}
+
+/// Own failures in a run that no run may end of.
+const OWN_FAILURES_MAX: u32 = 4;
+
+/// What goes wrong in a plan, in order of time.
+pub(super) fn draw(random: &mut ChaCha8Rng, plan: &Plan, span_ns: u64) -> Vec<Fault> {
+    let mut faults: Vec<Fault> = Vec::new();
+    for _ in 0..random.random_range(0..=6) {
+        let fault = Fault { at_ns: random.random_range(0..span_ns), kind: kind(random, plan) };
+        let own_failures: u32 = faults.iter().map(Fault::own_failures).sum::<u32>() + fault.own_failures();
+        // Where nobody else could take its place, one that hangs twice would never be waited for again.
+        let is_twice = |is: fn(&Fault) -> bool| is(&fault) && faults.iter().any(is);
+        if own_failures <= OWN_FAILURES_MAX && !is_twice(Fault::is_hang) && !is_twice(Fault::is_break) {
+            faults.push(fault);
+        }
+    }
+    // Whoever fails by itself for ever is given up for that alone, and takes nobody's place.
+    if faults.iter().any(Fault::is_break) {
+        faults.retain(|fault| fault.own_failures() == 0 && !fault.is_hang());
+    }
+    faults.sort_by_key(|fault| fault.at_ns);
+    faults
+}
+
+fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
+    let (nodes, can_lead) = (plan.nodes(), 2 + plan.standbys);
+    // Half of all faults at those that have a state, or may come to have it.
+    let node = if random.random_bool(0.5) { random.random_range(0..can_lead) } else { random.random_range(0..nodes) };
+    let after_actions = random.random_range(0..24);
+    let few_actions = random.random_range(0..6);
+    let short_ns = random.random_range(0..300_000_000);
+    // Long enough to be deposed.
+    let long_ns = random.random_range(300_000_000..2_000_000_000);
+    let up_ns = if random.random_bool(0.8) { short_ns / 10 } else { long_ns };
+    let for_ns = if random.random_bool(0.5) { short_ns } else { long_ns };
+    let written = if random.random_bool(0.5) { random.random_range(0.0..1.0) } else { 0.0 };
+    match random.random_range(0..100) {
+        0..34 => {
+            let is_own = random.random_bool(0.1);
+            FaultKind::Kill { node, after_actions, written, is_own, times: 1, up_ns }
+        }
+        34..39 => {
+            let times = random.random_range(2..=9);
+            FaultKind::Kill { node, after_actions: few_actions, written, is_own: false, times, up_ns: short_ns / 100 }
+        }
+        39..45 => FaultKind::KillHeir { after_actions: few_actions },
+        45..62 => FaultKind::Stop { node, after_actions, for_ns },
+        62..74 => FaultKind::StopLeader { after_actions, for_ns },
+        74..80 if !plan.is_endless => FaultKind::Stop { node, after_actions, for_ns: FOR_EVER_NS },
+        74..80 if plan.standbys > 0 => FaultKind::StopLeader { after_actions, for_ns: FOR_EVER_NS },
+        80..85 => FaultKind::StopAll { with_supervisor: random.random_bool(0.5), for_ns: 2 * for_ns },
+        85..88 => FaultKind::StopSupervisor { for_ns },
+        88..90 => FaultKind::RefuseStarts { times: random.random_range(1..=OWN_FAILURES_MAX) },
+        90..91 => FaultKind::Break { node, after_actions: few_actions },
+        _ => FaultKind::Partition { nodes: random.random_range(1..1_u64 << nodes.min(60)), for_ns: short_ns },
+    }
+}

@@ -1,0 +1,182 @@
+//! Fusion that leads, in simulated time.
+
+use std::rc::Rc;
+
+use rangehound_fusion::leader::{Action, Notice};
+use rangehound_shared::message::Command;
+use rangehound_shared::protocol::wake::{Call, Sleeper};
+
+use super::fusion::Leading;
+use super::sim::SIM;
+use crate::study::explore::cluster::{Cluster, Happening, Violation};
+use crate::study::explore::network::Message;
+use crate::study::explore::process::{Fate, Node, Process};
+use crate::study::explore::witness::timing::{Closing, Missing};
+
+/// Ticks after which nobody is missing any more for what was before.
+const CALM_TICKS: u64 = 6;
+
+impl Cluster<'_> {
+    pub(in crate::study::explore) fn run_leader(
+        &mut self,
+        node: usize,
+        mut leading: Box<Leading>,
+    ) -> Result<Process, Violation> {
+        let now_ns = self.local_ns(node);
+        for message in self.take_inbox(node) {
+            let Message::Range(header, range) = message else { continue };
+            let is_of_team = range.robot < self.plan.robots as u64;
+            if is_of_team && header.tick == leading.machine.centre().next_tick() {
+                let is_other = |first: Option<(u64, u64)>| first.is_none_or(|(tick, _)| tick != header.tick);
+                if is_other(leading.first_range) {
+                    leading.first_range = Some((header.tick, now_ns));
+                }
+                if is_other(leading.ran_at_first_ns) {
+                    leading.ran_at_first_ns = Some((header.tick, self.now_ns - self.nodes[node].stopped_ns));
+                }
+            }
+            if header.tick <= self.plan.ticks {
+                leading.newest_heard = leading.newest_heard.max(header.tick);
+            }
+            leading.machine.on_range(&header, &[range], now_ns);
+        }
+        let began_at = leading.machine.centre().next_tick();
+        let mut finishes = self.is_finished;
+        loop {
+            let action = leading.machine.next_action(now_ns);
+            let Some(action) = action.map_err(|error| self.violation(Some(node), error.to_string()))? else {
+                if !std::mem::take(&mut finishes) {
+                    break;
+                }
+                leading.machine.finish();
+                continue;
+            };
+            let fate = self.meet_doom(node)?;
+            if let Fate::Dies { written } = fate {
+                if action == Action::Save {
+                    self.save_leader(node, &mut leading, written)?;
+                }
+                return Ok(Process::None);
+            }
+            if action == Action::RequireLead && !self.holds_lead(&leading) {
+                return Ok(self.is_deposed(node, &leading));
+            }
+            if action == Action::SendHeadings && !std::mem::take(&mut leading.has_looked) {
+                return Err(self.violation(Some(node), "it commands without a look whether it leads".to_owned()));
+            }
+            leading.has_looked |= action == Action::RequireLead;
+            self.act_leader(node, &mut leading, action)?;
+            if let Fate::Stops = fate {
+                return Ok(Process::Leader(leading));
+            }
+        }
+        if leading.machine.centre().next_tick() == began_at && !self.holds_lead(&leading) {
+            return Ok(self.is_deposed(node, &leading));
+        }
+        self.sleep_until(node, leading.machine.wakes_at_ns())?;
+        Ok(Process::Leader(leading))
+    }
+
+    /// True while nobody has taken the lead from it; gives a sign of life.
+    fn holds_lead(&mut self, leading: &Leading) -> bool {
+        let holds = self.lead.is_current(leading.hold);
+        if holds {
+            self.lead.sign_at(self.now_ns);
+        }
+        holds
+    }
+
+    /// It lets go of a lock that counts for nothing, and stands by.
+    fn is_deposed(&mut self, node: usize, leading: &Leading) -> Process {
+        self.tell(Some(node), || "sees that it was deposed; stands by".to_owned());
+        self.nodes[node].signed_ns = Some(self.now_ns);
+        self.free(leading.hold.lock);
+        self.after(0, Happening::Wakes { node, call: Some(Call::Range) });
+        self.stand_by()
+    }
+
+    fn act_leader(&mut self, node: usize, leading: &mut Leading, action: Action) -> Result<(), Violation> {
+        let machine = &leading.machine;
+        let tick = machine.centre().next_tick().saturating_sub(1);
+        match action {
+            Action::Continue | Action::RequireLead => {}
+            Action::Save => self.save_leader(node, leading, 1.0)?,
+            Action::SendHeadings => {
+                let commands = machine.centre().commands();
+                let is_current = self.lead.is_current(leading.hold);
+                let witnessed = self.witness.headings(tick, commands, is_current);
+                witnessed.map_err(|what| self.violation(Some(node), what))?;
+                self.tell(Some(node), || format!("heading({tick})"));
+                let header = self.header(node, tick, machine.centre().time_s());
+                let commands: Rc<[Command]> = commands.into();
+                for robot in self.plan.robot_nodes() {
+                    self.send(node, robot, || Message::Heading(header, Rc::clone(&commands)));
+                }
+            }
+            Action::Notify(notification) => self.notify(node, notification),
+            Action::SendEstimate => {
+                let witnessed = self.witness.estimate(tick, machine.estimate());
+                witnessed.map_err(|what| self.violation(Some(node), what))?;
+            }
+            Action::Record => {
+                let missing = self.record(node, leading, tick).map_err(|what| self.violation(Some(node), what))?;
+                let closed = self.witness.timing.closes(&self.closing(node, leading, tick, missing));
+                closed.map_err(|what| self.violation(Some(node), what))?;
+                self.sleepers[Sleeper::Fusion as usize].expected = leading.machine.expected();
+            }
+            Action::Tell(notice) => {
+                if let Notice::Missed { first, last } = notice {
+                    self.tell(Some(node), || format!("missed ticks {first} to {last}"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A tick is put down. Robots are missing for a reason: something has been in the way not long ago.
+    fn record(&mut self, node: usize, leading: &Leading, tick: u64) -> Result<Missing, String> {
+        let Self { witness, nodes, plan, .. } = self;
+        let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
+        let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
+        let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
+        let is_calm = now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
+        let robots_from = plan.robot_nodes().start;
+        witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
+    }
+
+    /// How a tick came to its end.
+    fn closing(&self, node: usize, leading: &Leading, tick: u64, missing: Missing) -> Closing {
+        let began_ns = leading.machine.stages().began_ns;
+        let of_tick = |first: Option<(u64, u64)>| first.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns);
+        let ran_ns = self.now_ns - self.nodes[node].stopped_ns;
+        let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);
+        Closing {
+            tick,
+            missing,
+            is_cut: leading.newest_heard > tick || self.is_finished,
+            at_ns: (began_ns as f64 / fusion.clock_rate) as u64,
+            arrived_ns: fusion.first_arrival.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns),
+            held_ns: of_tick(leading.first_range).map(|first_ns| began_ns.saturating_sub(first_ns)),
+            ran_ns: of_tick(leading.ran_at_first_ns).map(|first_ns| ran_ns - first_ns),
+            well_for_ns: sim
+                .well_for_ns(self.now_ns)
+                .min(fusion.well_for_ns(self.now_ns))
+                .min(self.now_ns - leading.since_ns),
+            late_ns: self.late_ns(),
+        }
+    }
+
+    fn save_leader(&mut self, node: usize, leading: &mut Leading, share: f64) -> Result<(), Violation> {
+        let Some(disk) = leading.disk else { return Ok(()) };
+        let shares = |other: &Node| match &other.process {
+            Process::Leader(other) => other.disk == Some(disk) && self.lead.is_current(other.hold),
+            _ => false,
+        };
+        if self.nodes.iter().any(shares) {
+            return Err(self.violation(Some(node), "a deposed fusion writes to its successor's checkpoint".to_owned()));
+        }
+        let saved = leading.machine.saved().map_err(|error| self.violation(Some(node), error.to_string()))?;
+        let written = self.disks[disk].write(&mut leading.turns, &saved, share);
+        written.map_err(|what| self.violation(Some(node), what))
+    }
+}

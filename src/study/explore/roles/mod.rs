@@ -1,0 +1,6 @@
+//! The roles' machines, driven in simulated time.
+
+pub(super) mod fusion;
+mod leader;
+mod robot;
+pub(super) mod sim;

@@ -1,0 +1,110 @@
+//! A robot in simulated time.
+
+use rangehound_robot::machine::{Action, Machine};
+use rangehound_robot::sensor::{Sensor, measure};
+use rangehound_shared::message::{Command, Outgoing};
+
+use crate::study::explore::cluster::{Cluster, Violation};
+use crate::study::explore::network::Message;
+use crate::study::explore::process::{Fate, Process, Robot};
+use crate::study::explore::roles::sim::SIM;
+use crate::study::explore::witness::robot::RobotWitness;
+
+impl Cluster<'_> {
+    pub(in crate::study::explore) fn start_robot(&mut self, node: usize) -> Process {
+        let id = node - self.plan.robot_nodes().start;
+        // As its process does, it asks how often the lead has been taken.
+        let fusion_incarnation = self.lead.starts();
+        let started = (Machine::new(self.scenario, id, fusion_incarnation), Sensor::new(self.scenario, id));
+        let (Some(machine), Some(sensor)) = started else { return Process::None };
+        let witness = RobotWitness::new(self.scenario, fusion_incarnation);
+        Process::Robot(Box::new(Robot { machine, sensor, witness }))
+    }
+
+    pub(in crate::study::explore) fn run_robot(
+        &mut self,
+        node: usize,
+        mut robot: Box<Robot>,
+    ) -> Result<Process, Violation> {
+        let id = node - self.plan.robot_nodes().start;
+        let is_well = !self.nodes[node].is_interrupted;
+        let awake = robot.witness.wakes(self.now_ns, self.nodes[node].well_for_ns(self.now_ns), self.late_ns());
+        awake.map_err(|what| self.violation(Some(node), what))?;
+        for message in self.take_inbox(node) {
+            match message {
+                Message::World(header, entries) => {
+                    robot.machine.on_world(&header, &entries);
+                    robot.witness.world(header.incarnation);
+                }
+                Message::Heading(header, commands) => {
+                    robot.machine.on_heading(&header, &commands);
+                    if commands.len() == self.plan.robots {
+                        robot.witness.heading(header.incarnation, header.tick, commands[id]);
+                    }
+                }
+                Message::Range(..) | Message::Drive(..) => {}
+            }
+        }
+        let now_ns = self.local_ns(node);
+        let mut provides = true;
+        loop {
+            let Some(action) = robot.machine.next_action(now_ns) else {
+                if !std::mem::take(&mut provides) {
+                    break;
+                }
+                robot.machine.before_sleep();
+                continue;
+            };
+            let fate = self.meet_doom(node)?;
+            if let Fate::Dies { .. } = fate {
+                return Ok(Process::None);
+            }
+            self.act_robot(node, &mut robot, action)?;
+            if let Fate::Stops = fate {
+                return Ok(Process::Robot(robot));
+            }
+        }
+        if is_well {
+            let slept = robot.witness.sleeps(self.now_ns, self.late_ns());
+            slept.map_err(|what| self.violation(Some(node), what))?;
+        }
+        self.sleep_until(node, robot.machine.wakes_at_ns())?;
+        Ok(Process::Robot(robot))
+    }
+
+    fn act_robot(&mut self, node: usize, robot: &mut Robot, action: Action) -> Result<(), Violation> {
+        let Robot { machine, sensor, witness } = robot;
+        let id = node - self.plan.robot_nodes().start;
+        let now_ns = self.local_ns(node);
+        match action {
+            Action::Measure { tick, entry } => {
+                let told = witness.measures(tick, self.now_ns);
+                told.map_err(|what| self.violation(Some(node), what))?;
+                let (range_m, std_m) = measure(sensor, tick, &entry);
+                machine.measured(range_m, std_m, now_ns);
+            }
+            Action::CarryOut(command) => {
+                witness.carries_out(command);
+                machine.carried_out(command);
+            }
+            Action::SendRange(Outgoing { tick, valid_at_s, entry }) => {
+                self.witness.range(tick, &entry).map_err(|what| self.violation(Some(node), what))?;
+                let header = self.header(node, tick, valid_at_s);
+                for fusion in self.plan.fusion_nodes() {
+                    self.send(node, fusion, || Message::Range(header, entry));
+                }
+            }
+            Action::SendDrive(Outgoing { tick, entry, .. }) => {
+                let command = Command { heading_rad: entry.heading_rad, speed_mps: entry.speed_mps };
+                let history = &mut self.witness.robots[id];
+                let driven = witness.drives(history, tick, command, entry.heading_held_ns);
+                if driven.map_err(|what| self.violation(Some(node), what))? {
+                    self.tell(Some(node), || format!("obeys heading({tick})"));
+                }
+                self.send(node, SIM, || Message::Drive(tick, entry));
+            }
+            Action::Notify(notification) => self.notify(node, notification),
+        }
+        Ok(())
+    }
+}

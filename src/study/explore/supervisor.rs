@@ -1,0 +1,142 @@
+//! The supervisor's machine in simulated time: it sees processes end and signs stay away, starts and kills.
+
+use rand::RngExt as _;
+
+use super::cluster::{Cluster, Happening, Violation};
+use super::plan::Plan;
+use super::process::Process;
+use super::witness::supervision::Supervision;
+use crate::run::supervisor::deaths::End;
+use crate::run::supervisor::machine::{Action, Machine, Seen};
+use crate::run::supervisor::restart::{Policies, Rule};
+use crate::run::supervisor::silence;
+
+/// Longest time that the start of a process takes, ns.
+const START_NS: u64 = 5_000_000;
+
+/// The supervisor of a team.
+pub(super) struct Supervisor {
+    machine: Machine<u64>,
+    is_stopped: bool,
+    /// Starts that the system will refuse.
+    pub(super) refusals: u32,
+    /// Processes that have ended and whose end it has not seen.
+    pub(super) ends: Vec<(usize, End)>,
+    witness: Supervision,
+    /// It has ended the run.
+    pub(super) has_given_up: bool,
+}
+
+impl Supervisor {
+    pub(super) fn new(plan: &Plan) -> Self {
+        let rules: Vec<Rule> = plan.leaves_robots.then(|| "robot=never".parse()).into_iter().flatten().collect();
+        let roles = (0..plan.nodes()).map(|node| plan.role_of(node));
+        Self {
+            machine: Machine::new(roles, &Policies::new(&rules)),
+            is_stopped: false,
+            refusals: 0,
+            ends: Vec::new(),
+            witness: Supervision::new(plan),
+            has_given_up: false,
+        }
+    }
+}
+
+impl Cluster<'_> {
+    /// The team is started, each of its nodes within some milliseconds.
+    pub(super) fn start_all(&mut self) {
+        for node in 0..self.nodes.len() {
+            self.supervisor.machine.on_start(node, self.now_ns);
+            let soon_ns = self.random.random_range(0..20_000_000);
+            self.spawn(node, soon_ns);
+        }
+        self.after(silence::LOOK.as_nanos() as u64, Happening::Looks);
+    }
+
+    pub(super) fn stop_supervisor(&mut self, for_ns: u64) {
+        self.tell(None, || "the supervisor is stopped".to_owned());
+        self.supervisor.is_stopped = true;
+        self.after(for_ns, Happening::SupervisorContinues);
+    }
+
+    pub(super) fn continue_supervisor(&mut self) -> Result<(), Violation> {
+        self.tell(None, || "the supervisor continues".to_owned());
+        self.supervisor.is_stopped = false;
+        self.look_for_signs()
+    }
+
+    /// Its look at every process's signs of life.
+    pub(super) fn look_for_signs(&mut self) -> Result<(), Violation> {
+        if self.supervisor.is_stopped {
+            return Ok(());
+        }
+        let Self { supervisor, nodes, lead, scenario, .. } = self;
+        supervisor.machine.look(scenario, |node| {
+            let leads = lead.last == Some((node, nodes[node].life));
+            Seen { leads, sign: if leads { lead.sign() } else { nodes[node].signed_ns } }
+        });
+        let looked = supervisor.witness.looks(nodes, lead, self.now_ns);
+        looked.map_err(|(node, what)| self.violation(Some(node), what))?;
+        self.supervise()
+    }
+
+    /// It does what there is to do.
+    pub(super) fn supervise(&mut self) -> Result<(), Violation> {
+        if self.supervisor.is_stopped {
+            return Ok(());
+        }
+        for (node, end) in std::mem::take(&mut self.supervisor.ends) {
+            self.supervisor.witness.ends(node, end, self.now_ns);
+            self.supervisor.machine.on_end(node, end, false, self.now_ns);
+        }
+        while let Some(action) = self.supervisor.machine.next_action(self.now_ns) {
+            match action {
+                Action::Start(node) => self.start_again(node)?,
+                Action::Kill { node, .. } => {
+                    let killed = self.supervisor.witness.kills(&self.nodes, &self.lead, node, self.now_ns);
+                    killed.map_err(|what| self.violation(Some(node), what))?;
+                    if !matches!(self.nodes[node].process, Process::None) {
+                        self.tell(Some(node), || "hangs".to_owned());
+                        self.die(node, End::Killed);
+                    }
+                }
+                Action::TellRestart(_) => {}
+                Action::TellLoss(node) => {
+                    self.tell(Some(node), || "is not started again".to_owned());
+                    let lost = self.supervisor.witness.loses(node);
+                    lost.map_err(|what| self.violation(Some(node), what))?;
+                }
+                Action::EndRun { node, .. } => {
+                    self.tell(Some(node), || "is given up: the run ends".to_owned());
+                    let given_up = self.supervisor.witness.gives_up(node);
+                    given_up.map_err(|what| self.violation(Some(node), what))?;
+                    self.supervisor.has_given_up = true;
+                    return Ok(());
+                }
+            }
+        }
+        if let Some(at_ns) = self.supervisor.machine.wakes_at_ns() {
+            self.after(at_ns.saturating_sub(self.now_ns).max(1), Happening::Supervises);
+        }
+        Ok(())
+    }
+
+    fn start_again(&mut self, node: usize) -> Result<(), Violation> {
+        if let Some(fewer) = self.supervisor.refusals.checked_sub(1) {
+            self.counts.faults += 1;
+            self.supervisor.refusals = fewer;
+            self.tell(Some(node), || "the system refuses to start it".to_owned());
+            self.supervisor.witness.refused(node, self.now_ns);
+            if !self.supervisor.machine.on_refusal(node, self.now_ns) {
+                return Err(self.violation(Some(node), "it was given up, though the system had room again".to_owned()));
+            }
+            return Ok(());
+        }
+        let started = self.supervisor.witness.starts(&self.nodes, node, self.now_ns);
+        started.map_err(|what| self.violation(Some(node), what))?;
+        self.supervisor.machine.on_start(node, self.now_ns);
+        let soon_ns = self.random.random_range(0..START_NS);
+        self.spawn(node, soon_ns);
+        Ok(())
+    }
+}

@@ -1,0 +1,191 @@
+//! What a robot is told and does.
+
+use std::collections::HashMap;
+
+use rangehound_shared::message::Command;
+use rangehound_shared::scenario::{Clock, Scenario};
+
+/// Headings that are remembered of those that reached a process.
+const REMEMBERED: usize = 16;
+
+/// For so many ticks after its own a heading is held.
+const HELD_TICKS: u64 = 3;
+
+/// Part of a tick after which a robot goes on without a heading.
+const HEADING_DEADLINE: f64 = 0.8;
+
+/// What one robot has done, in all its processes.
+#[derive(Debug, Default)]
+pub(in crate::study::explore) struct RobotHistory {
+    /// What it drove by a heading of each tick.
+    obeyed: HashMap<u64, Command>,
+    /// The greatest incarnation of fusion whose command it carried out.
+    newest_obeyed: u64,
+}
+
+/// What one process of a robot has been told, and what it owes.
+#[derive(Debug, Clone)]
+pub(in crate::study::explore) struct RobotWitness {
+    is_realtime: bool,
+    dt_ns: f64,
+    /// Greatest incarnation of fusion that it knows of.
+    fusion_incarnation: u64,
+    /// The newest headings that reached it from whoever led as far as it could know.
+    valid: Vec<Heading>,
+    /// Of the simulator whose world was heard last.
+    sim_incarnation: u64,
+    newest_tick: Option<(u64, u64)>,
+    /// When it saw the newest tick, ns; until it has decided what to drive.
+    undecided_since_ns: Option<u64>,
+    /// When it saw the newest tick, ns, if it moves since.
+    moves_since_ns: Option<u64>,
+    seen_ns: u64,
+    obeyed: Option<u64>,
+    /// The heading that it drove by last, with its tick.
+    held: Option<(u64, Command)>,
+    /// What the actuator was asked to carry out and nobody was told yet.
+    carried: Option<Command>,
+    /// The newest tick for which it has said what it drives without a heading.
+    provided: Option<u64>,
+    /// When it held the heading that it told of last, by its own clock.
+    told_held_ns: u64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Heading {
+    incarnation: u64,
+    tick: u64,
+    command: Command,
+}
+
+impl RobotWitness {
+    /// A robot that starts and knows of this incarnation of fusion.
+    pub(in crate::study::explore) fn new(scenario: &Scenario, fusion_incarnation: u64) -> Self {
+        Self {
+            is_realtime: scenario.clock == Clock::Realtime,
+            dt_ns: scenario.dt_s * 1e9,
+            fusion_incarnation,
+            valid: Vec::new(),
+            sim_incarnation: 0,
+            newest_tick: None,
+            undecided_since_ns: None,
+            moves_since_ns: None,
+            seen_ns: 0,
+            obeyed: None,
+            held: None,
+            carried: None,
+            provided: None,
+            told_held_ns: 0,
+        }
+    }
+
+    /// A heading reaches the robot.
+    pub(in crate::study::explore) fn heading(&mut self, incarnation: u64, tick: u64, command: Command) {
+        if incarnation >= self.fusion_incarnation {
+            self.fusion_incarnation = incarnation;
+            if self.valid.len() == REMEMBERED {
+                self.valid.remove(0);
+            }
+            self.valid.push(Heading { incarnation, tick, command });
+        }
+    }
+
+    /// A world of this incarnation of the simulator reaches the robot.
+    pub(in crate::study::explore) fn world(&mut self, incarnation: u64) {
+        self.sim_incarnation = incarnation;
+    }
+
+    /// It wakes up, having taken part for so long: in real time it has decided, once a heading was overdue.
+    pub(in crate::study::explore) fn wakes(&self, now_ns: u64, well_for_ns: u64, late_ns: u64) -> Result<(), String> {
+        let is_overdue = |since_ns: u64| {
+            let waited_ns = now_ns - since_ns;
+            well_for_ns > waited_ns && waited_ns as f64 > HEADING_DEADLINE * self.dt_ns + late_ns as f64
+        };
+        if self.is_realtime
+            && self.newest_tick.is_some_and(|(_, tick)| tick > 0)
+            && self.undecided_since_ns.is_some_and(is_overdue)
+        {
+            return Err("it waited for its heading beyond the deadline".to_owned());
+        }
+        Ok(())
+    }
+
+    /// It falls asleep: in real time it has said what it drives if no heading comes, and it does not move on and on without a tick.
+    pub(in crate::study::explore) fn sleeps(&self, now_ns: u64, late_ns: u64) -> Result<(), String> {
+        let tick = self.newest_tick.map(|(_, tick)| tick).filter(|tick| self.is_realtime && *tick > 0);
+        if tick.is_some() && self.undecided_since_ns.is_some() && self.provided != tick {
+            return Err("it sleeps and has not said what it drives without a heading".to_owned());
+        }
+        let longest_ns = (HELD_TICKS + 1) as f64 * self.dt_ns + late_ns as f64;
+        if self.is_realtime && self.moves_since_ns.is_some_and(|since_ns| (now_ns - since_ns) as f64 > longest_ns) {
+            return Err("it moves though no tick comes any more".to_owned());
+        }
+        Ok(())
+    }
+
+    /// The robot asks its sensor: once a tick, of the newest simulator.
+    pub(in crate::study::explore) fn measures(&mut self, tick: u64, now_ns: u64) -> Result<(), String> {
+        let newest = (self.sim_incarnation, tick);
+        if self.newest_tick.is_some_and(|before| before >= newest) {
+            return Err(format!("it went back to tick {tick}"));
+        }
+        self.newest_tick = Some(newest);
+        self.undecided_since_ns = Some(now_ns);
+        self.seen_ns = now_ns;
+        self.moves_since_ns = self.moves_since_ns.map(|_| now_ns);
+        self.obeyed = None;
+        Ok(())
+    }
+
+    /// Its actuator is asked to carry out a command.
+    pub(in crate::study::explore) fn carries_out(&mut self, command: Command) {
+        self.moves_since_ns = (command != Command::default()).then_some(self.seen_ns);
+        self.undecided_since_ns = None;
+        self.carried = Some(command);
+    }
+
+    /// The robot says what it drives; true if it obeys a heading which it has not obeyed before.
+    pub(in crate::study::explore) fn drives(
+        &mut self,
+        history: &mut RobotHistory,
+        tick: u64,
+        command: Command,
+        held_ns: u64,
+    ) -> Result<bool, String> {
+        let carried = self.carried.take();
+        if held_ns == 0 {
+            let held = self.held.filter(|(held, _)| self.is_realtime && tick - held <= HELD_TICKS);
+            let is_held = command == held.map_or(Command::default(), |(_, command)| command);
+            self.provided = Some(tick);
+            return if !self.is_realtime || tick == 0 {
+                Err(format!("it drove at tick {tick} without a heading"))
+            } else if !is_held {
+                Err(format!("without a heading for tick {tick} it neither held the last one nor stood"))
+            } else {
+                Ok(false)
+            };
+        }
+        let is_repeat = std::mem::replace(&mut self.told_held_ns, held_ns) == held_ns;
+        if is_repeat && carried.is_none_or(|carried| carried != command || carried == Command::default()) {
+            return Ok(false);
+        }
+        if self.obeyed.replace(tick) == Some(tick) {
+            return Err(format!("it obeyed two headings at tick {tick}"));
+        }
+        let is_it = |heading: &&Heading| heading.tick == tick && heading.command == command;
+        let newest = self.valid.iter().filter(is_it).map(|heading| heading.incarnation).max();
+        let Some(incarnation) = newest else {
+            return Err(format!("it obeyed a heading for tick {tick} of a fusion that was deposed"));
+        };
+        if incarnation < history.newest_obeyed {
+            let newer = history.newest_obeyed;
+            return Err(format!("it obeyed incarnation {incarnation} of fusion after incarnation {newer}"));
+        }
+        history.newest_obeyed = incarnation;
+        if *history.obeyed.entry(tick).or_insert(command) != command {
+            return Err(format!("it obeyed two different headings for tick {tick}"));
+        }
+        self.held = Some((tick, command));
+        Ok(true)
+    }
+}

@@ -1,0 +1,187 @@
+//! What the supervisor does to whom.
+
+use crate::run::supervisor::deaths::End;
+use crate::study::explore::faults::FaultKind;
+use crate::study::explore::lead::Lead;
+use crate::study::explore::plan::Plan;
+use crate::study::explore::process::{Node, Process};
+
+/// Silence that is no hang, ns: the patience, or what a deposed one has, but for the look that begins it.
+const SILENCE_MIN_NS: u64 = 1_900_000_000;
+
+/// Looks after which whoever hangs has been killed; one that has not come up has one more for each node.
+const LOOKS_MAX: u64 = 32;
+
+/// One that has taken part for this long has given signs of it, ns.
+const SIGNS_NS: u64 = 500_000_000;
+
+/// Of the looks in which one hangs that is killed for it, others were heard in so many at least.
+const OTHERS_HEARD_MIN: u64 = 5;
+
+/// What each node adds to the time that any of them may take to come up, ns.
+const START_NS: u64 = 100_000_000;
+
+/// One that has lived for so long is started again at once, ns.
+const SETTLED_NS: u64 = 1_000_000_000;
+
+/// Longest wait before a start, ns: at once, after kills alone, and at all.
+const WAIT_AT_ONCE_NS: u64 = 1_000_000;
+const WAIT_AFTER_KILLS_NS: u64 = 11_000_000;
+const WAIT_MAX_NS: u64 = 1_001_000_000;
+
+/// A node that fails so often in a row is given up.
+const FAILURES_MAX: u32 = 5;
+
+/// What the supervisor has seen and done.
+#[derive(Debug)]
+pub(in crate::study::explore) struct Supervision {
+    is_endless: bool,
+    leaves_robots: bool,
+    robots_from: usize,
+    /// It is stopped now and then: what it does late is no fault of its.
+    is_stopped_at_times: bool,
+    /// Nodes whose every process fails.
+    broken: Vec<usize>,
+    nodes: Vec<Record>,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Record {
+    own_failures: u32,
+    started_ns: u64,
+    /// It had not ended before, or had lived for long.
+    is_settled: bool,
+    has_ended: bool,
+    /// When the end of its last process was seen, or its start refused.
+    down_since_ns: u64,
+    /// The process that was seen to lead, by life.
+    led: Option<u32>,
+    /// Since when it hangs, whether it was deposed, and looks in which it did and others did not.
+    hung: (u64, bool, u64),
+}
+
+impl Supervision {
+    pub(in crate::study::explore) fn new(plan: &Plan) -> Self {
+        let is_stop = |kind: &FaultKind| matches!(kind, FaultKind::StopAll { .. } | FaultKind::StopSupervisor { .. });
+        let kinds = || plan.faults.iter().map(|fault| fault.kind);
+        Self {
+            is_endless: plan.is_endless,
+            leaves_robots: plan.leaves_robots,
+            robots_from: plan.robot_nodes().start,
+            is_stopped_at_times: kinds().any(|kind| is_stop(&kind)),
+            broken: kinds()
+                .filter_map(|kind| if let FaultKind::Break { node, .. } = kind { Some(node) } else { None })
+                .collect(),
+            nodes: vec![Record::default(); plan.nodes()],
+        }
+    }
+
+    /// It looks for signs of life: nobody hangs that it should have killed.
+    pub(in crate::study::explore) fn looks(
+        &mut self,
+        nodes: &[Node],
+        lead: &Lead,
+        now_ns: u64,
+    ) -> Result<(), (usize, String)> {
+        let well = nodes.iter().filter(|node| node.well_for_ns(now_ns) > SIGNS_NS).count();
+        for (index, node) in nodes.iter().enumerate() {
+            let leads = lead.last == Some((index, node.life));
+            let record = &mut self.nodes[index];
+            if leads {
+                record.led = Some(node.life);
+            }
+            let is_deposed = record.led == Some(node.life) && !leads;
+            let is_starting = matches!(node.process, Process::Starting);
+            let hangs = node.is_stopped || is_starting;
+            let (since_ns, was_deposed, looks) = record.hung;
+            let goes_on = hangs && (since_ns, was_deposed) == (node.state_since_ns, is_deposed);
+            let looks = if goes_on { looks } else { 0 } + u64::from(hangs && well > 0);
+            record.hung = (node.state_since_ns, is_deposed, looks);
+            let looks_max = LOOKS_MAX + if is_starting { nodes.len() as u64 } else { 0 };
+            let is_left_alone = self.leaves_robots && index >= self.robots_from || self.is_endless && !is_deposed;
+            if looks > looks_max && !is_left_alone {
+                return Err((index, "it hangs, and is not killed".to_owned()));
+            }
+        }
+        Ok(())
+    }
+
+    /// It kills a node as hung.
+    pub(in crate::study::explore) fn kills(
+        &self,
+        nodes: &[Node],
+        lead: &Lead,
+        index: usize,
+        now_ns: u64,
+    ) -> Result<(), String> {
+        let node = &nodes[index];
+        if matches!(node.process, Process::None) {
+            return Ok(());
+        }
+        let leads = lead.last == Some((index, node.life));
+        let is_deposed = self.nodes[index].led == Some(node.life) && !leads;
+        let sign_ns = if leads { lead.sign() } else { node.signed_ns };
+        let is_starting = matches!(node.process, Process::Starting);
+        let hangs = node.is_stopped || is_starting;
+        let silence_min_ns = SILENCE_MIN_NS + if is_starting { nodes.len() as u64 * START_NS } else { 0 };
+        if node.well_for_ns(now_ns) > SIGNS_NS {
+            Err("it was killed as hung, but gives signs of life".to_owned())
+        } else if now_ns - sign_ns.unwrap_or(node.state_since_ns) < silence_min_ns {
+            Err("it was killed as hung before its time".to_owned())
+        } else if hangs && self.nodes[index].hung.2 < OTHERS_HEARD_MIN {
+            Err("it was killed as hung, though nobody else was heard".to_owned())
+        } else if self.is_endless && !is_deposed {
+            Err("it was killed as hung, though patience has no end".to_owned())
+        } else if self.leaves_robots && index >= self.robots_from {
+            Err("it was killed as hung, though it is not started again".to_owned())
+        } else {
+            Ok(())
+        }
+    }
+
+    /// It sees that a node's process has ended.
+    pub(in crate::study::explore) fn ends(&mut self, node: usize, end: End, now_ns: u64) {
+        let record = &mut self.nodes[node];
+        record.own_failures += u32::from(end != End::Killed);
+        record.down_since_ns = now_ns;
+        let had_ended = std::mem::replace(&mut record.has_ended, true);
+        record.is_settled = !had_ended || now_ns - record.started_ns > SETTLED_NS;
+    }
+
+    /// The system refuses to start a process.
+    pub(in crate::study::explore) fn refused(&mut self, node: usize, now_ns: u64) {
+        self.ends(node, End::Failed, now_ns);
+        self.nodes[node].is_settled = false;
+    }
+
+    /// It starts a node again.
+    pub(in crate::study::explore) fn starts(&mut self, nodes: &[Node], node: usize, now_ns: u64) -> Result<(), String> {
+        if !matches!(nodes[node].process, Process::None) {
+            return Err("it was started twice".to_owned());
+        }
+        let Record { own_failures, is_settled, down_since_ns, .. } = self.nodes[node];
+        self.nodes[node].started_ns = now_ns;
+        let longest_ns = match own_failures {
+            _ if is_settled => WAIT_AT_ONCE_NS,
+            0 => WAIT_AFTER_KILLS_NS,
+            _ => WAIT_MAX_NS,
+        };
+        if !self.is_stopped_at_times && now_ns - down_since_ns > longest_ns {
+            return Err("it was not started again in time".to_owned());
+        }
+        Ok(())
+    }
+
+    /// It lets the others go on without a node.
+    pub(in crate::study::explore) fn loses(&self, node: usize) -> Result<(), String> {
+        let may_leave = self.leaves_robots && node >= self.robots_from;
+        let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
+        if may_leave || is_hopeless { Ok(()) } else { Err("it was not started again".to_owned()) }
+    }
+
+    /// It ends the run for a node.
+    pub(in crate::study::explore) fn gives_up(&self, node: usize) -> Result<(), String> {
+        let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
+        if is_hopeless { Ok(()) } else { Err("the run was ended for it".to_owned()) }
+    }
+}

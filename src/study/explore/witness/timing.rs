@@ -1,0 +1,186 @@
+//! When ticks begin and end, and who is waited for.
+
+use rangehound_shared::scenario::{Clock, Patience, Scenario};
+
+/// A process that runs looks at the clock at least this often, ns: time beyond it may pass for a suspension.
+const ROUND_NS: u64 = 260_000_000;
+
+/// Part of a real-time tick after which fusion goes on without the ranges that are missing.
+const RANGE_DEADLINE: f64 = 0.5;
+
+/// Ticks after which whoever takes part has found into the grid.
+const SETTLED_TICKS: u64 = 5;
+
+/// How late fusion sees its own clock pass a deadline, ns.
+const LATE_NS: u64 = 1_000_000;
+
+/// When ticks began and ended.
+#[derive(Debug)]
+pub(in crate::study::explore) struct Timing {
+    is_realtime: bool,
+    dt_ns: u64,
+    /// What lock step waits for somebody, ns; `None` if for ever.
+    patience_ns: Option<u64>,
+    /// When each tick was published first.
+    worlds_ns: Vec<u64>,
+    /// The newest tick of the present simulator.
+    sim_tick: Option<SimTick>,
+    /// When somebody last asked for the present tick.
+    pub(in crate::study::explore) hello_ns: u64,
+    /// The last tick at which nobody was missing.
+    last_full: Option<u64>,
+}
+
+/// When a simulator published a tick first.
+#[derive(Debug, Clone, Copy)]
+struct SimTick {
+    tick: u64,
+    at_ns: u64,
+    /// The time for which it had run, whenever it was stopped.
+    ran_ns: u64,
+}
+
+/// Who is missing at a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(in crate::study::explore) enum Missing {
+    /// Nobody.
+    Nobody,
+    /// Only who was missing before.
+    AsBefore,
+    /// Somebody who was heard at the tick before.
+    Another,
+}
+
+/// How a tick of fusion's came to its end.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::study::explore) struct Closing {
+    pub(in crate::study::explore) tick: u64,
+    /// Who is missing.
+    pub(in crate::study::explore) missing: Missing,
+    /// A later tick had begun, or the run had ended.
+    pub(in crate::study::explore) is_cut: bool,
+    /// When it ended, ns.
+    pub(in crate::study::explore) at_ns: u64,
+    /// When its first range came, whenever it was looked at, ns.
+    pub(in crate::study::explore) arrived_ns: Option<u64>,
+    /// Time since its first range, if nobody was stopped since, ns.
+    pub(in crate::study::explore) held_ns: Option<u64>,
+    /// The same, without the time for which fusion was stopped.
+    pub(in crate::study::explore) ran_ns: Option<u64>,
+    /// For how long simulator and fusion have taken part undisturbed, ns.
+    pub(in crate::study::explore) well_for_ns: u64,
+    /// How far clocks may be apart, ns.
+    pub(in crate::study::explore) late_ns: u64,
+}
+
+impl Timing {
+    pub(in crate::study::explore) fn new(scenario: &Scenario) -> Self {
+        Self {
+            is_realtime: scenario.clock == Clock::Realtime,
+            dt_ns: (scenario.dt_s * 1e9) as u64,
+            patience_ns: match scenario.patience {
+                Patience::After(patience) => Some(patience.as_nanos() as u64),
+                Patience::Forever => None,
+            },
+            worlds_ns: Vec::new(),
+            sim_tick: None,
+            hello_ns: 0,
+            last_full: None,
+        }
+    }
+
+    /// Another simulator goes on.
+    pub(in crate::study::explore) fn sim_starts(&mut self) {
+        self.sim_tick = None;
+    }
+
+    /// The simulator publishes a tick, having run for so long: in real time neither late nor in a burst.
+    pub(in crate::study::explore) fn world(
+        &mut self,
+        tick: u64,
+        now_ns: u64,
+        ran_ns: u64,
+        late_ns: u64,
+    ) -> Result<(), String> {
+        let index = tick as usize;
+        let before = self.sim_tick;
+        if before.is_none_or(|before| before.tick != tick) {
+            self.sim_tick = Some(SimTick { tick, at_ns: now_ns, ran_ns });
+        }
+        if index < self.worlds_ns.len() {
+            return Ok(());
+        }
+        if index > self.worlds_ns.len() {
+            return Err(format!("sim passed over a tick before {tick}"));
+        }
+        self.worlds_ns.push(now_ns);
+        if !self.is_realtime {
+            return Ok(());
+        }
+        if tick >= 3 && now_ns + late_ns < self.worlds_ns[index - 2] + self.dt_ns {
+            return Err(format!("two ticks took less than one before tick {tick}"));
+        }
+        // Unless it was stopped since.
+        let took_ns = before.map(|before| (now_ns - before.at_ns, ran_ns - before.ran_ns));
+        if tick >= 2 && took_ns.is_some_and(|(took_ns, ran_ns)| took_ns == ran_ns && took_ns > self.dt_ns + late_ns) {
+            return Err(format!("tick {tick} came late"));
+        }
+        Ok(())
+    }
+
+    /// The simulator goes on without a robot, having run for so long.
+    pub(in crate::study::explore) fn leaves_out(&self, tick: u64, ran_ns: u64) -> Result<(), String> {
+        let waited_ns = self.sim_tick.map_or(0, |began| ran_ns - began.ran_ns);
+        let is_over = self.patience_ns.is_some_and(|patience_ns| waited_ns + ROUND_NS >= patience_ns);
+        if tick == 0 || self.is_realtime || !is_over {
+            return Err(format!("a robot was left out at tick {tick} before its time"));
+        }
+        Ok(())
+    }
+
+    /// Fusion has ended a tick: not before its time, nor after.
+    pub(in crate::study::explore) fn closes(&mut self, closing: &Closing) -> Result<(), String> {
+        let Closing { tick, missing, is_cut, at_ns, arrived_ns, held_ns, ran_ns, well_for_ns, late_ns } = *closing;
+        // Of a tick that was closed by a predecessor nobody knows when.
+        let Some(world_ns) = self.worlds_ns.get(tick as usize).copied().filter(|_| at_ns > 0) else { return Ok(()) };
+        let has_newly_missing = missing == Missing::Another;
+        if has_newly_missing && tick == 0 {
+            return Err("tick 0 did not wait for the whole team".to_owned());
+        }
+        if !self.is_realtime {
+            let is_over = self
+                .patience_ns
+                .is_some_and(|patience_ns| ran_ns.is_none_or(|ran_ns| ran_ns + ROUND_NS + late_ns >= patience_ns));
+            return if has_newly_missing && !is_over && !is_cut {
+                Err(format!("tick {tick} did not wait for a robot"))
+            } else {
+                Ok(())
+            };
+        }
+        if tick == 0 {
+            return Ok(());
+        }
+        let deadline_ns = world_ns + (RANGE_DEADLINE * self.dt_ns as f64) as u64;
+        if has_newly_missing && !is_cut && at_ns + late_ns < deadline_ns {
+            return Err(format!("tick {tick} did not wait for a robot until its deadline"));
+        }
+        let before_is_full = self.last_full.is_some_and(|full| full + 1 == tick);
+        if missing == Missing::Nobody {
+            self.last_full = Some(tick);
+        }
+        // A tick that nobody told of before may have begun up to a whole one after its first range.
+        let longest_ns = ((1.0 + RANGE_DEADLINE) * self.dt_ns as f64) as u64 + LATE_NS;
+        if held_ns.is_some_and(|held_ns| held_ns > longest_ns) {
+            return Err(format!("tick {tick} was held beyond its deadline"));
+        }
+        // Whoever asks for a tick has it begin once more.
+        let is_settled = well_for_ns > SETTLED_TICKS * self.dt_ns
+            && before_is_full
+            && self.hello_ns < self.worlds_ns[tick as usize - 1];
+        let is_late = arrived_ns.is_some_and(|arrived_ns| at_ns > deadline_ns.max(arrived_ns) + late_ns);
+        if tick >= 2 && is_settled && is_late {
+            return Err(format!("tick {tick} was held beyond its deadline, though all knew when it began"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,348 @@
+//! What a user types: every mistake is told in one line, before anything is made.
+
+pub(crate) mod hostile;
+mod kept;
+mod terminal;
+
+use crate::support::{Outcome, Run};
+
+/// What a folder holds, but for the captured output.
+fn listing(run: &Run) -> Vec<String> {
+    let entries = std::fs::read_dir(run.path("")).unwrap().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
+    names.sort();
+    names
+}
+
+/// What is wrong with a refusal, if anything: it is exit code 2 and one line that has all of
+/// `names` and says what was expected, and nothing has been made.
+fn fault(run: &Run, before: &[String], outcome: &Outcome, names: &[&str]) -> Option<String> {
+    let Outcome { code, stdout, stderr } = outcome;
+    let says = |word: &str| stderr.split(|c: char| !c.is_ascii_alphabetic()).any(|said| said == word);
+    let faults = [
+        (*code != Some(2), "exit code"),
+        (!stdout.is_empty(), "standard output"),
+        (stderr.lines().count() != 1, "not one line"),
+        (!names.iter().all(|name| stderr.contains(name)), "not named"),
+        (!says("expected"), "not said what was expected"),
+        (listing(run) != before, "made files"),
+        (run.shared_folder().exists(), "made shared memory"),
+    ];
+    let found: Vec<&str> = faults.iter().filter(|(faulty, _)| *faulty).map(|(_, what)| *what).collect();
+    (!found.is_empty()).then(|| format!("{}: {outcome:?}", found.join(", ")))
+}
+
+/// Fails with everything that went wrong in a table of cases.
+fn assert_none(faults: Vec<String>) {
+    assert!(faults.is_empty(), "{} cases:\n{}", faults.len(), faults.join("\n"));
+}
+
+/// Runs `COMMAND FILE` for each of (file's bytes, what the line must name).
+fn refused_files(command: &str, file: &str, cases: &[(&[u8], &str)]) {
+    let faults = cases.iter().filter_map(|(bytes, name)| {
+        let run = Run::new();
+        run.write(file, bytes);
+        let outcome = run.command(&format!("{command} {file}")).finish();
+        let text = String::from_utf8_lossy(bytes);
+        fault(&run, &[file.to_owned()], &outcome, &[file, name]).map(|fault| format!("{text:?}: {fault}"))
+    });
+    assert_none(faults.collect());
+}
+
+#[test]
+fn scenario_files_that_cannot_be_read_are_refused_by_place() {
+    refused_files(
+        "run",
+        "bad.toml",
+        &[
+            (b"ticks = 3\nbogus = 1\n", "bad.toml:2: bogus"),
+            (b"[target]\nspeed = 1\n", "bad.toml:2: target.speed"),
+            (b"[[robot]]\ncolour = 1\n", "colour"),
+            (b"ticks = \"many\"\n", "bad.toml:1: ticks"),
+            (b"ticks = 1.5\n", "bad.toml:1: ticks"),
+            (b"ticks = -1\n", "bad.toml:1: ticks"),
+            (b"seed = 99999999999999999999999\n", "bad.toml:1: seed"),
+            (b"name = \"a\"\nticks =\n", "bad.toml:2"),
+            (b"ticks = 1\nticks = 2\n", "bad.toml:2"),
+            (b"[target\n", "bad.toml:1"),
+            (b"[target]\nstart = 3\n", "target.start"),
+            (b"[robots]\nstart_m = [1.0]\n", "robots.start_m"),
+            (b"[prior]\ncovariance = \"big\"\n", "prior.covariance"),
+            (b"[prior]\nmean = 3\n", "prior.mean"),
+            (b"patience_s = true\n", "patience_s"),
+            (b"name = \"\xff\"\n", "bad.toml"),
+        ],
+    );
+}
+
+#[test]
+fn values_that_make_no_sense_are_refused_by_key() {
+    refused_files(
+        "run",
+        "bad.toml",
+        &[
+            (b"dt_s = nan\n", "dt_s"),
+            (b"dt_s = inf\n", "dt_s"),
+            (b"dt_s = 0.0\n", "dt_s"),
+            (b"dt_s = 1e300\n", "dt_s"),
+            (b"ticks = 0\n", "ticks"),
+            (b"ticks = 1000000001\n", "ticks"),
+            (b"name = \"a b\"\n", "name"),
+            (b"clock = \"sundial\"\n", "clock"),
+            (b"patience_s = 0.0\n", "patience_s"),
+            (b"patience_s = \"long\"\n", "patience_s"),
+            (b"[target]\nnoise_psd = -1.0\n", "target.noise_psd"),
+            (b"[target]\nnoise_psd = inf\n", "target.noise_psd"),
+            (b"[target]\nmodel = \"drunk\"\n", "target.model"),
+            (b"[target]\nstart = [0.0, 0.0, 1.0]\n", "target.start"),
+            (b"[target]\nstart = [0.0, 0.0, nan, 0.0]\n", "target.start"),
+            (b"[target]\nphi = [[1.0]]\n", "target.phi"),
+            (b"[prior]\ncovariance = -1.0\n", "prior.covariance"),
+            (b"[prior]\ncovariance = [1.0, 1.0]\n", "prior.covariance"),
+            (b"[prior]\nmean = \"guess\"\n", "prior.mean"),
+            (b"[prior]\nmean = [0.0]\n", "prior.mean"),
+            (b"[robots]\ncount = 0\n", "robots.count"),
+            (b"[robots]\ncount = 257\n", "robots.count"),
+            (b"[robots]\nspeed_mps = -1.0\n", "robots.speed_mps"),
+            (b"[robots]\nrange_std_m = -1.0\n", "robots.range_std_m"),
+            (b"[robots]\nrange_std_m = 0.0\n", "robots.range_std_m"),
+            (b"[robots]\nstart_m = [1e300, 0.0]\n", "robots.start_m"),
+            (b"robot = []\n", "robot"),
+            (b"[robots]\ncount = 2\n[[robot]]\nid = 0\n", "robots"),
+            (b"[[robot]]\nid = 1\n[[robot]]\nid = 1\n", "robot[1].id"),
+            (b"[[robot]]\nid = 7\n", "robot[0].id"),
+            (b"[[robot]]\nrange_std_m = nan\n", "robot[0].range_std_m"),
+            (b"[planner]\nname = \"luck\"\n", "planner.name"),
+            (b"[planner]\nalpha = 2.0\n", "planner.alpha"),
+            (b"[planner]\niterations = 0\n", "planner.iterations"),
+            (b"[planner]\nname = \"grid\"\n[robots]\ncount = 5\n", "3.200e11"),
+            (b"[filter]\ngate_sigma = 0.0\n", "filter.gate_sigma"),
+            (b"[recording]\nrange_std_m = 1.0\n", "recording.ranges"),
+        ],
+    );
+}
+
+#[test]
+fn matrices_that_make_no_sense_are_refused_by_key() {
+    const CUSTOM: &str = "[target]\nmodel = \"custom\"\nstart = [0.0, 0.0]\n";
+    let custom = |rest: &str| format!("{CUSTOM}{rest}\n").into_bytes();
+    let prior = |rows: &str| format!("[target]\nmodel = \"random_walk\"\n[prior]\ncovariance = {rows}\n").into_bytes();
+    let files = [
+        (prior("[[1.0, 0.5], [0.0, 1.0]]"), "prior.covariance"),
+        (prior("[[1.0, 2.0], [2.0, 1.0]]"), "prior.covariance"),
+        (prior("[[1.0, 1.0], [1.0, 1.0]]"), "prior.covariance"),
+        (prior("[[1.0, 0.0], [0.0]]"), "prior.covariance"),
+        (prior("[[1.0, 0.0], [0.0, inf]]"), "prior.covariance"),
+        (custom("qd = [[1.0]]"), "target.phi"),
+        (custom("phi = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]\nqd = [[1.0]]"), "target.phi"),
+        (custom("phi = [[1.0, 0.0], [0.0, nan]]\nqd = [[1.0]]"), "target.phi"),
+        (custom("phi = [[1.0, 0.0], [0.0, 1.0]]"), "target.qd"),
+        (custom("phi = [[1.0, 0.0], [0.0, 1.0]]\nqd = [[1.0, 2.0], [2.0, 1.0]]"), "target.qd"),
+        (custom("phi = [[1.0, 0.0], [0.0, 1.0]]\nqd = [[1.0, 0.0], [0.0, 1.0]]\ng = [[1.0], [1.0]]"), "target.g"),
+        (custom("phi = [[1.0, 0.0], [0.0, 1.0]]\nqd = [[1.0]]\nnoise_psd = 1.0"), "target.noise_psd"),
+    ];
+    let cases: Vec<(&[u8], &str)> = files.iter().map(|(bytes, key)| (bytes.as_slice(), *key)).collect();
+    refused_files("run", "bad.toml", &cases);
+}
+
+#[test]
+fn recordings_that_make_no_sense_are_refused_by_row() {
+    const HEADER: &str = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n";
+    // One bad row is passed over; where most are bad it is the file that is.
+    let mostly = |row: &str| format!("{HEADER}{row}\n{row}\n0.2,1,0,0,5\n").into_bytes();
+    let files = [
+        (Vec::new(), "row 0"),
+        (HEADER.into(), "row 0"),
+        (b"time_s,sensor_id,sensor_x_m,sensor_y_m\n0,1,0,0\n".to_vec(), "range_m"),
+        (b"0.0,1,0,0,5\n0.0,2,9,0,5\n".to_vec(), "row 0"),
+        (mostly("0.1,2,9,0,far"), "row 1 (line 2): range_m"),
+        (mostly("0.1,2,9,0,NaN"), "row 1 (line 2): range_m"),
+        (mostly("0.1,2,9,0,inf"), "row 1 (line 2): range_m"),
+        (mostly("0.1,2,9,0,-1"), "row 1 (line 2): range_m"),
+        (mostly("0.1,2,9,0"), "row 1 (line 2): range_m"),
+        (mostly("0.1,2,,0,5"), "row 1 (line 2): sensor_x_m"),
+        (mostly("0.1,,9,0,5"), "row 1 (line 2): sensor_id"),
+        (mostly("nan,2,9,0,5"), "row 1 (line 2): time_s"),
+        (mostly("0.1,2,\u{fffd},0,5"), "row 1 (line 2): sensor_x_m"),
+        (
+            mostly("0.1,2,9,0,2,957"),
+            "row 1 (line 2): row: expected 5 fields as in the header, got 6; probably decimal commas",
+        ),
+        (format!("{HEADER}0.1,2,9,0,5\n0.05,1,0,0,5\n").into_bytes(), "row 2 (line 3): time_s"),
+        ([HEADER.as_bytes(), b"0.1,2,\xff,0,5\n"].concat(), "row 1"),
+    ];
+    let cases: Vec<(&[u8], &str)> = files.iter().map(|(bytes, place)| (bytes.as_slice(), *place)).collect();
+    refused_files("track", "bad.csv", &cases);
+}
+
+/// Runs each of (arguments, what the line must name) in a folder with a sound recording.
+fn refused_usage(cases: &[(&str, &[&str])]) {
+    let faults = cases.iter().filter_map(|(words, names)| {
+        let run = Run::new();
+        run.write("good.csv", "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n0,1,0,0,5\n0,2,9,0,5\n");
+        std::fs::create_dir(run.path("folder")).unwrap();
+        let args: Vec<&str> = words.split_whitespace().collect();
+        let outcome = run.start(&args).finish();
+        fault(&run, &["folder".to_owned(), "good.csv".to_owned()], &outcome, names)
+            .map(|fault| format!("{words}: {fault}"))
+    });
+    assert_none(faults.collect());
+}
+
+#[test]
+fn files_that_are_not_there_are_refused_by_name() {
+    refused_usage(&[
+        ("run missing.toml", &["missing.toml"]),
+        ("run folder", &["folder"]),
+        ("sim missing.toml", &["missing.toml"]),
+        ("track missing.csv", &["missing.csv"]),
+        ("track folder", &["folder"]),
+        ("track good.csv --truth missing.csv", &["missing.csv"]),
+    ]);
+}
+
+#[test]
+fn values_on_the_command_line_are_refused_by_flag_or_key() {
+    refused_usage(&[
+        ("run --robots 0", &["robots"]),
+        ("run --robots 257", &["robots"]),
+        ("run --robots many", &["--robots"]),
+        ("run --ticks 0", &["ticks"]),
+        ("run --ticks -1", &["--ticks"]),
+        ("run --ticks=-1", &["--ticks"]),
+        ("run --seed 1.5", &["--seed"]),
+        ("run --clock sundial", &["--clock"]),
+        ("run --planner luck", &["planner"]),
+        ("run --planner grid --robots 5", &["3.200e11"]),
+        ("run --patience 0", &["patience"]),
+        ("run --patience -1", &["patience"]),
+        ("run --patience=-1", &["patience"]),
+        ("run --patience abc", &["patience"]),
+        ("run --patience nan", &["patience"]),
+        ("run --name a/b", &["--name"]),
+        ("run --name a-name-of-25-letters-long", &["--name"]),
+        ("run --name=", &["--name"]),
+        ("track good.csv --range-std -1", &["range_std"]),
+        ("track good.csv --range-std far", &["--range-std"]),
+        ("track good.csv --accel-psd nan", &["noise_psd"]),
+        ("track good.csv --range-bias x", &["--range-bias"]),
+        ("track good.csv --range-bias 3=0.1", &["sensor"]),
+        ("track good.csv --range-scale -1", &["scale"]),
+        ("track good.csv --gate 0", &["gate"]),
+        ("robot --id x", &["--id"]),
+    ]);
+}
+
+#[test]
+fn comparisons_that_make_no_sense_are_refused() {
+    refused_usage(&[
+        ("compare missing.toml", &["missing.toml"]),
+        ("compare --scenario missing.toml", &["missing.toml"]),
+        ("compare --planners certified,luck", &["--planners", "luck", "adaptive"]),
+        ("compare --planners random,random", &["--planners", "random twice"]),
+        ("compare --planners=", &["--planners"]),
+        ("compare --planners grid --robots 5", &["3.200e11"]),
+        ("compare --runs 0", &["--runs"]),
+        ("compare --runs 1000000000000", &["--runs"]),
+        ("compare --runs -1", &["--runs"]),
+        ("compare --ticks 0", &["ticks"]),
+        ("compare --seed 18446744073709551615", &["--seed"]),
+        ("compare --robots 0", &["robots"]),
+        ("compare --threads 0", &["--threads"]),
+        ("compare --stand-off -1", &["stand_off_m"]),
+        ("compare --stand-off nan", &["stand_off_m"]),
+        ("compare --stand-off near", &["--stand-off"]),
+        ("compare --runs 1 --out good.csv/out", &["--out", "good.csv/out"]),
+    ]);
+}
+
+#[test]
+fn a_recording_has_nothing_to_compare() {
+    let run = Run::new();
+    run.write("recording.toml", "[recording]\nranges = \"ranges.csv\"\n");
+    let outcome = run.start(&["compare", "recording.toml"]).finish();
+    let fault = fault(&run, &["recording.toml".to_owned()], &outcome, &["recording.toml", "recording"]);
+    assert_eq!(fault, None);
+}
+
+#[test]
+fn words_that_the_tool_does_not_know_are_refused() {
+    refused_usage(&[
+        ("run --fast", &["--fast"]),
+        ("run one.toml two.toml", &["two.toml"]),
+        ("run --robots", &["--robots"]),
+        ("fly", &["fly"]),
+        ("robot", &["--id"]),
+        ("track", &["RANGES"]),
+    ]);
+}
+
+#[test]
+fn the_printed_scenario_is_the_default_and_runs() {
+    let run = Run::new();
+    let printed = run.start(&["scenario"]).finish().succeeded();
+    assert_eq!(printed.stderr, "");
+    run.write("mine.toml", &printed.stdout);
+    run.command("run mine.toml --in-process --ticks 5").finish().succeeded();
+    let default = Run::new();
+    default.command("run --in-process --ticks 5").finish().succeeded();
+    assert_eq!(run.digest(), default.digest());
+}
+
+#[test]
+fn the_tool_without_a_name_numbers_its_folders() {
+    let run = Run::new();
+    run.write("mine.toml", format!("name = \"{}\"\nticks = 2\n", run.name));
+    for _ in 0..2 {
+        run.start(&["run", "mine.toml", "--in-process"]).finish().succeeded();
+    }
+    for folder in [run.name.clone(), format!("{}-2", run.name)] {
+        assert!(run.path("runs").join(&folder).join("report.json").exists(), "{folder}");
+    }
+}
+
+#[test]
+fn help_tells_every_flag() {
+    let experiment = ["--robots", "--ticks", "--seed", "--clock", "--planner", "--patience", "--name", "--out"];
+    let cases: [(&[&str], &[&str]); 9] = [
+        (&[], &["run", "sim", "fusion", "robot", "watch", "scenario", "track", "compare", "Exit codes"]),
+        (&["run"], &["--in-process", "--write-recording"]),
+        (&["sim"], &[]),
+        (&["fusion"], &["--name"]),
+        (&["robot"], &["--id", "--name"]),
+        (&["watch"], &["--name"]),
+        (&["scenario"], &["default scenario"]),
+        (
+            &["compare"],
+            &[
+                "--scenario",
+                "--planners",
+                "--runs",
+                "--ticks",
+                "--seed",
+                "--robots",
+                "--stand-off",
+                "--threads",
+                "--out",
+            ],
+        ),
+        (&["track"], &["--range-std", "--accel-psd", "--range-bias", "--range-scale", "--gate", "--truth", "--out"]),
+    ];
+    for (command, flags) in cases {
+        let run = Run::new();
+        let help = run.start(&[command, &["--help"]].concat()).finish().succeeded();
+        let of_experiment = if matches!(command, ["run" | "sim"]) { &experiment[..] } else { &[] };
+        for flag in flags.iter().chain(of_experiment) {
+            assert!(help.stdout.contains(flag), "{command:?}: {flag}");
+        }
+        assert_eq!(help.stderr, "");
+        assert_eq!(listing(&run), [""; 0]);
+    }
+}
+
+#[test]
+fn the_version_is_the_packages() {
+    let version = Run::new().start(&["--version"]).finish().succeeded();
+    assert_eq!(version.stdout, format!("rangehound {}\n", env!("CARGO_PKG_VERSION")));
+}

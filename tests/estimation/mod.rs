@@ -1,0 +1,6 @@
+//! How well teams estimate, each a whole team in this process: against the paper, against references, with faulty sensors.
+
+mod comparison;
+mod distrust;
+mod golden;
+mod paper;

@@ -1,0 +1,85 @@
+//! Campaigns of faults on live runs.
+
+use serde_json::Value;
+
+use crate::support::{Run, assert_refused_at_once};
+
+fn outcome(run: &Run) -> Value {
+    serde_json::from_str(&run.read("chaos.json")).unwrap()
+}
+
+fn hits(outcome: &Value, key: &str) -> Vec<String> {
+    let injected = outcome["injected"].as_array().unwrap();
+    injected.iter().map(|hit| hit[key].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn faults_of_all_kinds_break_no_promise_in_lock_step() {
+    let run = Run::new();
+    let said = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 20000").finish().succeeded();
+    assert!(said.stdout.contains("all kept"), "{said:#?}");
+    assert!(said.stdout.lines().all(|line| line.len() <= 80 || line.contains("run folder")), "{said:#?}");
+    let outcome = outcome(&run);
+    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
+    assert_eq!(outcome["ranges"]["missing"], 0, "{outcome:#}");
+    assert_eq!(outcome["broken"].as_array().unwrap().len(), 0, "{outcome:#}");
+    assert_eq!(outcome["injected"].as_array().unwrap().last().unwrap()["fault"], 11, "{outcome:#}");
+    for kind in hits(&outcome, "kind") {
+        assert!(["kill", "stop", "storm", "several", "blackout"].contains(&kind.as_str()), "{kind}");
+    }
+    for key in ["clock", "robots", "chaos_seed", "faults", "ticks", "without_heading", "files_left", "rounds"] {
+        assert!(!outcome[key].is_null(), "{key} in {outcome:#}");
+    }
+    run.assert_nothing_left();
+}
+
+#[test]
+fn standbys_take_over_and_blackouts_are_got_over() {
+    let run = Run::new();
+    let words = "--standby 1 --kinds kill,blackout --roles fusion,standby --faults 12 --rate 2 --ticks 20000";
+    let said = run.command(&format!("chaos {words}")).finish().succeeded();
+    assert!(said.stdout.contains("all kept"), "{said:#?}");
+    let outcome = outcome(&run);
+    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
+    let roles: Vec<&str> =
+        outcome["faults"].as_array().unwrap().iter().map(|of| of["role"].as_str().unwrap()).collect();
+    assert_eq!(roles, ["sim", "fusion", "robot", "standby", "run"], "{outcome:#}");
+    assert!(outcome["faults"][1]["restart_ms"]["count"].as_u64() > Some(0), "{outcome:#}");
+    assert!(outcome["faults"][4]["recovery_ms"]["count"].as_u64() > Some(0), "{outcome:#}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn killed_robots_come_back_in_real_time() {
+    let run = Run::new();
+    run.write("fast.toml", "dt_s = 0.02\n");
+    let words = "chaos fast.toml --clock realtime --kinds kill --roles robot --faults 5 --rate 5 --ticks 200";
+    run.command(words).finish().succeeded();
+    let outcome = outcome(&run);
+    assert!(outcome["digest_equal"].is_null(), "{outcome:#}");
+    assert!(hits(&outcome, "kind").iter().all(|kind| kind == "kill"), "{outcome:#}");
+    assert!(hits(&outcome, "role").iter().all(|role| role.starts_with("robot-")), "{outcome:#}");
+    for error in ["hurt", "alone"] {
+        assert!(outcome["position_rmse_m"][error].as_f64() > Some(0.0), "{outcome:#}");
+    }
+    assert!(outcome["headings"]["fresh"].as_u64() > Some(0), "{outcome:#}");
+    assert!(outcome["faults"][2]["recovery_ms"]["count"].as_u64() > Some(0), "{outcome:#}");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn nonsense_is_refused_before_anything_starts() {
+    for (words, expected) in [
+        ("chaos --faults 0", "--faults: expected at least 1"),
+        ("chaos --rate 0", "--rate: expected 0.01 to 1000"),
+        ("chaos --rate -1", "--rate: expected 0.01 to 1000"),
+        ("chaos --rate nan", "--rate: expected 0.01 to 1000"),
+        ("chaos --rate inf", "--rate: expected 0.01 to 1000"),
+        ("chaos --kinds flood", "expected one of: kill, stop, storm, several, blackout, all"),
+        ("chaos --longest-stop 0", "--longest-stop: expected 0.01 to 60 s"),
+        ("chaos --roles standby", "--roles: expected --standby 1 or more"),
+        ("chaos --patience 1", "--patience: expected forever"),
+    ] {
+        assert_refused_at_once(words, expected);
+    }
+}

@@ -1,0 +1,4 @@
+//! What a run leaves.
+
+mod page;
+pub(crate) mod run_mcap;
