@@ -25,6 +25,8 @@ pub(super) struct Plan {
     pub(super) standbys: usize,
     /// Robots that end are not started again.
     pub(super) leaves_robots: bool,
+    /// A robot that is started again within a tick does not measure what it measured before.
+    pub(super) measures_anew: bool,
     /// Ticks after tick 0.
     pub(super) ticks: u64,
     /// How messages travel.
@@ -80,9 +82,21 @@ impl Plan {
         };
         let is_endless = random.random_bool(0.7);
         let leaves_robots = (clock == Clock::Realtime || !is_endless) && random.random_bool(0.1);
+        let measures_anew = random.random_bool(0.2);
         let faults = Vec::new();
-        let plan =
-            Self { seed, clock, is_endless, robots, standbys, leaves_robots, ticks, network, clock_rates, faults };
+        let plan = Self {
+            seed,
+            clock,
+            is_endless,
+            robots,
+            standbys,
+            leaves_robots,
+            measures_anew,
+            ticks,
+            network,
+            clock_rates,
+            faults,
+        };
         let faults = faults::draw(&mut random, &plan, span_ns);
         Self { faults, ..plan }
     }

@@ -139,7 +139,8 @@ impl Cluster<'_> {
         let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
         let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
         let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
-        let is_calm = now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
+        let has_one_time = plan.clock_rates.iter().all(|rate| *rate == 1.0);
+        let is_calm = has_one_time && now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
         let robots_from = plan.robot_nodes().start;
         witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
     }
@@ -149,13 +150,15 @@ impl Cluster<'_> {
         let began_ns = leading.machine.stages().began_ns;
         let of_tick = |first: Option<(u64, u64)>| first.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns);
         let ran_ns = self.now_ns - self.nodes[node].stopped_ns;
+        // A wake-up may come before a slow message, which is seen at the next look then.
+        let is_seen_at_once = self.plan.network.wakes_on_arrival || self.plan.network.slow == 0.0;
         let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);
         Closing {
             tick,
             missing,
             is_cut: leading.newest_heard > tick || self.is_finished,
             at_ns: (began_ns as f64 / fusion.clock_rate) as u64,
-            arrived_ns: fusion.first_arrival.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns),
+            arrived_ns: of_tick(fusion.first_arrival.filter(|_| is_seen_at_once)),
             held_ns: of_tick(leading.first_range).map(|first_ns| began_ns.saturating_sub(first_ns)),
             ran_ns: of_tick(leading.ran_at_first_ns).map(|first_ns| ran_ns - first_ns),
             well_for_ns: sim

@@ -10,6 +10,9 @@ use crate::study::explore::process::{Fate, Process, Robot};
 use crate::study::explore::roles::sim::SIM;
 use crate::study::explore::witness::robot::RobotWitness;
 
+/// What the range of a robot that measures anew differs by, m.
+const ANEW_M: f64 = 0.01;
+
 impl Cluster<'_> {
     pub(in crate::study::explore) fn start_robot(&mut self, node: usize) -> Process {
         let id = node - self.plan.robot_nodes().start;
@@ -18,6 +21,7 @@ impl Cluster<'_> {
         let started = (Machine::new(self.scenario, id, fusion_incarnation), Sensor::new(self.scenario, id));
         let (Some(machine), Some(sensor)) = started else { return Process::None };
         let witness = RobotWitness::new(self.scenario, fusion_incarnation);
+        self.nodes[node].incarnation += 1;
         Process::Robot(Box::new(Robot { machine, sensor, witness }))
     }
 
@@ -81,6 +85,9 @@ impl Cluster<'_> {
                 let told = witness.measures(tick, self.now_ns);
                 told.map_err(|what| self.violation(Some(node), what))?;
                 let (range_m, std_m) = measure(sensor, tick, &entry);
+                let incarnation = self.nodes[node].incarnation;
+                let anew_m = if self.plan.measures_anew { ANEW_M * (incarnation - 1) as f64 } else { 0.0 };
+                let range_m = range_m.map(|range_m| range_m + anew_m);
                 machine.measured(range_m, std_m, now_ns);
             }
             Action::CarryOut(command) => {

@@ -49,8 +49,9 @@ pub(super) struct Witness {
     heard_at: Vec<Option<u64>>,
     worlds: HashMap<u64, Vec<WorldEntry>>,
     newest_world: u64,
-    /// What each robot said first of each tick.
-    ranges: HashMap<(u64, u64), Range>,
+    /// What each robot has said of each tick: one range, unless it measures anew.
+    ranges: HashMap<(u64, u64), Vec<Range>>,
+    measures_anew: bool,
     digests: HashMap<u64, [u64; 2]>,
     last_estimate: Option<u64>,
     headings: HashMap<u64, Vec<Command>>,
@@ -68,7 +69,8 @@ impl Witness {
         // Clocks that are apart make a tick come before its time.
         may_refuse[Refusal::Future as usize] |= plan.clock_rates.iter().any(|rate| *rate != 1.0);
         Self {
-            undisturbed,
+            // One that measures anew is another run.
+            undisturbed: if plan.measures_anew { Rc::default() } else { undisturbed },
             whole_until: u64::MAX,
             is_realtime,
             has_drives: false,
@@ -81,6 +83,7 @@ impl Witness {
             worlds: HashMap::new(),
             newest_world: 0,
             ranges: HashMap::new(),
+            measures_anew: plan.measures_anew,
             digests: HashMap::new(),
             last_estimate: None,
             headings: HashMap::new(),
@@ -102,8 +105,14 @@ impl Witness {
     /// A robot publishes its range.
     pub(super) fn range(&mut self, tick: u64, range: &Range) -> Result<(), String> {
         let said = Range { tick_began_ns: 0, ..*range };
-        let first = self.ranges.entry((range.robot, tick)).or_insert(said);
-        if *first != said { Err(format!("robot-{} measured twice at tick {tick}", range.robot)) } else { Ok(()) }
+        let ranges = self.ranges.entry((range.robot, tick)).or_default();
+        if !ranges.contains(&said) {
+            ranges.push(said);
+        }
+        if ranges.len() > 1 && !self.measures_anew {
+            return Err(format!("robot-{} measured twice at tick {tick}", range.robot));
+        }
+        Ok(())
     }
 
     /// Whoever leads publishes headings.
@@ -207,7 +216,7 @@ impl Witness {
             let measured = self.ranges.get(&(robot as u64, range_tick)).ok_or_else(|| {
                 format!("a range of robot-{robot} was taken at tick {tick} that it never measured at tick {range_tick}")
             })?;
-            if heard.measurement != measured.measurement {
+            if measured.iter().all(|range| range.measurement != heard.measurement) {
                 return Err(format!("the range of robot-{robot} at tick {range_tick} was taken for another tick's"));
             }
             if heard.judged.is_some_and(|judged| judged.used == RangeUse::Fused)

@@ -56,6 +56,8 @@ struct Record {
     down_since_ns: u64,
     /// The process that was seen to lead, by life.
     led: Option<u32>,
+    /// Its newest sign, and looks since then in which others were heard.
+    silent: (Option<u64>, u64),
     /// Since when it hangs, whether it was deposed, and looks in which it did and others did not.
     hung: (u64, bool, u64),
 }
@@ -83,6 +85,17 @@ impl Supervision {
         lead: &Lead,
         now_ns: u64,
     ) -> Result<(), (usize, String)> {
+        let signs = nodes.iter().enumerate().map(|(index, node)| {
+            let leads = lead.last == Some((index, node.life));
+            if leads { lead.sign() } else { node.signed_ns }
+        });
+        let mut is_anybody_heard = false;
+        for (record, sign) in self.nodes.iter_mut().zip(signs) {
+            let is_new = record.silent.0 != sign;
+            is_anybody_heard |= is_new && sign.is_some();
+            record.silent = (sign, if is_new { 0 } else { record.silent.1 });
+        }
+        self.nodes.iter_mut().for_each(|record| record.silent.1 += u64::from(is_anybody_heard));
         let well = nodes.iter().filter(|node| node.well_for_ns(now_ns) > SIGNS_NS).count();
         for (index, node) in nodes.iter().enumerate() {
             let leads = lead.last == Some((index, node.life));
@@ -122,13 +135,12 @@ impl Supervision {
         let is_deposed = self.nodes[index].led == Some(node.life) && !leads;
         let sign_ns = if leads { lead.sign() } else { node.signed_ns };
         let is_starting = matches!(node.process, Process::Starting);
-        let hangs = node.is_stopped || is_starting;
         let silence_min_ns = SILENCE_MIN_NS + if is_starting { nodes.len() as u64 * START_NS } else { 0 };
         if node.well_for_ns(now_ns) > SIGNS_NS {
             Err("it was killed as hung, but gives signs of life".to_owned())
         } else if now_ns - sign_ns.unwrap_or(node.state_since_ns) < silence_min_ns {
             Err("it was killed as hung before its time".to_owned())
-        } else if hangs && self.nodes[index].hung.2 < OTHERS_HEARD_MIN {
+        } else if self.nodes[index].silent.1 < OTHERS_HEARD_MIN {
             Err("it was killed as hung, though nobody else was heard".to_owned())
         } else if self.is_endless && !is_deposed {
             Err("it was killed as hung, though patience has no end".to_owned())
