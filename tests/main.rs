@@ -2,6 +2,7 @@
 //!
 //! | module | what it is for |
 //! |---|---|
+//! | `book` | README, ARCHITECTURE.md and `docs/`: every command works, every link and name leads somewhere |
 //! | `command_line` | what a user types: exit codes and one-line complaints |
 //! | `command_line::hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
 //! | `command_line::kept` | nothing of the user's is replaced or removed; one writer of each result |
@@ -28,6 +29,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]
 
+mod book;
 mod command_line;
 mod estimation;
 mod licences;

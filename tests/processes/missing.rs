@@ -1,4 +1,4 @@
-//! What the others do while somebody is missing: the rows of the table in ARCHITECTURE.md.
+//! What the others do while somebody is missing: the rows of the table in docs/recover.md.
 
 use std::time::Duration;
 

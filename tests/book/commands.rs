@@ -1,0 +1,228 @@
+//! The commands of each page, typed in order by a shell: in a folder of their own, in which the project's examples lie, and
+//! with a `/dev/shm` of their own, so that the names of their runs are nobody else's.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::Command;
+
+use clap::error::ErrorKind;
+use rangehound::cli;
+
+use super::page::{Block, Page, root};
+use super::{assert_none, pages};
+use crate::support::{Outcome, PROGRAM, Run, skipped};
+
+/// What a test cannot have, and the pages may say so.
+const REASONS: [&str; 8] = [
+    "builds the program",
+    "needs a browser",
+    "needs a file that a kill has cut short",
+    "needs a ROS bag",
+    "needs a serial port",
+    "needs another machine",
+    "needs packages of Python",
+    "needs a viewer",
+];
+
+/// Programs that the pages use and not every machine has.
+const OTHERS: [&str; 2] = ["jq", "python3"];
+
+/// The program's folder, the folder's own shared memory, and background jobs whose failure counts too.
+const BEFORE: &str = r#"set -euo pipefail
+mount -t tmpfs none /dev/shm
+mkdir temporary
+export TMPDIR=$PWD/temporary
+pids=()
+started() { pids+=("$1"); }
+wait() { local each=("${pids[@]}") pid; pids=(); for pid in "${each[@]}"; do builtin wait "$pid"; done; }
+"#;
+
+const AFTER: &str = r#"wait
+echo "== the end" >&2
+left=$(ls -A /dev/shm temporary/)
+[ "$left" = "$(printf '/dev/shm:\n\ntemporary/:')" ] || { echo "left behind: $left" >&2; exit 1; }
+"#;
+
+#[test]
+fn the_commands_of_the_book_do_what_it_says() {
+    let faults = std::thread::scope(|scope| {
+        let typed: Vec<_> = pages().into_iter().map(|page| scope.spawn(move || fault(&page))).collect();
+        typed.into_iter().filter_map(|page| page.join().unwrap()).collect()
+    });
+    assert_none(faults);
+}
+
+/// What went wrong when the commands of a page were typed.
+fn fault(page: &Page) -> Option<String> {
+    let mut script = String::new();
+    for block in page.commands().filter(|block| block.not_run.is_none()) {
+        let place = page.at(block.line);
+        if lacks_a_program(&block) {
+            skipped(&place, "a program that it uses is not installed");
+        } else {
+            script += &format!("echo '== {place}' >&2\n{}", typed(&block));
+        }
+    }
+    if script.is_empty() {
+        return None;
+    }
+    let folder = Run::new();
+    for name in ["scenarios", "tools"] {
+        std::os::unix::fs::symlink(root().join(name), folder.path(name)).unwrap();
+    }
+    let programs = Path::new(PROGRAM).parent().unwrap().display();
+    folder.write("typed.sh", format!("export PATH='{programs}':$PATH\n{BEFORE}{script}{AFTER}"));
+    // Whatever the commands start ends with the namespace.
+    let mut args = vec!["--mount", "--pid", "--fork", "--kill-child", "--mount-proc"];
+    if !rustix::process::getuid().is_root() {
+        args.push("--map-root-user");
+    }
+    args.extend(["bash", "typed.sh"]);
+    let outcome = folder.start_program(Path::new("unshare"), &args).finish();
+    let Outcome { code, stdout, stderr } = outcome;
+    (code != Some(0)).then(|| format!("{}: exit code {code:?}\n{stdout}\n{stderr}", page.path.display()))
+}
+
+/// True if the block uses a program that this machine does not have.
+fn lacks_a_program(block: &Block) -> bool {
+    let used = |program: &&str| block.text.contains(*program) || block.language == "python" && *program == "python3";
+    OTHERS
+        .iter()
+        .filter(|program| used(program))
+        .any(|program| Command::new(program).arg("--version").output().is_err())
+}
+
+/// The block as it is typed: its background jobs are noted, Python goes to Python.
+fn typed(block: &Block) -> String {
+    if block.language == "python" {
+        return format!("python3 - <<'PYTHON'\n{}PYTHON\n", block.text);
+    }
+    block.text.replace(" &\n", " & started $!\n").replace(" & ", " & started $!; ")
+}
+
+#[test]
+fn what_is_not_run_says_why_and_is_understood() {
+    let mut faults = Vec::new();
+    let mut reasons = BTreeSet::new();
+    for page in pages() {
+        for block in page.commands() {
+            let Some(reason) = &block.not_run else { continue };
+            if !REASONS.contains(&reason.as_str()) {
+                faults.push(format!("{}: not one of the reasons: {reason}", page.at(block.line)));
+            }
+            reasons.insert(reason.clone());
+            let refused = commands(&block.text).filter_map(|words| refusal(&words));
+            faults.extend(refused.map(|refusal| format!("{}: {refusal}", page.at(block.line))));
+        }
+    }
+    let unused = REASONS.into_iter().filter(|reason| !reasons.contains(*reason));
+    faults.extend(unused.map(|reason| format!("no block has the reason: {reason}")));
+    assert_none(faults);
+}
+
+/// Why a command would not be understood, if it is one of the project's.
+fn refusal(words: &[String]) -> Option<String> {
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    match words[..] {
+        ["rangehound", ref args @ ..] => refusal_by_program(args),
+        ["cargo", "run", ref args @ ..] => {
+            let (of_cargo, args) = args.split_at(args.iter().position(|arg| *arg == "--").unwrap_or(args.len()));
+            let args = args.get(1..).unwrap_or_default();
+            match of_cargo.iter().position(|arg| *arg == "--example") {
+                None => refusal_by_program(args),
+                Some(place) => refusal_by_example(of_cargo[place + 1], args),
+            }
+        }
+        _ => None,
+    }
+}
+
+fn refusal_by_program(args: &[&str]) -> Option<String> {
+    let refusal = cli::command().try_get_matches_from([&["rangehound"], args].concat()).err()?;
+    let is_answer = matches!(refusal.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion);
+    (!is_answer).then(|| format!("rangehound {}: {refusal}", args.join(" ")))
+}
+
+/// An example that is built beside this binary is asked for its help behind the other flags, which it reads before.
+fn refusal_by_example(name: &str, args: &[&str]) -> Option<String> {
+    let exists =
+        ["fusion", "node", "shared"].iter().any(|member| root().join(format!("{member}/examples/{name}.rs")).exists());
+    if !exists {
+        return Some(format!("no such example: {name}"));
+    }
+    let this = std::env::current_exe().unwrap();
+    let example = this.ancestors().nth(2).unwrap().join("examples").join(name);
+    if args.is_empty() || !example.exists() {
+        return None;
+    }
+    let answer = Command::new(example).args(args).arg("--help").output().unwrap();
+    (!answer.status.success()).then(|| format!("{name}: {}", String::from_utf8_lossy(&answer.stderr)))
+}
+
+/// The commands of a script, word by word: quotes and comments are known, and what stands between commands.
+fn commands(script: &str) -> impl Iterator<Item = Vec<String>> {
+    let mut commands = vec![Vec::new()];
+    let mut word = String::new();
+    let mut quote = None;
+    for line in script.lines() {
+        let mut comment = false;
+        for c in line.chars().chain(['\n']) {
+            let between = c.is_whitespace() || [';', '|', '&'].contains(&c);
+            match quote {
+                Some(open) if c == open => quote = None,
+                Some(_) => word.push(c),
+                None if comment => {}
+                None if c == '\'' || c == '"' => quote = Some(c),
+                None if c == '#' && word.is_empty() => comment = true,
+                None if !between => word.push(c),
+                None => {
+                    if let Some(command) = commands.last_mut().filter(|_| !word.is_empty()) {
+                        command.push(std::mem::take(&mut word));
+                    }
+                    if c != ' ' {
+                        commands.push(Vec::new());
+                    }
+                }
+            }
+            if c == '\n' && comment {
+                commands.push(Vec::new());
+            }
+        }
+    }
+    // What is redirected is the shell's.
+    commands.into_iter().filter(|command| !command.is_empty()).map(|command| {
+        let is_argument = |word: &String| !word.starts_with(['<', '>']);
+        command.into_iter().take_while(is_argument).collect()
+    })
+}
+
+/// A flag is one of the program's, of the driver's or of a script's.
+#[test]
+fn flags_that_are_named_exist() {
+    let [driver, script] = ["node/examples/serial_range.rs", "tools/bag_to_csv.py"]
+        .map(|path| std::fs::read_to_string(root().join(path)).unwrap());
+    let command = cli::command();
+    let of_command = |command: &clap::Command, flag: &str| {
+        flag == "help" || command.get_arguments().any(|argument| argument.get_long() == Some(flag))
+    };
+    let of_any = |flag: &str| {
+        command.get_subcommands().any(|command| of_command(command, flag))
+            || driver.contains(&format!("    {}: ", flag.replace('-', "_")))
+            || script.contains(&format!("\"--{flag}\""))
+    };
+    let mut faults = Vec::new();
+    for page in pages() {
+        for (line, name) in page.names() {
+            let words: Vec<&str> = name.split_whitespace().skip_while(|word| *word == "rangehound").collect();
+            let named = words.first().and_then(|first| command.find_subcommand(first));
+            if named.is_none() && !name.starts_with("--") {
+                continue;
+            }
+            let flags = words.iter().filter_map(|word| word.strip_prefix("--")?.split(['=', '[']).next());
+            let unknown =
+                flags.filter(|flag| named.map_or_else(|| !of_any(flag), |command| !of_command(command, flag)));
+            faults.extend(unknown.map(|flag| format!("{}: no such flag: --{flag}: {name}", page.at(line))));
+        }
+    }
+    assert_none(faults);
+}

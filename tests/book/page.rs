@@ -1,0 +1,136 @@
+//! A page as its author wrote it: blocks of commands, links, headings, names between backticks.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// What a page says of a block that the test cannot run: the reason stands between these two, on the line before the block.
+const NOT_RUN: (&str, &str) = ("<!-- not run: ", " -->");
+
+const FENCE: &str = "```";
+
+/// The project's folder.
+pub(super) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A page of the project.
+pub(super) struct Page {
+    /// From the project's folder.
+    pub(super) path: PathBuf,
+    pub(super) text: String,
+}
+
+/// What stands between two fences.
+pub(super) struct Block {
+    pub(super) line: usize,
+    pub(super) language: String,
+    pub(super) text: String,
+    /// Why it is not run.
+    pub(super) not_run: Option<String>,
+}
+
+impl Page {
+    fn read(path: PathBuf) -> Self {
+        let text = std::fs::read_to_string(root().join(&path)).unwrap();
+        Self { path, text }
+    }
+
+    /// A page by its path.
+    pub(super) fn of(path: &str) -> Self {
+        Self::read(path.into())
+    }
+
+    /// The pages of the book.
+    pub(super) fn of_book() -> Vec<Self> {
+        let mut paths: Vec<PathBuf> = std::fs::read_dir(root().join("docs"))
+            .unwrap()
+            .map(|entry| Path::new("docs").join(entry.unwrap().file_name()))
+            .filter(|path| path.extension().is_some_and(|extension| extension == "md"))
+            .collect();
+        paths.sort();
+        paths.into_iter().map(Self::read).collect()
+    }
+
+    /// Where something on this page is, for a complaint.
+    pub(super) fn at(&self, line: usize) -> String {
+        format!("{}:{line}", self.path.display())
+    }
+
+    /// Blocks that are run: of the shell, or of Python.
+    pub(super) fn commands(&self) -> impl Iterator<Item = Block> {
+        self.blocks().into_iter().filter(|block| ["sh", "python"].contains(&block.language.as_str()))
+    }
+
+    pub(super) fn blocks(&self) -> Vec<Block> {
+        let mut blocks = Vec::new();
+        let mut before = "";
+        let mut lines = self.text.lines().zip(1..);
+        while let Some((line, number)) = lines.next() {
+            if let Some(language) = line.strip_prefix(FENCE) {
+                let inside = lines.by_ref().map(|(line, _)| line).take_while(|line| *line != FENCE);
+                let text = inside.map(|line| format!("{line}\n")).collect();
+                let not_run = before.strip_prefix(NOT_RUN.0).and_then(|rest| rest.strip_suffix(NOT_RUN.1));
+                let not_run = not_run.map(str::to_owned);
+                blocks.push(Block { line: number, language: language.to_owned(), text, not_run });
+            }
+            before = line;
+        }
+        blocks
+    }
+
+    /// The lines outside blocks, with their numbers.
+    pub(super) fn prose(&self) -> Vec<(usize, &str)> {
+        let mut inside = false;
+        let outside = |line: &str| {
+            let fence = line.starts_with(FENCE);
+            inside ^= fence;
+            !inside && !fence
+        };
+        let numbered = self.text.lines().scan(outside, |outside, line| Some((outside(line), line)));
+        (1..).zip(numbered).filter_map(|(number, (outside, line))| outside.then_some((number, line))).collect()
+    }
+
+    /// What stands between backticks, with the number of its line.
+    pub(super) fn names(&self) -> Vec<(usize, &str)> {
+        self.prose().into_iter().flat_map(|(number, line)| names(line).map(move |name| (number, name))).collect()
+    }
+
+    /// Where links and pictures lead, with the number of their line.
+    pub(super) fn links<'a>(&'a self) -> Vec<(usize, &'a str)> {
+        let of_line = |(number, line): (usize, &'a str)| {
+            line.split("](").skip(1).filter_map(move |rest| Some((number, rest.split_once(')')?.0)))
+        };
+        self.prose().into_iter().flat_map(of_line).collect()
+    }
+
+    /// Headings without their marks, in order, with their depth.
+    pub(super) fn headings(&self) -> Vec<(usize, &str)> {
+        let prose = self.prose().into_iter();
+        prose
+            .filter_map(|(_, line)| Some((line.find(' ')?, line.strip_prefix('#')?.trim_start_matches('#').trim())))
+            .collect()
+    }
+
+    /// What the headings are called in links.
+    pub(super) fn anchors(&self) -> BTreeSet<String> {
+        self.headings().into_iter().map(|(_, heading)| anchor(heading)).collect()
+    }
+
+    /// The lines of a section, without its heading.
+    pub(super) fn section(&self, heading: &str) -> Vec<(usize, &str)> {
+        let heading = format!("## {heading}");
+        let prose = self.prose().into_iter().skip_while(|(_, line)| *line != heading).skip(1);
+        prose.take_while(|(_, line)| !line.starts_with("## ")).collect()
+    }
+}
+
+/// What stands between backticks in a line.
+pub(super) fn names(line: &str) -> impl Iterator<Item = &str> {
+    line.split('`').skip(1).step_by(2)
+}
+
+/// As GitHub makes it of a heading.
+fn anchor(heading: &str) -> String {
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
+    kept.flat_map(char::to_lowercase).map(|c| if c == ' ' { '-' } else { c }).collect()
+}
