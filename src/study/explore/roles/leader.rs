@@ -139,7 +139,7 @@ impl Cluster<'_> {
         let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
         let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
         let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
-        let has_one_time = self.plan.clock_rates.iter().all(|rate| *rate == 1.0);
+        let has_one_time = plan.clock_rates.iter().all(|rate| *rate == 1.0);
         let is_calm = has_one_time && now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
         let robots_from = plan.robot_nodes().start;
         witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
