@@ -474,7 +474,7 @@ fn teams_may_be_large_but_for_separation_and_grid() {
     assert!((claimed / worth(&large, &ends(&large, answer)).1 - 1.0).abs() < 1e-9);
     answers(&[with(problem(256), "separation_m", json!(2.0))], "");
     for (refused, names) in [
-        (with(problem(257), "separation_m", json!(2.0)), "separation_m"),
+        (with(problem(1025), "separation_m", json!(2.0)), "separation_m"),
         (with(large, "planner", json!("grid")), "candidates"),
         (with(problem(5), "planner", json!("grid")), "3.200e11"),
     ] {

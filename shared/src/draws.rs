@@ -67,7 +67,9 @@ impl Draws {
 
     /// Fills `out` with independent draws from the uniform distribution on [0, 1) for this tick.
     pub fn uniform(&mut self, tick: u64, out: &mut [f64]) {
-        self.generator.set_word_pos(u128::from(tick) * WORDS_PER_TICK);
+        // A draw takes two words.
+        let words = WORDS_PER_TICK.max(2 * out.len() as u128);
+        self.generator.set_word_pos(u128::from(tick) * words);
         for value in out {
             *value = StandardUniform.sample(&mut self.generator);
         }
@@ -98,11 +100,14 @@ mod tests {
 
     #[test]
     fn the_widest_tick_does_not_reach_into_the_next() {
-        // A state and 256 robots' headings are the longest requests; 1 000 words hold both.
-        let mut draws = Draws::new(1, Stream::RandomPlanner);
-        let mut long = [0.0; crate::ROBOTS_MAX];
-        draws.uniform(5, &mut long);
-        assert!(draws.generator.get_word_pos() <= 6 * WORDS_PER_TICK);
+        for robots in [1, 500, crate::ROBOTS_MAX] {
+            let mut draws = Draws::new(1, Stream::RandomPlanner);
+            let mut headings = vec![0.0; robots];
+            draws.uniform(5, &mut headings);
+            let end = draws.generator.get_word_pos();
+            draws.uniform(6, &mut headings[..]);
+            assert!(end <= draws.generator.get_word_pos() - 2 * robots as u128);
+        }
     }
 
     #[test]

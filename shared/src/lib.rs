@@ -39,7 +39,7 @@ pub mod scenario;
 pub mod sealed;
 
 /// Most robots in one run: sizes every service and every per-robot bit set.
-pub const ROBOTS_MAX: usize = 256;
+pub const ROBOTS_MAX: usize = 1024;
 
 /// Largest dimension of a target state.
 pub const STATE_DIM_MAX: usize = 8;

@@ -174,7 +174,7 @@ impl Refusal {
 
 /// Topic `estimate`: what fusion knows after a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v5"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v6"))]
 #[repr(C)]
 pub struct Estimate {
     /// Dimension n of the state.
@@ -301,7 +301,7 @@ const _: () = {
     assert!(size_of::<Range>() == 88);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
-    assert!(size_of::<Estimate>() == 832);
+    assert!(size_of::<Estimate>() == 928);
     assert!(size_of::<Truth>() == 88);
 };
 

@@ -21,7 +21,7 @@ use crate::failure::Failure;
 /// What complaints about flags name in place of a scenario file.
 pub const COMMAND_LINE: &str = "command line";
 
-/// Longest scenario file, bytes: a hundred times what 256 robots one by one take.
+/// Longest scenario file, bytes: some times what 1024 robots one by one take.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 
 /// Standard input, as a path.

@@ -103,7 +103,7 @@ fn values_that_make_no_sense_are_refused_by_key() {
             (b"[prior]\nmean = \"guess\"\n", "prior.mean"),
             (b"[prior]\nmean = [0.0]\n", "prior.mean"),
             (b"[robots]\ncount = 0\n", "robots.count"),
-            (b"[robots]\ncount = 257\n", "robots.count"),
+            (b"[robots]\ncount = 1025\n", "robots.count"),
             (b"[robots]\nspeed_mps = -1.0\n", "robots.speed_mps"),
             (b"[robots]\nrange_std_m = -1.0\n", "robots.range_std_m"),
             (b"[robots]\nrange_std_m = 0.0\n", "robots.range_std_m"),
@@ -206,7 +206,7 @@ fn files_that_are_not_there_are_refused_by_name() {
 fn values_on_the_command_line_are_refused_by_flag_or_key() {
     refused_usage(&[
         ("run --robots 0", &["robots"]),
-        ("run --robots 257", &["robots"]),
+        ("run --robots 1025", &["robots"]),
         ("run --robots many", &["--robots"]),
         ("run --ticks 0", &["ticks"]),
         ("run --ticks -1", &["--ticks"]),

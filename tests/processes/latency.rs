@@ -74,7 +74,7 @@ fn nonsense_is_refused_before_anything_starts() {
         ("latency --rate 0", "--rate: expected 0.001 to 10000 Hz"),
         ("latency --rate nan", "--rate: expected 0.001 to 10000 Hz"),
         ("latency --rate 10 --clock lockstep", "--rate: expected --clock realtime"),
-        ("latency --robots 0", "robots.count: expected a whole number from 1 to 256"),
+        ("latency --robots 0", "robots.count: expected a whole number from 1 to 1024"),
         ("latency --ticks 100000000", "--ticks: expected at most"),
         ("latency --pin all", "expected none, one-core, or processors by number"),
         ("latency --pin 1000", "--pin 1000: expected processors that there are"),

@@ -146,7 +146,7 @@ impl Bus {
     /// [`BusError`] if iceoryx2 refuses.
     pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
         let node = node(run, name)?;
-        let senders = Rc::new(Senders::new(run.roster().clone()));
+        let senders = Rc::new(Senders::new(run.roster().clone(), run.description().scenario.robots.len()));
         let bells_error = |error: BlockError| {
             let said = error.to_string();
             // They are made before anybody can join.

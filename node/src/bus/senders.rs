@@ -2,7 +2,6 @@
 
 use std::cell::RefCell;
 
-use rangehound_shared::ROBOTS_MAX;
 use rustix::process::{Pid, test_kill_process};
 
 use crate::rendezvous::{Role, Roster};
@@ -37,8 +36,8 @@ struct Known {
 }
 
 impl Senders {
-    pub(super) fn new(roster: Roster) -> Self {
-        let known = Known { bound: vec![0; 2 + ROBOTS_MAX], strangers: Vec::with_capacity(STRANGERS_MAX) };
+    pub(super) fn new(roster: Roster, robots: usize) -> Self {
+        let known = Known { bound: vec![0; 2 + robots], strangers: Vec::with_capacity(STRANGERS_MAX) };
         Self { roster, known: RefCell::new(known) }
     }
 

@@ -318,7 +318,7 @@ mod tests {
             fused_late: 7,
             rejected_late: 8,
             refused: [9, 10, 11, 12, 13, 14],
-            distrusted: [15, 16, 17, 18],
+            distrusted: std::array::from_fn(|word| 15 + word as u64),
             objective: 0.25,
             lower_bound: 0.125,
             least_trace_m2: 0.75,

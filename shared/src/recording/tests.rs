@@ -395,11 +395,11 @@ fn rows_are_in_order_of_time() {
 }
 
 #[test]
-fn one_sensor_is_a_recording_and_257_are_none() {
+fn one_sensor_is_a_recording_and_1025_are_none() {
     assert_eq!(parse("0,A,0,0,1\n1,A,0,0,1\n").unwrap().0.sensors().len(), 1);
-    let rows: String = (0..257).map(|id| format!("{HEADER}0,{id},0,0,1\n").split_off(HEADER.len())).collect();
+    let rows: String = (0..1025).map(|id| format!("{HEADER}0,{id},0,0,1\n").split_off(HEADER.len())).collect();
     let complaint = complaint(format!("{HEADER}{rows}"), &ReadOptions::default());
-    assert!(complaint.contains("row 257 (line 258): sensor_id: expected 1 to 256 different sensors"), "{complaint}");
+    assert!(complaint.contains("row 1025 (line 1026): sensor_id: expected 1 to 1024 different sensors"), "{complaint}");
     assert!(self::complaint(HEADER, &ReadOptions::default()).contains("expected rows of ranges under the header"));
     assert!(self::complaint("", &ReadOptions::default()).contains("row 0 (line 1, the header): expected a header"));
 }

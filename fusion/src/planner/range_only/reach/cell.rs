@@ -2,12 +2,15 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use rangehound_shared::ROBOTS_MAX;
+use smallvec::SmallVec;
 
 use super::Reach;
 use super::polygon::{DISC_CORNERS, edges};
 use crate::planner::range_only::arm::Arm;
 use crate::vector::Vector;
+
+/// Marks of a cell that need no heap: three for each corner, of a disc among some hundred neighbours.
+const MARKS: usize = 3 * (DISC_CORNERS + 256);
 
 impl Reach {
     /// [`Self::motion`] in a cell; by itself, so that teams without neighbours need not fetch its code.
@@ -44,14 +47,12 @@ impl Reach {
     #[inline(never)]
     pub(super) fn arm_of_cell(&self, lambda: f64, cell_m: &[Vector]) -> Arm {
         // Offsets from the line of sight between which nothing changes, in order.
-        let mut marks = [FRAC_PI_2; 3 * (DISC_CORNERS + ROBOTS_MAX)];
-        let mut count = 0;
+        let mut marks: SmallVec<[f64; MARKS]> = SmallVec::new();
         let mut mark = |place_m: Vector| {
             let bearing = (self.to_target_m - place_m).rotated_by(self.sight.conjugate());
-            if count + 2 < marks.len() && bearing != Vector::default() {
+            if bearing != Vector::default() {
                 // Bearings count modulo half a turn.
-                marks[count] = (bearing.y / bearing.x).atan();
-                count += 1;
+                marks.push((bearing.y / bearing.x).atan());
             }
         };
         let s = self.stand_off_m;
@@ -70,9 +71,7 @@ impl Reach {
                 }
             }
         }
-        marks[count] = -FRAC_PI_2;
-        count += 2;
-        let marks = &mut marks[..count];
+        marks.extend([-FRAC_PI_2, FRAC_PI_2]);
         marks.sort_unstable_by(f64::total_cmp);
         let is_clear = |offset_rad: f64| {
             let chord = self.chord(self.sight.rotated_by(Vector::from_angle(offset_rad)), cell_m);
