@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 
 use rangehound_shared::message::{Estimate, Header, Range, Refusal, Stages};
 use rangehound_shared::protocol::timing::Suspension;
-use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
+use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
 use rangehound_shared::record::Exchange;
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Clock, Scenario};
@@ -240,7 +240,7 @@ impl Leader {
             Phase::SendHeadings => (Phase::Wake, Action::SendHeadings),
             Phase::Wake => {
                 self.stages.sent_ns = now_ns;
-                (Phase::SendEstimate, Action::Notify(Notification::always(Sleeper::Robots, Call::Heading)))
+                (Phase::SendEstimate, Action::Notify(Notification::always(WaitGroup::Robots, Event::Heading)))
             }
             Phase::SendEstimate => {
                 self.estimate = self.estimate_with(self.stages);
@@ -329,11 +329,11 @@ impl Leader {
         if std::mem::take(&mut self.repeat_asked) && next > 0 {
             // All get it again, once.
             self.actions.push_back(Action::SendHeadings);
-            self.actions.push_back(Action::Notify(Notification::always(Sleeper::Robots, Call::Heading)));
+            self.actions.push_back(Action::Notify(Notification::always(WaitGroup::Robots, Event::Heading)));
             return Ok(Some(Action::RequireLead));
         }
         if std::mem::take(&mut self.asks_repeat) || !std::mem::replace(&mut self.greeted, true) {
-            return Ok(Some(Action::Notify(Notification::always(Sleeper::Sim, Call::Hello))));
+            return Ok(Some(Action::Notify(Notification::always(WaitGroup::Sim, Event::Hello))));
         }
         Ok(None)
     }

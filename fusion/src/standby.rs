@@ -7,14 +7,14 @@ use rangehound_shared::scenario::{PlannerSpec, Scenario};
 /// Most standbys of a run.
 pub const STANDBYS_MAX: usize = 8;
 
-/// How often a standby looks whether who leads gives signs of life.
+/// How often a standby looks whether who leads sends heartbeats.
 pub const LOOK: Duration = Duration::from_millis(50);
 
-/// Looks in a row without a sign of life after which who leads is deposed. Counted in looks, so that a
+/// Looks in a row without a heartbeat after which who leads is deposed. Counted in looks, so that a
 /// standby that was stopped too, or a clock that jumps, deposes nobody.
 const SILENT_LOOKS_MAX: u32 = 10;
 
-/// What a step of the grid planner may take without a sign of life.
+/// What a step of the grid planner may take without a heartbeat.
 const GRID_STEP_MAX: Duration = Duration::from_secs(30);
 
 /// The silence that is no hang, because one step of the scenario's planner may take as long.
@@ -23,11 +23,11 @@ pub fn step_max(scenario: &Scenario) -> Duration {
     if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO }
 }
 
-/// One standby's view of who leads; `S` is a sign of life, of which only whether it changes means anything. `L` names the
+/// One standby's view of who leads; `S` is a heartbeat, of which only whether it changes means anything. `L` names the
 /// lock that whoever leads holds, if there is one: another one after somebody was deposed.
 #[derive(Debug, Clone, Copy)]
 pub struct Standby<S, L> {
-    last_sign: Option<S>,
+    last_heartbeat: Option<S>,
     /// The lock that it waits for.
     awaited: Option<L>,
     silent_looks: u32,
@@ -35,19 +35,19 @@ pub struct Standby<S, L> {
 }
 
 impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
-    /// A standby that sees this sign of life first, and waits for this lock.
+    /// A standby that sees this heartbeat first, and waits for this lock.
     #[must_use]
-    pub fn new(scenario: &Scenario, last_sign: Option<S>, awaited: Option<L>) -> Self {
+    pub fn new(scenario: &Scenario, last_heartbeat: Option<S>, awaited: Option<L>) -> Self {
         let silent_looks_max = SILENT_LOOKS_MAX + step_max(scenario).div_duration_f64(LOOK) as u32;
-        Self { last_sign, awaited, silent_looks: 0, silent_looks_max }
+        Self { last_heartbeat, awaited, silent_looks: 0, silent_looks_max }
     }
 
-    /// Takes the newest sign of life; to be called once every [`LOOK`]. `Some` if who gave it is to be deposed, if it has given no
+    /// Takes the newest heartbeat; to be called once every [`LOOK`]. `Some` if who gave it is to be deposed, if it has given no
     /// other meanwhile.
-    pub fn look(&mut self, sign: Option<S>) -> Option<S> {
-        self.silent_looks = if sign == self.last_sign { self.silent_looks + 1 } else { 0 };
-        self.last_sign = sign;
-        sign.filter(|_| self.silent_looks >= self.silent_looks_max)
+    pub fn look(&mut self, heartbeat: Option<S>) -> Option<S> {
+        self.silent_looks = if heartbeat == self.last_heartbeat { self.silent_looks + 1 } else { 0 };
+        self.last_heartbeat = heartbeat;
+        heartbeat.filter(|_| self.silent_looks >= self.silent_looks_max)
     }
 
     /// True if it shall wait for this lock from now on: the one that it waits for is that of a deposed one. None is there where
@@ -81,7 +81,7 @@ mod tests {
     fn only_silence_in_looks_in_a_row_deposes() {
         let mut standby = standby("greedy");
         assert!((1..SILENT_LOOKS_MAX).all(|_| standby.look(Some(7)).is_none()));
-        assert_eq!(standby.look(Some(8)), None, "a sign of life, just in time");
+        assert_eq!(standby.look(Some(8)), None, "a heartbeat, just in time");
         assert!((1..SILENT_LOOKS_MAX).all(|_| standby.look(Some(8)).is_none()));
         assert_eq!(standby.look(Some(8)), Some(8));
     }

@@ -18,7 +18,7 @@ use clap::Parser;
 use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
 use rangehound::files::{calibration, input};
-use rangehound::plan::line::Desk;
+use rangehound::plan::line::LineSolver;
 use rangehound::results::curves::CurvesBuilder;
 use rangehound::results::frame::Frames;
 use rangehound::results::report::{self, ReportBuilder, Truth};
@@ -100,7 +100,7 @@ fn any<const N: usize>(verdicts: [Verdict; N]) -> Verdict {
 pub fn scenarios(bytes: &[u8]) -> Verdict {
     let file = ScenarioFile::parse(std::str::from_utf8(bytes)?, "hostile.toml")?;
     let scenario = input::scenario(&file, "hostile.toml", &recording_folder())?;
-    assert!(scenario.is_whole());
+    assert!(scenario.is_complete());
     // The run folder's copy and the run's description say the same.
     assert_eq!(ScenarioFile::parse(&file.to_toml().unwrap(), "copy").unwrap(), file);
     let described = RunDescription::new(scenario.clone(), PathBuf::from("/nowhere"));
@@ -193,7 +193,7 @@ pub fn true_tracks(bytes: &[u8]) -> Verdict {
 
 /// A line for `plan`.
 pub fn plan_lines(bytes: &[u8]) -> Verdict {
-    thread_local!(static DESK: RefCell<Desk> = RefCell::new(Desk::new(PlannerTable::default(), 1).unwrap()));
+    thread_local!(static DESK: RefCell<LineSolver> = RefCell::new(LineSolver::new(PlannerTable::default(), 1).unwrap()));
     let mut answer = Vec::new();
     let complaint = DESK.with_borrow_mut(|desk| desk.answer(7, bytes, &mut answer));
     assert_eq!(answer.iter().filter(|byte| **byte == b'\n').count(), 1);

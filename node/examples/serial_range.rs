@@ -80,7 +80,7 @@ fn main() -> Result<()> {
     let max_age = args.max_age.unwrap_or(Duration::from_secs_f64(scenario.dt_s));
     let radio = Radio { format: args.format, anchor: args.anchor, tag: args.tag };
     let mut sensor =
-        SerialSensor::open(&args.port, radio, calibration, robot.told_std_m, max_age).with_context(port)?;
+        SerialSensor::open(&args.port, radio, calibration, robot.reported_std_m, max_age).with_context(port)?;
     // A radio's shell takes commands of its own: those to the drive are not for it.
     let of_radio = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
     let drive = args.drive.unwrap_or(of_radio);

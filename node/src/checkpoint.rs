@@ -1,4 +1,4 @@
-//! A node's state on file: what it needs to go on where its killed forerunner stopped.
+//! A node's state on file: what it needs to go on where its killed predecessor stopped.
 //!
 //! Two slots of one file take turns, each written at once and sealed with the run's id and a sequence
 //! number; the newest whole one counts. A kill in mid-write costs the slot that was being written, whose
@@ -20,7 +20,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::rendezvous::tenure::needs_own_checkpoint;
-use crate::rendezvous::{Rendezvous, Role, RoleHold};
+use crate::rendezvous::{Rendezvous, Role, RoleLease};
 
 /// File of a role's checkpoint in the run folder.
 #[must_use]
@@ -90,15 +90,15 @@ impl Checkpoint {
     pub fn of_role<T: DeserializeOwned>(
         rendezvous: &Rendezvous,
         role: Role,
-        hold: &RoleHold,
+        lease: &RoleLease,
     ) -> Result<(Option<Self>, Option<T>), CheckpointError> {
         let description = rendezvous.description();
         match Self::open(&description.out_dir.join(file_name(role)), description.run_id) {
             Ok((mut checkpoint, state)) => {
-                if role == Role::Fusion && needs_own_checkpoint(hold.incarnation) {
-                    let partial = beside(&checkpoint.path, &format!(".{}", hold.incarnation));
+                if role == Role::Fusion && needs_own_checkpoint(lease.incarnation) {
+                    let partial = beside(&checkpoint.path, &format!(".{}", lease.incarnation));
                     // Nobody is deposed while it is done, so that no successor's file is replaced.
-                    let moved = rendezvous.while_current(hold, || checkpoint.move_to_new_file(&partial));
+                    let moved = rendezvous.while_current(lease, || checkpoint.move_to_new_file(&partial));
                     let _ = std::fs::remove_file(&partial);
                     match moved {
                         Ok(Some(Ok(()))) => {}
@@ -287,7 +287,7 @@ mod tests {
         }
     }
 
-    /// What a deposed forerunner still writes does not reach its successor's file.
+    /// What a deposed predecessor still writes does not reach its successor's file.
     #[test]
     fn a_moved_checkpoint_is_out_of_its_forerunners_reach() {
         let folder = tempfile::tempdir().unwrap();

@@ -12,10 +12,10 @@ use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::Scenario;
 use rangehound_shared::sealed::SealError;
 
-use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
+use crate::bus::{Bus, BusError, Event, Events, IDLE, Notifier, Publisher, Subscriber, WaitGroup, Waiter};
 use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::logs;
-use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
+use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use crate::system::clock::{monotonic_ns, until};
 use crate::system::signal::Termination;
 use crate::tick_log::{TickLogError, TickLogWriter};
@@ -32,7 +32,7 @@ pub enum FusionError {
     /// The planner cannot serve the team.
     #[error(transparent)]
     Planner(#[from] PlannerError),
-    /// The state that a forerunner left cannot be used.
+    /// The state that a predecessor left cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The same, found later.
@@ -41,8 +41,8 @@ pub enum FusionError {
     /// The filter diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
-    /// Another process took its role while it gave no sign of life.
-    #[error("gave no sign of life and was deposed")]
+    /// Another process took its role while it sent no heartbeat.
+    #[error("sent no heartbeat and was deposed")]
     Deposed,
 }
 
@@ -51,12 +51,12 @@ pub enum FusionError {
 /// # Errors
 /// [`FusionError`].
 pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), FusionError> {
-    let hold = rendezvous.roster().take(Role::Fusion)?;
-    let bus = Bus::of_role(rendezvous, Role::Fusion, &hold)?;
-    Driver::new(rendezvous, &bus)?.lead(hold, termination)
+    let lease = rendezvous.roster().take(Role::Fusion)?;
+    let bus = Bus::of_role(rendezvous, Role::Fusion, &lease)?;
+    Driver::new(rendezvous, &bus)?.lead(lease, termination)
 }
 
-/// Runs a standby: a fusion centre that waits until nobody leads, or until who leads gives no sign of life,
+/// Runs a standby: a fusion centre that waits until nobody leads, or until who leads sends no heartbeat,
 /// and goes on from its checkpoint. Deposed in its turn, it stands by again.
 ///
 /// # Errors
@@ -66,21 +66,21 @@ pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result
         let (role, standby) = take_free_standby(rendezvous)?;
         let bus = Bus::connect(rendezvous, &role.to_string())?;
         let fusion = Driver::new(rendezvous, &bus)?;
-        let Some(hold) = fusion.stand_by(&standby, termination)? else { return Ok(()) };
+        let Some(lease) = fusion.stand_by(&standby, termination)? else { return Ok(()) };
         drop(standby);
-        bus.take_role(rendezvous, Role::Fusion, &hold)?;
-        match fusion.lead(hold, termination) {
+        bus.take_role(rendezvous, Role::Fusion, &lease)?;
+        match fusion.lead(lease, termination) {
             Err(FusionError::Deposed) => log::warn!("{}; stands by", FusionError::Deposed),
             ended => return ended,
         }
     }
 }
 
-fn take_free_standby(rendezvous: &Rendezvous) -> Result<(Role, RoleHold), FusionError> {
+fn take_free_standby(rendezvous: &Rendezvous) -> Result<(Role, RoleLease), FusionError> {
     let mut number = 1;
     loop {
         match rendezvous.roster().take(Role::Standby(number)) {
-            Ok(hold) => return Ok((Role::Standby(number), hold)),
+            Ok(lease) => return Ok((Role::Standby(number), lease)),
             Err(RendezvousError::RoleTaken { .. }) if number < STANDBYS_MAX => number += 1,
             Err(error) => return Err(error.into()),
         }
@@ -96,9 +96,9 @@ struct Driver<'a> {
     ranges: Subscriber<Range>,
     headings: Publisher<Command>,
     estimates: Publisher<Estimate>,
-    bed: Bed,
-    robots: Bell,
-    sim: Bell,
+    waiter: Waiter,
+    robots: Notifier,
+    sim: Notifier,
 }
 
 impl<'a> Driver<'a> {
@@ -113,33 +113,34 @@ impl<'a> Driver<'a> {
             ranges: bus.subscriber()?,
             headings: bus.publisher(scenario.robots.len())?,
             estimates: bus.publisher(1)?,
-            bed: bus.sleep_as(Sleeper::Fusion),
-            robots: bus.bell_of(Sleeper::Robots),
-            sim: bus.bell_of(Sleeper::Sim),
+            waiter: bus.waiter_of(WaitGroup::Fusion),
+            robots: bus.notifier_of(WaitGroup::Robots),
+            sim: bus.notifier_of(WaitGroup::Sim),
         })
     }
 
     /// Waits for the lead; `None` if the run ends first. It keeps its ports as ready as if it led: the newest
     /// ranges wait in their buffers.
-    fn stand_by(&self, own: &RoleHold, termination: &Termination) -> Result<Option<RoleHold>, FusionError> {
+    fn stand_by(&self, own: &RoleLease, termination: &Termination) -> Result<Option<RoleLease>, FusionError> {
         let roster = self.rendezvous.roster();
-        let mut standby = Standby::new(self.scenario, roster.last_sign(Role::Fusion), roster.file_of(Role::Fusion));
+        let mut standby =
+            Standby::new(self.scenario, roster.last_heartbeat(Role::Fusion), roster.file_of(Role::Fusion));
         let mut succession = roster.succeed(Role::Fusion);
         while !termination.requested() && !self.rendezvous.is_finished() {
-            if let Some(hold) = roster.take_in_succession(Role::Fusion, &succession, LOOK)? {
+            if let Some(lease) = roster.take_in_succession(Role::Fusion, &succession, LOOK)? {
                 if self.rendezvous.is_removed() {
                     return Err(self.rendezvous.removed().into());
                 }
-                return Ok(Some(hold));
+                return Ok(Some(lease));
             }
-            own.sign();
+            own.renew();
             self.rendezvous.look_for_removal()?;
             self.ranges.keep_up()?;
-            if let Some(silent_since) = standby.look(roster.last_sign(Role::Fusion))
-                && let Some(hold) = roster.depose(Role::Fusion, silent_since)?
+            if let Some(silent_since) = standby.look(roster.last_heartbeat(Role::Fusion))
+                && let Some(lease) = roster.depose(Role::Fusion, silent_since)?
             {
-                log::warn!("fusion gave no sign of life for {:?}: deposed it", standby.silence_max());
-                return Ok(Some(hold));
+                log::warn!("fusion sent no heartbeat for {:?}: deposed it", standby.silence_max());
+                return Ok(Some(lease));
             }
             if standby.waits_anew(roster.file_of(Role::Fusion)) {
                 succession = roster.succeed(Role::Fusion);
@@ -149,38 +150,38 @@ impl<'a> Driver<'a> {
     }
 
     /// Leads until the run ends, until asked to end, or until deposed.
-    fn lead(mut self, hold: RoleHold, termination: &Termination) -> Result<(), FusionError> {
+    fn lead(mut self, lease: RoleLease, termination: &Termination) -> Result<(), FusionError> {
         let began = Instant::now();
-        self.go_on_from_checkpoint(&hold)?;
+        self.go_on_from_checkpoint(&lease)?;
         let first_tick = self.leader.centre().next_tick();
-        self.bed.expect(self.leader.expected());
+        self.waiter.expect(self.leader.expected());
         // What has waited for a standby is answered before anything else.
         self.receive()?;
-        self.act(&hold)?;
+        self.act(&lease)?;
         log::info!("leads from tick {first_tick}, {:?} after it could", began.elapsed());
         while !termination.requested() {
-            let calls = self.wait();
+            let events = self.wait();
             let tick = self.leader.centre().next_tick();
             self.receive()?;
-            self.act(&hold)?;
+            self.act(&lease)?;
             if self.leader.centre().next_tick() == tick {
                 // It has commanded nothing, which is when it looks whether it leads.
-                self.require_lead(&hold)?;
+                self.require_lead(&lease)?;
             }
-            if (calls.has(Call::Finished) || calls.is_empty()) && self.rendezvous.is_finished() {
+            if (events.has(Event::Finished) || events.is_empty()) && self.rendezvous.is_finished() {
                 self.receive()?;
                 self.leader.finish();
-                return self.act(&hold);
+                return self.act(&lease);
             }
         }
         Ok(())
     }
 
-    fn go_on_from_checkpoint(&mut self, hold: &RoleHold) -> Result<(), FusionError> {
+    fn go_on_from_checkpoint(&mut self, lease: &RoleLease) -> Result<(), FusionError> {
         let description = self.rendezvous.description();
         self.log =
             logs::write_estimates(description).inspect_err(|error| log::warn!("goes on without a log: {error}")).ok();
-        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion, hold)?;
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion, lease)?;
         self.checkpoint = checkpoint;
         let Some(saved) = restored else {
             return Ok(self.rendezvous.refuse_lost_state(Role::Fusion, self.log.as_ref())?);
@@ -193,10 +194,10 @@ impl<'a> Driver<'a> {
     }
 
     /// Until called, or until the tick's ranges are overdue.
-    fn wait(&self) -> Calls {
+    fn wait(&self) -> Events {
         let left = self.leader.wakes_at_ns().map_or(IDLE, |at_ns| until(at_ns).min(IDLE));
         // In real time the next tick is far away until the first range of it has come.
-        if self.leader.waits_for_tick() { self.bed.sleep(left) } else { self.bed.wait(left) }
+        if self.leader.waits_for_tick() { self.waiter.sleep(left) } else { self.waiter.wait(left) }
     }
 
     fn receive(&mut self) -> Result<(), BusError> {
@@ -207,13 +208,13 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
-    fn act(&mut self, hold: &RoleHold) -> Result<(), FusionError> {
+    fn act(&mut self, lease: &RoleLease) -> Result<(), FusionError> {
         while let Some(action) = self.leader.next_action(monotonic_ns())? {
             let centre = self.leader.centre();
             let (last_tick, time_s) = (centre.next_tick().saturating_sub(1), centre.time_s());
             match action {
                 Action::Continue => {}
-                Action::RequireLead => self.require_lead(hold)?,
+                Action::RequireLead => self.require_lead(lease)?,
                 Action::Save => {
                     let saved = self.leader.saved()?;
                     Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
@@ -225,7 +226,7 @@ impl<'a> Driver<'a> {
                 }
                 Action::Record => {
                     self.record(last_tick);
-                    self.bed.expect(self.leader.expected());
+                    self.waiter.expect(self.leader.expected());
                 }
                 Action::Tell(notice) => self.tell(notice),
             }
@@ -235,8 +236,8 @@ impl<'a> Driver<'a> {
 
     fn notify(&self, notification: &rangehound_shared::protocol::wake::Notification) {
         match notification.to {
-            Sleeper::Sim => self.sim.notify(notification),
-            Sleeper::Robots | Sleeper::Fusion => {
+            WaitGroup::Sim => self.sim.notify(notification),
+            WaitGroup::Robots | WaitGroup::Fusion => {
                 self.robots.notify(notification);
                 // The robots first: on a busy core they would wait for what is only recorded.
                 std::thread::yield_now();
@@ -244,11 +245,11 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Gives a sign of life, and sees that nobody has taken the lead meanwhile: after each sleep, and before
+    /// Gives a heartbeat, and sees that nobody has taken the lead meanwhile: after each sleep, and before
     /// anything is commanded. The robots check too: they obey nobody who leads no more.
-    fn require_lead(&self, hold: &RoleHold) -> Result<(), FusionError> {
-        if hold.is_current() {
-            hold.sign();
+    fn require_lead(&self, lease: &RoleLease) -> Result<(), FusionError> {
+        if lease.is_current() {
+            lease.renew();
             return Ok(self.rendezvous.look_for_removal()?);
         }
         Err(if self.rendezvous.is_removed() { self.rendezvous.removed().into() } else { FusionError::Deposed })

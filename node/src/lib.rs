@@ -9,14 +9,13 @@
 //! | [`world`] | the world that the simulator shows, a recording's copy among it |
 //! | [`serial`] | a robot's sensor and drive that speak lines of text over a port |
 //! | [`bus`] | topics and their iceoryx2 services |
-//! | [`bells`] | wake-ups over shared memory |
+//! | [`wait_groups`] | wake-ups over shared memory |
 //! | [`block`] | words of shared memory that all processes of a run see |
 //! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
 //! | [`checkpoint`] | the state of a killed node |
 //! | [`tick_log`], [`logs`] | files of fixed-size records, one for each tick |
 //! | [`system`] | the operating system: its limits and resources, monotonic time, requests to end |
 
-pub mod bells;
 pub mod block;
 pub mod bus;
 pub mod checkpoint;
@@ -28,4 +27,5 @@ pub mod serial;
 pub mod sim;
 pub mod system;
 pub mod tick_log;
+pub mod wait_groups;
 pub mod world;

@@ -6,8 +6,8 @@ use rangehound_robot::sensor::{RangeSensor, Sensor, measure};
 use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
 use rangehound_shared::scenario::{Clock, Scenario};
 
-use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
-use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
+use crate::bus::{Bus, BusError, Event, Events, IDLE, Notifier, Publisher, Subscriber, WaitGroup, Waiter};
+use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use crate::system::clock::{monotonic_ns, until};
 use crate::system::signal::Termination;
 
@@ -58,13 +58,13 @@ pub fn run_with<S: RangeSensor, A: Actuator>(
     termination: &Termination,
 ) -> Result<(), RobotError> {
     let scenario = &rendezvous.description().scenario;
-    let hold = match scenario.robots.get(id) {
+    let lease = match scenario.robots.get(id) {
         Some(_) => rendezvous.roster().take(Role::Robot(id))?,
         None => return Err(RobotError::no_such(scenario, id)),
     };
     let fusion_incarnation = rendezvous.roster().starts(Role::Fusion);
     let machine = Machine::new(scenario, id, fusion_incarnation).ok_or_else(|| RobotError::no_such(scenario, id))?;
-    let bus = Bus::of_role(rendezvous, Role::Robot(id), &hold)?;
+    let bus = Bus::of_role(rendezvous, Role::Robot(id), &lease)?;
     let mut robot = Driver {
         clock: scenario.clock,
         machine,
@@ -74,11 +74,11 @@ pub fn run_with<S: RangeSensor, A: Actuator>(
         drives: bus.publisher(1)?,
         worlds: bus.subscriber()?,
         headings: bus.subscriber()?,
-        bed: bus.sleep_as(Sleeper::Robots),
-        sim: bus.bell_of(Sleeper::Sim),
-        fusion: bus.bell_of(Sleeper::Fusion),
+        waiter: bus.waiter_of(WaitGroup::Robots),
+        sim: bus.notifier_of(WaitGroup::Sim),
+        fusion: bus.notifier_of(WaitGroup::Fusion),
     };
-    let ended = robot.take_part(rendezvous, &hold, termination);
+    let ended = robot.take_part(rendezvous, &lease, termination);
     robot.actuator.carry_out(Command::default());
     ended
 }
@@ -92,26 +92,26 @@ struct Driver<'a, S, A> {
     drives: Publisher<Drive>,
     worlds: Subscriber<WorldEntry>,
     headings: Subscriber<Command>,
-    bed: Bed,
-    sim: Bell,
-    fusion: Bell,
+    waiter: Waiter,
+    sim: Notifier,
+    fusion: Notifier,
 }
 
 impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
     fn take_part(
         &mut self,
         rendezvous: &Rendezvous,
-        hold: &RoleHold,
+        lease: &RoleLease,
         termination: &Termination,
     ) -> Result<(), RobotError> {
         self.act()?;
         while !termination.requested() {
-            hold.sign();
+            lease.renew();
             rendezvous.look_for_removal()?;
-            let calls = self.wait()?;
-            self.receive(calls)?;
+            let events = self.wait()?;
+            self.receive(events)?;
             self.act()?;
-            let may_have_ended = calls.has(Call::Finished) || self.machine.is_new() || calls.is_empty();
+            let may_have_ended = events.has(Event::Finished) || self.machine.is_new() || events.is_empty();
             if may_have_ended && rendezvous.is_finished() {
                 break;
             }
@@ -120,26 +120,26 @@ impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
     }
 
     /// Until called, or until the machine has something to do.
-    fn wait(&mut self) -> Result<Calls, BusError> {
+    fn wait(&mut self) -> Result<Events, BusError> {
         // In real time the next tick is far away.
         if self.clock == Clock::Lockstep || self.machine.heading_deadline_ns().is_some() {
-            let calls = self.bed.watch();
-            if !calls.is_empty() {
-                return Ok(calls);
+            let events = self.waiter.watch();
+            if !events.is_empty() {
+                return Ok(events);
             }
             self.machine.before_sleep();
             self.act()?;
         }
-        Ok(self.bed.sleep(self.machine.wakes_at_ns().map_or(IDLE, |at_ns| until(at_ns).min(IDLE))))
+        Ok(self.waiter.sleep(self.machine.wakes_at_ns().map_or(IDLE, |at_ns| until(at_ns).min(IDLE))))
     }
 
     /// Takes what it was called for; whatever has come if nobody called.
-    fn receive(&mut self, calls: Calls) -> Result<(), BusError> {
+    fn receive(&mut self, events: Events) -> Result<(), BusError> {
         let Self { machine, worlds, headings, .. } = self;
-        if calls.has(Call::World) || calls.is_empty() {
+        if events.has(Event::World) || events.is_empty() {
             worlds.drain(|header, entries| machine.on_world(header, entries))?;
         }
-        if calls.has(Call::Heading) || calls.is_empty() {
+        if events.has(Event::Heading) || events.is_empty() {
             headings.drain(|header, commands| machine.on_heading(header, commands))?;
             machine.refuse_headings(headings.take_impostors());
         }
@@ -160,8 +160,8 @@ impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
                 Action::SendRange(message) => self.ranges.send_one(&message)?,
                 Action::SendDrive(message) => self.drives.send_one(&message)?,
                 Action::Notify(notification) => match notification.to {
-                    Sleeper::Fusion => self.fusion.notify(&notification),
-                    Sleeper::Sim | Sleeper::Robots => self.sim.notify(&notification),
+                    WaitGroup::Fusion => self.fusion.notify(&notification),
+                    WaitGroup::Sim | WaitGroup::Robots => self.sim.notify(&notification),
                 },
             }
         }

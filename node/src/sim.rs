@@ -8,10 +8,10 @@ use rangehound_shared::scenario::Patience;
 use rangehound_shared::sealed::SealError;
 use rangehound_sim::machine::{Action, Machine, Saved};
 
-use crate::bus::{Bed, Bell, Bus, BusError, Call, Calls, IDLE, Publisher, Sleeper, Subscriber};
+use crate::bus::{Bus, BusError, Event, Events, IDLE, Notifier, Publisher, Subscriber, WaitGroup, Waiter};
 use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::logs;
-use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleHold};
+use crate::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use crate::system::clock::{monotonic_ns, until};
 use crate::system::signal::Termination;
 use crate::tick_log::TickLogWriter;
@@ -19,7 +19,7 @@ use crate::world::{PlaybackError, world_of};
 
 /// How late a bed's time limit may come, which counts in the kernel's ticks: the rest of a real-time tick is slept
 /// out deaf, but on time.
-const BED_LATE: Duration = Duration::from_millis(8);
+const WAITER_LATE: Duration = Duration::from_millis(8);
 
 /// Why the simulator ended early.
 #[derive(Debug, thiserror::Error)]
@@ -30,7 +30,7 @@ pub enum SimError {
     /// The bus failed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The state that a forerunner left cannot be used.
+    /// The state that a predecessor left cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The same, found later.
@@ -46,15 +46,15 @@ pub enum SimError {
 /// # Errors
 /// [`SimError`].
 pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), SimError> {
-    let hold = rendezvous.roster().take(Role::Sim)?;
-    let bus = Bus::of_role(rendezvous, Role::Sim, &hold)?;
-    let mut sim = Driver::new(rendezvous, &bus, hold)?;
+    let lease = rendezvous.roster().take(Role::Sim)?;
+    let bus = Bus::of_role(rendezvous, Role::Sim, &lease)?;
+    let mut sim = Driver::new(rendezvous, &bus, lease)?;
     sim.act()?;
     while !sim.machine.has_ended() && !termination.requested() {
-        let calls = sim.wait();
-        sim.hold.sign();
+        let events = sim.wait();
+        sim.lease.renew();
         rendezvous.look_for_removal()?;
-        sim.receive(calls)?;
+        sim.receive(events)?;
         if !termination.requested() {
             sim.act()?;
         }
@@ -64,25 +64,25 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Sim
 
 struct Driver<'a> {
     rendezvous: &'a Rendezvous,
-    hold: RoleHold,
+    lease: RoleLease,
     machine: Machine,
     checkpoint: Option<Checkpoint>,
     log: Option<TickLogWriter<WorldRecord>>,
     worlds: Publisher<WorldEntry>,
     truths: Publisher<Truth>,
     drives: Subscriber<Drive>,
-    bed: Bed,
-    robots: Bell,
-    fusion: Bell,
+    waiter: Waiter,
+    robots: Notifier,
+    fusion: Notifier,
 }
 
 impl<'a> Driver<'a> {
-    fn new(rendezvous: &'a Rendezvous, bus: &Bus, hold: RoleHold) -> Result<Self, SimError> {
+    fn new(rendezvous: &'a Rendezvous, bus: &Bus, lease: RoleLease) -> Result<Self, SimError> {
         let description = rendezvous.description();
         let scenario = &description.scenario;
         let log =
             logs::write_worlds(description).inspect_err(|error| log::warn!("goes on without a log: {error}")).ok();
-        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim, &hold)?;
+        let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim, &lease)?;
         let mut machine = Machine::new(scenario, world_of(scenario, &description.out_dir)?);
         match restored {
             Some(saved) => {
@@ -93,34 +93,34 @@ impl<'a> Driver<'a> {
         }
         Ok(Self {
             rendezvous,
-            hold,
+            lease,
             machine,
             checkpoint,
             log,
             worlds: bus.publisher(scenario.robots.len())?,
             truths: bus.publisher(1)?,
             drives: bus.subscriber()?,
-            bed: bus.sleep_as(Sleeper::Sim),
-            robots: bus.bell_of(Sleeper::Robots),
-            fusion: bus.bell_of(Sleeper::Fusion),
+            waiter: bus.waiter_of(WaitGroup::Sim),
+            robots: bus.notifier_of(WaitGroup::Robots),
+            fusion: bus.notifier_of(WaitGroup::Fusion),
         })
     }
 
     /// Until called, or until the machine has something to do.
-    fn wait(&mut self) -> Calls {
+    fn wait(&mut self) -> Events {
         let left = self.machine.wakes_at_ns().map_or(IDLE, until);
         match self.machine.due_ns() {
-            None => self.bed.wait(left),
-            Some(_) if left > BED_LATE => self.bed.sleep((left - BED_LATE).min(IDLE)),
+            None => self.waiter.wait(left),
+            Some(_) if left > WAITER_LATE => self.waiter.sleep((left - WAITER_LATE).min(IDLE)),
             Some(_) => {
                 std::thread::sleep(left);
-                Calls::default()
+                Events::default()
             }
         }
     }
 
-    fn receive(&mut self, calls: Calls) -> Result<(), BusError> {
-        if calls.has(Call::Hello) {
+    fn receive(&mut self, events: Events) -> Result<(), BusError> {
+        if events.has(Event::Hello) {
             self.machine.on_hello();
         }
         let Self { machine, drives, .. } = self;
@@ -140,7 +140,7 @@ impl<'a> Driver<'a> {
                     Checkpoint::write_or_give_up(&mut self.checkpoint, &saved);
                 }
                 Action::SendWorld => {
-                    self.bed.expect(self.machine.expected());
+                    self.waiter.expect(self.machine.expected());
                     let world = self.machine.world();
                     self.worlds.send(self.machine.tick(), world.time_s(), world.entries())?;
                 }
@@ -149,10 +149,10 @@ impl<'a> Driver<'a> {
                     self.truths.send(self.machine.tick(), time_s, &[self.machine.truth()])?;
                 }
                 Action::Notify(notification) => match notification.to {
-                    Sleeper::Fusion => self.fusion.notify(&notification),
-                    Sleeper::Robots | Sleeper::Sim => self.robots.notify(&notification),
+                    WaitGroup::Fusion => self.fusion.notify(&notification),
+                    WaitGroup::Robots | WaitGroup::Sim => self.robots.notify(&notification),
                 },
-                Action::TellSilent(id) => self.tell_silent(id),
+                Action::ReportSilent(id) => self.report_silent(id),
                 Action::Finish => self.rendezvous.finish()?,
             }
         }
@@ -171,7 +171,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    fn tell_silent(&self, id: usize) {
+    fn report_silent(&self, id: usize) {
         let scenario = &self.rendezvous.description().scenario;
         let Patience::After(limit) = scenario.patience else { return };
         log::warn!("tick {}: goes on without {}, silent for {limit:?}", self.machine.tick(), scenario.name_of(id));

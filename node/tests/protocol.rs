@@ -30,7 +30,7 @@ fn type_names() -> String {
     let sources = [
         include_str!("../../shared/src/measurement.rs"),
         include_str!("../../shared/src/message.rs"),
-        include_str!("../src/bells.rs"),
+        include_str!("../src/wait_groups.rs"),
     ];
     let lines = sources.into_iter().flat_map(str::lines).filter(|line| line.starts_with("#["));
     let names = lines.filter_map(|line| line.split_once("type_name(")?.1.split_once(')'));

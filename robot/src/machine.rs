@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::protocol::timing::heading_deadline_ns;
-use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
+use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::drive::{Controller, HOLD_TICKS};
@@ -105,7 +105,7 @@ impl Machine {
             headings_refused: 0,
             actions: VecDeque::with_capacity(4),
         };
-        machine.notify(Notification::always(Sleeper::Sim, Call::Hello));
+        machine.notify(Notification::always(WaitGroup::Sim, Event::Hello));
         Some(machine)
     }
 
@@ -197,7 +197,7 @@ impl Machine {
         self.send_range(&header, range);
         // In real time the first one starts fusion's deadline.
         let or_first = self.clock == Clock::Realtime;
-        self.notify(Notification::by_last_answer(Sleeper::Fusion, Call::Range, header.tick, or_first));
+        self.notify(Notification::by_last_answer(WaitGroup::Fusion, Event::Range, header.tick, or_first));
     }
 
     /// Answers [`Action::CarryOut`]: what is driven.
@@ -209,7 +209,7 @@ impl Machine {
         self.send_drive(&present, drive);
         // In real time the simulator waits for its time, but for the first tick.
         if self.clock == Clock::Lockstep || present.tick == 0 {
-            self.notify(Notification::by_last_answer(Sleeper::Sim, Call::Drive, present.tick, false));
+            self.notify(Notification::by_last_answer(WaitGroup::Sim, Event::Drive, present.tick, false));
         }
     }
 
@@ -257,14 +257,14 @@ impl Machine {
         let Some(present) = self.present else { return };
         if let Some(drive) = present.drive {
             self.send_drive(&present, drive);
-            self.notify(Notification::always(Sleeper::Sim, Call::Drive));
+            self.notify(Notification::always(WaitGroup::Sim, Event::Drive));
         } else {
             self.actions.push_back(Action::SendRange(Outgoing {
                 tick: present.tick,
                 valid_at_s: present.time_s,
                 entry: present.range,
             }));
-            self.notify(Notification::always(Sleeper::Fusion, Call::Range));
+            self.notify(Notification::always(WaitGroup::Fusion, Event::Range));
         }
     }
 

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::message::{Drive, Truth};
 use rangehound_shared::protocol::timing::Suspension;
-use rangehound_shared::protocol::wake::{Call, Notification, Sleeper};
+use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
 use rangehound_shared::scenario::{Clock, Patience, Scenario};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ pub enum Action {
     /// Wake somebody.
     Notify(Notification),
     /// Say that the run goes on without a robot, which was silent for too long.
-    TellSilent(usize),
+    ReportSilent(usize),
     /// Put down that the run has come to its end.
     Finish,
 }
@@ -153,7 +153,7 @@ impl Machine {
         let (phase, action) = match self.phase {
             Phase::Begin => (Phase::Publish, Action::Save),
             Phase::Publish => (Phase::Wake, Action::SendWorld),
-            Phase::Wake => (Phase::TellTruth, Action::Notify(Notification::always(Sleeper::Robots, Call::World))),
+            Phase::Wake => (Phase::TellTruth, Action::Notify(Notification::always(WaitGroup::Robots, Event::World))),
             Phase::TellTruth => {
                 self.published(now_ns);
                 (Phase::Wait, Action::SendTruth)
@@ -166,9 +166,11 @@ impl Machine {
             Phase::NextTick if self.tick > self.last_tick => (Phase::TellRobots, Action::Finish),
             Phase::NextTick => (Phase::Wake, Action::SendWorld),
             Phase::TellRobots => {
-                (Phase::TellFusion, Action::Notify(Notification::always(Sleeper::Robots, Call::Finished)))
+                (Phase::TellFusion, Action::Notify(Notification::always(WaitGroup::Robots, Event::Finished)))
             }
-            Phase::TellFusion => (Phase::Ended, Action::Notify(Notification::always(Sleeper::Fusion, Call::Finished))),
+            Phase::TellFusion => {
+                (Phase::Ended, Action::Notify(Notification::always(WaitGroup::Fusion, Event::Finished)))
+            }
             Phase::Ended => return None,
         };
         self.phase = phase;
@@ -267,7 +269,7 @@ impl Machine {
             let first_ns = *self.first_answer_ns.get_or_insert(now_ns);
             if let Some(id) = self.silent_for_too_long(now_ns.saturating_sub(first_ns)) {
                 self.silent[id] = true;
-                return Some(Action::TellSilent(id));
+                return Some(Action::ReportSilent(id));
             }
             if self.drives.iter().zip(&self.silent).all(|(drive, silent)| drive.is_some() || *silent) {
                 if self.clock == Clock::Lockstep {

@@ -14,8 +14,8 @@ use rangehound_node::system::bounded;
 
 use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 use crate::failure::{self, Failure};
+use crate::files::atomic_file::{rename_to_free, with_ending};
 use crate::files::layout::PARTIAL;
-use crate::files::whole_file::{rename_to_free, with_ending};
 use crate::run::watch;
 
 /// Longest manual page that is looked at.

@@ -130,7 +130,7 @@ Examples:
 const RESUME: &str = "Example, after a kill of everything:
   rangehound resume runs/demo --name demo";
 
-const STATUS: &str = "A node is running, stopped (by a signal), hung (no sign of life for a second)
+const STATUS: &str = "A node is running, stopped (by a signal), hung (no heartbeat for a second)
 or gone. Who is not running comes first; more than 16 robots in one state share
 a line, unless --all. --json always has all. A run is finishing while it ends
 and its recording is written.

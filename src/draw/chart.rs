@@ -12,7 +12,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::files::whole_file;
+use crate::files::atomic_file;
 
 /// Colours told apart by most eyes.
 pub const COLOURS: [RGBColor; 7] = [
@@ -124,7 +124,7 @@ pub type Drawn = Result<(), Box<dyn std::error::Error>>;
 /// If it cannot be drawn or written; the file's name is in it.
 pub fn draw_to_file(path: &Path, size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> anyhow::Result<()> {
     let svg = draw_to_string(size, draw).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
-    whole_file::write(path, svg)
+    atomic_file::write(path, svg)
 }
 
 /// Draws a picture as an `<svg>` element for a page.

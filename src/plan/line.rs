@@ -20,7 +20,7 @@ use crate::files::input::COMMAND_LINE;
 
 /// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
 #[derive(Debug)]
-pub struct Desk {
+pub struct LineSolver {
     table: PlannerTable,
     seed: u64,
     kept: Vec<Kept>,
@@ -60,7 +60,7 @@ impl Serialize for EachOf<'_> {
     }
 }
 
-impl Desk {
+impl LineSolver {
     /// Answers with the planner of this table unless a line names another. Of the table's keys those
     /// that a line has are ignored.
     ///

@@ -13,7 +13,7 @@ use std::path::Path;
 use rangehound_shared::scenario::{PlannerTable, defaults};
 
 use crate::failure::Failure;
-use line::Desk;
+use line::LineSolver;
 
 /// Longest line that is taken into memory, bytes: some 300 000 robots.
 const LINE_BYTES_MAX: usize = 16 << 20;
@@ -26,7 +26,7 @@ const CHUNK_BYTES: usize = 1 << 16;
 /// # Errors
 /// [`Failure`].
 pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Result<(), Failure> {
-    let mut desk = Desk::new(table, seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
+    let mut desk = LineSolver::new(table, seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
     let (name, input): (String, Box<dyn Read>) = match file {
         Some(path) if path != Path::new("-") => {
             let name = path.display().to_string();
@@ -65,7 +65,7 @@ enum Stopped {
 /// Answers leave whenever the next read might wait, so that who writes one line gets its answer. Of
 /// a line longer than `line_bytes_max` nothing is kept.
 fn serve(
-    desk: &mut Desk,
+    desk: &mut LineSolver,
     input: impl Read,
     output: impl Write,
     line_bytes_max: usize,
@@ -134,7 +134,7 @@ mod tests {
 
     /// What is answered, and the numbers of the lines that are complained of.
     fn served(input: impl Read, line_bytes_max: usize) -> (Vec<String>, Vec<u64>) {
-        let mut desk = Desk::new(PlannerTable::default(), 1).unwrap();
+        let mut desk = LineSolver::new(PlannerTable::default(), 1).unwrap();
         let (mut output, mut complaints) = (Vec::new(), Vec::new());
         let refused = serve(&mut desk, input, &mut output, line_bytes_max, |number, _| complaints.push(number));
         assert_eq!(refused.unwrap(), complaints.len() as u64);

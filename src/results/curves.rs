@@ -19,7 +19,7 @@ const POINTS_MAX: u64 = 1_500;
 /// Points of all robots' paths together: a page stays small enough to be sent to somebody.
 const ROBOT_POINTS_MAX: u64 = 50_000;
 
-/// Stretches that a run is cut into.
+/// Buckets that a run is cut into.
 const STRETCHES_MAX: u64 = 300;
 
 /// Largest number that axes can be made for.
@@ -35,14 +35,14 @@ pub struct Curves {
     /// The least that the trace could have been, where that is proven: time and trace, s and m^2.
     pub least_traces_m2: Vec<(f64, f64)>,
     /// All ticks, added up.
-    pub stretches: Vec<Stretch>,
+    pub stretches: Vec<Bucket>,
     /// When ticks were over, monotonic ns, and their times, s.
     ended_ns: Vec<(u64, f64)>,
 }
 
 /// Some ticks in a row, added up.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Stretch {
+pub struct Bucket {
     first_tick: u64,
     /// Time of its first tick, s.
     pub time_s: f64,
@@ -62,7 +62,7 @@ pub struct Stretch {
     pub without_heading: u64,
 }
 
-impl Stretch {
+impl Bucket {
     fn add(&mut self, estimate: &Estimate) {
         // What a damaged log holds may be any number.
         let add = |sum: &mut u64, count: u64| *sum = sum.saturating_add(count);
@@ -144,7 +144,7 @@ impl Curves {
     fn add_to_stretch(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
         let Self { stretches, .. } = self;
         if stretches.last().is_none_or(|last| tick - last.first_tick >= thinning.stretch) {
-            stretches.push(Stretch { first_tick: tick, time_s, ..Stretch::default() });
+            stretches.push(Bucket { first_tick: tick, time_s, ..Bucket::default() });
         }
         if let Some(stretch) = stretches.last_mut() {
             stretch.add(estimate);

@@ -11,8 +11,8 @@ use rangehound_shared::scenario::Source;
 
 use super::frame::{Frames, PutDown};
 use super::report::position_covariance;
+use crate::files::atomic_file::WholeFile;
 use crate::files::layout::{ESTIMATES, RANGES, TRUTH};
-use crate::files::whole_file::WholeFile;
 
 /// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes
 /// several ticks for it, of which the last knows most. A recording's tick 0 is left out: it comes before the first range,

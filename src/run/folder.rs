@@ -10,10 +10,10 @@ use rangehound_shared::sealed;
 
 use super::experiment::Experiment;
 use crate::failure::Failure;
+use crate::files::atomic_file::{self, WholeFile};
 use crate::files::input::in_utf8;
 use crate::files::layout::{DESCRIPTION, Kind, SCENARIO};
 use crate::files::out_folder::{self, Claim};
-use crate::files::whole_file::{self, WholeFile};
 
 /// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario.
 ///
@@ -31,8 +31,8 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
             recording.write_csv(&mut copy)?;
             copy.finish()?;
         }
-        whole_file::write(&out_dir.join(SCENARIO), experiment.scenario_file.to_toml()?)?;
-        whole_file::write_for_owner(&out_dir.join(DESCRIPTION), experiment.description_for_nodes().seal()?)
+        atomic_file::write(&out_dir.join(SCENARIO), experiment.scenario_file.to_toml()?)?;
+        atomic_file::write_for_owner(&out_dir.join(DESCRIPTION), experiment.description_for_nodes().seal()?)
     };
     written().map_err(|error: anyhow::Error| {
         Failure::input(format!("--out: expected a folder that can be written: {error}"))

@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::failure::{self, Failure};
 
-/// Of who looks on.
+/// Of observers.
 const LEAST_PRIORITY: i32 = 19;
 
 /// Runs the simulator of a run until it ends.

@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 const POLL: Duration = Duration::from_millis(10);
 
-/// Time without a sign of life after which a process that runs is shown as hung.
+/// Time without a heartbeat after which a process that runs is shown as hung.
 const HUNG: Duration = Duration::from_secs(1);
 
 /// State of a node that lives where it cannot be looked at: in another PID namespace.
@@ -51,11 +51,11 @@ pub(crate) struct NodeStatus {
     pub(crate) name: String,
     /// The name of a robot's sensor in the recording.
     pub(crate) sensor: Option<String>,
-    /// `running`, `stopped` (by a signal), `hung` (gives no sign of life), `gone`, or `elsewhere` (in another PID namespace).
+    /// `running`, `stopped` (by a signal), `hung` (sends no heartbeat), `gone`, or `elsewhere` (in another PID namespace).
     pub(crate) state: &'static str,
     pub(crate) pid: Option<i32>,
     pub(crate) starts: u64,
-    /// Since its last sign of life, s; by the wall clock, so that a jump of it shows until the next sign.
+    /// Since its last heartbeat, s; by the wall clock, so that a jump of it shows until the next sign.
     pub(crate) silent_s: Option<f64>,
     /// Resident memory, kB.
     pub(crate) resident_kb: Option<u64>,
@@ -243,7 +243,7 @@ impl NodeStatus {
             Holder::Nobody | Holder::Elsewhere => (None, String::new()),
         };
         let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
-        let silent = run.roster().last_sign(role).filter(|_| !matches!(holder, Holder::Nobody));
+        let silent = run.roster().last_heartbeat(role).filter(|_| !matches!(holder, Holder::Nobody));
         let silent = silent.map(|sign| SystemTime::now().duration_since(sign).unwrap_or_default());
         let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
             _ if matches!(holder, Holder::Elsewhere) => ELSEWHERE,

@@ -18,7 +18,7 @@ use proptest::num::f64::ANY;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use proptest::test_runner::{RngSeed, TestRunner};
-use rangehound::plan::line::Desk;
+use rangehound::plan::line::LineSolver;
 use rangehound::results::report::Truth;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::world::world_of;
@@ -211,7 +211,7 @@ fn long_input_is_taken_or_refused_too() {
             let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"), &ReadOptions::default())
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = Truth::parse(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
-            let mut desk = Desk::new(PlannerTable::default(), 1).unwrap();
+            let mut desk = LineSolver::new(PlannerTable::default(), 1).unwrap();
             desk.answer(1, text.as_bytes(), &mut Vec::new());
         }
     }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use rangehound_node::bus::{Bus, Sleeper};
+use rangehound_node::bus::{Bus, WaitGroup};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{Rendezvous, RunDescription};
 use rangehound_shared::record::{Heading, RobotRecord, WorldRecord};
@@ -60,7 +60,7 @@ fn status(run: &Run) -> serde_json::Value {
     serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap()
 }
 
-/// Time since the last sign of life of a node, counted as `status` lists them, s.
+/// Time since the last heartbeat of a node, counted as `status` lists them, s.
 fn silent_s(status: &serde_json::Value, node: usize) -> f64 {
     status["nodes"][node]["silent_s"].as_f64().unwrap()
 }
@@ -105,7 +105,7 @@ fn a_hung_node_is_killed_after_the_patience_and_replaced() {
         let said = interrupt(supervisor);
         assert_eq!(counts(&run, "hangs"), [1, 1, 0, 1, 0], "{clock}: {said}");
         assert_eq!(counts(&run, "kills"), [1, 1, 0, 1, 0], "{clock}: {said}");
-        assert!(said.contains("robot-1 gave no sign of life for 500ms"), "{said}");
+        assert!(said.contains("robot-1 sent no heartbeat for 500ms"), "{said}");
         run.assert_nothing_left();
     }
 }
@@ -127,7 +127,7 @@ fn in_lock_step_hangs_of_simulator_and_fusion_change_nothing() {
     run.assert_nothing_left();
 }
 
-/// Before it has taken its role a node gives no sign of life at all.
+/// Before it has taken its role a node sends no heartbeat at all.
 #[test]
 fn a_node_that_hangs_while_it_starts_is_replaced() {
     let run = Run::new();
@@ -137,7 +137,7 @@ fn a_node_that_hangs_while_it_starts_is_replaced() {
     let door = std::fs::File::open(run.shared_folder().join("door")).unwrap();
     door.lock().unwrap();
     signal(run.pid_of("robot-1", 1), Signal::KILL);
-    run.wait_until("the start is given up", || supervisor.stderr().contains("robot-1 gave no sign of life"));
+    run.wait_until("the start is given up", || supervisor.stderr().contains("robot-1 sent no heartbeat"));
     drop(door);
     run.pid_of("robot-1", 2);
     interrupt(supervisor);
@@ -178,7 +178,7 @@ fn a_sleep_of_next_to_no_time_ends() {
     std::thread::spawn(move || {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "default").unwrap();
         let rendezvous = Rendezvous::found(&name, RunDescription::new(scenario, out_dir)).unwrap();
-        let bed = Bus::connect(&rendezvous, "observer").unwrap().sleep_as(Sleeper::Sim);
+        let bed = Bus::connect(&rendezvous, "observer").unwrap().waiter_of(WaitGroup::Sim);
         for nanoseconds in [0, 1, 999, 1_000] {
             bed.sleep(Duration::from_nanos(nanoseconds));
         }

@@ -87,7 +87,7 @@ fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
         "door",
         "iceoryx2.toml",
         "sim.role",
-        "bells.dyn",
+        "wait_groups.dyn",
         ".dynamic",
         ".data",
         ".connection",

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use rangehound_node::bus::{Bus, Call, Sleeper};
+use rangehound_node::bus::{Bus, Event, WaitGroup};
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command as Heading, Drive, Range, WorldEntry};
@@ -33,7 +33,7 @@ fn rogue() {
     let headings = bus.publisher::<Heading>(robots).unwrap();
     let drives = bus.publisher::<Drive>(1).unwrap();
     let worlds = bus.publisher::<WorldEntry>(robots).unwrap();
-    let bells = [Sleeper::Sim, Sleeper::Fusion, Sleeper::Robots].map(|sleeper| bus.bell_of(sleeper));
+    let notifiers = [WaitGroup::Sim, WaitGroup::Fusion, WaitGroup::Robots].map(|sleeper| bus.notifier_of(sleeper));
     // A successor of whoever is there, as far as words go.
     bus.speak_as(1_000);
     println!("joined");
@@ -56,9 +56,9 @@ fn rogue() {
                 .send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots])
                 .unwrap();
         }
-        for bell in &bells {
-            for call in [Call::World, Call::Range, Call::Heading, Call::Drive, Call::Hello] {
-                bell.ring(call);
+        for notifier in &notifiers {
+            for event in [Event::World, Event::Range, Event::Heading, Event::Drive, Event::Hello] {
+                notifier.signal(event);
             }
         }
     }

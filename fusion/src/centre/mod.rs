@@ -48,7 +48,7 @@ pub struct Centre {
     dt_s: f64,
     speed_limits_mps: Vec<f64>,
     /// Standard deviations of the robots' ranges before they have said any, m.
-    told_stds_m: Vec<f64>,
+    reported_stds_m: Vec<f64>,
     tracking: Tracking,
     /// `None`: late reports are missed.
     past: Option<Past>,
@@ -113,7 +113,7 @@ impl Centre {
             recorded: matches!(scenario.source, Source::Recorded { .. }),
             dt_s: scenario.dt_s,
             speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
-            told_stds_m: scenario.robots.iter().map(|robot| robot.told_std_m).collect(),
+            reported_stds_m: scenario.robots.iter().map(|robot| robot.reported_std_m).collect(),
             tracking: Tracking::new(scenario),
             past: None,
             planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
@@ -334,7 +334,7 @@ impl Centre {
             Some(TeamMember {
                 position_m,
                 max_speed_mps: self.speed_limits_mps[id],
-                sensor: Sensor::Range { std_m: range_std_m.unwrap_or(self.told_stds_m[id]) * noise_scale },
+                sensor: Sensor::Range { std_m: range_std_m.unwrap_or(self.reported_stds_m[id]) * noise_scale },
                 is_fused: !distrusted.contains(id),
             })
         });

@@ -11,7 +11,7 @@
 //! | `estimate` | fusion -> observers | the estimate |
 //! | `truth` | sim -> observers | the target's true state |
 //!
-//! Data travels on topics; a wake-up ([`Bell`]) only says "look". Each process waits in one [`Bed`], for a
+//! Data travels on topics; a wake-up ([`Notifier`]) only says "look". Each process waits in one [`Waiter`], for a
 //! limited time, and drains the topics that it is called for, or all of them if nobody called, because wake-ups
 //! coalesce. Observers are never woken: they look when they like.
 
@@ -29,15 +29,15 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::ipc::Service;
 use rangehound_shared::message::{Command, Drive, Estimate, Header, Outgoing, Range, Truth, WorldEntry};
-pub use rangehound_shared::protocol::wake::{Call, Calls, Sleeper};
+pub use rangehound_shared::protocol::wake::{Event, Events, WaitGroup};
 use rustix::process::Pid;
 
-use crate::bells::Bells;
-pub use crate::bells::{Bed, Bell};
 use crate::block::BlockError;
-use crate::rendezvous::{Rendezvous, Role, RoleHold, RunDescription};
+use crate::rendezvous::{Rendezvous, Role, RoleLease, RunDescription};
 use crate::system::clock::monotonic_ns;
 use crate::system::resources;
+use crate::wait_groups::WaitGroups;
+pub use crate::wait_groups::{Notifier, Waiter};
 use senders::{Senders, Standing};
 
 /// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past
@@ -116,7 +116,7 @@ pub struct Bus {
     robots: usize,
     incarnation: Rc<Cell<u64>>,
     senders: Rc<Senders>,
-    bells: Bells,
+    wait_groups: WaitGroups,
 }
 
 impl Bus {
@@ -124,9 +124,9 @@ impl Bus {
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
-    pub fn of_role(run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<Self, BusError> {
+    pub fn of_role(run: &Rendezvous, role: Role, lease: &RoleLease) -> Result<Self, BusError> {
         let bus = Self::connect(run, &role.to_string())?;
-        bus.take_role(run, role, hold)?;
+        bus.take_role(run, role, lease)?;
         Ok(bus)
     }
 
@@ -134,9 +134,9 @@ impl Bus {
     ///
     /// # Errors
     /// [`BusError`] if that cannot be told to the others.
-    pub fn take_role(&self, run: &Rendezvous, role: Role, hold: &RoleHold) -> Result<(), BusError> {
-        self.speak_as(hold.incarnation);
-        let told = run.roster().speak_through(role, hold, self.node.id().value());
+    pub fn take_role(&self, run: &Rendezvous, role: Role, lease: &RoleLease) -> Result<(), BusError> {
+        self.speak_as(lease.incarnation);
+        let told = run.roster().speak_through(role, lease, self.node.id().value());
         told.map_err(|error| BusError { what: format!("role {role}"), reason: error.to_string() })
     }
 
@@ -147,15 +147,15 @@ impl Bus {
     pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
         let node = node(run, name)?;
         let senders = Rc::new(Senders::new(run.roster().clone(), run.description().scenario.robots.len()));
-        let bells_error = |error: BlockError| {
+        let wait_groups_error = |error: BlockError| {
             let said = error.to_string();
             // They are made before anybody can join.
             let is_gone = said.contains("DoesNotExist");
             let out_dir = run.description().out_dir.display();
             let gone = format!("removed while the run went on: stop it, and go on with `rangehound resume {out_dir}`");
-            BusError { what: "bells".to_owned(), reason: if is_gone { format!("{gone} ({said})") } else { said } }
+            BusError { what: "wait_groups".to_owned(), reason: if is_gone { format!("{gone} ({said})") } else { said } }
         };
-        let bells = Bells::open(run.shared_memory_prefix()).map_err(bells_error)?;
+        let wait_groups = WaitGroups::open(run.shared_memory_prefix()).map_err(wait_groups_error)?;
         let RunDescription { run_id, scenario, .. } = run.description();
         Ok(Self {
             node,
@@ -163,7 +163,7 @@ impl Bus {
             robots: scenario.robots.len(),
             incarnation: Rc::new(Cell::new(0)),
             senders,
-            bells,
+            wait_groups,
         })
     }
 
@@ -247,14 +247,14 @@ impl Bus {
 
     /// The bed of one sleeper: what this process waits on.
     #[must_use]
-    pub fn sleep_as(&self, sleeper: Sleeper) -> Bed {
-        Bed::new(self.bells.clone(), sleeper)
+    pub fn waiter_of(&self, group: WaitGroup) -> Waiter {
+        Waiter::new(self.wait_groups.clone(), group)
     }
 
     /// A bell that wakes a sleeper.
     #[must_use]
-    pub fn bell_of(&self, sleeper: Sleeper) -> Bell {
-        Bell::new(self.bells.clone(), sleeper)
+    pub fn notifier_of(&self, group: WaitGroup) -> Notifier {
+        Notifier::new(self.wait_groups.clone(), group)
     }
 }
 

@@ -68,7 +68,7 @@ impl RunDescription {
         if description.written_by(&program)?.as_bytes() != bytes {
             return Err(SealError::Damaged);
         }
-        if description.scenario.is_whole() { Ok(description) } else { Err(SealError::Malformed) }
+        if description.scenario.is_complete() { Ok(description) } else { Err(SealError::Malformed) }
     }
 
     fn written_by(&self, program: &str) -> Result<String, SealError> {

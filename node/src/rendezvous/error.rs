@@ -54,9 +54,9 @@ pub enum RendezvousError {
         /// What founded it.
         build: OtherBuild,
     },
-    /// The bells cannot be made.
+    /// The wait groups cannot be made.
     #[error(transparent)]
-    Bells(#[from] BlockError),
+    WaitGroups(#[from] BlockError),
     /// The system refuses a file operation.
     #[error("{}: {source}", .path.display())]
     Io {

@@ -35,11 +35,11 @@ use rangehound_shared::run_name::RunName;
 use rangehound_shared::sealed::{self, SealError};
 use rustix::process::Signal;
 
-use crate::bells;
 use crate::system::bounded;
 use crate::system::resources;
 use crate::system::signal::Termination;
 use crate::tick_log::TickLogWriter;
+use crate::wait_groups;
 pub use description::RunDescription;
 pub use error::RendezvousError;
 pub use holder::{Holder, Process};
@@ -47,7 +47,7 @@ use place::{Place, run_names};
 pub use presence::Inspection;
 use presence::Presence;
 pub use role::Role;
-pub use roster::{RoleHold, Roster, Succession};
+pub use roster::{RoleLease, Roster, Succession};
 
 /// How often a joiner looks whether its run has been founded.
 const JOIN_POLL: Duration = Duration::from_millis(20);
@@ -115,7 +115,7 @@ impl Rendezvous {
         };
         place.remove_leftovers();
         place.write("iceoryx2.toml", place.iceoryx2_config().as_bytes())?;
-        bells::create(place.prefix())?;
+        wait_groups::create(place.prefix())?;
         let sealed =
             description.seal().map_err(|reason| RendezvousError::Unusable { file: place.path("run"), reason })?;
         place.write("run", sealed.as_bytes())?;
@@ -300,9 +300,13 @@ impl Rendezvous {
     ///
     /// # Errors
     /// If that cannot be told, as the door cannot be locked: nothing was done.
-    pub fn while_current<T>(&self, hold: &RoleHold, action: impl FnOnce() -> T) -> Result<Option<T>, RendezvousError> {
+    pub fn while_current<T>(
+        &self,
+        lease: &RoleLease,
+        action: impl FnOnce() -> T,
+    ) -> Result<Option<T>, RendezvousError> {
         let _door = self.place.enter(false)?;
-        Ok(hold.is_current().then(action))
+        Ok(lease.is_current().then(action))
     }
 
     /// Leaves a note for others of this user in the run's folder, which goes with the run.

@@ -90,8 +90,8 @@ pub struct Inspection {
 
 impl Inspection {
     pub(super) fn of(place: &Place) -> Self {
-        let bells = place.files().into_iter().filter(|path| path.to_string_lossy().ends_with("_bells.dyn"));
-        let common = FOUNDATION.map(|file| place.path(file)).into_iter().chain(bells).map(Known::of).collect();
+        let wait_groups = place.files().into_iter().filter(|path| path.to_string_lossy().ends_with("_wait_groups.dyn"));
+        let common = FOUNDATION.map(|file| place.path(file)).into_iter().chain(wait_groups).map(Known::of).collect();
         Self { place: place.clone(), common, suspects: Vec::new(), next: 0 }
     }
 

@@ -1,7 +1,7 @@
 //! Who holds which role: a locked file each.
 //!
 //! The lock says who holds a role, and ends with its process. The file's text counts how often the role has
-//! been taken and names the holder's process; its time of change is the holder's last sign of life.
+//! been taken and names the holder's process; its time of change is the holder's last heartbeat.
 //!
 //! A role is passed on in two ways. A holder that ends lets go of the lock, and whoever waits for it has it. A
 //! holder that hangs keeps its lock and is deposed: a new file takes the name of the old one, whose lock
@@ -21,7 +21,7 @@ use super::place::Place;
 use super::tenure::Tenure;
 use super::{RendezvousError, Role};
 
-/// How often a holder gives a sign of life, if it is called or wakes up often enough.
+/// How often a holder gives a heartbeat, if it is called or wakes up often enough.
 const SIGN: Duration = Duration::from_millis(50);
 
 /// Whoever looks whether a role is held has its lock for a moment: not at once taken for a holder.
@@ -35,7 +35,7 @@ pub struct Roster {
 
 /// One process's hold on its role.
 #[derive(Debug)]
-pub struct RoleHold {
+pub struct RoleLease {
     file: File,
     /// Which holder of the role this is, counted from 1: its fencing token.
     pub incarnation: u64,
@@ -57,7 +57,7 @@ impl Roster {
     ///
     /// # Errors
     /// [`RendezvousError::RoleTaken`] if a living process has it.
-    pub fn take(&self, role: Role) -> Result<RoleHold, RendezvousError> {
+    pub fn take(&self, role: Role) -> Result<RoleLease, RendezvousError> {
         let began = Instant::now();
         loop {
             let file = self.place.open(&file_name(role))?;
@@ -66,7 +66,7 @@ impl Roster {
                     // Behind the door nobody is deposed: what is seen of the file then stays so.
                     let _door = self.place.enter(false)?;
                     if is_current(&file) {
-                        return self.sign_up(role, file);
+                        return self.register(role, file);
                     }
                 }
                 Err(TryLockError::WouldBlock) if began.elapsed() < GLANCE => {
@@ -120,11 +120,11 @@ impl Roster {
         role: Role,
         succession: &Succession,
         at_most: Duration,
-    ) -> Result<Option<RoleHold>, RendezvousError> {
+    ) -> Result<Option<RoleLease>, RendezvousError> {
         match succession.freed.recv_timeout(at_most) {
             Ok(file) => {
                 let _door = self.place.enter(false)?;
-                if is_current(&file) { self.sign_up(role, file).map(Some) } else { Ok(None) }
+                if is_current(&file) { self.register(role, file).map(Some) } else { Ok(None) }
             }
             Err(RecvTimeoutError::Timeout) => Ok(None),
             Err(RecvTimeoutError::Disconnected) => {
@@ -134,15 +134,15 @@ impl Roster {
         }
     }
 
-    /// Takes a role from a holder that has given no sign of life since this one. `None` if it has, or if
+    /// Takes a role from a holder that has given no heartbeat since this one. `None` if it has, or if
     /// another was faster.
     ///
     /// # Errors
     /// If the role's file cannot be written.
-    pub fn depose(&self, role: Role, last_sign: SystemTime) -> Result<Option<RoleHold>, RendezvousError> {
+    pub fn depose(&self, role: Role, last_heartbeat: SystemTime) -> Result<Option<RoleLease>, RendezvousError> {
         let _door = self.place.enter(false)?;
-        let tenure = Tenure { starts: self.starts(role), sign: self.last_sign(role) };
-        if !tenure.is_silent_since(&last_sign) {
+        let tenure = Tenure { starts: self.starts(role), heartbeat: self.last_heartbeat(role) };
+        if !tenure.is_silent_since(&last_heartbeat) {
             return Ok(None);
         }
         let (name, partial) = (file_name(role), format!("{}.partial", file_name(role)));
@@ -153,18 +153,18 @@ impl Roster {
         // Signed before it has the name: nobody sees a role that is not counted.
         write_entry(&mut file, incarnation).map_err(io_error)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
-        Ok(Some(RoleHold::new(role, file, incarnation)))
+        Ok(Some(RoleLease::new(role, file, incarnation)))
     }
 
     /// Counts a start of the role and puts this process down in its file, whose lock it has. The caller holds the door.
-    fn sign_up(&self, role: Role, mut file: File) -> Result<RoleHold, RendezvousError> {
+    fn register(&self, role: Role, mut file: File) -> Result<RoleLease, RendezvousError> {
         let io_error = |source| self.place.io_error(&file_name(role), source);
         let mut text = String::new();
         file.read_to_string(&mut text).map_err(io_error)?;
         let starts = parse_entry(&text).map_or(0, |(starts, _)| starts);
-        let incarnation = Tenure::<SystemTime> { starts, sign: None }.next_incarnation();
+        let incarnation = Tenure::<SystemTime> { starts, heartbeat: None }.next_incarnation();
         write_entry(&mut file, incarnation).map_err(io_error)?;
-        Ok(RoleHold::new(role, file, incarnation))
+        Ok(RoleLease::new(role, file, incarnation))
     }
 
     /// Sets how often a role has been taken, in a run that was founded again: each holder has a greater incarnation
@@ -226,8 +226,8 @@ impl Roster {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn speak_through(&self, role: Role, hold: &RoleHold, node: u128) -> Result<(), RendezvousError> {
-        self.place.write(&node_file_name(role), node_entry(hold.incarnation, node).as_bytes())
+    pub fn speak_through(&self, role: Role, lease: &RoleLease, node: u128) -> Result<(), RendezvousError> {
+        self.place.write(&node_file_name(role), node_entry(lease.incarnation, node).as_bytes())
     }
 
     /// How often a role has been taken in this run.
@@ -275,16 +275,16 @@ impl Roster {
         file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// When the holder of this role last gave a sign of life: only whether it changes means anything, for
+    /// When the holder of this role last gave a heartbeat: only whether it changes means anything, for
     /// the wall clock may jump.
     #[must_use]
-    pub fn last_sign(&self, role: Role) -> Option<SystemTime> {
+    pub fn last_heartbeat(&self, role: Role) -> Option<SystemTime> {
         std::fs::metadata(self.place.path(&file_name(role))).ok()?.modified().ok()
     }
 
-    /// The process that took this role last, and its last sign of life, of one moment.
+    /// The process that took this role last, and its last heartbeat, of one moment.
     #[must_use]
-    pub fn signed_by(&self, role: Role) -> Option<(Pid, SystemTime)> {
+    pub fn heartbeat_of(&self, role: Role) -> Option<(Pid, SystemTime)> {
         let mut file = File::open(self.place.path(&file_name(role))).ok()?;
         let mut text = String::new();
         file.read_to_string(&mut text).ok()?;
@@ -292,7 +292,7 @@ impl Roster {
     }
 }
 
-impl RoleHold {
+impl RoleLease {
     fn new(role: Role, file: File, incarnation: u64) -> Self {
         role.name_process();
         Self { file, incarnation, signed: Cell::new(Instant::now()) }
@@ -304,8 +304,8 @@ impl RoleHold {
         is_current(&self.file)
     }
 
-    /// Gives a sign of life now and then; to be called in each round of a node's loop.
-    pub fn sign(&self) {
+    /// Gives a heartbeat now and then; to be called in each round of a node's loop.
+    pub fn renew(&self) {
         if self.signed.get().elapsed() >= SIGN {
             self.signed.set(Instant::now());
             // A failure shows as silence.
@@ -403,22 +403,22 @@ mod tests {
         let run = run("roster-depose");
         let roster = run.roster();
         let old = roster.take(Role::Fusion).unwrap();
-        let silence = roster.last_sign(Role::Fusion).unwrap();
+        let silence = roster.last_heartbeat(Role::Fusion).unwrap();
         std::thread::sleep(2 * SIGN);
-        old.sign();
+        old.renew();
         assert!(roster.depose(Role::Fusion, silence).unwrap().is_none() && old.is_current());
 
-        let silence = roster.last_sign(Role::Fusion).unwrap();
+        let silence = roster.last_heartbeat(Role::Fusion).unwrap();
         let new = roster.depose(Role::Fusion, silence).unwrap().unwrap();
         assert!(new.is_current() && !old.is_current());
         assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
         assert_eq!(run.while_current(&new, || 7).unwrap(), Some(7));
         assert_eq!(run.while_current(&old, || 7).unwrap(), None);
         // Neither its signs nor its end are the role's any more.
-        let silence = roster.last_sign(Role::Fusion);
+        let silence = roster.last_heartbeat(Role::Fusion);
         std::thread::sleep(2 * SIGN);
-        old.sign();
-        assert_eq!(roster.last_sign(Role::Fusion), silence);
+        old.renew();
+        assert_eq!(roster.last_heartbeat(Role::Fusion), silence);
         drop(old);
         assert!(roster.is_held(Role::Fusion));
         assert!(matches!(roster.take(Role::Fusion), Err(RendezvousError::RoleTaken { .. })));
@@ -430,7 +430,7 @@ mod tests {
         let run = run("roster-race");
         let roster = run.roster();
         let first = roster.take(Role::Fusion).unwrap();
-        let silence = roster.last_sign(Role::Fusion).unwrap();
+        let silence = roster.last_heartbeat(Role::Fusion).unwrap();
         let succession = roster.succeed(Role::Fusion);
         drop(first);
         // The one that waits has the lock, and has not signed.
@@ -447,13 +447,13 @@ mod tests {
     fn a_number_that_is_a_strangers_leads_to_nobody() {
         let run = run("roster-stranger");
         let roster = run.roster();
-        let hold = roster.take(Role::Robot(0)).unwrap();
+        let lease = roster.take(Role::Robot(0)).unwrap();
         let mut stranger = std::process::Command::new("sleep").arg("60").spawn().unwrap();
         // As a process of another namespace would have put down its number, which is another's here.
         let path = run.place.path(&file_name(Role::Robot(0)));
         std::fs::write(path, format!("{:010} {:010}\n", 1, stranger.id())).unwrap();
         assert_eq!(roster.holder(Role::Robot(0)), Some(rustix::process::getpid()), "who has the lock");
-        drop(hold);
+        drop(lease);
         assert!(matches!(roster.process(Role::Robot(0)), Holder::Nobody));
         stranger.kill().unwrap();
         stranger.wait().unwrap();

@@ -17,7 +17,7 @@ impl RecordedSensor {
     #[must_use]
     pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
         let spec = scenario.robots.get(robot)?;
-        Some(Self { std_m: spec.told_std_m, calibration: spec.calibration })
+        Some(Self { std_m: spec.reported_std_m, calibration: spec.calibration })
     }
 }
 

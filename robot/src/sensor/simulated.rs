@@ -10,7 +10,7 @@ use super::RangeSensor;
 #[derive(Debug, Clone)]
 pub struct SimulatedSensor {
     std_m: f64,
-    told_std_m: f64,
+    reported_std_m: f64,
     noise: Draws,
 }
 
@@ -19,15 +19,15 @@ impl SimulatedSensor {
     #[must_use]
     pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
         let spec = scenario.robots.get(robot)?;
-        let (std_m, told_std_m) = (spec.range_std_m, spec.told_std_m);
-        Some(Self { std_m, told_std_m, noise: Draws::new(scenario.seed, Stream::RangeNoise { robot }) })
+        let (std_m, reported_std_m) = (spec.range_std_m, spec.reported_std_m);
+        Some(Self { std_m, reported_std_m, noise: Draws::new(scenario.seed, Stream::RangeNoise { robot }) })
     }
 }
 
 impl RangeSensor for SimulatedSensor {
     #[allow(clippy::misnamed_getters, reason = "the filter is told another noise than the sensor has")]
     fn std_m(&self) -> f64 {
-        self.told_std_m
+        self.reported_std_m
     }
 
     fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64> {
@@ -71,8 +71,8 @@ mod tests {
             let mut sensor = SimulatedSensor::new(&Scenario::from_file(&file, "test").unwrap(), 0).unwrap();
             (sensor.measure(1, &entry(RangeKind::True)), sensor.std_m())
         };
-        let (measured, told_std_m) = told("[filter]\nrange_std_m = 0.25\n");
-        assert_eq!((measured, told_std_m), (told("").0, 0.25));
+        let (measured, reported_std_m) = told("[filter]\nrange_std_m = 0.25\n");
+        assert_eq!((measured, reported_std_m), (told("").0, 0.25));
     }
 
     #[test]

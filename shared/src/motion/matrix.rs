@@ -43,7 +43,7 @@ impl Matrix {
     }
 
     /// True if it is n x n of finite numbers, as every matrix made here is of its size.
-    pub(crate) fn is_whole(&self, n: usize) -> bool {
+    pub(crate) fn is_complete(&self, n: usize) -> bool {
         (self.rows, self.columns, self.values.len()) == (n, n, n.saturating_mul(n))
             && self.values.iter().all(|value| value.is_finite())
     }

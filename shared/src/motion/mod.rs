@@ -42,12 +42,12 @@ pub struct Transition<const N: usize> {
 
 impl MotionModel {
     /// True if its dimensions go together and are among those that there is code for.
-    pub(crate) fn is_whole(&self) -> bool {
+    pub(crate) fn is_complete(&self) -> bool {
         match self {
             Self::IntegratorChain { order, noise_psd } => (1..=3).contains(order) && noise_psd.is_finite(),
             Self::Custom { phi, process_noise } => {
                 let n = phi.shape().0;
-                (2..=STATE_DIM_MAX).contains(&n) && phi.is_whole(n) && process_noise.is_whole(n)
+                (2..=STATE_DIM_MAX).contains(&n) && phi.is_complete(n) && process_noise.is_complete(n)
             }
         }
     }

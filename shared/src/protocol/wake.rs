@@ -2,7 +2,7 @@
 
 /// Who can be woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sleeper {
+pub enum WaitGroup {
     /// The simulator.
     Sim,
     /// The fusion centre.
@@ -13,7 +13,7 @@ pub enum Sleeper {
 
 /// Why somebody is woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Call {
+pub enum Event {
     /// There is something on the topic `world`.
     World,
     /// On `range`.
@@ -29,23 +29,23 @@ pub enum Call {
 }
 
 /// How many kinds of calls there are.
-pub const CALLS: usize = 6;
+pub const EVENTS: usize = 6;
 
 /// What a wait returned: the calls that came, none if time ran out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Calls([bool; CALLS]);
+pub struct Events([bool; EVENTS]);
 
-impl Calls {
-    /// The calls that came, in the order of [`Call`].
+impl Events {
+    /// The calls that came, in the order of [`Event`].
     #[must_use]
-    pub fn new(came: [bool; CALLS]) -> Self {
+    pub fn new(came: [bool; EVENTS]) -> Self {
         Self(came)
     }
 
     /// True if this call was among them.
     #[must_use]
-    pub fn has(self, call: Call) -> bool {
-        self.0[call as usize]
+    pub fn has(self, event: Event) -> bool {
+        self.0[event as usize]
     }
 
     /// True if nobody called: what there is to see has been seen, unless a call was lost in a kill.
@@ -59,9 +59,9 @@ impl Calls {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Notification {
     /// Who is woken.
-    pub to: Sleeper,
+    pub to: WaitGroup,
     /// Why.
-    pub call: Call,
+    pub event: Event,
     /// On what condition.
     pub when: When,
 }
@@ -83,14 +83,14 @@ pub enum When {
 impl Notification {
     /// A wake-up on no condition.
     #[must_use]
-    pub fn always(to: Sleeper, call: Call) -> Self {
-        Self { to, call, when: When::Always }
+    pub fn always(to: WaitGroup, event: Event) -> Self {
+        Self { to, event, when: When::Always }
     }
 
     /// A wake-up by the last answer to a tick.
     #[must_use]
-    pub fn by_last_answer(to: Sleeper, call: Call, tick: u64, or_first: bool) -> Self {
-        Self { to, call, when: When::LastAnswer { tick, or_first } }
+    pub fn by_last_answer(to: WaitGroup, event: Event, tick: u64, or_first: bool) -> Self {
+        Self { to, event, when: When::LastAnswer { tick, or_first } }
     }
 }
 
@@ -128,7 +128,7 @@ impl Answers {
     /// True if the last of these calls a sleeper that waits for so many: it is the last, or the first if that is asked for. One too
     /// many calls again: a robot that was started again has answered twice.
     #[must_use]
-    pub fn call(self, expected: u64, or_first: bool) -> bool {
+    pub fn event(self, expected: u64, or_first: bool) -> bool {
         let count = self.0 & ((1 << COUNT_BITS) - 1);
         count >= expected || or_first && count == 1
     }
@@ -141,18 +141,18 @@ mod tests {
     #[test]
     fn the_last_answer_to_the_newest_tick_calls() {
         let mut answers = Answers::default();
-        let mut call = |tick, expected, or_first| match answers.with(tick) {
+        let mut event = |tick, expected, or_first| match answers.with(tick) {
             Some(counted) => {
                 answers = Answers::from_bits(counted.to_bits());
-                Some(counted.call(expected, or_first))
+                Some(counted.event(expected, or_first))
             }
             None => None,
         };
         for tick in [0, 1, 7] {
-            assert_eq!([0; 3].map(|_| call(tick, 3, false)), [Some(false), Some(false), Some(true)], "{tick}");
-            assert_eq!(call(tick, 3, false), Some(true), "of one that was started again");
+            assert_eq!([0; 3].map(|_| event(tick, 3, false)), [Some(false), Some(false), Some(true)], "{tick}");
+            assert_eq!(event(tick, 3, false), Some(true), "of one that was started again");
         }
-        assert_eq!([0; 3].map(|_| call(8, 3, true)), [Some(true), Some(false), Some(true)]);
-        assert_eq!(call(7, 3, false), None, "of a tick that is over");
+        assert_eq!([0; 3].map(|_| event(8, 3, true)), [Some(true), Some(false), Some(true)]);
+        assert_eq!(event(7, 3, false), None, "of a tick that is over");
     }
 }

@@ -16,7 +16,7 @@ impl Decimals {
     pub(super) fn read(&mut self, text: &str) -> Result<f64, Refusal> {
         let (whole, fraction) = text.split_once('.').ok_or(Refusal::Malformed)?;
         let digits = whole.strip_prefix('-').unwrap_or(whole);
-        let is_number = is_whole(digits) && (2..=4).contains(&fraction.len()) && is_digits(fraction);
+        let is_number = is_complete(digits) && (2..=4).contains(&fraction.len()) && is_digits(fraction);
         if !is_number || *self.fraction_len.get_or_insert(fraction.len()) != fraction.len() {
             return Err(Refusal::Malformed);
         }
@@ -35,13 +35,13 @@ impl Decimals {
 
 /// Reads a whole number without sign or leading zeros.
 pub(super) fn whole(text: &str) -> Result<u32, Refusal> {
-    if !is_whole(text) {
+    if !is_complete(text) {
         return Err(Refusal::Malformed);
     }
     text.parse().map_err(|_| Refusal::Malformed)
 }
 
-fn is_whole(text: &str) -> bool {
+fn is_complete(text: &str) -> bool {
     is_digits(text) && text.len() <= WHOLE_LEN_MAX && (text == "0" || !text.starts_with('0'))
 }
 

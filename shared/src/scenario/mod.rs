@@ -118,7 +118,7 @@ pub struct RobotSpec {
     /// Standard deviation of its range after calibration, m.
     pub range_std_m: f64,
     /// The same as the robot tells it to the filter, m: the true one, unless the scenario gives the filter another.
-    pub told_std_m: f64,
+    pub reported_std_m: f64,
     /// Its sensor's systematic error.
     pub calibration: Calibration,
 }
@@ -250,7 +250,7 @@ impl Scenario {
     /// True if all sizes go together and numbers that others divide by or clamp to are in their bounds: of a
     /// scenario from a file of another hand, that nothing that works with it will panic.
     #[must_use]
-    pub fn is_whole(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         let n = self.motion.state_dim();
         let knows_its_start = match &self.source {
             Source::Simulated { target_start } => target_start.len() == n,
@@ -258,20 +258,20 @@ impl Scenario {
         };
         let knows_its_prior = match &self.prior {
             Prior::Gaussian { mean, covariance } => {
-                mean.len() == n && mean.iter().all(|value| value.is_finite()) && covariance.is_whole(n)
+                mean.len() == n && mean.iter().all(|value| value.is_finite()) && covariance.is_complete(n)
             }
             Prior::FromRanges => true,
         };
         let is_sound = |robot: &RobotSpec| {
             bounds::SPEED_MPS.contains(&robot.speed_mps)
                 && bounds::STD_M.contains(&robot.range_std_m)
-                && bounds::STD_M.contains(&robot.told_std_m)
+                && bounds::STD_M.contains(&robot.reported_std_m)
                 && robot.start_m.iter().all(|value| value.is_finite())
                 && bounds::BIAS_M.contains(&robot.calibration.bias_m)
                 && bounds::SCALE.contains(&robot.calibration.scale)
         };
-        self.motion.is_whole()
-            && self.filter_motion.is_whole()
+        self.motion.is_complete()
+            && self.filter_motion.is_complete()
             && self.filter_motion.state_dim() == n
             && knows_its_start
             && knows_its_prior

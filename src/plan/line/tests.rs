@@ -9,13 +9,13 @@ use super::*;
 const KEYS: [&str; 8] =
     ["certified", "headings_rad", "lower_bound", "objective", "plan_us", "planner", "position_trace_m2", "speeds_mps"];
 
-fn desk() -> Desk {
+fn desk() -> LineSolver {
     // A wide grid: teams of some robots are to be served, and soon.
-    Desk::new(PlannerTable { step_rad: Some(0.3), ..PlannerTable::default() }, 1).unwrap()
+    LineSolver::new(PlannerTable { step_rad: Some(0.3), ..PlannerTable::default() }, 1).unwrap()
 }
 
 /// The answer to a line; fails unless it is one line of one of the two kinds.
-fn answered(desk: &mut Desk, number: u64, line: &[u8]) -> Result<Value, String> {
+fn answered(desk: &mut LineSolver, number: u64, line: &[u8]) -> Result<Value, String> {
     let mut answer = Vec::new();
     let problem = desk.answer(number, line, &mut answer);
     let text = String::from_utf8(answer).unwrap();

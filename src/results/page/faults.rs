@@ -9,7 +9,7 @@ use rangehound_shared::scenario::name_of;
 
 use super::{Section, WIDTH};
 use crate::draw::chart::{self, COLOURS, Drawn, ESTIMATE, KeyEntry};
-use crate::results::curves::{Curves, Stretch};
+use crate::results::curves::{Bucket, Curves};
 use crate::results::report::{Distrust, Incident, NodeSummary, Report};
 
 /// Nodes that have a row of their own.
@@ -28,7 +28,7 @@ const FRAME: u32 = 110;
 const PLACES: f64 = 500.0;
 
 /// What the logs tell of robots: its name, and how many there were of it.
-type Trouble = (&'static str, fn(&Stretch) -> u64);
+type Trouble = (&'static str, fn(&Bucket) -> u64);
 
 const TROUBLES: [Trouble; 4] = [
     ("robots missing", |stretch| stretch.missing),
@@ -40,7 +40,7 @@ const TROUBLES: [Trouble; 4] = [
 /// All that went wrong, as far as logs and supervisor know.
 pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Section> {
     let nodes: Vec<&NodeSummary> = report.nodes.iter().filter(|node| has_failed(node)).collect();
-    let count = |of: fn(&Stretch) -> u64| curves.stretches.iter().map(of).fold(0, u64::saturating_add);
+    let count = |of: fn(&Bucket) -> u64| curves.stretches.iter().map(of).fold(0, u64::saturating_add);
     let troubles: Vec<Trouble> = TROUBLES.into_iter().filter(|(_, of)| count(*of) > 0).collect();
     if nodes.is_empty() && troubles.is_empty() {
         let text = "No node ended before the run did; no robot was missing, late or distrusted.".to_owned();
@@ -121,7 +121,7 @@ fn draw_troubles(
     chart: &mut chart::Plane<'_, '_>,
     curves: &Curves,
     robots: usize,
-    of: fn(&Stretch) -> u64,
+    of: fn(&Bucket) -> u64,
     top: f64,
 ) -> Drawn {
     let ends = curves.stretches.iter().skip(1).map(|next| next.time_s).chain([curves.span_s().end]);

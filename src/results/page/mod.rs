@@ -12,8 +12,8 @@ use std::path::Path;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use crate::files::atomic_file;
 use crate::files::layout::PAGE;
-use crate::files::whole_file;
 use crate::results::curves::Curves;
 use crate::results::report::Report;
 use crate::results::report::verdict::Verdict;
@@ -39,7 +39,7 @@ struct Section {
 /// # Errors
 /// If a picture cannot be drawn, or the file not be written.
 pub fn write(report: &Report, curves: &Curves, out_dir: &Path) -> anyhow::Result<()> {
-    whole_file::write(&out_dir.join(PAGE), page(report, curves)?)
+    atomic_file::write(&out_dir.join(PAGE), page(report, curves)?)
 }
 
 fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {

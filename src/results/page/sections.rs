@@ -9,7 +9,7 @@ use super::{Section, WIDTH, faults};
 use crate::draw::chart::{self, COLOURS, ESTIMATE, TARGET};
 use crate::draw::ellipse::Ellipse;
 use crate::draw::over_time::{Band, Line, OverTime};
-use crate::results::curves::{Curves, DRAWABLE_MAX, Stretch};
+use crate::results::curves::{Bucket, Curves, DRAWABLE_MAX};
 use crate::results::percentiles;
 use crate::results::report::Report;
 use crate::statistics::{Ascending, Interval, chi_square_mean_bounds};
@@ -131,11 +131,11 @@ fn trace(curves: &Curves) -> anyhow::Result<Section> {
 
 /// Innovations against what the filter believes of them; `None` if no range was fused.
 fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
-    let fused: Vec<&Stretch> =
+    let fused: Vec<&Bucket> =
         curves.stretches.iter().filter(|stretch| stretch.fused > 0 && stretch.nis.abs() <= DRAWABLE_MAX).collect();
     let Some(first) = fused.first() else { return Ok(None) };
-    let point = |stretch: &&Stretch| (stretch.time_s, stretch.nis / stretch.fused as f64);
-    let band = |stretch: &&Stretch| {
+    let point = |stretch: &&Bucket| (stretch.time_s, stretch.nis / stretch.fused as f64);
+    let band = |stretch: &&Bucket| {
         let Interval { low, high } = chi_square_mean_bounds(1, stretch.fused as usize);
         (stretch.time_s, low, high)
     };

@@ -22,8 +22,8 @@ use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::{Scenario, Source};
 
+use crate::files::atomic_file;
 use crate::files::layout::REPORT;
-use crate::files::whole_file;
 use crate::results::frame::{Frames, PutDown};
 pub use accumulator::{Accumulator, Background, position_covariance, position_error};
 pub use summary::{
@@ -135,5 +135,5 @@ impl Overlap {
 /// # Errors
 /// If the file cannot be written.
 pub fn write(report: &Report, out_dir: &Path) -> anyhow::Result<()> {
-    whole_file::write(&out_dir.join(REPORT), serde_json::to_string_pretty(report)? + "\n")
+    atomic_file::write(&out_dir.join(REPORT), serde_json::to_string_pretty(report)? + "\n")
 }

@@ -223,7 +223,7 @@ pub struct NodeSummary {
     pub kills: u64,
     /// How often it ended by itself before the run did.
     pub exits: u64,
-    /// How often it was killed because it gave no sign of life: among the kills too.
+    /// How often it was killed because it sent no heartbeat: among the kills too.
     pub hangs: u64,
     /// What happened to it when, monotonic ns, in order, as far as its supervisor knows.
     #[serde(skip)]
@@ -248,7 +248,7 @@ impl NodeSummary {
 /// What happens to a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Incident {
-    /// It gave no sign of life for too long; it is killed next.
+    /// It sent no heartbeat for too long; it is killed next.
     Hung,
     /// It was ended by a signal.
     Killed,

@@ -15,10 +15,10 @@ use rustix::fs::OFlags;
 use super::count::{Found, look, ticks_told};
 use super::write::{FrameWriter, Written};
 use crate::failure::Failure;
+use crate::files::atomic_file::{self, with_ending};
 use crate::files::layout::PARTIAL;
 use crate::files::layout::SCENARIO;
 use crate::files::out_folder;
-use crate::files::whole_file::{self, with_ending};
 use crate::results::frame::Frame;
 
 /// Longest scenario file that is put in.
@@ -133,7 +133,7 @@ impl RunFile {
                 return Err(Poorer { path, there, made: taken }.into());
             }
             Found::Same(_) => |from: &Path, to: &Path| std::fs::rename(from, to),
-            Found::Nothing | Found::Foreign => whole_file::rename_to_free,
+            Found::Nothing | Found::Foreign => atomic_file::rename_to_free,
         };
         out_folder::note_finished(&path, &file)
             .and_then(|()| rename(&partial, &path))
@@ -207,7 +207,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
             bail!("{}: it is there already, and no recording of this run: move it away", named());
         }
         let aside = with_ending(partial.with_extension("").as_path(), &format!(".{}{PARTIAL}", std::process::id()));
-        whole_file::rename_to_free(partial, &aside).with_context(named)?;
+        atomic_file::rename_to_free(partial, &aside).with_context(named)?;
         out_folder::note_growing(&aside).with_context(named)?;
         let made = File::options().read(true).write(true).create_new(true).open(partial).with_context(named)?;
         // The new one is locked before the old one is let go.
@@ -223,7 +223,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
 /// Gives what a kill has left its name again.
 fn give_back(leftover: Option<&Path>, partial: &Path) {
     if let Some(leftover) = leftover {
-        let _ = whole_file::rename_to_free(leftover, partial).and_then(|()| out_folder::note_growing(partial));
+        let _ = atomic_file::rename_to_free(leftover, partial).and_then(|()| out_folder::note_growing(partial));
     }
 }
 

@@ -7,7 +7,7 @@ use super::restart::Policy;
 /// A node that fails by itself this often in a row has a reason that starting it again does not mend.
 const FAILURES_MAX: u32 = 5;
 
-/// A node that has lived for this long has got over what ended its forerunner.
+/// A node that has lived for this long has got over what ended its predecessor.
 const SETTLED: Duration = Duration::from_secs(1);
 
 /// Wait before the second start in a row of a node that has not settled; it doubles with each further

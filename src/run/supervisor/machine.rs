@@ -23,7 +23,7 @@ pub(crate) enum Action {
     Kill {
         /// The node.
         node: usize,
-        /// It gave no sign of life for longer than this while others did.
+        /// It sent no heartbeat for longer than this while others did.
         silence: Duration,
     },
     /// Tell the user that a node has ended and is started again.
@@ -39,11 +39,11 @@ pub(crate) enum Action {
     },
 }
 
-/// What a look shows of a node's process; `S` is a sign of life, of which only whether it changes means anything.
+/// What a look shows of a node's process; `S` is a heartbeat, of which only whether it changes means anything.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Seen<S> {
-    /// Its newest sign of life.
-    pub(crate) sign: Option<S>,
+    /// Its newest heartbeat.
+    pub(crate) heartbeat: Option<S>,
     /// It is the process that took the lead last.
     pub(crate) leads: bool,
 }
@@ -126,10 +126,10 @@ impl<S: PartialEq> Machine<S> {
         let mut is_anybody_heard = false;
         for (index, node) in self.nodes.iter_mut().enumerate() {
             let Some(life) = &mut node.life else { continue };
-            let Seen { sign, leads } = see(index);
+            let Seen { heartbeat, leads } = see(index);
             life.has_led |= leads;
             life.is_deposed = life.has_led && !leads;
-            is_anybody_heard |= life.silence.hear(sign);
+            is_anybody_heard |= life.silence.hear(heartbeat);
         }
         if !is_anybody_heard {
             return;
@@ -258,7 +258,10 @@ mod tests {
         for (rules, killed) in [(&[][..], vec![Action::Kill { node: 3, silence: limit }]), (&["robot=never"], vec![])] {
             let (mut machine, scenario) = (machine(rules), scenario("1.0"));
             for look in 0..13 {
-                machine.look(&scenario, |node| Seen { sign: Some(if node == 3 { 0 } else { look }), leads: node == 1 });
+                machine.look(&scenario, |node| Seen {
+                    heartbeat: Some(if node == 3 { 0 } else { look }),
+                    leads: node == 1,
+                });
             }
             assert_eq!(actions(&mut machine, 0), killed, "{rules:?}");
         }
@@ -269,7 +272,7 @@ mod tests {
         let (mut machine, scenario) = (machine(&[]), scenario("\"forever\""));
         for look in 0..23 {
             machine.look(&scenario, |node| Seen {
-                sign: Some(if node == 1 { 0 } else { look }),
+                heartbeat: Some(if node == 1 { 0 } else { look }),
                 leads: node == if look == 0 { 1 } else { 2 },
             });
         }

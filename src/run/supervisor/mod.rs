@@ -1,13 +1,13 @@
 //! `run`, `resume` and `track`: starts the nodes of a run, watches them, ends them, and reports.
 
 mod cleaner;
-mod companions;
 pub(crate) mod deaths;
 mod losses;
 pub(crate) mod machine;
 mod nodes;
 mod removal;
 pub mod restart;
+mod sidecars;
 pub(crate) mod silence;
 
 use std::path::Path;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_node::rendezvous::{Inspection, Rendezvous, Role, RoleHold, Roster};
+use rangehound_node::rendezvous::{Inspection, Rendezvous, Role, RoleLease, Roster};
 use rangehound_node::system::clock::{monotonic_ns, until};
 use rangehound_node::system::signal::Termination;
 use rangehound_shared::scenario::Scenario;
@@ -37,8 +37,8 @@ const HALF_MADE: Duration = Duration::from_secs(1);
 /// The processes of a run.
 pub(super) struct Nodes<'a> {
     rendezvous: &'a Rendezvous,
-    /// The supervisor's, whose sign of life this gives for it.
-    hold: &'a RoleHold,
+    /// The supervisor's, whose heartbeat this gives for it.
+    lease: &'a RoleLease,
     machine: Machine<SystemTime>,
     cleaner: Cleaner,
     nodes: Vec<Node>,
@@ -57,7 +57,7 @@ pub(super) enum Ended {
     Removed(PathBuf),
 }
 
-/// One role's process, and what has become of its forerunners.
+/// One role's process, and what has become of its predecessors.
 struct Node {
     role: Role,
     /// True if there are standbys: then fusion is one of those too, for another may lead when it comes back.
@@ -77,7 +77,7 @@ struct Running {
 impl<'a> Nodes<'a> {
     pub(super) fn start(
         rendezvous: &'a Rendezvous,
-        hold: &'a RoleHold,
+        lease: &'a RoleLease,
         supervision: &Supervision,
         cleaner: Cleaner,
         before: Vec<NodeSummary>,
@@ -90,7 +90,7 @@ impl<'a> Nodes<'a> {
         // What has become of each before goes on.
         nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
         let inspection = rendezvous.inspection();
-        let mut all = Self { rendezvous, hold, machine, cleaner, nodes, last_death: None, inspection, leads: 0 };
+        let mut all = Self { rendezvous, lease, machine, cleaner, nodes, last_death: None, inspection, leads: 0 };
         for index in 0..all.nodes.len() {
             if let Err(error) = all.nodes[index].start(rendezvous) {
                 all.end(false);
@@ -110,7 +110,7 @@ impl<'a> Nodes<'a> {
             if termination.requested() {
                 return Err(anyhow!("ended before its last tick, as asked"));
             }
-            self.hold.sign();
+            self.lease.renew();
             self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
             if looked.elapsed() >= watch::LOOK {
                 look();
@@ -156,7 +156,7 @@ impl<'a> Nodes<'a> {
         let _ = poll(&mut watched, Some(&timeout));
     }
 
-    /// Takes note of each process's newest sign of life.
+    /// Takes note of each process's newest heartbeat.
     fn listen(&mut self) {
         let Self { rendezvous, nodes, machine, .. } = self;
         machine.look(&rendezvous.description().scenario, |index| nodes[index].see(rendezvous.roster()));
@@ -251,7 +251,7 @@ impl<'a> Nodes<'a> {
     fn wait_for_all(&mut self) {
         let began = Instant::now();
         while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
-            self.hold.sign();
+            self.lease.renew();
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -318,22 +318,23 @@ impl Node {
     /// What a look shows of its process.
     fn see(&self, roster: &Roster) -> Seen<SystemTime> {
         let pid = self.running.as_ref().map(Running::pid);
-        let sign = |role| roster.signed_by(role).filter(|(signer, _)| Some(*signer) == pid).map(|(_, sign)| sign);
+        let heartbeat =
+            |role| roster.heartbeat_of(role).filter(|(signer, _)| Some(*signer) == pid).map(|(_, heartbeat)| heartbeat);
         match self.role {
             // Which of them can lead does, is not told by who was started as what.
             Role::Fusion | Role::Standby(_) => {
-                let lead = sign(Role::Fusion);
-                let standing_by = || (1..=STANDBYS_MAX).filter_map(|number| sign(Role::Standby(number))).max();
-                Seen { leads: lead.is_some(), sign: lead.or_else(standing_by) }
+                let lead = heartbeat(Role::Fusion);
+                let standing_by = || (1..=STANDBYS_MAX).filter_map(|number| heartbeat(Role::Standby(number))).max();
+                Seen { leads: lead.is_some(), heartbeat: lead.or_else(standing_by) }
             }
-            role => Seen { sign: sign(role), leads: false },
+            role => Seen { heartbeat: heartbeat(role), leads: false },
         }
     }
 
     /// Kills its process, unless it has ended just now.
     fn kill_as_hung(&mut self, silence: Duration) {
         if self.running.as_mut().is_some_and(|running| running.signal(Signal::KILL)) {
-            log::warn!("{} gave no sign of life for {silence:?} while others did: it is killed", self.summary.title());
+            log::warn!("{} sent no heartbeat for {silence:?} while others did: it is killed", self.summary.title());
             self.note(Incident::Hung);
         }
     }

@@ -8,9 +8,9 @@ use rangehound_node::system::signal::Termination;
 
 use super::Supervision;
 use super::cleaner::Cleaner;
-use super::companions::Companions;
 use super::losses::Losses;
 use super::nodes::{Ended, Nodes};
+use super::sidecars::Sidecars;
 use crate::failure::Failure;
 use crate::results::report::NodeSummary;
 use crate::run::node::input_or_running;
@@ -85,9 +85,9 @@ fn live_once(
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let cleaner = Cleaner::start(rendezvous, scope);
         let mut nodes = Nodes::start(rendezvous, &hold, supervision, cleaner, past.summaries.clone())?;
-        let mut companions = Companions::of(rendezvous, &hold);
+        let mut sidecars = Sidecars::of(rendezvous, &hold);
         if let Some(limit_mb) = supervision.record_limit_mb {
-            companions.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);
+            sidecars.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);
         }
         if let Some(port) = supervision.live {
             // The page is found where it was.
@@ -95,7 +95,7 @@ fn live_once(
                 let _ = rendezvous.leave_note(LIVE_NOTE, address);
             }
             let port = port.map(|port| ["--port".to_owned(), port.to_string()]);
-            companions.start("live", port.into_iter().flatten().collect());
+            sidecars.start("live", port.into_iter().flatten().collect());
         }
         let mut losses = Losses::new(description);
         let mut is_blind = false;
@@ -107,7 +107,7 @@ fn live_once(
                 log::warn!("progress cannot be shown: {error}");
             }
             losses.look(watch.newest_ticks());
-            companions.look();
+            sidecars.look();
             if supervision.live.is_some() {
                 past.live_address = rendezvous.note(LIVE_NOTE).or_else(|| past.live_address.take());
             }
@@ -115,14 +115,14 @@ fn live_once(
         past.newest_tick = watch.newest_ticks().fusion;
         if let Ok(Ended::Removed(_)) = outcome {
             watch.finish();
-            companions.kill();
+            sidecars.kill();
             nodes.kill()?;
         } else {
             // Without the note, whoever looks on takes it for a run whose nodes have died.
             let _ = rendezvous.leave_note(ENDING_NOTE, "");
             nodes.end(rendezvous.is_finished());
             watch.finish();
-            companions.end(termination);
+            sidecars.end(termination);
         }
         past.leads = nodes.leads();
         past.summaries = nodes.into_summaries();

@@ -1,11 +1,11 @@
-//! Hangs: who gives no sign of life while others do.
+//! Hangs: who sends no heartbeat while others do.
 
 use std::time::Duration;
 
 use rangehound_fusion::standby::step_max;
 use rangehound_shared::scenario::{Patience, Scenario};
 
-/// How often signs of life are looked for. Silence is counted in looks, and only in those in which somebody else
+/// How often heartbeats are looked for. Silence is counted in looks, and only in those in which somebody else
 /// was heard: a supervisor or a whole run that was stopped, a suspended machine or a clock that jumps
 /// makes nobody silent.
 pub(crate) const LOOK: Duration = Duration::from_millis(100);
@@ -19,24 +19,24 @@ const START: Duration = Duration::from_millis(100);
 /// Silence after which one that another took the lead from is given up, with endless patience too.
 const DEPOSED: Duration = Duration::from_secs(2);
 
-/// How long one process has given no sign of life; `S` is such a sign, of which only whether it changes means anything.
+/// How long one process has given no heartbeat; `S` is such a sign, of which only whether it changes means anything.
 #[derive(Debug)]
 pub(crate) struct Silence<S> {
-    last_sign: Option<S>,
+    last_heartbeat: Option<S>,
     looks: u32,
 }
 
 impl<S> Default for Silence<S> {
     fn default() -> Self {
-        Self { last_sign: None, looks: 0 }
+        Self { last_heartbeat: None, looks: 0 }
     }
 }
 
 impl<S: PartialEq> Silence<S> {
-    /// Takes note of the newest sign of life; true if it has not been seen before.
-    pub(crate) fn hear(&mut self, sign: Option<S>) -> bool {
-        let is_new = sign != self.last_sign;
-        self.last_sign = sign;
+    /// Takes note of the newest heartbeat; true if it has not been seen before.
+    pub(crate) fn hear(&mut self, heartbeat: Option<S>) -> bool {
+        let is_new = heartbeat != self.last_heartbeat;
+        self.last_heartbeat = heartbeat;
         if is_new {
             self.looks = 0;
         }
@@ -50,7 +50,7 @@ impl<S: PartialEq> Silence<S> {
 
     /// False while it has not taken its role.
     pub(crate) fn has_started(&self) -> bool {
-        self.last_sign.is_some()
+        self.last_heartbeat.is_some()
     }
 
     pub(crate) fn is_longer_than(&self, limit: Duration) -> bool {
@@ -69,10 +69,10 @@ pub(crate) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_dep
 mod tests {
     use super::*;
 
-    fn after_looks(signs: impl Iterator<Item = Option<u64>>) -> Silence<u64> {
+    fn after_looks(heartbeats: impl Iterator<Item = Option<u64>>) -> Silence<u64> {
         let mut silence = Silence::default();
-        for sign in signs {
-            silence.hear(sign);
+        for heartbeat in heartbeats {
+            silence.hear(heartbeat);
             silence.count();
         }
         silence

@@ -27,11 +27,11 @@ use rangehound_shared::recording::Recording;
 use rangehound_shared::scenario::RecordingTable;
 
 use crate::failure::{self, Failure};
+use crate::files::atomic_file;
 use crate::files::input::{self, COMMAND_LINE};
 use crate::files::layout::Kind;
 use crate::files::layout::{CALIBRATION, RESIDUALS};
 use crate::files::out_folder::claim_or_number;
-use crate::files::whole_file;
 use crate::results::report::Truth;
 use crate::run::watch::Progress;
 use crate::statistics::median;
@@ -72,7 +72,7 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
     };
     let found = findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && findings.accel_psd.is_some();
     if found {
-        whole_file::write(&out.join(CALIBRATION), text::text(&findings, &names))?;
+        atomic_file::write(&out.join(CALIBRATION), text::text(&findings, &names))?;
         picture::draw(&points, &names, out)?;
     }
     if json {

@@ -7,8 +7,8 @@ use rangehound_shared::scenario::{Clock, Scenario};
 use serde::Serialize;
 
 use super::faults::{Asked, Kind};
+use crate::files::atomic_file;
 use crate::files::layout::CHAOS;
-use crate::files::whole_file;
 use crate::results::report::{HeadingSummary, RangeSummary};
 use crate::statistics::Ascending;
 use crate::terminal::{BAD, GOOD, TITLE, field};
@@ -237,9 +237,9 @@ impl Outcome {
             role,
             kill: count(Kind::Kill),
             stop: count(Kind::Stop),
-            storm: count(Kind::Storm),
+            storm: count(Kind::CrashLoop),
             several: count(Kind::Several),
-            blackout: count(Kind::Blackout),
+            blackout: count(Kind::TotalOutage),
             restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
             recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
         }
@@ -263,7 +263,7 @@ impl Outcome {
     /// # Errors
     /// If the file cannot be written.
     pub(super) fn write(&self, out_dir: &Path) -> anyhow::Result<()> {
-        whole_file::write(&out_dir.join(CHAOS), serde_json::to_string_pretty(self)? + "\n")
+        atomic_file::write(&out_dir.join(CHAOS), serde_json::to_string_pretty(self)? + "\n")
     }
 }
 

@@ -10,8 +10,8 @@ use rangehound_node::rendezvous::living_runs;
 use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::files::atomic_file;
 use crate::files::out_folder;
-use crate::files::whole_file;
 use crate::run::experiment::Experiment;
 
 const POLL: Duration = Duration::from_millis(1);
@@ -35,7 +35,7 @@ pub(super) struct Run {
 impl Run {
     pub(super) fn start(experiment: &Experiment, seed: u64, standbys: usize, out_dir: &Path) -> anyhow::Result<Self> {
         let scenario = out_dir.with_extension("toml");
-        whole_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
+        atomic_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
         let name = experiment.name.clone();
         let mut run = Command::new(std::env::current_exe().context("where this program is")?);
         run.arg("run").arg(&scenario).args(["--seed", &seed.to_string(), "--out"]).arg(out_dir);

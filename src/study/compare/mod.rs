@@ -19,10 +19,10 @@ use rangehound_fusion::planner;
 use rangehound_shared::scenario::Scenario;
 
 use crate::failure::{self, Failure};
+use crate::files::atomic_file;
 use crate::files::layout::COMPARISON;
 use crate::files::layout::Kind;
 use crate::files::out_folder::claim_or_number;
-use crate::files::whole_file;
 use crate::run::experiment::Given;
 use crate::run::watch::Progress;
 use monte_carlo::Trials;
@@ -63,7 +63,7 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
         planners: summaries.map(|(name, trials)| Summary::new(name, trials, first.ticks)).collect(),
         planning_time: scenarios.iter().map(planning_time::measure).collect(),
     };
-    whole_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
+    atomic_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
     pictures::draw(&comparison, &scenarios, out)?;
     if json {
         return failure::print_json(&comparison);

@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
-use rangehound_shared::protocol::wake::Call;
+use rangehound_shared::protocol::wake::Event;
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::sealed::slots::Turns;
 
@@ -17,7 +17,7 @@ use super::network::{Message, Sleepers};
 use super::plan::Plan;
 use super::process::{Node, Process};
 use super::roles::sim::SIM;
-use super::story::Event;
+use super::story::StoryLine;
 use super::supervisor::Supervisor;
 use super::witness::Witness;
 use crate::run::supervisor::silence;
@@ -58,7 +58,7 @@ pub(super) struct Counts {
 #[derive(Debug)]
 pub(super) enum Happening {
     Arrives { to: usize, message: Message, is_garbled: bool },
-    Wakes { node: usize, call: Option<Call> },
+    Wakes { node: usize, event: Option<Event> },
     Begins(usize),
     ComesUp { node: usize, life: u32 },
     Continues { node: usize, life: u32 },
@@ -113,13 +113,13 @@ pub(super) struct Cluster<'a> {
     pub(super) sim_turns: Turns,
     /// Fusion's checkpoint files; the last one has the name.
     pub(super) disks: Vec<Disk>,
-    /// By [`Sleeper`](rangehound_shared::protocol::wake::Sleeper).
+    /// By [`WaitGroup`](rangehound_shared::protocol::wake::WaitGroup).
     pub(super) sleepers: [Sleepers; 3],
     pub(super) supervisor: Supervisor,
     pub(super) is_finished: bool,
     pub(super) witness: Witness,
     pub(super) counts: Counts,
-    story: Option<Vec<Event>>,
+    story: Option<Vec<StoryLine>>,
 }
 
 /// How an exploration ended.
@@ -129,7 +129,7 @@ pub(super) struct Outcome {
     /// What it went through.
     pub(super) counts: Counts,
     /// Its story, if that was asked for.
-    pub(super) story: Vec<Event>,
+    pub(super) story: Vec<StoryLine>,
 }
 
 impl<'a> Cluster<'a> {
@@ -205,7 +205,7 @@ impl<'a> Cluster<'a> {
         if self.plan.clock == Clock::Lockstep && self.now_ns - START_NS > longest_ns {
             return Err(self.violation(None, "an undisturbed run waited for repeats".to_owned()));
         }
-        if !self.witness.is_whole() {
+        if !self.witness.is_complete() {
             return Err(self.violation(None, "in an undisturbed run somebody was missing".to_owned()));
         }
         Ok(())
@@ -217,12 +217,12 @@ impl<'a> Cluster<'a> {
                 let is_woken = self.arrive(to, message, is_garbled);
                 if is_woken { self.run(to) } else { Ok(()) }
             }
-            Happening::Wakes { node, call } => {
-                if let (Some(Call::Hello), Process::Sim(machine)) = (call, &mut self.nodes[node].process) {
+            Happening::Wakes { node, event } => {
+                if let (Some(Event::Hello), Process::Sim(machine)) = (event, &mut self.nodes[node].process) {
                     machine.on_hello();
                     self.witness.timing.hello_ns = self.now_ns;
                 }
-                if call.is_none() && self.nodes[node].wakes_at_ns != self.now_ns {
+                if event.is_none() && self.nodes[node].wakes_at_ns != self.now_ns {
                     return Ok(());
                 }
                 self.run(node)
@@ -274,7 +274,7 @@ impl<'a> Cluster<'a> {
     /// Tells a line of the story, if it is told.
     pub(super) fn tell(&mut self, node: Option<usize>, what: impl FnOnce() -> String) {
         if let Some(story) = &mut self.story {
-            story.push(Event { at_ns: self.now_ns - START_NS, node, what: what() });
+            story.push(StoryLine { at_ns: self.now_ns - START_NS, node, what: what() });
         }
     }
 }

@@ -33,9 +33,9 @@ impl Disk {
             slot.truncate(written);
         }
         // The rest may be what stood there before.
-        let is_whole = slot == bytes;
-        self.newest += u64::from(is_whole);
-        self.whole[index] = is_whole.then_some(self.newest);
+        let is_complete = slot == bytes;
+        self.newest += u64::from(is_complete);
+        self.whole[index] = is_complete.then_some(self.newest);
         if !is_torn {
             turns.written();
         }

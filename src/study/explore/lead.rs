@@ -2,7 +2,7 @@
 
 use rangehound_node::rendezvous::tenure::Tenure;
 
-/// How often whoever leads gives a sign of life at most, ns.
+/// How often whoever leads gives a heartbeat at most, ns.
 pub(super) const SIGN_NS: u64 = 50_000_000;
 
 /// The lead of a run.
@@ -22,7 +22,7 @@ pub(super) struct Lead {
 
 /// One process's hold on the lead.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Hold {
+pub(super) struct Lease {
     pub(super) incarnation: u64,
     pub(super) lock: u64,
 }
@@ -32,8 +32,8 @@ impl Lead {
         self.tenure.starts
     }
 
-    pub(super) fn sign(&self) -> Option<u64> {
-        self.tenure.sign
+    pub(super) fn renew(&self) -> Option<u64> {
+        self.tenure.heartbeat
     }
 
     /// True if a process that waits for this lock has it at once.
@@ -42,15 +42,15 @@ impl Lead {
     }
 
     /// Takes it from nobody.
-    pub(super) fn take(&mut self, node: usize, life: u32, now_ns: u64) -> Hold {
+    pub(super) fn take(&mut self, node: usize, life: u32, now_ns: u64) -> Lease {
         let incarnation = self.tenure.next_incarnation();
-        self.tenure = Tenure { starts: incarnation, sign: Some(now_ns) };
+        self.tenure = Tenure { starts: incarnation, heartbeat: Some(now_ns) };
         (self.holder, self.last, self.free_since_ns) = (Some(node), Some((node, life)), None);
-        Hold { incarnation, lock: self.lock }
+        Lease { incarnation, lock: self.lock }
     }
 
     /// Takes it from a holder that has given no sign since this one.
-    pub(super) fn depose(&mut self, silent_since: u64, node: usize, life: u32, now_ns: u64) -> Option<Hold> {
+    pub(super) fn depose(&mut self, silent_since: u64, node: usize, life: u32, now_ns: u64) -> Option<Lease> {
         self.tenure.is_silent_since(&silent_since).then(|| {
             self.lock += 1;
             self.take(node, life, now_ns)
@@ -58,14 +58,14 @@ impl Lead {
     }
 
     /// False once another has taken it.
-    pub(super) fn is_current(&self, hold: Hold) -> bool {
-        self.lock == hold.lock && self.tenure.starts == hold.incarnation
+    pub(super) fn is_current(&self, lease: Lease) -> bool {
+        self.lock == lease.lock && self.tenure.starts == lease.incarnation
     }
 
-    /// A sign of life of one who holds it.
+    /// A heartbeat of one who holds it.
     pub(super) fn sign_at(&mut self, now_ns: u64) {
-        if self.tenure.sign.is_none_or(|signed_ns| now_ns >= signed_ns + SIGN_NS) {
-            self.tenure.sign = Some(now_ns);
+        if self.tenure.heartbeat.is_none_or(|heartbeat_ns| now_ns >= heartbeat_ns + SIGN_NS) {
+            self.tenure.heartbeat = Some(now_ns);
         }
     }
 

@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use rand::RngExt as _;
 use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
-use rangehound_shared::protocol::wake::{Answers, Call, Notification, Sleeper, When};
+use rangehound_shared::protocol::wake::{Answers, Event, Notification, WaitGroup, When};
 use rangehound_shared::scenario::Clock;
 
 use super::cluster::{Cluster, Happening};
@@ -132,33 +132,33 @@ impl Cluster<'_> {
     /// What has come; nothing yet for a process that was interrupted, which looks again at once.
     pub(super) fn take_inbox(&mut self, node: usize) -> impl Iterator<Item = Message> + use<> {
         if std::mem::take(&mut self.nodes[node].is_interrupted) {
-            self.after(0, Happening::Wakes { node, call: Some(Call::World) });
+            self.after(0, Happening::Wakes { node, event: Some(Event::World) });
             return Vec::new().into_iter().map(message_of);
         }
         std::mem::take(&mut self.nodes[node].inbox).into_iter().map(message_of)
     }
 
     /// Wakes whom a role asks for.
-    pub(super) fn notify(&mut self, from: usize, Notification { to, call, when }: Notification) {
+    pub(super) fn notify(&mut self, from: usize, Notification { to, event, when }: Notification) {
         if let When::LastAnswer { tick, or_first } = when {
             let sleepers = &mut self.sleepers[to as usize];
             let answers = sleepers.answers.with(tick);
             sleepers.answers = answers.unwrap_or(sleepers.answers);
             // Of a tick that is over: whoever needs it waits for nothing else.
-            if answers.is_some_and(|answers| !answers.call(sleepers.expected as u64, or_first)) {
+            if answers.is_some_and(|answers| !answers.event(sleepers.expected as u64, or_first)) {
                 return;
             }
         }
         let sleepers = match to {
-            Sleeper::Sim => 0..1,
-            Sleeper::Fusion => self.plan.fusion_nodes(),
-            Sleeper::Robots => self.plan.robot_nodes(),
+            WaitGroup::Sim => 0..1,
+            WaitGroup::Fusion => self.plan.fusion_nodes(),
+            WaitGroup::Robots => self.plan.robot_nodes(),
         };
         // What arrives wakes its receiver anyway.
-        let is_needed = matches!(call, Call::Hello | Call::Finished) || !self.plan.network.wakes_on_arrival;
+        let is_needed = matches!(event, Event::Hello | Event::Finished) || !self.plan.network.wakes_on_arrival;
         for node in sleepers.filter(|node| is_needed && *node != from) {
             if !matches!(self.nodes[node].process, Process::Standby(_)) {
-                self.after(WAKE_NS, Happening::Wakes { node, call: Some(call) });
+                self.after(WAKE_NS, Happening::Wakes { node, event: Some(event) });
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use rand::RngExt as _;
 use rangehound_robot::sensor::Sensor;
-use rangehound_shared::protocol::wake::Call;
+use rangehound_shared::protocol::wake::Event;
 use rangehound_sim::machine as sim;
 
 use super::cluster::{Cluster, Happening, Violation};
@@ -68,8 +68,8 @@ pub(super) struct Node {
     actions: u32,
     pub(super) wakes_at_ns: u64,
     pub(super) incarnation: u64,
-    /// Its process's last sign of life, in a role of its own.
-    pub(super) signed_ns: Option<u64>,
+    /// Its process's last heartbeat, in a role of its own.
+    pub(super) heartbeat_ns: Option<u64>,
     /// Since when its process has been in its state: taking part, stopped, starting.
     pub(super) state_since_ns: u64,
     /// Time for which its process was stopped.
@@ -111,7 +111,7 @@ impl Node {
             actions: 0,
             wakes_at_ns: u64::MAX,
             incarnation: 0,
-            signed_ns: None,
+            heartbeat_ns: None,
             state_since_ns: 0,
             stopped_ns: 0,
             up_ns: 0,
@@ -131,7 +131,7 @@ impl Node {
     /// Its process has come up.
     pub(super) fn come_up(&mut self, process: Process, now_ns: u64) {
         self.process = process;
-        (self.takes_part, self.signed_ns, self.state_since_ns) = (true, Some(now_ns), now_ns);
+        (self.takes_part, self.heartbeat_ns, self.state_since_ns) = (true, Some(now_ns), now_ns);
     }
 }
 
@@ -142,7 +142,7 @@ impl Cluster<'_> {
         let spawned = &mut self.nodes[node];
         spawned.life += 1;
         spawned.process = Process::Starting;
-        (spawned.signed_ns, spawned.state_since_ns) = (None, self.now_ns);
+        (spawned.heartbeat_ns, spawned.state_since_ns) = (None, self.now_ns);
         if spawned.doom.is_none() {
             spawned.doom = spawned.dooms_to_come.pop();
         }
@@ -285,8 +285,8 @@ impl Cluster<'_> {
         dead.inbox.clear();
         dead.wakes_at_ns = u64::MAX;
         let lock = match std::mem::replace(&mut dead.process, Process::None) {
-            Process::Leader(leading) => Some(leading.hold.lock),
-            Process::Heir(heir) => Some(heir.hold.lock),
+            Process::Leader(leading) => Some(leading.lease.lock),
+            Process::Heir(heir) => Some(heir.lease.lock),
             _ => None,
         };
         let lock = if self.lead.let_go(node, self.now_ns) { Some(self.lead.lock) } else { lock };
@@ -304,7 +304,7 @@ impl Cluster<'_> {
                 && standing_by.waits_for == lock
             {
                 standing_by.waits_for = self.lead.lock;
-                self.after(WAKE_NS, Happening::Wakes { node, call: Some(Call::Range) });
+                self.after(WAKE_NS, Happening::Wakes { node, event: Some(Event::Range) });
             }
         }
     }
@@ -320,9 +320,9 @@ impl Cluster<'_> {
         running.actions = 0;
         // Who leads signs for the lead.
         if matches!(process, Process::Sim(_) | Process::Robot(_) | Process::Standby(_))
-            && running.signed_ns.is_none_or(|signed_ns| self.now_ns >= signed_ns + SIGN_NS)
+            && running.heartbeat_ns.is_none_or(|heartbeat_ns| self.now_ns >= heartbeat_ns + SIGN_NS)
         {
-            running.signed_ns = Some(self.now_ns);
+            running.heartbeat_ns = Some(self.now_ns);
         }
         let process = match process {
             Process::None | Process::Starting => process,
@@ -358,7 +358,7 @@ impl Cluster<'_> {
         // A sooner one, or one of a process before it, is looked at when it comes.
         if wakes_at_ns < self.nodes[node].wakes_at_ns || self.nodes[node].wakes_at_ns <= self.now_ns {
             self.nodes[node].wakes_at_ns = wakes_at_ns;
-            self.after(left_ns, Happening::Wakes { node, call: None });
+            self.after(left_ns, Happening::Wakes { node, event: None });
         }
     }
 

@@ -65,7 +65,7 @@ impl Cluster<'_> {
         self.look_for_signs()
     }
 
-    /// Its look at every process's signs of life.
+    /// Its look at every process's heartbeats.
     pub(super) fn look_for_signs(&mut self) -> Result<(), Violation> {
         if self.supervisor.is_stopped {
             return Ok(());
@@ -73,7 +73,7 @@ impl Cluster<'_> {
         let Self { supervisor, nodes, lead, scenario, .. } = self;
         supervisor.machine.look(scenario, |node| {
             let leads = lead.last == Some((node, nodes[node].life));
-            Seen { leads, sign: if leads { lead.sign() } else { nodes[node].signed_ns } }
+            Seen { leads, heartbeat: if leads { lead.renew() } else { nodes[node].heartbeat_ns } }
         });
         let looked = supervisor.witness.looks(nodes, lead, self.now_ns);
         looked.map_err(|(node, what)| self.violation(Some(node), what))?;

@@ -7,8 +7,8 @@ use serde::{Serialize, Serializer};
 
 use super::reference::Reference;
 use super::warm_up_ticks;
+use crate::files::atomic_file;
 use crate::files::layout::LATENCY;
-use crate::files::whole_file;
 use crate::results::hops::{self, HopSummary};
 use crate::results::percentiles::{self, Point};
 use crate::results::report::LatencySummary;
@@ -205,7 +205,7 @@ impl Outcome {
     /// # Errors
     /// If the file cannot be written.
     pub(super) fn write(&self, folder: &Path) -> anyhow::Result<()> {
-        whole_file::write(&folder.join(LATENCY), serde_json::to_string_pretty(self)? + "\n")
+        atomic_file::write(&folder.join(LATENCY), serde_json::to_string_pretty(self)? + "\n")
     }
 }
 

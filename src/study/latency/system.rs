@@ -13,9 +13,9 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::samples::Exchange;
 use crate::failure::Failure;
+use crate::files::atomic_file;
 use crate::files::layout::REPORT;
 use crate::files::out_folder;
-use crate::files::whole_file;
 use crate::results::hops::HopSummary;
 use crate::run::experiment::Experiment;
 use crate::run::folder;
@@ -42,7 +42,7 @@ pub(super) fn run(
     termination: &Termination,
 ) -> Result<RunDescription, Failure> {
     let (scenario, log_path) = (folder.with_extension("toml"), folder.with_extension("log"));
-    whole_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
+    atomic_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
     let log = out_folder::append(&log_path).with_context(|| log_path.display().to_string())?;
     let mut child = this_program()
         .arg("run")

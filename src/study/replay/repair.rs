@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::failure::{self, Failure};
+use crate::files::atomic_file::with_ending;
 use crate::files::layout::PARTIAL;
-use crate::files::whole_file::with_ending;
 use crate::results::run_mcap::file::{RunFile, unusable};
 use crate::results::run_mcap::read::{FrameReader, ReadError};
 use crate::results::run_mcap::write::Written;

@@ -123,7 +123,9 @@ fn layout<R: Read>(
     } else {
         let number = |column: AnchorColumn| {
             let number = gathering.sensor(column.anchor.as_str().as_bytes());
-            number.map(|number| (column, number)).map_err(|_| table.error(format!("it has more than {} anchors", crate::ROBOTS_MAX)))
+            number
+                .map(|number| (column, number))
+                .map_err(|_| table.error(format!("it has more than {} anchors", crate::ROBOTS_MAX)))
         };
         Ranges::Wide(wide.into_iter().map(number).collect::<Result<_, _>>()?)
     };

@@ -124,7 +124,7 @@ impl Checker<'_> {
         }
         if let Some(std_m) = table.range_std_m {
             let std_m = self.number("filter.range_std_m", Some(std_m), std_m, STD_M)?;
-            scenario.robots.iter_mut().for_each(|robot| robot.told_std_m = std_m);
+            scenario.robots.iter_mut().for_each(|robot| robot.reported_std_m = std_m);
         }
         Ok(())
     }

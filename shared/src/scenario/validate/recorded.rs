@@ -56,7 +56,7 @@ impl Checker<'_> {
                 start_m: sensor.first_position_m,
                 speed_mps: 0.0,
                 range_std_m: std_m,
-                told_std_m: std_m,
+                reported_std_m: std_m,
                 calibration: Calibration { bias_m, scale },
             })
             .collect();
@@ -73,7 +73,7 @@ impl Checker<'_> {
             }
             let robot = &mut scenario.robots[robot];
             robot.range_std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
-            robot.told_std_m = robot.range_std_m;
+            robot.reported_std_m = robot.range_std_m;
             robot.calibration.bias_m = self.number(&key("bias_m"), sensor.bias_m, bias_m, BIAS_M)?;
             robot.calibration.scale = self.number(&key("scale"), sensor.scale, scale, SCALE)?;
         }

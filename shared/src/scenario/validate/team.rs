@@ -34,7 +34,7 @@ impl Checker<'_> {
                     start_m: [centre_m[0] + radius_m * cos, centre_m[1] + radius_m * sin],
                     speed_mps,
                     range_std_m,
-                    told_std_m: range_std_m,
+                    reported_std_m: range_std_m,
                     calibration: Calibration::default(),
                 }
             })
@@ -62,7 +62,7 @@ impl Checker<'_> {
                 start_m: self.point(&key("start_m"), table.start_m)?,
                 speed_mps: self.number(&key("speed_mps"), table.speed_mps, defaults::SPEED_MPS, SPEED_MPS)?,
                 range_std_m,
-                told_std_m: range_std_m,
+                reported_std_m: range_std_m,
                 calibration: Calibration::default(),
             });
         }

@@ -3,11 +3,11 @@
 use rangehound_fusion::leader::{Leader, Saved};
 use rangehound_fusion::standby::{LOOK, Standby};
 use rangehound_node::rendezvous::tenure::needs_own_checkpoint;
-use rangehound_shared::protocol::wake::{Call, Sleeper};
+use rangehound_shared::protocol::wake::{Event, WaitGroup};
 use rangehound_shared::sealed::slots::Turns;
 
 use crate::study::explore::cluster::{Cluster, Happening, Violation};
-use crate::study::explore::lead::Hold;
+use crate::study::explore::lead::Lease;
 use crate::study::explore::process::{Fate, Process};
 use crate::study::explore::witness::succession;
 
@@ -24,7 +24,7 @@ pub(in crate::study::explore) struct StandingBy {
 
 /// A process that has taken the lead and does not lead yet.
 pub(in crate::study::explore) struct Heir {
-    pub(in crate::study::explore) hold: Hold,
+    pub(in crate::study::explore) lease: Lease,
     /// What it goes on from, once it has read that.
     read: Option<(Leader, Turns)>,
 }
@@ -32,7 +32,7 @@ pub(in crate::study::explore) struct Heir {
 /// A process that leads.
 pub(in crate::study::explore) struct Leading {
     pub(in crate::study::explore) machine: Leader,
-    pub(in crate::study::explore) hold: Hold,
+    pub(in crate::study::explore) lease: Lease,
     /// Its checkpoint file, if it has one.
     pub(in crate::study::explore) disk: Option<usize>,
     pub(in crate::study::explore) turns: Turns,
@@ -58,7 +58,7 @@ impl Cluster<'_> {
     }
 
     pub(in crate::study::explore) fn stand_by(&mut self) -> Process {
-        let standby = Standby::new(self.scenario, self.lead.sign(), Some(self.lead.lock));
+        let standby = Standby::new(self.scenario, self.lead.renew(), Some(self.lead.lock));
         let (waits_for, looks_at_ns) = (self.lead.lock, self.now_ns + LOOK.as_nanos() as u64);
         Process::Standby(Box::new(StandingBy { standby, waits_for, since_ns: self.now_ns, looks_at_ns, deposes: None }))
     }
@@ -82,7 +82,7 @@ impl Cluster<'_> {
         }
         if *looks_at_ns <= self.now_ns {
             *looks_at_ns = self.now_ns + LOOK.as_nanos() as u64;
-            *deposes = standby.look(self.lead.sign());
+            *deposes = standby.look(self.lead.renew());
             if deposes.is_some() {
                 match self.meet_doom(node)? {
                     Fate::Dies { .. } => return Ok(Process::None),
@@ -94,10 +94,10 @@ impl Cluster<'_> {
         if let Some(silent_since) = deposes.take() {
             let deposed = self.lead.holder;
             let life = self.nodes[node].life;
-            if let Some(hold) = self.lead.depose(silent_since, node, life, self.now_ns) {
+            if let Some(lease) = self.lead.depose(silent_since, node, life, self.now_ns) {
                 let is_right = succession::deposes(&self.nodes, deposed, self.now_ns);
                 is_right.map_err(|what| self.violation(Some(node), what))?;
-                return Ok(self.inherit(node, Some(hold)));
+                return Ok(self.inherit(node, Some(lease)));
             }
         }
         if standby.waits_anew(Some(self.lead.lock)) {
@@ -111,16 +111,16 @@ impl Cluster<'_> {
         Ok(Process::Standby(standing_by))
     }
 
-    /// The process of a node that takes the lead, or has just taken it by force.
-    fn inherit(&mut self, node: usize, hold: Option<Hold>) -> Process {
+    /// The process of a node that takes the lead, or has just taken it by deposing the predecessor.
+    fn inherit(&mut self, node: usize, lease: Option<Lease>) -> Process {
         let life = self.nodes[node].life;
-        let hold = hold.unwrap_or_else(|| self.lead.take(node, life, self.now_ns));
-        self.counts.successions += u64::from(hold.incarnation > 1);
-        self.nodes[node].incarnation = hold.incarnation;
-        self.tell(Some(node), || format!("takes the lead as incarnation {}", hold.incarnation));
+        let lease = lease.unwrap_or_else(|| self.lead.take(node, life, self.now_ns));
+        self.counts.successions += u64::from(lease.incarnation > 1);
+        self.nodes[node].incarnation = lease.incarnation;
+        self.tell(Some(node), || format!("takes the lead as incarnation {}", lease.incarnation));
         self.doom_heir(node);
-        self.after(0, Happening::Wakes { node, call: Some(Call::Range) });
-        Process::Heir(Box::new(Heir { hold, read: None }))
+        self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
+        Process::Heir(Box::new(Heir { lease, read: None }))
     }
 
     /// It reads the checkpoint, and then gives it a file of its own.
@@ -133,16 +133,16 @@ impl Cluster<'_> {
         if let Fate::Dies { .. } = fate {
             return Ok(Process::None);
         }
-        self.after(0, Happening::Wakes { node, call: Some(Call::Range) });
-        let Heir { hold, read } = &mut *heir;
+        self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
+        let Heir { lease, read } = &mut *heir;
         let Some((machine, turns)) = read.take() else {
             *read = Some(self.read_checkpoint(node)?);
             return Ok(Process::Heir(heir));
         };
         // Deposed itself: the file is its successor's.
         let mut disk = Some(self.disks.len() - 1);
-        if needs_own_checkpoint(hold.incarnation) {
-            disk = self.lead.is_current(*hold).then_some(self.disks.len());
+        if needs_own_checkpoint(lease.incarnation) {
+            disk = self.lead.is_current(*lease).then_some(self.disks.len());
             if disk.is_some() {
                 let moved = self.disks[self.disks.len() - 1].moved(&turns);
                 self.disks.push(moved);
@@ -150,18 +150,18 @@ impl Cluster<'_> {
         }
         let tick = machine.centre().next_tick();
         self.tell(Some(node), || format!("leads from tick {tick}"));
-        let is_behind = self.lead.is_current(*hold) && tick <= self.witness.newest_headings().unwrap_or(0);
+        let is_behind = self.lead.is_current(*lease) && tick <= self.witness.newest_headings().unwrap_or(0);
         if is_behind && self.witness.newest_headings().is_some() {
             return Err(
                 self.violation(Some(node), format!("it goes back to tick {tick}, whose headings were published"))
             );
         }
-        self.sleepers[Sleeper::Fusion as usize].expected = machine.expected();
-        let (hold, first_range, newest_heard) = (*hold, None, 0);
+        self.sleepers[WaitGroup::Fusion as usize].expected = machine.expected();
+        let (lease, first_range, newest_heard) = (*lease, None, 0);
         self.nodes[node].first_arrival = None;
         let leading = Leading {
             machine,
-            hold,
+            lease,
             disk,
             turns,
             first_range,

@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use rangehound_fusion::leader::{Action, Notice};
 use rangehound_shared::message::Command;
-use rangehound_shared::protocol::wake::{Call, Sleeper};
+use rangehound_shared::protocol::wake::{Event, WaitGroup};
 
 use super::fusion::Leading;
 use super::sim::SIM;
@@ -77,9 +77,9 @@ impl Cluster<'_> {
         Ok(Process::Leader(leading))
     }
 
-    /// True while nobody has taken the lead from it; gives a sign of life.
+    /// True while nobody has taken the lead from it; gives a heartbeat.
     fn holds_lead(&mut self, leading: &Leading) -> bool {
-        let holds = self.lead.is_current(leading.hold);
+        let holds = self.lead.is_current(leading.lease);
         if holds {
             self.lead.sign_at(self.now_ns);
         }
@@ -89,9 +89,9 @@ impl Cluster<'_> {
     /// It lets go of a lock that counts for nothing, and stands by.
     fn is_deposed(&mut self, node: usize, leading: &Leading) -> Process {
         self.tell(Some(node), || "sees that it was deposed; stands by".to_owned());
-        self.nodes[node].signed_ns = Some(self.now_ns);
-        self.free(leading.hold.lock);
-        self.after(0, Happening::Wakes { node, call: Some(Call::Range) });
+        self.nodes[node].heartbeat_ns = Some(self.now_ns);
+        self.free(leading.lease.lock);
+        self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
         self.stand_by()
     }
 
@@ -103,7 +103,7 @@ impl Cluster<'_> {
             Action::Save => self.save_leader(node, leading, 1.0)?,
             Action::SendHeadings => {
                 let commands = machine.centre().commands();
-                let is_current = self.lead.is_current(leading.hold);
+                let is_current = self.lead.is_current(leading.lease);
                 let witnessed = self.witness.headings(tick, commands, is_current);
                 witnessed.map_err(|what| self.violation(Some(node), what))?;
                 self.tell(Some(node), || format!("heading({tick})"));
@@ -122,7 +122,7 @@ impl Cluster<'_> {
                 let missing = self.record(node, leading, tick).map_err(|what| self.violation(Some(node), what))?;
                 let closed = self.witness.timing.closes(&self.closing(node, leading, tick, missing));
                 closed.map_err(|what| self.violation(Some(node), what))?;
-                self.sleepers[Sleeper::Fusion as usize].expected = leading.machine.expected();
+                self.sleepers[WaitGroup::Fusion as usize].expected = leading.machine.expected();
             }
             Action::Tell(notice) => {
                 if let Notice::Missed { first, last } = notice {
@@ -172,7 +172,7 @@ impl Cluster<'_> {
     fn save_leader(&mut self, node: usize, leading: &mut Leading, share: f64) -> Result<(), Violation> {
         let Some(disk) = leading.disk else { return Ok(()) };
         let shares = |other: &Node| match &other.process {
-            Process::Leader(other) => other.disk == Some(disk) && self.lead.is_current(other.hold),
+            Process::Leader(other) => other.disk == Some(disk) && self.lead.is_current(other.lease),
             _ => false,
         };
         if self.nodes.iter().any(shares) {

@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use rangehound_node::world::world_of;
 use rangehound_shared::message::WorldEntry;
-use rangehound_shared::protocol::wake::Sleeper;
+use rangehound_shared::protocol::wake::WaitGroup;
 use rangehound_shared::sealed::slots::Turns;
 use rangehound_sim::machine::{Action, Machine, Saved};
 
@@ -72,7 +72,7 @@ impl Cluster<'_> {
                 let seen = self.witness.world(tick, world.entries());
                 let seen = seen.and_then(|()| self.witness.timing.world(tick, self.now_ns, ran_ns, self.late_ns()));
                 seen.map_err(|what| self.violation(Some(SIM), what))?;
-                self.sleepers[Sleeper::Sim as usize].expected = machine.expected();
+                self.sleepers[WaitGroup::Sim as usize].expected = machine.expected();
                 self.tell(Some(SIM), || format!("world({tick})"));
                 let header = self.header(SIM, tick, world.time_s());
                 let entries: Rc<[WorldEntry]> = world.entries().into();
@@ -81,7 +81,7 @@ impl Cluster<'_> {
                 }
             }
             Action::Notify(notification) => self.notify(SIM, notification),
-            Action::TellSilent(id) => {
+            Action::ReportSilent(id) => {
                 self.tell(Some(SIM), || format!("goes on without robot-{id}"));
                 let ran_ns = self.now_ns - self.nodes[SIM].stopped_ns;
                 let told = self.witness.timing.leaves_out(tick, ran_ns);

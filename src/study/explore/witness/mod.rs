@@ -148,8 +148,8 @@ impl Witness {
             }
             self.is_left_out[robot] &= drive.is_none();
         }
-        let is_whole = drives.iter().all(|drive| drive.is_some_and(|drive| drive.heading_held_ns != 0));
-        if !is_whole {
+        let is_complete = drives.iter().all(|drive| drive.is_some_and(|drive| drive.heading_held_ns != 0));
+        if !is_complete {
             self.whole_until = self.whole_until.min(tick);
         }
         Ok(())
@@ -239,7 +239,7 @@ impl Witness {
     }
 
     /// True if so far nobody was missing, and all robots obeyed.
-    pub(super) fn is_whole(&self) -> bool {
+    pub(super) fn is_complete(&self) -> bool {
         self.whole_until == u64::MAX
     }
 

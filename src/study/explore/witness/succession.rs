@@ -36,7 +36,7 @@ pub(in crate::study::explore) fn waits(
 /// A standby deposes who leads: not one that runs.
 pub(in crate::study::explore) fn deposes(nodes: &[Node], holder: Option<usize>, now_ns: u64) -> Result<(), String> {
     if holder.is_some_and(|node| nodes[node].well_for_ns(now_ns) > SIGNS_NS) {
-        return Err("it deposed a leader that gives signs of life".to_owned());
+        return Err("it deposed a leader that sends heartbeats".to_owned());
     }
     Ok(())
 }

@@ -78,22 +78,22 @@ impl Supervision {
         }
     }
 
-    /// It looks for signs of life: nobody hangs that it should have killed.
+    /// It looks for heartbeats: nobody hangs that it should have killed.
     pub(in crate::study::explore) fn looks(
         &mut self,
         nodes: &[Node],
         lead: &Lead,
         now_ns: u64,
     ) -> Result<(), (usize, String)> {
-        let signs = nodes.iter().enumerate().map(|(index, node)| {
+        let heartbeats = nodes.iter().enumerate().map(|(index, node)| {
             let leads = lead.last == Some((index, node.life));
-            if leads { lead.sign() } else { node.signed_ns }
+            if leads { lead.renew() } else { node.heartbeat_ns }
         });
         let mut is_anybody_heard = false;
-        for (record, sign) in self.nodes.iter_mut().zip(signs) {
-            let is_new = record.silent.0 != sign;
-            is_anybody_heard |= is_new && sign.is_some();
-            record.silent = (sign, if is_new { 0 } else { record.silent.1 });
+        for (record, heartbeat) in self.nodes.iter_mut().zip(heartbeats) {
+            let is_new = record.silent.0 != heartbeat;
+            is_anybody_heard |= is_new && heartbeat.is_some();
+            record.silent = (heartbeat, if is_new { 0 } else { record.silent.1 });
         }
         self.nodes.iter_mut().for_each(|record| record.silent.1 += u64::from(is_anybody_heard));
         let well = nodes.iter().filter(|node| node.well_for_ns(now_ns) > SIGNS_NS).count();
@@ -133,11 +133,11 @@ impl Supervision {
         }
         let leads = lead.last == Some((index, node.life));
         let is_deposed = self.nodes[index].led == Some(node.life) && !leads;
-        let sign_ns = if leads { lead.sign() } else { node.signed_ns };
+        let sign_ns = if leads { lead.renew() } else { node.heartbeat_ns };
         let is_starting = matches!(node.process, Process::Starting);
         let silence_min_ns = SILENCE_MIN_NS + if is_starting { nodes.len() as u64 * START_NS } else { 0 };
         if node.well_for_ns(now_ns) > SIGNS_NS {
-            Err("it was killed as hung, but gives signs of life".to_owned())
+            Err("it was killed as hung, but sends heartbeats".to_owned())
         } else if now_ns - sign_ns.unwrap_or(node.state_since_ns) < silence_min_ns {
             Err("it was killed as hung before its time".to_owned())
         } else if self.nodes[index].silent.1 < OTHERS_HEARD_MIN {

@@ -305,8 +305,8 @@ fn pieces<'a>(prior: Vector, arms: impl Iterator<Item = &'a Arm> + Clone, arm: &
     let start = if arm.extent == Extent::Circle { Vector::new(1.0, 0.0) } else { -arm.low };
     // Angles from the start of that arc, in [0, 2 pi).
     let angle = |v: Vector| v.rotated_by(start.conjugate()).angle_rad().rem_euclid(TAU);
-    let is_whole = arm.extent == Extent::Circle || (arm.extent == Extent::Wide && arm.low == arm.high);
-    let width = if is_whole { TAU } else { angle(-arm.high) };
+    let is_complete = arm.extent == Extent::Circle || (arm.extent == Extent::Wide && arm.low == arm.high);
+    let width = if is_complete { TAU } else { angle(-arm.high) };
     // Between these, each arm's farthest direction is one and the same end, or `n` itself.
     let mut marks = [width; 3 * ARC_BOUND_ROBOTS_MAX + 2];
     let mut count = 1;

@@ -4,7 +4,7 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use rangehound_node::rendezvous::{Rendezvous, RoleHold};
+use rangehound_node::rendezvous::{Rendezvous, RoleLease};
 use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -21,46 +21,46 @@ const GRACE: Duration = Duration::from_secs(10);
 const POLL: Duration = Duration::from_millis(10);
 
 /// The processes that look on at a run.
-pub(super) struct Companions<'a> {
+pub(super) struct Sidecars<'a> {
     rendezvous: &'a Rendezvous,
     /// The supervisor's.
-    hold: &'a RoleHold,
-    all: Vec<Companion>,
+    lease: &'a RoleLease,
+    all: Vec<Sidecar>,
 }
 
 /// One of them: a command of this program that takes `--name`, and ends by itself when the run has.
-struct Companion {
+struct Sidecar {
     command: &'static str,
     args: Vec<String>,
     starts: u32,
     child: Option<Child>,
 }
 
-impl<'a> Companions<'a> {
-    pub(super) fn of(rendezvous: &'a Rendezvous, hold: &'a RoleHold) -> Self {
-        Self { rendezvous, hold, all: Vec::new() }
+impl<'a> Sidecars<'a> {
+    pub(super) fn of(rendezvous: &'a Rendezvous, lease: &'a RoleLease) -> Self {
+        Self { rendezvous, lease, all: Vec::new() }
     }
 
     /// Starts one. What it has to say goes where this process's own words go.
     pub(super) fn start(&mut self, command: &'static str, args: Vec<String>) {
-        let mut companion = Companion { command, args, starts: 0, child: None };
-        companion.start(self.rendezvous);
-        self.all.push(companion);
+        let mut sidecar = Sidecar { command, args, starts: 0, child: None };
+        sidecar.start(self.rendezvous);
+        self.all.push(sidecar);
     }
 
     /// Starts those again that have been ended; one that failed has said why.
     pub(super) fn look(&mut self) {
-        for companion in &mut self.all {
-            if let Some(status) = companion.reap()
+        for sidecar in &mut self.all {
+            if let Some(status) = sidecar.reap()
                 && !status.success()
                 && !self.rendezvous.is_finished()
             {
-                let what = format!("{} {}", companion.command, describe(status));
-                if status.code() == Some(2) || companion.starts >= STARTS_MAX {
+                let what = format!("{} {}", sidecar.command, describe(status));
+                if status.code() == Some(2) || sidecar.starts >= STARTS_MAX {
                     log::warn!("{what}; the run goes on without it");
                 } else {
                     log::warn!("{what}; it is started again");
-                    companion.start(self.rendezvous);
+                    sidecar.start(self.rendezvous);
                 }
             }
         }
@@ -68,10 +68,10 @@ impl<'a> Companions<'a> {
 
     /// Waits until all have ended: by themselves after a run that came to its end, otherwise asked to.
     pub(super) fn end(&mut self, termination: &Termination) {
-        let hold = self.hold;
+        let lease = self.lease;
         let sleep = || {
             // A long recording is no hang.
-            hold.sign();
+            lease.renew();
             std::thread::sleep(POLL);
         };
         while self.rendezvous.is_finished() && self.any_is_running() && !termination.requested() {
@@ -88,23 +88,23 @@ impl<'a> Companions<'a> {
     /// Ends all at once: what they were about is begun anew.
     pub(super) fn kill(&mut self) {
         self.signal(Signal::KILL);
-        for companion in &mut self.all {
-            let _ = companion.child.take().map(|mut child| child.wait());
+        for sidecar in &mut self.all {
+            let _ = sidecar.child.take().map(|mut child| child.wait());
         }
     }
 
     fn any_is_running(&mut self) -> bool {
-        self.all.iter_mut().any(Companion::is_running)
+        self.all.iter_mut().any(Sidecar::is_running)
     }
 
     fn signal(&mut self, signal: Signal) {
-        for companion in self.all.iter_mut().filter(|companion| companion.child.is_some()) {
-            companion.signal(signal);
+        for sidecar in self.all.iter_mut().filter(|sidecar| sidecar.child.is_some()) {
+            sidecar.signal(signal);
         }
     }
 }
 
-impl Companion {
+impl Sidecar {
     fn start(&mut self, rendezvous: &Rendezvous) {
         self.starts += 1;
         let spawned = this_program()
