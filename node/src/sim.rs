@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use rangehound_shared::message::{Drive, Truth, WorldEntry};
 use rangehound_shared::record::WorldRecord;
-use rangehound_shared::scenario::Patience;
+use rangehound_shared::scenario::Timeout;
 use rangehound_shared::sealed::SealError;
 use rangehound_sim::machine::{Action, Machine, Saved};
 
@@ -173,7 +173,7 @@ impl<'a> Driver<'a> {
 
     fn report_silent(&self, id: usize) {
         let scenario = &self.rendezvous.description().scenario;
-        let Patience::After(limit) = scenario.patience else { return };
+        let Timeout::After(limit) = scenario.timeout else { return };
         log::warn!("tick {}: goes on without {}, silent for {limit:?}", self.machine.tick(), scenario.name_of(id));
     }
 }

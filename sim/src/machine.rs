@@ -9,7 +9,7 @@ use rangehound_shared::STATE_DIM_MAX;
 use rangehound_shared::message::{Drive, Truth};
 use rangehound_shared::protocol::timing::Suspension;
 use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
-use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,7 @@ enum Phase {
 #[derive(Debug)]
 pub struct Machine {
     clock: Clock,
-    patience: Patience,
+    timeout: Timeout,
     dt_ns: u64,
     last_tick: u64,
     world: Box<dyn World>,
@@ -92,7 +92,7 @@ impl Machine {
         let robots = scenario.robots.len();
         Self {
             clock: scenario.clock,
-            patience: scenario.patience,
+            timeout: scenario.timeout,
             dt_ns: (scenario.dt_s * 1e9) as u64,
             last_tick: scenario.ticks,
             world,
@@ -186,11 +186,11 @@ impl Machine {
         if self.due_ns.is_some() {
             return self.due_ns;
         }
-        let patience_ends_ns = match self.patience() {
-            Patience::After(limit) => self.first_answer_ns.map(|first_ns| first_ns + limit.as_nanos() as u64),
-            Patience::Forever => None,
+        let timeout_ends_ns = match self.timeout() {
+            Timeout::After(limit) => self.first_answer_ns.map(|first_ns| first_ns + limit.as_nanos() as u64),
+            Timeout::Forever => None,
         };
-        Some(patience_ends_ns.map_or(self.repeat_at_ns, |ends_ns| ends_ns.min(self.repeat_at_ns)))
+        Some(timeout_ends_ns.map_or(self.repeat_at_ns, |ends_ns| ends_ns.min(self.repeat_at_ns)))
     }
 
     /// When the present real-time tick is over, monotonic ns: nothing that comes before can end it.
@@ -239,8 +239,8 @@ impl Machine {
     }
 
     /// Tick 0 waits for the whole team, so that the run starts when everybody is there.
-    fn patience(&self) -> Patience {
-        if self.tick == 0 { Patience::Forever } else { self.patience }
+    fn timeout(&self) -> Timeout {
+        if self.tick == 0 { Timeout::Forever } else { self.timeout }
     }
 
     fn published(&mut self, now_ns: u64) {
@@ -284,9 +284,9 @@ impl Machine {
         })
     }
 
-    /// A robot that is still waited for, and was silent for longer than the patience.
+    /// A robot that is still waited for, and was silent for longer than the time-out.
     fn silent_for_too_long(&self, elapsed_ns: u64) -> Option<usize> {
-        let Patience::After(limit) = self.patience() else { return None };
+        let Timeout::After(limit) = self.timeout() else { return None };
         let is_over = u128::from(elapsed_ns) >= limit.as_nanos();
         let waited_for = |(drive, silent): (&Option<Drive>, &bool)| drive.is_none() && !*silent;
         is_over.then(|| self.drives.iter().zip(&self.silent).position(waited_for)).flatten()

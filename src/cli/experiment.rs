@@ -53,7 +53,7 @@ impl ExperimentArgs {
         file.clock = clock.or_else(|| file.clock.take());
         file.ticks = self.ticks.or(file.ticks);
         file.seed = self.seed.or(file.seed);
-        file.patience_s = self.patience.clone().or_else(|| file.patience_s.take());
+        file.timeout_s = self.timeout.clone().or_else(|| file.timeout_s.take());
         Ok(())
     }
 }

@@ -208,7 +208,7 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
 /// The flags that change the experiment, each without the others.
 fn one_by_one(args: &ExperimentArgs) -> Vec<(&'static str, ExperimentArgs)> {
     let none = ExperimentArgs::default;
-    let ExperimentArgs { robots, ticks, seed, clock, planner, stand_off, patience, .. } = args;
+    let ExperimentArgs { robots, ticks, seed, clock, planner, stand_off, timeout, .. } = args;
     let each = [
         ("--robots", robots.is_some(), ExperimentArgs { robots: *robots, ..none() }),
         ("--ticks", ticks.is_some(), ExperimentArgs { ticks: *ticks, ..none() }),
@@ -216,7 +216,7 @@ fn one_by_one(args: &ExperimentArgs) -> Vec<(&'static str, ExperimentArgs)> {
         ("--clock", clock.is_some(), ExperimentArgs { clock: *clock, ..none() }),
         ("--planner", planner.is_some(), ExperimentArgs { planner: planner.clone(), ..none() }),
         ("--stand-off", stand_off.is_some(), ExperimentArgs { stand_off: *stand_off, ..none() }),
-        ("--patience", patience.is_some(), ExperimentArgs { patience: patience.clone(), ..none() }),
+        ("--timeout", timeout.is_some(), ExperimentArgs { timeout: timeout.clone(), ..none() }),
     ];
     each.into_iter().filter(|(_, is_given, _)| *is_given).map(|(flag, _, alone)| (flag, alone)).collect()
 }

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use clap::Args;
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{Clock, GateKey, PatienceKey};
+use rangehound_shared::scenario::{Clock, GateKey, TimeoutKey};
 
 use super::ParentArgs;
 use super::input::InputArgs;
-use super::values::{CLOCKS, PerSensor, PlannerName, gate, megabytes, number, patience, place, port, standbys, whole};
+use super::values::{CLOCKS, PerSensor, PlannerName, gate, megabytes, number, place, port, standbys, timeout, whole};
 use crate::failure::Failure;
 use crate::results::made::Keep;
 use crate::results::report::Truth;
@@ -43,8 +43,8 @@ pub struct ExperimentArgs {
     pub stand_off: Option<f64>,
     /// Silence after which lock step goes on without a robot, and a silent process is killed and started again: seconds or
     /// "forever"
-    #[arg(long, value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
-    pub patience: Option<PatienceKey>,
+    #[arg(long, value_name = "SECONDS", alias = "patience", value_parser = timeout, allow_negative_numbers = true)]
+    pub timeout: Option<TimeoutKey>,
     /// Name of the run: nodes find each other by it [default: the scenario's name, numbered if taken]
     #[arg(long)]
     pub name: Option<RunName>,

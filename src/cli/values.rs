@@ -9,7 +9,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
 use rangehound_fusion::standby::STANDBYS_MAX;
 use rangehound_shared::recording::SensorName;
-use rangehound_shared::scenario::{Clock, GateKey, PLANNERS, PatienceKey};
+use rangehound_shared::scenario::{Clock, GateKey, PLANNERS, TimeoutKey};
 
 use crate::failure::Failure;
 use crate::study::chaos::faults::{Kind, Victim};
@@ -181,9 +181,9 @@ pub(super) fn speed(text: &str) -> Result<f64, String> {
     speed.ok_or_else(|| "expected a number from 0.001 to 1e6".to_owned())
 }
 
-pub(super) fn patience(text: &str) -> Result<PatienceKey, String> {
+pub(super) fn timeout(text: &str) -> Result<TimeoutKey, String> {
     Ok(match text.parse() {
-        Ok(seconds) => PatienceKey::Seconds(seconds),
-        Err(_) => PatienceKey::Word(text.to_owned()),
+        Ok(seconds) => TimeoutKey::Seconds(seconds),
+        Err(_) => TimeoutKey::Word(text.to_owned()),
     })
 }

@@ -16,7 +16,7 @@ use rangehound_node::world::{PlaybackError, world_of};
 use rangehound_robot::machine as robot;
 use rangehound_robot::sensor::{Sensor, measure};
 use rangehound_shared::message::{Drive, Header, Outgoing, Range};
-use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rangehound_sim::World;
 use rangehound_sim::machine as sim;
 
@@ -83,7 +83,7 @@ impl Team {
     pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
         // It goes on for as long as it is stepped.
         let ticks = u64::MAX - 1;
-        let scenario = &Scenario { clock: Clock::Lockstep, patience: Patience::Forever, ticks, ..scenario.clone() };
+        let scenario = &Scenario { clock: Clock::Lockstep, timeout: Timeout::Forever, ticks, ..scenario.clone() };
         let team = 0..scenario.robots.len();
         Ok(Self {
             sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),

@@ -70,7 +70,7 @@ fn scenario_files_that_cannot_be_read_are_refused_by_place() {
             (b"[robots]\nstart_m = [1.0]\n", "robots.start_m"),
             (b"[prior]\ncovariance = \"big\"\n", "prior.covariance"),
             (b"[prior]\nmean = 3\n", "prior.mean"),
-            (b"patience_s = true\n", "patience_s"),
+            (b"timeout_s = true\n", "timeout_s"),
             (b"name = \"\xff\"\n", "bad.toml"),
         ],
     );
@@ -90,8 +90,8 @@ fn values_that_make_no_sense_are_refused_by_key() {
             (b"ticks = 1000000001\n", "ticks"),
             (b"name = \"a b\"\n", "name"),
             (b"clock = \"sundial\"\n", "clock"),
-            (b"patience_s = 0.0\n", "patience_s"),
-            (b"patience_s = \"long\"\n", "patience_s"),
+            (b"timeout_s = 0.0\n", "timeout_s"),
+            (b"timeout_s = \"long\"\n", "timeout_s"),
             (b"[target]\nnoise_psd = -1.0\n", "target.noise_psd"),
             (b"[target]\nnoise_psd = inf\n", "target.noise_psd"),
             (b"[target]\nmodel = \"drunk\"\n", "target.model"),
@@ -215,11 +215,11 @@ fn values_on_the_command_line_are_refused_by_flag_or_key() {
         ("run --clock sundial", &["--clock"]),
         ("run --planner luck", &["planner"]),
         ("run --planner grid --robots 5", &["3.200e11"]),
-        ("run --patience 0", &["patience"]),
-        ("run --patience -1", &["patience"]),
-        ("run --patience=-1", &["patience"]),
-        ("run --patience abc", &["patience"]),
-        ("run --patience nan", &["patience"]),
+        ("run --timeout 0", &["timeout"]),
+        ("run --timeout -1", &["timeout"]),
+        ("run --timeout=-1", &["timeout"]),
+        ("run --timeout abc", &["timeout"]),
+        ("run --timeout nan", &["timeout"]),
         ("run --name a/b", &["--name"]),
         ("run --name a-name-of-25-letters-long", &["--name"]),
         ("run --name=", &["--name"]),
@@ -304,7 +304,7 @@ fn the_tool_without_a_name_numbers_its_folders() {
 
 #[test]
 fn help_tells_every_flag() {
-    let experiment = ["--robots", "--ticks", "--seed", "--clock", "--planner", "--patience", "--name", "--out"];
+    let experiment = ["--robots", "--ticks", "--seed", "--clock", "--planner", "--timeout", "--name", "--out"];
     let cases: [(&[&str], &[&str]); 9] = [
         (&[], &["run", "sim", "fusion", "robot", "watch", "scenario", "track", "compare", "Exit codes"]),
         (&["run"], &["--in-process", "--write-recording"]),

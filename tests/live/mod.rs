@@ -186,7 +186,7 @@ fn buttons_kill_stop_continue_and_restart() {
 #[test]
 fn a_viewer_sees_the_run_to_its_last_tick_and_is_told_of_its_end() {
     let run = Run::new();
-    let words = "--ticks 20000 --patience forever --robots 5";
+    let words = "--ticks 20000 --timeout forever --robots 5";
     let supervisor = run.lockstep(&format!("{words} --live"));
     let page = Page::of(&run, &supervisor);
     let (mut ticks, mut points): (Vec<u64>, Vec<Value>) = (Vec::new(), Vec::new());

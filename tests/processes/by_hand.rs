@@ -6,7 +6,7 @@ use crate::support::{Process, Run, digest_in_process, signal};
 
 const SIM: &str = "sim mine.toml";
 
-const SCENARIO: &str = "clock = \"lockstep\"\nticks = 200\nseed = 3\npatience_s = \"forever\"\n";
+const SCENARIO: &str = "clock = \"lockstep\"\nticks = 200\nseed = 3\ntimeout_s = \"forever\"\n";
 
 /// Starts one node and waits until it has joined the run or says that it waits for it.
 fn start(run: &Run, words: &str) -> Process {

@@ -78,7 +78,7 @@ fn nonsense_is_refused_before_anything_starts() {
         ("chaos --kinds flood", "expected one of: kill, stop, storm, several, blackout, all"),
         ("chaos --longest-stop 0", "--longest-stop: expected 0.01 to 60 s"),
         ("chaos --roles standby", "--roles: expected --standby 1 or more"),
-        ("chaos --patience 1", "--patience: expected forever"),
+        ("chaos --timeout 1", "--timeout: expected forever"),
     ] {
         assert_refused_at_once(words, expected);
     }

@@ -7,7 +7,7 @@ use crate::support::{Run, digest_in_process, is_alive, signal};
 const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
 /// A run that no test waits out.
-const ENDLESS: &str = "--ticks 100000000 --patience forever";
+const ENDLESS: &str = "--ticks 100000000 --timeout forever";
 
 fn pids(run: &Run) -> Vec<Pid> {
     ROLES.iter().map(|role| run.pid_of(role, 1)).collect()
@@ -15,7 +15,7 @@ fn pids(run: &Run) -> Vec<Pid> {
 
 #[test]
 fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
-    let words = "--ticks 20000 --patience forever";
+    let words = "--ticks 20000 --timeout forever";
     let run = Run::new();
     let first = run.lockstep(words);
     // Held, so that it lives for as long as the second needs to notice.
@@ -34,7 +34,7 @@ fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
 #[test]
 fn a_refused_run_leaves_the_folder_of_the_living_one_alone() {
     let run = Run::new();
-    let first = run.lockstep("--ticks 50 --patience forever");
+    let first = run.lockstep("--ticks 50 --timeout forever");
     let robot = run.pid_of("robot-0", 1);
     signal(robot, Signal::STOP);
     let before = run.read("scenario.toml");
@@ -81,7 +81,7 @@ fn an_interrupt_ends_even_nodes_that_cannot_hear_it() {
 
 #[test]
 fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
-    let words = "--ticks 60000 --patience forever";
+    let words = "--ticks 60000 --timeout forever";
     let run = Run::new();
     let supervisor = run.lockstep(words);
     run.wait_for_ticks(200);
@@ -114,7 +114,7 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
 /// The supervisor too, so that nobody is left to start anything again.
 #[test]
 fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
-    let words = "--ticks 60000 --patience forever";
+    let words = "--ticks 60000 --timeout forever";
     let run = Run::new();
     let mut supervisor = run.lockstep(words);
     for ticks in [500, 15_000, 30_000] {
@@ -226,11 +226,11 @@ fn the_nodes_of_a_killed_supervisor_end_and_its_name_is_free_again() {
     run.assert_nothing_left();
 }
 
-/// Stops robot 1 in a run of short patience, lets the others go on for a while, has it taken back,
+/// Stops robot 1 in a run of short time-out, lets the others go on for a while, has it taken back,
 /// and ends the run.
 fn run_with_robot_1_stopped_for_a_while(run: &Run) {
     // One that is not to be started again is not killed for hanging either.
-    let supervisor = run.lockstep("--ticks 100000000 --patience 0.2 --restart robot=never");
+    let supervisor = run.lockstep("--ticks 100000000 --timeout 0.2 --restart robot=never");
     let is_heard = || run.last_world().is_some_and(|(tick, world)| tick > 0 && world.robots[1].range_sent_ns.is_some());
     run.wait_until("robot 1 is heard", is_heard);
     let robot = run.pid_of("robot-1", 1);
@@ -246,7 +246,7 @@ fn run_with_robot_1_stopped_for_a_while(run: &Run) {
 }
 
 #[test]
-fn a_stopped_robot_is_left_out_after_the_patience_and_taken_back() {
+fn a_stopped_robot_is_left_out_after_the_timeout_and_taken_back() {
     let run = Run::new();
     run_with_robot_1_stopped_for_a_while(&run);
     let report = run.report();
@@ -268,7 +268,7 @@ fn only_the_stopped_robot_is_left_out() {
 /// They would write over each other's logs and checkpoints.
 #[test]
 fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
-    let words = "--ticks 40000 --patience forever";
+    let words = "--ticks 40000 --timeout forever";
     let run = Run::new();
     let first = run.lockstep(words);
     let robot = run.pid_of("robot-0", 1);
@@ -298,7 +298,7 @@ fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name
     signal(robot, Signal::STOP);
     supervisor.signal(Signal::KILL);
     assert_eq!(supervisor.finish().code, None);
-    let words = "--ticks 50 --patience forever";
+    let words = "--ticks 50 --timeout forever";
     run.lockstep(words).finish().succeeded();
     assert!(!is_alive(robot));
     assert_eq!(run.digest(), digest_in_process(words));
@@ -308,7 +308,7 @@ fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name
 /// As a build in the middle of a long run does.
 #[test]
 fn a_run_whose_program_file_is_replaced_goes_on() {
-    let words = "--ticks 40000 --patience forever";
+    let words = "--ticks 40000 --timeout forever";
     let run = Run::new();
     let program = run.path("program");
     std::fs::copy(env!("CARGO_BIN_EXE_rangehound"), &program).unwrap();
@@ -341,7 +341,7 @@ fn the_door_of_one_run_does_not_hold_up_another() {
     let door = std::fs::File::open(run.shared_folder().join("door")).unwrap();
     door.lock().unwrap();
     let other = Run::new();
-    other.lockstep("--ticks 20 --patience forever").finish().succeeded();
+    other.lockstep("--ticks 20 --timeout forever").finish().succeeded();
     drop(door);
     first.signal(Signal::INT);
     assert_eq!(first.finish().code, Some(1));

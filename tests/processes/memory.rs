@@ -45,7 +45,7 @@ fn node() {
 /// Allocations of simulator, fusion and a robot in a run of so many ticks, start and end included.
 fn allocations(ticks: u64) -> Vec<u64> {
     let run = Run::new();
-    let text = format!("clock = \"lockstep\"\npatience_s = \"forever\"\nticks = {ticks}\n[robots]\ncount = 2\n");
+    let text = format!("clock = \"lockstep\"\ntimeout_s = \"forever\"\nticks = {ticks}\n[robots]\ncount = 2\n");
     let file = ScenarioFile::parse(&text, "test").unwrap();
     let scenario = Scenario::from_file(&file, "test").unwrap();
     std::fs::create_dir(run.path("out")).unwrap();

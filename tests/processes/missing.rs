@@ -73,7 +73,7 @@ fn has_moved(robots: &[RobotRecord]) -> bool {
 fn a_robot_that_left_for_good_stands_still_and_the_others_go_on() {
     for clock in CLOCKS {
         let run = Run::new();
-        let supervisor = start(&run, &format!("{clock} --patience 0.3 --restart robot=never"));
+        let supervisor = start(&run, &format!("{clock} --timeout 0.3 --restart robot=never"));
         run.wait_for_ticks(10);
         signal(run.pid_of("robot-1", 1), Signal::KILL);
         // Its last drive may have been for the tick after.
@@ -90,10 +90,10 @@ fn a_robot_that_left_for_good_stands_still_and_the_others_go_on() {
 }
 
 #[test]
-fn a_hung_node_is_killed_after_the_patience_and_replaced() {
+fn a_hung_node_is_killed_after_the_timeout_and_replaced() {
     for clock in CLOCKS {
         let run = Run::new();
-        let supervisor = start(&run, &format!("{clock} --patience 0.5"));
+        let supervisor = start(&run, &format!("{clock} --timeout 0.5"));
         run.wait_for_ticks(10);
         for role in ["robot-1", "fusion", "sim"] {
             let hung = run.pid_of(role, 1);
@@ -113,7 +113,7 @@ fn a_hung_node_is_killed_after_the_patience_and_replaced() {
 /// Who waits for simulator or fusion loses nothing.
 #[test]
 fn in_lock_step_hangs_of_simulator_and_fusion_change_nothing() {
-    let words = "--ticks 60000 --patience 2";
+    let words = "--ticks 60000 --timeout 2";
     let run = Run::new();
     let supervisor = run.lockstep(words);
     for role in ["fusion", "sim"] {
@@ -131,7 +131,7 @@ fn in_lock_step_hangs_of_simulator_and_fusion_change_nothing() {
 #[test]
 fn a_node_that_hangs_while_it_starts_is_replaced() {
     let run = Run::new();
-    let supervisor = start(&run, "--clock realtime --patience 0.5");
+    let supervisor = start(&run, "--clock realtime --timeout 0.5");
     run.wait_for_ticks(5);
     // Whoever holds the door keeps a new member from coming in; the others are in.
     let door = std::fs::File::open(run.shared_folder().join("door")).unwrap();
@@ -146,10 +146,10 @@ fn a_node_that_hangs_while_it_starts_is_replaced() {
 }
 
 #[test]
-fn with_endless_patience_nobody_is_killed_for_hanging() {
+fn without_a_timeout_nobody_is_killed_for_hanging() {
     for clock in CLOCKS {
         let run = Run::new();
-        let supervisor = start(&run, &format!("{clock} --patience forever"));
+        let supervisor = start(&run, &format!("{clock} --timeout forever"));
         run.wait_for_ticks(10);
         let robot_1 = run.pid_of("robot-1", 1);
         signal(robot_1, Signal::STOP);
@@ -204,7 +204,7 @@ fn without_fusion_robots_hold_their_course_and_then_stop() {
         }
     };
     let hung = Run::new();
-    let supervisor = start(&hung, "--clock realtime --patience forever");
+    let supervisor = start(&hung, "--clock realtime --timeout forever");
     hung.wait_for_ticks(10);
     let fusion = hung.pid_of("fusion", 1);
     signal(fusion, Signal::STOP);
@@ -278,21 +278,21 @@ fn a_robot_that_comes_late_takes_part_from_then_on() {
 /// As a suspended machine would be, with the supervisor and without.
 #[test]
 fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
-    let words = "--ticks 60000 --patience 1";
+    let words = "--ticks 60000 --timeout 1";
     let oracle = digest_in_process(words);
     for is_supervisor_stopped in [true, false] {
         for clock in CLOCKS {
             let run = Run::new();
             let is_lockstep = clock == CLOCKS[0];
             let supervisor =
-                if is_lockstep { run.lockstep(words) } else { start(&run, "--clock realtime --patience 1") };
+                if is_lockstep { run.lockstep(words) } else { start(&run, "--clock realtime --timeout 1") };
             run.wait_for_ticks(20);
             let nodes: Vec<Pid> = ROLES.iter().map(|role| run.pid_of(role, 1)).collect();
             let mut stopped = nodes.clone();
             stopped.extend(is_supervisor_stopped.then(|| supervisor.pid()));
             stopped.iter().for_each(|pid| signal(*pid, Signal::STOP));
             let is_silent = |node| silent_s(&status(&run), node) > 2.5;
-            run.wait_until("everybody is silent for longer than the patience", || (0..ROLES.len()).all(is_silent));
+            run.wait_until("everybody is silent for longer than the time-out", || (0..ROLES.len()).all(is_silent));
             stopped.iter().for_each(|pid| signal(*pid, Signal::CONT));
             if is_lockstep {
                 supervisor.finish().succeeded();
@@ -312,7 +312,7 @@ fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
 /// Who has lost the lead and stays stopped is of no use to anybody, however patient.
 #[test]
 fn a_deposed_fusion_that_stays_stopped_is_replaced() {
-    let words = "--ticks 200000 --patience forever";
+    let words = "--ticks 200000 --timeout forever";
     let run = Run::new();
     let supervisor = run.lockstep(&format!("{words} --standby 1"));
     run.wait_for_ticks(20);
@@ -334,7 +334,7 @@ fn a_deposed_fusion_that_stays_stopped_is_replaced() {
 #[test]
 fn a_run_goes_on_with_a_standby_started_by_hand_and_again_without() {
     let run = Run::new();
-    let supervisor = run.lockstep("--ticks 100000000 --patience forever");
+    let supervisor = run.lockstep("--ticks 100000000 --timeout forever");
     run.wait_for_ticks(20);
     let by_hand = run.node("fusion --standby");
     run.wait_until("a standby is there", || run.starts("standby-1") == 1);
@@ -355,7 +355,7 @@ fn a_run_goes_on_with_a_standby_started_by_hand_and_again_without() {
 #[test]
 fn status_tells_who_is_silent() {
     let run = Run::new();
-    let supervisor = start(&run, "--clock realtime --patience forever");
+    let supervisor = start(&run, "--clock realtime --timeout forever");
     run.wait_for_ticks(5);
     let robot_0 = run.pid_of("robot-0", 1);
     signal(robot_0, Signal::STOP);

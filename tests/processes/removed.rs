@@ -7,7 +7,7 @@ use rustix::process::Signal;
 
 use crate::support::{Process, Run, digest_in_process, is_alive, signal};
 
-const WORDS: &str = "--ticks 40000 --patience forever";
+const WORDS: &str = "--ticks 40000 --timeout forever";
 const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
 /// What lies in shared memory of the run: its folder, and the segments beside it.
@@ -167,7 +167,7 @@ fn nodes_without_a_supervisor_end_with_the_cause_and_resume_goes_on() {
 #[test]
 fn without_its_checkpoints_the_run_ends_with_the_cause() {
     let run = Run::new();
-    let supervisor = run.lockstep("--ticks 100000000 --patience forever");
+    let supervisor = run.lockstep("--ticks 100000000 --timeout forever");
     run.wait_for_ticks(200);
     // Stopped, so that it makes no checkpoint anew.
     signal(run.pid_of("fusion", 1), Signal::STOP);

@@ -13,7 +13,7 @@ use rustix::process::Signal;
 
 use crate::support::{Outcome, Run, signal, skipped};
 
-const ENDLESS: &str = "run --clock lockstep --ticks 100000000 --patience forever";
+const ENDLESS: &str = "run --clock lockstep --ticks 100000000 --timeout forever";
 
 /// Exit code and one complaint that names all of this.
 #[track_caller]
@@ -103,7 +103,7 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
     let run = Run::new();
     std::fs::create_dir(run.path("out")).unwrap();
     let script = mounted_and_listed("mount -t tmpfs -o size=400k none out", "find out -maxdepth 1 -size 0");
-    let words = "run --clock lockstep --ticks 300000 --patience forever";
+    let words = "run --clock lockstep --ticks 300000 --timeout forever";
     let outcome = run.command_by(&script, words).finish();
     assert_refused(&outcome, 1, &["out", "No space left on device"]);
     // What there was no room for is not there, rather than empty.

@@ -77,7 +77,7 @@ fn start_rogue(run: &Run, output: &Path) -> Child {
 
 #[test]
 fn a_rogue_at_full_speed_changes_nothing() {
-    let words = "--ticks 20000 --patience forever";
+    let words = "--ticks 20000 --timeout forever";
     let run = Run::new();
     let supervisor = run.lockstep(words);
     // Before that a topic may be half made, and would stay so.

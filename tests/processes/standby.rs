@@ -13,7 +13,7 @@ fn wait_for_lead(run: &Run, start: u64) {
 
 #[test]
 fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
-    let words = "--ticks 80000 --patience forever";
+    let words = "--ticks 80000 --timeout forever";
     let run = Run::new();
     let supervisor = run.lockstep(&format!("{words} --standby 2"));
     run.wait_for_ticks(50);
@@ -37,7 +37,7 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
 /// Stopped at any moment, it is deposed; continued, it commands nobody and stands by.
 #[test]
 fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
-    let words = "--ticks 600000 --patience forever";
+    let words = "--ticks 600000 --timeout forever";
     let run = Run::new();
     let supervisor = run.lockstep(&format!("{words} --standby 1"));
     run.wait_for_ticks(50);
@@ -80,7 +80,7 @@ fn in_real_time_a_standby_leaves_no_robot_long_without_a_heading() {
 #[test]
 fn a_standby_started_by_hand_leads_if_nobody_does() {
     let run = Run::new();
-    let sim = run.command("sim --clock lockstep --ticks 30000 --patience forever");
+    let sim = run.command("sim --clock lockstep --ticks 30000 --timeout forever");
     let mut nodes: Vec<_> = (0..3).map(|id| run.node(&format!("robot --id {id}"))).collect();
     let first = run.node("fusion --standby");
     run.wait_for_ticks(5);
@@ -99,7 +99,7 @@ fn a_standby_started_by_hand_leads_if_nobody_does() {
 #[test]
 fn a_fusion_that_searches_a_grid_is_not_deposed_for_it() {
     let run = Run::new();
-    let near = "dt_s = 3.0\nclock = \"lockstep\"\nticks = 1\npatience_s = \"forever\"\n[target]\nstart = [15.3, 0.2, 0.0, 0.0]\n";
+    let near = "dt_s = 3.0\nclock = \"lockstep\"\nticks = 1\ntimeout_s = \"forever\"\n[target]\nstart = [15.3, 0.2, 0.0, 0.0]\n";
     run.write("mine.toml", format!("{near}[robots]\ncount = 4\n[planner]\nname = \"grid\"\nstand_off_m = 0\n"));
     run.command("run mine.toml --standby 1").finish().succeeded();
     assert!(run.report()["nodes"].as_array().unwrap().iter().all(|node| node["starts"] == 1));

@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use crate::support::{Outcome, PROGRAM, Run, skipped};
 
-const ENDLESS: &str = "--ticks 100000000 --patience forever";
+const ENDLESS: &str = "--ticks 100000000 --timeout forever";
 
 /// Another user: any id that is not this one's.
 const NOBODY: [&str; 3] = ["--reuid=65534", "--regid=65534", "--clear-groups"];

@@ -25,7 +25,7 @@ fn headings(page: &str) -> Vec<&str> {
 #[test]
 fn a_run_with_a_killed_node_has_all_pictures_and_tells_of_the_fault() {
     let run = Run::new();
-    let supervisor = run.lockstep("--ticks 5000 --patience forever");
+    let supervisor = run.lockstep("--ticks 5000 --timeout forever");
     run.wait_for_ticks(300);
     signal(run.pid_of("robot-1", 1), Signal::KILL);
     run.pid_of("robot-1", 2);

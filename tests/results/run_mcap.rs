@@ -76,7 +76,7 @@ pub(crate) fn recorder(run: &Run, before: Option<Pid>) -> Pid {
 #[test]
 fn others_read_what_a_run_with_kills_was_and_it_replays_to_the_bit() {
     let run = Run::new();
-    let supervisor = run.lockstep("--record --ticks 8000 --patience forever");
+    let supervisor = run.lockstep("--record --ticks 8000 --timeout forever");
     for (start, role) in [(1, "fusion"), (2, "fusion"), (1, "sim"), (1, "robot-1"), (3, "fusion")] {
         let ticks = run.ticks_done();
         run.wait_for_ticks(ticks + 500);

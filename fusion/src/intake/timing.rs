@@ -2,7 +2,7 @@
 
 use rangehound_shared::message::{Header, Range};
 use rangehound_shared::protocol::timing::range_deadline_ns;
-use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 /// Ticks that a robot may be ahead of what the time since the last tick began makes possible: one for the tick that
 /// the simulator catches up on after it was stopped, one for a tick whose beginning was stamped at its repeat.
@@ -12,7 +12,7 @@ pub(super) const AHEAD_TICKS_MAX: u64 = 2;
 #[derive(Debug)]
 pub(super) struct Timing {
     clock: Clock,
-    patience: Patience,
+    timeout: Timeout,
     dt_s: f64,
     last_tick: u64,
     robots: usize,
@@ -27,7 +27,7 @@ impl Timing {
         let robots = scenario.robots.len();
         Self {
             clock: scenario.clock,
-            patience: scenario.patience,
+            timeout: scenario.timeout,
             dt_s: scenario.dt_s,
             last_tick: scenario.ticks,
             robots,
@@ -82,7 +82,7 @@ impl Timing {
         if next == 0 {
             return None;
         }
-        match (self.clock, self.patience) {
+        match (self.clock, self.timeout) {
             // A robot that speaks before the tick has begun, or says that it began long ago, shall not cut it short.
             (Clock::Realtime, _) => {
                 let reported_ns = self.began_ns.iter().copied().max().unwrap_or(first_ns);
@@ -91,8 +91,8 @@ impl Timing {
                 let earliest_ns = self.after(last_began_ns).min(first_ns.saturating_add(self.dt_ns()));
                 Some(range_deadline_ns(reported_ns.max(earliest_ns), self.dt_s))
             }
-            (Clock::Lockstep, Patience::Forever) => None,
-            (Clock::Lockstep, Patience::After(limit)) => Some(first_ns.saturating_add(limit.as_nanos() as u64)),
+            (Clock::Lockstep, Timeout::Forever) => None,
+            (Clock::Lockstep, Timeout::After(limit)) => Some(first_ns.saturating_add(limit.as_nanos() as u64)),
         }
     }
 

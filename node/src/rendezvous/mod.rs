@@ -93,7 +93,7 @@ impl Rendezvous {
         Self::found_within(Duration::ZERO, name, description)
     }
 
-    fn found_within(patience: Duration, name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
+    fn found_within(timeout: Duration, name: &RunName, description: RunDescription) -> Result<Self, RendezvousError> {
         let robots = description.scenario.robots.len();
         resources::provide_files(robots)?;
         resources::look_for_shared_memory()?;
@@ -106,7 +106,7 @@ impl Rendezvous {
             let members = place.open("members")?;
             match members.try_lock() {
                 Ok(()) => break (door, members),
-                Err(TryLockError::WouldBlock) if began.elapsed() < patience => continue_orphans(&place),
+                Err(TryLockError::WouldBlock) if began.elapsed() < timeout => continue_orphans(&place),
                 Err(TryLockError::WouldBlock) => return Err(RendezvousError::Taken { name: name.clone() }),
                 Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
             }

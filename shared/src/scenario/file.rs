@@ -19,7 +19,8 @@ pub struct ScenarioFile {
     /// `"realtime"` or `"lockstep"`.
     pub clock: Option<String>,
     /// Silence after which a robot is left out, s, or `"forever"`.
-    pub patience_s: Option<PatienceKey>,
+    #[serde(alias = "patience_s")]
+    pub timeout_s: Option<TimeoutKey>,
     /// How the target moves.
     pub target: Option<TargetTable>,
     /// What fusion knows before the first range.
@@ -36,10 +37,10 @@ pub struct ScenarioFile {
     pub recording: Option<RecordingTable>,
 }
 
-/// `patience_s`: seconds or `"forever"`.
+/// `timeout_s`: seconds or `"forever"`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "expected seconds above 0 or \"forever\"")]
-pub enum PatienceKey {
+pub enum TimeoutKey {
     /// Seconds of silence.
     Seconds(f64),
     /// `"forever"`.

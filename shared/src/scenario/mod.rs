@@ -38,7 +38,7 @@ pub struct Scenario {
     /// What starts the next tick.
     pub clock: Clock,
     /// How long a silent robot is waited for.
-    pub patience: Patience,
+    pub timeout: Timeout,
     /// How the target moves.
     pub motion: MotionModel,
     /// How the filter takes the target to move: as it does, unless the scenario gives the filter another noise.
@@ -73,7 +73,7 @@ pub enum Clock {
 
 /// How long a silent robot is waited for in lock step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Patience {
+pub enum Timeout {
     /// It is left out after this silence, until it speaks again.
     After(Duration),
     /// It is never left out.

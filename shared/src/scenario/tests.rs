@@ -25,7 +25,7 @@ fn robot() -> impl Strategy<Value = RobotTable> {
 }
 
 fn file() -> impl Strategy<Value = ScenarioFile> {
-    let patience = prop_oneof![any_number().prop_map(PatienceKey::Seconds), ".{0,9}".prop_map(PatienceKey::Word)];
+    let timeout = prop_oneof![any_number().prop_map(TimeoutKey::Seconds), ".{0,9}".prop_map(TimeoutKey::Word)];
     let clearance = (maybe(any_number()), maybe(any_number()), maybe(any_number()));
     let planner =
         (maybe("[a-z]{1,9}"), maybe(0..99_u64), maybe(0..99_u64), maybe(any_number()), maybe(any_number()), clearance)
@@ -44,20 +44,20 @@ fn file() -> impl Strategy<Value = ScenarioFile> {
     let head =
         (maybe(".{0,30}"), maybe(0..1_000_000_u64), maybe(any_number()), maybe(0..1_000_u64), maybe("[a-z]{1,9}"));
     let rest = (
-        maybe(patience),
+        maybe(timeout),
         maybe(target()),
         maybe(prior),
         maybe(proptest::collection::vec(robot(), 0..4)),
         maybe(planner),
     );
-    (head, rest).prop_map(|((name, ticks, dt_s, seed, clock), (patience_s, target, prior, robot, planner))| {
+    (head, rest).prop_map(|((name, ticks, dt_s, seed, clock), (timeout_s, target, prior, robot, planner))| {
         ScenarioFile {
             name,
             ticks,
             dt_s,
             seed,
             clock,
-            patience_s,
+            timeout_s,
             target,
             prior,
             robot,

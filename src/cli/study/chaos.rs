@@ -1,7 +1,7 @@
 //! `chaos`: its flags, checked.
 
 use clap::Args;
-use rangehound_shared::scenario::{Clock, PatienceKey, Source};
+use rangehound_shared::scenario::{Clock, Source, TimeoutKey};
 
 use crate::cli::ExperimentArgs;
 use crate::cli::values::{KINDS, VICTIMS, number, standbys, whole, within};
@@ -14,7 +14,7 @@ use crate::study::chaos::faults::{Asked, Kind, STOP_MIN_S, Victim};
 /// `chaos`.
 #[derive(Debug, Args)]
 pub struct ChaosArgs {
-    /// The experiment; in lock step, the default here, with endless patience
+    /// The experiment; in lock step, the default here, with no time-out
     #[command(flatten)]
     pub experiment: ExperimentArgs,
     /// Number of faults; a run that ends before them is followed by one of the next seed
@@ -77,9 +77,9 @@ impl ChaosArgs {
     fn experiment(&self, asked: &Asked) -> Result<(Experiment, Option<Reserved>), Failure> {
         let given = &self.experiment;
         let clock = given.clock.unwrap_or(Clock::Lockstep);
-        let forever = PatienceKey::Word("forever".to_owned());
-        if given.patience.as_ref().is_some_and(|patience| *patience != forever) {
-            return Err(Failure::input("--patience: expected forever, as going on without a node changes the digest"));
+        let forever = TimeoutKey::Word("forever".to_owned());
+        if given.timeout.as_ref().is_some_and(|timeout| *timeout != forever) {
+            return Err(Failure::input("--timeout: expected forever, as going on without a node changes the digest"));
         }
         let (name, reserved) = match &given.name {
             Some(name) => (name.clone(), None),
@@ -93,7 +93,7 @@ impl ChaosArgs {
             clock: Some(clock),
             planner: given.planner.clone(),
             stand_off: given.stand_off,
-            patience: Some(forever.clone()),
+            timeout: Some(forever.clone()),
             name: Some(name.clone()),
             out: given.out.clone(),
         };

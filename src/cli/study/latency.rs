@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{Clock, PatienceKey, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario, TimeoutKey};
 
 use crate::cli::ExperimentArgs;
 use crate::cli::values::{CLOCKS, PlannerName, number, whole, within};
@@ -82,7 +82,7 @@ impl LatencyArgs {
             clock: Some(clock),
             planner: self.planner.clone(),
             // In lock step nobody is left out: each wait is a sample.
-            patience: (clock == Clock::Lockstep).then(|| PatienceKey::Word("forever".to_owned())),
+            timeout: (clock == Clock::Lockstep).then(|| TimeoutKey::Word("forever".to_owned())),
             ..ExperimentArgs::default()
         };
         let most = format!("1 to {ROUNDS_MAX}");

@@ -206,8 +206,8 @@ mod tests {
 
     use super::*;
 
-    fn scenario(patience: &str) -> Scenario {
-        let file = ScenarioFile::parse(&format!("patience_s = {patience}\n[robots]\ncount = 1\n"), "test").unwrap();
+    fn scenario(timeout: &str) -> Scenario {
+        let file = ScenarioFile::parse(&format!("timeout_s = {timeout}\n[robots]\ncount = 1\n"), "test").unwrap();
         Scenario::from_file(&file, "test").unwrap()
     }
 
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deposed_one_that_hangs_is_killed_whatever_the_patience() {
+    fn a_deposed_one_that_hangs_is_killed_whatever_the_timeout() {
         let (mut machine, scenario) = (machine(&[]), scenario("\"forever\""));
         for look in 0..23 {
             machine.look(&scenario, |node| Seen {

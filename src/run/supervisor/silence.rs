@@ -3,20 +3,20 @@
 use std::time::Duration;
 
 use rangehound_fusion::standby::step_max;
-use rangehound_shared::scenario::{Patience, Scenario};
+use rangehound_shared::scenario::{Scenario, Timeout};
 
 /// How often heartbeats are looked for. Silence is counted in looks, and only in those in which somebody else
 /// was heard: a supervisor or a whole run that was stopped, a suspended machine or a clock that jumps
 /// makes nobody silent.
 pub(crate) const LOOK: Duration = Duration::from_millis(100);
 
-/// Shortest silence that is a hang, however short the patience: a busy machine keeps anybody waiting.
+/// Shortest silence that is a hang, however short the time-out: a busy machine keeps anybody waiting.
 const HANG_MIN: Duration = Duration::from_millis(500);
 
 /// What each node of a run adds to the time that any of them may take to start.
 const START: Duration = Duration::from_millis(100);
 
-/// Silence after which one that another took the lead from is given up, with endless patience too.
+/// Silence after which one that another took the lead from is given up, with no time-out too.
 const DEPOSED: Duration = Duration::from_secs(2);
 
 /// How long one process has given no heartbeat; `S` is such a sign, of which only whether it changes means anything.
@@ -60,9 +60,9 @@ impl<S: PartialEq> Silence<S> {
 
 /// The silence after which a process of a run of so many nodes hangs, if it ever does.
 pub(crate) fn limit(scenario: &Scenario, nodes: usize, has_started: bool, is_deposed: bool) -> Option<Duration> {
-    let Patience::After(patience) = scenario.patience else { return is_deposed.then_some(DEPOSED) };
+    let Timeout::After(timeout) = scenario.timeout else { return is_deposed.then_some(DEPOSED) };
     let start = if has_started { Duration::ZERO } else { START.saturating_mul(nodes.try_into().unwrap_or(u32::MAX)) };
-    Some(patience.max(HANG_MIN).saturating_add(start).saturating_add(step_max(scenario)))
+    Some(timeout.max(HANG_MIN).saturating_add(start).saturating_add(step_max(scenario)))
 }
 
 #[cfg(test)]

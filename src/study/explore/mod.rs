@@ -120,9 +120,9 @@ impl Stage {
             return Ok(scenario.clone());
         }
         let clock = if is_realtime { "realtime" } else { "lockstep" };
-        let patience = if is_endless { "\"forever\"" } else { "2.0" };
+        let timeout = if is_endless { "\"forever\"" } else { "2.0" };
         let text = format!(
-            "ticks = {TICKS_MAX}\nclock = \"{clock}\"\npatience_s = {patience}\n\
+            "ticks = {TICKS_MAX}\nclock = \"{clock}\"\ntimeout_s = {timeout}\n\
              [planner]\nname = \"greedy\"\n[robots]\ncount = {robots}\n"
         );
         let file = ScenarioFile::parse(&text, "explore").map_err(Failure::input)?;

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use super::bounds::{DT_S, GATE_SIGMA, NOISE_PSD, PATIENCE_S, STD_M, TICKS_MAX};
 use super::{
-    Clearance, Clock, FilterTable, GateKey, Patience, PatienceKey, PlannerSpec, PlannerTable, Prior, RecordingTable,
-    Scenario, ScenarioError, ScenarioFile, Source, defaults,
+    Clearance, Clock, FilterTable, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario, ScenarioError,
+    ScenarioFile, Source, Timeout, TimeoutKey, defaults,
 };
 use crate::motion::MotionModel;
 use crate::recording::{ReadSummary, Recording};
@@ -89,7 +89,7 @@ impl Checker<'_> {
             dt_s,
             seed,
             clock: self.clock(raw)?,
-            patience: self.patience(raw.patience_s.as_ref())?,
+            timeout: self.timeout(raw.timeout_s.as_ref())?,
             filter_motion: motion.clone(),
             motion,
             source: Source::Simulated { target_start: Vec::new() },
@@ -137,15 +137,15 @@ impl Checker<'_> {
         }
     }
 
-    fn patience(&self, key: Option<&PatienceKey>) -> Result<Patience, ScenarioError> {
+    fn timeout(&self, key: Option<&TimeoutKey>) -> Result<Timeout, ScenarioError> {
         match key {
-            None => Ok(Patience::After(Duration::from_secs_f64(defaults::PATIENCE_S))),
-            Some(PatienceKey::Word(word)) if word == "forever" => Ok(Patience::Forever),
-            Some(PatienceKey::Seconds(seconds)) if PATIENCE_S.contains(seconds) => {
-                Ok(Patience::After(Duration::from_secs_f64(*seconds)))
+            None => Ok(Timeout::After(Duration::from_secs_f64(defaults::PATIENCE_S))),
+            Some(TimeoutKey::Word(word)) if word == "forever" => Ok(Timeout::Forever),
+            Some(TimeoutKey::Seconds(seconds)) if PATIENCE_S.contains(seconds) => {
+                Ok(Timeout::After(Duration::from_secs_f64(*seconds)))
             }
-            Some(PatienceKey::Word(word)) => Err(self.refuse("patience_s", patience_expected(), quoted(word))),
-            Some(PatienceKey::Seconds(seconds)) => Err(self.refuse("patience_s", patience_expected(), seconds)),
+            Some(TimeoutKey::Word(word)) => Err(self.refuse("timeout_s", timeout_expected(), quoted(word))),
+            Some(TimeoutKey::Seconds(seconds)) => Err(self.refuse("timeout_s", timeout_expected(), seconds)),
         }
     }
 
@@ -164,6 +164,6 @@ impl Checker<'_> {
     }
 }
 
-fn patience_expected() -> String {
+fn timeout_expected() -> String {
     format!("seconds from {} to {} or \"forever\"", PATIENCE_S.start(), PATIENCE_S.end())
 }

@@ -19,7 +19,7 @@ use std::rc::Rc;
 use rangehound_fusion::leader::Leader;
 use rangehound_shared::message::{Command, Drive, Estimate, Range, Refusal, WorldEntry};
 use rangehound_shared::record::RangeUse;
-use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 use super::plan::Plan;
 use robot::RobotHistory;
@@ -75,7 +75,7 @@ impl Witness {
             is_realtime,
             has_drives: false,
             is_left_out: vec![false; robots],
-            waits_for_all: !is_realtime && scenario.patience == Patience::Forever,
+            waits_for_all: !is_realtime && scenario.timeout == Timeout::Forever,
             may_refuse,
             robots: (0..robots).map(|_| RobotHistory::default()).collect(),
             timing: Timing::new(scenario),

@@ -6,7 +6,7 @@ use crate::study::explore::lead::Lead;
 use crate::study::explore::plan::Plan;
 use crate::study::explore::process::{Node, Process};
 
-/// Silence that is no hang, ns: the patience, or what a deposed one has, but for the look that begins it.
+/// Silence that is no hang, ns: the time-out, or what a deposed one has, but for the look that begins it.
 const SILENCE_MIN_NS: u64 = 1_900_000_000;
 
 /// Looks after which whoever hangs has been killed; one that has not come up has one more for each node.
@@ -143,7 +143,7 @@ impl Supervision {
         } else if self.nodes[index].silent.1 < OTHERS_HEARD_MIN {
             Err("it was killed as hung, though nobody else was heard".to_owned())
         } else if self.is_endless && !is_deposed {
-            Err("it was killed as hung, though patience has no end".to_owned())
+            Err("it was killed as hung, though there is no time-out".to_owned())
         } else if self.leaves_robots && index >= self.robots_from {
             Err("it was killed as hung, though it is not started again".to_owned())
         } else {

@@ -1,6 +1,6 @@
 //! When ticks begin and end, and who is waited for.
 
-use rangehound_shared::scenario::{Clock, Patience, Scenario};
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 /// A process that runs looks at the clock at least this often, ns: time beyond it may pass for a suspension.
 const ROUND_NS: u64 = 260_000_000;
@@ -20,7 +20,7 @@ pub(in crate::study::explore) struct Timing {
     is_realtime: bool,
     dt_ns: u64,
     /// What lock step waits for somebody, ns; `None` if for ever.
-    patience_ns: Option<u64>,
+    timeout_ns: Option<u64>,
     /// When each tick was published first.
     worlds_ns: Vec<u64>,
     /// The newest tick of the present simulator.
@@ -78,9 +78,9 @@ impl Timing {
         Self {
             is_realtime: scenario.clock == Clock::Realtime,
             dt_ns: (scenario.dt_s * 1e9) as u64,
-            patience_ns: match scenario.patience {
-                Patience::After(patience) => Some(patience.as_nanos() as u64),
-                Patience::Forever => None,
+            timeout_ns: match scenario.timeout {
+                Timeout::After(timeout) => Some(timeout.as_nanos() as u64),
+                Timeout::Forever => None,
             },
             worlds_ns: Vec::new(),
             sim_tick: None,
@@ -131,7 +131,7 @@ impl Timing {
     /// The simulator goes on without a robot, having run for so long.
     pub(in crate::study::explore) fn leaves_out(&self, tick: u64, ran_ns: u64) -> Result<(), String> {
         let waited_ns = self.sim_tick.map_or(0, |began| ran_ns - began.ran_ns);
-        let is_over = self.patience_ns.is_some_and(|patience_ns| waited_ns + ROUND_NS >= patience_ns);
+        let is_over = self.timeout_ns.is_some_and(|timeout_ns| waited_ns + ROUND_NS >= timeout_ns);
         if tick == 0 || self.is_realtime || !is_over {
             return Err(format!("a robot was left out at tick {tick} before its time"));
         }
@@ -149,8 +149,8 @@ impl Timing {
         }
         if !self.is_realtime {
             let is_over = self
-                .patience_ns
-                .is_some_and(|patience_ns| ran_ns.is_none_or(|ran_ns| ran_ns + ROUND_NS + late_ns >= patience_ns));
+                .timeout_ns
+                .is_some_and(|timeout_ns| ran_ns.is_none_or(|ran_ns| ran_ns + ROUND_NS + late_ns >= timeout_ns));
             return if has_newly_missing && !is_over && !is_cut {
                 Err(format!("tick {tick} did not wait for a robot"))
             } else {
