@@ -153,7 +153,7 @@ impl Rendezvous {
         if !place.path("run").exists() {
             return Ok(None);
         }
-        let _door = match place.enter(false) {
+        let door = match place.enter(false) {
             Ok(door) => door,
             Err(RendezvousError::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
                 return Ok(None);
@@ -168,6 +168,8 @@ impl Rendezvous {
             Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
         }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
+        // A run that has a member is neither removed nor founded anew: others may join while this one reads.
+        drop(door);
         let sealed =
             bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
         let description = RunDescription::open(&sealed).map_err(|reason| match reason {

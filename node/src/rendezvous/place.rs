@@ -16,6 +16,8 @@ use crate::system::resources::SHARED_MEMORY;
 /// How long to wait for whoever stands in the door, and how often to try.
 const DOOR: Duration = Duration::from_secs(10);
 const DOOR_POLL: Duration = Duration::from_micros(200);
+/// A large team that joins at once would keep the processors busy with trying.
+const DOOR_POLL_MAX: Duration = Duration::from_millis(10);
 
 /// Permissions of a run's folder.
 const MODE: u32 = 0o700;
@@ -69,6 +71,7 @@ impl Place {
     /// Locks the door, which nobody holds for long but one that was stopped in it.
     pub(super) fn enter(&self, create: bool) -> Result<File, RendezvousError> {
         let began = Instant::now();
+        let mut poll = DOOR_POLL;
         loop {
             if create {
                 let made = std::fs::DirBuilder::new().mode(MODE).create(&self.dir);
@@ -89,7 +92,10 @@ impl Place {
             match door.try_lock() {
                 Ok(()) if self.is_named(&door) => return Ok(door),
                 Ok(()) => {}
-                Err(TryLockError::WouldBlock) if began.elapsed() < DOOR => std::thread::sleep(DOOR_POLL),
+                Err(TryLockError::WouldBlock) if began.elapsed() < DOOR => {
+                    std::thread::sleep(poll);
+                    poll = (2 * poll).min(DOOR_POLL_MAX);
+                }
                 Err(TryLockError::WouldBlock) => {
                     let held = "a process has stood in it for too long, as one that was stopped would";
                     return Err(self.io_error("door", std::io::Error::new(std::io::ErrorKind::TimedOut, held)));
