@@ -108,8 +108,8 @@ impl Cluster<'_> {
     /// A message reaches a node, whose process looks at it if that wakes it.
     pub(super) fn arrive(&mut self, to: usize, message: Message, is_garbled: bool) -> bool {
         let node = &mut self.nodes[to];
-        // Nobody listens yet.
-        if matches!(node.process, Process::None | Process::Starting) {
+        // One that starts may hear what was said before it knew who leads.
+        if matches!(node.process, Process::None) {
             return false;
         }
         if node.inbox.len() == INBOX {
