@@ -36,15 +36,11 @@ pub(super) const CLOCKS: OneOf<Clock> = OneOf(&[
 pub(super) const KINDS: OneOf<Option<Kind>> = OneOf(&[
     ("kill", Some(Kind::Kill), "One node is killed"),
     ("stop", Some(Kind::Stop), "One node is stopped for 10 ms up to the longest stop"),
-    (
-        "storm",
-        Some(Kind::CrashLoop),
-        "One node is killed, and its successors as soon as they have its role, 3 to 5 times",
-    ),
+    ("storm", Some(Kind::Storm), "One node is killed, and its successors as soon as they have its role, 3 to 5 times"),
     ("several", Some(Kind::Several), "Two or more nodes are killed at once"),
     (
         "blackout",
-        Some(Kind::TotalOutage),
+        Some(Kind::Blackout),
         "Everything is killed at once, whatever the roles, and the supervisor too; then the run is resumed",
     ),
     ("all", None, "All of these; without blackout if not sim, fusion and robot are to be hurt"),

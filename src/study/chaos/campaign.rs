@@ -174,7 +174,7 @@ impl<'a> Campaign<'a> {
                 self.next_number += 1;
                 self.next = self.faults.at(self.next_number);
                 due = Instant::now() + self.next.gap;
-                if kind == Kind::TotalOutage {
+                if kind == Kind::Blackout {
                     break Life::BlackedOut(self.injected.len() - 1);
                 }
             }

@@ -15,16 +15,16 @@ pub enum Kind {
     /// One node is stopped for a while.
     Stop,
     /// One node is killed, and its successors half-way up.
-    CrashLoop,
+    Storm,
     /// Several nodes are killed at once.
     Several,
     /// Everything is killed at once, the supervisor too, and the run resumed.
-    TotalOutage,
+    Blackout,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::CrashLoop, Self::Several, Self::TotalOutage];
+    pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::Storm, Self::Several, Self::Blackout];
 }
 
 /// A kind of node that is hurt.
@@ -71,7 +71,7 @@ pub(super) struct PlannedFault {
     pub(super) gap: Duration,
     /// What is done.
     pub(super) kind: Kind,
-    /// Whom it is done to: one node, but for [`Kind::Several`]; of no meaning for [`Kind::TotalOutage`].
+    /// Whom it is done to: one node, but for [`Kind::Several`]; of no meaning for [`Kind::Blackout`].
     pub(super) roles: Vec<Role>,
     /// How long a stop lasts.
     pub(super) stop: Duration,
@@ -103,7 +103,7 @@ impl Faults {
             [Victim::Sim, Victim::Fusion, Victim::Robot].iter().all(|victim| asked.victims.contains(victim));
         let is_asked = |kind: &Kind| match &asked.kinds {
             Some(kinds) => kinds.contains(kind),
-            None => *kind != Kind::TotalOutage || hurts_all,
+            None => *kind != Kind::Blackout || hurts_all,
         };
         let nodes_of = |victim: Victim| match victim {
             Victim::Sim => vec![Role::Sim],
@@ -204,7 +204,7 @@ mod tests {
         assert!(all.iter().all(|fault| (3..=5).contains(&fault.kills)));
         assert!(all.iter().all(|fault| fault.stop.as_millis() >= 10 && fault.stop.as_millis() <= 500));
         let without_fusion = faults(2, |asked| asked.victims = vec![Victim::Sim, Victim::Robot]);
-        assert!(without_fusion.iter().all(|fault| fault.kind != Kind::TotalOutage));
+        assert!(without_fusion.iter().all(|fault| fault.kind != Kind::Blackout));
         let standbys = faults(2, |asked| (asked.victims, asked.standbys) = (vec![Victim::Standby], 2));
         assert!(standbys.iter().any(|fault| fault.roles == [Role::Standby(2)]));
         let only = faults(256, |asked| {

@@ -20,11 +20,11 @@ pub(super) struct Live<'a> {
     pub(super) ticks: Ticks<'a>,
     /// Who is to be continued, and when.
     pub(super) stopped: Vec<(Instant, Process)>,
-    pub(super) storms: Vec<CrashLoop>,
+    pub(super) storms: Vec<Storm>,
     pub(super) recovering: Vec<Recovering>,
 }
 
-pub(super) struct CrashLoop {
+pub(super) struct Storm {
     pub(super) hit: usize,
     pub(super) role: Role,
     /// Starts of the role at the last kill.
@@ -52,26 +52,26 @@ impl<'a> Live<'a> {
     pub(super) fn inject(&mut self, fault: u64, what: &PlannedFault, injected: &mut Vec<Injected>) -> bool {
         let mut is_done = false;
         let everything = [Role::Supervisor];
-        let roles = if what.kind == Kind::TotalOutage { &everything[..] } else { &what.roles };
+        let roles = if what.kind == Kind::Blackout { &everything[..] } else { &what.roles };
         for role in roles {
             let Some(role) = self.present(*role) else { continue };
             let hit = injected.len();
             let is_hit = match what.kind {
                 Kind::Stop => self.stop(role, what.stop),
-                Kind::Kill | Kind::Several | Kind::CrashLoop => self.kill(role, hit),
+                Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
                 // Done by who can do without the run.
-                Kind::TotalOutage => true,
+                Kind::Blackout => true,
             };
             if !is_hit {
                 continue;
             }
             is_done = true;
             match what.kind {
-                Kind::CrashLoop => {
+                Kind::Storm => {
                     let starts = self.recovering.last().map_or(0, |last| last.starts);
-                    self.storms.push(CrashLoop { hit, role, starts, left: what.kills - 1 });
+                    self.storms.push(Storm { hit, role, starts, left: what.kills - 1 });
                 }
-                Kind::Kill | Kind::Stop | Kind::Several | Kind::TotalOutage => {}
+                Kind::Kill | Kind::Stop | Kind::Several | Kind::Blackout => {}
             }
             let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
             let round = self.round;

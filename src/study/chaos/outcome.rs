@@ -237,9 +237,9 @@ impl Outcome {
             role,
             kill: count(Kind::Kill),
             stop: count(Kind::Stop),
-            storm: count(Kind::CrashLoop),
+            storm: count(Kind::Storm),
             several: count(Kind::Several),
-            blackout: count(Kind::TotalOutage),
+            blackout: count(Kind::Blackout),
             restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
             recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
         }
