@@ -160,6 +160,8 @@ impl Leader {
             return Err(SealError::Malformed);
         }
         (self.distrusted, self.noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
+        // It may be stopped before it first looks at the clock: seed 52747 of `rangehound explore`.
+        self.suspension.look(now_ns);
         if self.centre.next_tick() > 0 {
             self.counts = counts;
             self.estimate = self.estimate_with(Stages::default());

@@ -286,3 +286,24 @@ fn a_restored_intake_knows_who_was_heard_and_where() {
     let counts = after.tick(&[]);
     assert_eq!((counts.late, refused(&counts)), (0, vec![(Refusal::Jump, 1)]));
 }
+
+/// Seed 52747 of `rangehound explore`: a successor that was stopped before it first looked at the clock left robots out at once.
+#[test]
+fn time_for_which_a_successor_stood_still_is_no_silence() {
+    let mut team = Team::new("lockstep");
+    let file = ScenarioFile::parse("clock = \"lockstep\"\nticks = 100\npatience_s = 2.0\n", "test").unwrap();
+    let scenario = Scenario::from_file(&file, "test").unwrap();
+    let mut successor = Leader::new(&scenario).unwrap();
+    successor.restore(team.leader.saved().unwrap(), team.now_ns).unwrap();
+    team.leader = successor;
+    team.say(1, sound(1, 0));
+    // It stands still for three times the patience.
+    team.now_ns += 60 * DT_NS;
+    while team.leader.next_action(team.now_ns).unwrap().is_some() {}
+    assert_eq!(team.next(), 1, "the others have not been silent");
+    for _ in 0..21 {
+        team.now_ns += DT_NS;
+        while team.leader.next_action(team.now_ns).unwrap().is_some() {}
+    }
+    assert_eq!(team.next(), 2, "now they have");
+}

@@ -202,7 +202,8 @@ impl Witness {
             self.whole_until = self.whole_until.min(tick.saturating_sub(1));
             // After so many misses in a row nobody waits for it.
             let misses_max = if self.is_realtime { 3 } else { 1 };
-            let is_new = tick == 0 || self.heard_at[robot].is_some_and(|heard| heard + misses_max >= tick);
+            let is_new =
+                tick == 0 || self.heard_at[robot].is_some_and(|heard| heard < tick && heard + misses_max >= tick);
             missing = missing.max(if is_new { Missing::Another } else { Missing::AsBefore });
         }
         Ok(missing)
