@@ -239,7 +239,7 @@ impl NodeStatus {
     fn of(run: &Rendezvous, role: Role) -> Self {
         let holder = run.roster().process(role);
         let (pid, told) = match &holder {
-            Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.told("status")),
+            Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.proc_text("status")),
             Holder::Nobody | Holder::Elsewhere => (None, String::new()),
         };
         let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);

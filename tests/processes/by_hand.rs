@@ -177,7 +177,7 @@ fn a_damaged_checkpoint_is_refused_and_kept() {
     // It is not there any more, but neither does the next one start from the prior.
     let refused = run.node("fusion").finish();
     assert_eq!(refused.code, Some(2), "{refused:#?}");
-    assert!(refused.stderr.contains("fusion of run") && refused.stderr.contains("expected a new run"), "{refused:#?}");
+    assert!(refused.stderr.contains("fusion of run") && refused.stderr.contains("start a new run"), "{refused:#?}");
     for node in nodes.drain(..) {
         node.signal(Signal::INT);
         node.finish();

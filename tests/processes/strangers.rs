@@ -220,7 +220,7 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
             change(&out.join("sim.checkpoint"));
             bytes = std::fs::read(out.join("sim.checkpoint")).unwrap();
         });
-        assert_one_line(&outcome, 1, &["sim.checkpoint: ", reason, "sim.checkpoint.refused", "expected a new run"]);
+        assert_one_line(&outcome, 1, &["sim.checkpoint: ", reason, "sim.checkpoint.refused", "start a new run"]);
         assert_eq!(std::fs::read(run.path("out/sim.checkpoint.refused")).unwrap(), bytes);
         // A second try finds no state and does not start anew over the ticks so far.
         let ticks = run.ticks_done();
