@@ -97,9 +97,9 @@ proptest! {
     }
 }
 
-/// The default file is the paper's experiment; only its planner is the paper's relaxation instead of the default.
+/// `paper.toml` equals the defaults, except for the planner and the clearances.
 #[test]
-fn the_default_file_equals_an_empty_one() {
+fn the_papers_scenario_has_the_defaults_except_for_planner_and_clearance() {
     let text = include_str!("../../../scenarios/paper.toml");
     let of = |file: &ScenarioFile| Scenario::from_file(file, "test").unwrap();
     let (paper, empty) = (of(&ScenarioFile::parse(text, "paper.toml").unwrap()), of(&ScenarioFile::default()));
