@@ -55,7 +55,7 @@ impl World for Playback {
             self.time_s = time_s;
             for reading in readings {
                 let &RecordedRange { sensor, position_m, height_m, range_m } = reading;
-                // Without the target's height, ranges are taken as level.
+                // Without the target's height, ranges are taken as horizontal.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
                 let range_kind = RangeKind::Measured.to_bits();

@@ -1,4 +1,4 @@
-//! The simulated world: a target that moves by its model, robots that move as they drive.
+//! The simulated world: the target moves by its model, the robots by their drives.
 
 use nalgebra::{SMatrix, SVector};
 use rangehound_shared::draws::{Draws, Stream};
@@ -79,7 +79,7 @@ impl<const N: usize> World for Simulation<N> {
     fn advance(&mut self, drives: &[Option<Drive>]) {
         for ((entry, drive), limit_mps) in self.entries.iter_mut().zip(drives).zip(&self.speed_limits_mps) {
             let Some(drive) = drive else { continue };
-            // A body cannot do what its motors cannot, whatever it is told.
+            // A body cannot exceed its speed limit, whatever the command.
             let step_m = drive.speed_mps.clamp(0.0, *limit_mps) * self.dt_s;
             let (sin, cos) = drive.heading_rad.sin_cos();
             if step_m.is_finite() && sin.is_finite() {

@@ -1,12 +1,12 @@
-//! The command line, as clap reads it, and what each command does with it.
+//! The command line, as clap reads it, and its commands.
 //!
 //! | module | what |
 //! |---|---|
-//! | `run` | what starts runs |
+//! | `run` | commands that start runs |
 //! | `node` | one node |
-//! | `look` | what looks at runs, or acts on them |
-//! | `study` | what measures and compares |
-//! | `shell`, [`complete`] | what a shell asks for: completions, names, manual pages |
+//! | `look` | commands that observe or control runs |
+//! | `study` | commands that measure and compare |
+//! | `shell`, [`complete`] | for the shell: completions, names, manual pages |
 //! | `experiment` | from flags to a scenario file |
 //! | `input` | how a recording is read |
 //! | `values` | values as they are written behind flags |

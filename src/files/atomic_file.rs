@@ -1,6 +1,6 @@
-//! Files that are there as a whole or not at all: nobody reads half of one, and a full disk leaves none without its content.
+//! Atomic files: they are complete or absent. No reader sees half a file, and a full disk leaves no empty file.
 //!
-//! They take the place of nothing but what rangehound itself has written, see [`crate::files::out_folder`].
+//! They replace only files that rangehound has written, see [`crate::files::out_folder`].
 
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind, Write};
@@ -21,7 +21,7 @@ pub fn with_ending(path: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-/// A file in the making, beside its place. It gets its name when it is finished; otherwise it is taken away.
+/// An unfinished file under a temporary name. It gets its final name when it is finished; otherwise it is removed.
 #[derive(Debug)]
 pub struct WholeFile {
     out: BufWriter<File>,
@@ -29,7 +29,7 @@ pub struct WholeFile {
     partial: PathBuf,
 }
 
-/// Writes a whole file.
+/// Writes a complete file.
 ///
 /// # Errors
 /// With its name, if the system refuses.
@@ -80,7 +80,7 @@ pub fn rename_to_free(partial: &Path, path: &Path) -> std::io::Result<()> {
     }
 }
 
-/// What a new file may be used for, less what the user forbids.
+/// Permissions of a new file, before the user's mask.
 const MODE: u32 = 0o666;
 
 impl WholeFile {

@@ -1,4 +1,4 @@
-//! Output folders: which folder results may go to, and which files in it may be replaced.
+//! Output folders: the folders that results may go to, and the files in them that may be replaced.
 //!
 //! A folder that rangehound writes results to has a mark in it, the file `.rangehound`. It lists each file that rangehound
 //! has made there, by inode, time of birth, and, once it is finished, length and time of change. Only a file that is still
@@ -24,10 +24,10 @@ pub use ledger::{MARK, is_ours, note_finished, note_growing};
 /// Numbered names end before this.
 pub const NUMBERS_END: u32 = 10_000;
 
-/// Why a folder cannot be had.
+/// Why a folder cannot be used.
 #[derive(Debug)]
 pub enum Refusal {
-    /// Another process writes to it, or it holds what is not rangehound's: another folder would do.
+    /// Another process writes to it, or it holds files that rangehound has not made: another folder may work.
     Taken(String),
     /// It cannot be written, or an input lies in it.
     Unusable(String),
@@ -139,7 +139,7 @@ pub fn seal(folder: &Path) {
 }
 
 /// Removes what rangehound has made in a folder, and the folder if nothing else is in it. A folder without a mark is
-/// left alone.
+/// not changed.
 pub fn remove(folder: &Path) {
     if !ledger::is_marked(folder) {
         return;
@@ -153,7 +153,7 @@ pub fn remove(folder: &Path) {
             let _ = std::fs::remove_file(path);
         }
     }
-    // Neither goes if something is left in it.
+    // A folder that is not empty stays.
     let _ = std::fs::remove_dir(folder.join(LOGS));
     if entries(folder).all(|name| name == MARK) {
         let _ = std::fs::remove_file(folder.join(MARK));
@@ -202,7 +202,7 @@ impl Claim {
         Ok(())
     }
 
-    /// Makes the empty log in which a node will put down its ticks.
+    /// Makes the empty log in which a node will record its ticks.
     ///
     /// # Errors
     /// [`Refusal`] if the system refuses.
