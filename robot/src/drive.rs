@@ -22,8 +22,8 @@ impl Controller {
     /// Takes the command for a tick and returns the driven one: its speed is within the robot's limit.
     /// A command with NaN or infinite values stops the robot.
     pub fn obey(&mut self, tick: u64, command: Command) -> Command {
-        let sound = command.heading_rad.is_finite() && command.speed_mps.is_finite();
-        let driven = if sound {
+        let is_valid = command.heading_rad.is_finite() && command.speed_mps.is_finite();
+        let driven = if is_valid {
             Command { heading_rad: command.heading_rad, speed_mps: command.speed_mps.clamp(0.0, self.speed_limit_mps) }
         } else {
             Command::default()

@@ -243,9 +243,9 @@ impl Machine {
         if seen == Some(news) {
             self.repeat();
         } else if seen.is_none_or(|seen| seen < news) {
-            // Faults in the last drive message have been reported.
-            if let Some(told) = self.present.and_then(|present| present.drive) {
-                self.headings_refused -= told.headings_refused;
+            // The last drive message has already counted these refusals.
+            if let Some(reported) = self.present.and_then(|present| present.drive) {
+                self.headings_refused -= reported.headings_refused;
             }
             self.asked = Some(Asked::Range { header, entry });
             self.actions.push_back(Action::Measure { tick: header.tick, entry });

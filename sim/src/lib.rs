@@ -7,7 +7,7 @@
 //!                          `--truth--> observers
 //! ```
 //!
-//! It keeps the team's clock: `world(k)` says where each robot is and what its sensor would measure,
+//! It keeps the team's clock: `world(k)` has each robot's position and the range that its sensor would measure,
 //! and the next tick starts when all robots have sent their drives (lock step) or by the clock (real time).
 //! Robots receive ranges only; the target's true state goes to observers.
 //!

@@ -71,7 +71,7 @@ pub struct Machine {
     /// When the first answer to the tick came.
     first_answer_ns: Option<u64>,
     repeat_at_ns: u64,
-    /// In real time, when the tick ends; `None` before the whole team has answered tick 0.
+    /// In real time, when the tick ends; `None` before the complete team has answered tick 0.
     due_ns: Option<u64>,
     suspension: Suspension,
     world_bytes: Vec<u8>,

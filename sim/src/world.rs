@@ -16,7 +16,7 @@ pub trait World: std::fmt::Debug + Send {
     /// Time of the present tick, s.
     fn time_s(&self) -> f64;
 
-    /// Each robot's position and true range.
+    /// Each robot's position and the range that its sensor would measure.
     fn entries(&self) -> &[WorldEntry];
 
     /// The target's true state; empty if unknown.

@@ -57,7 +57,7 @@ fn write_with_mode(path: &Path, content: impl AsRef<[u8]>, mode: u32) -> anyhow:
 /// If the system refuses, or another file has that name.
 pub fn give_name(file: &File, partial: &Path, path: &Path) -> std::io::Result<()> {
     out_folder::note_finished(path, file)?;
-    // Between this look and the change of names nobody else comes in a folder that is claimed.
+    // In a claimed folder no other process can interfere between this check and the rename.
     if out_folder::is_ours(path) {
         return std::fs::rename(partial, path);
     }
@@ -93,7 +93,7 @@ impl WholeFile {
     }
 
     fn create_with_mode(path: &Path, mode: u32) -> anyhow::Result<Self> {
-        // Another process may be writing the same, as `watch` does beside a run's supervisor: whoever is last has the name.
+        // Another process may be writing the same, as `watch` does beside a run's supervisor: the last one replaces the others' file.
         let partial = with_ending(path, &format!(".{}{PARTIAL}", std::process::id()));
         let file = File::options().write(true).create_new(true).mode(mode).open(&partial);
         let file = file.map_err(|error| named(path, &error))?;

@@ -30,7 +30,7 @@ const TICKS_AT_ONCE: usize = 256;
 /// A run without any process for this long has ended, whatever its state.
 const DESERTED: Duration = Duration::from_secs(3);
 
-/// Whom a terminal interrupts together with the page says within this time that the run ends.
+/// If Ctrl-C interrupts run and page together, the run reports its end within this time.
 const INTERRUPTED: Duration = Duration::from_millis(500);
 const INTERRUPTED_POLL: Duration = Duration::from_millis(10);
 

@@ -98,7 +98,7 @@ struct Robot {
     /// What it drives.
     heading_rad: f64,
     speed_mps: f64,
-    /// What fusion told it.
+    /// Fusion's command.
     command_rad: f64,
     command_mps: f64,
     /// The range that fusion heard, and where it was measured.

@@ -367,7 +367,7 @@ impl Centre {
         &self.commands
     }
 
-    /// The last tick's exchange with each robot, as it is put down, given what each said at it.
+    /// The last tick's exchange with each robot, for the record, given the robots' reports.
     pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Measurement>]) -> impl Iterator<Item = Exchange> + 'a {
         said.iter().zip(&self.judged).zip(&self.commands).map(move |((said, judged), command)| Exchange {
             heard: said.map(|measurement| Heard { measurement, taken_at: tick, judged: *judged }),
@@ -405,13 +405,13 @@ impl Centre {
         self.tracking.trust.distrusted()
     }
 
-    /// How many times larger than told the standard deviations of ranges are taken: 1 unless most sensors fail together.
+    /// Factor on the reported standard deviations of ranges: 1 unless most sensors fail together.
     #[must_use]
     pub fn noise_scale(&self) -> f64 {
         self.tracking.trust.noise_scale()
     }
 
-    /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
+    /// The last tick's message for observers; the caller adds durations, late ranges and refusals.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
         let (digest, certificate) = (self.digest.to_bits(), self.plan.certificate);

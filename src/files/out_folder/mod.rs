@@ -215,7 +215,7 @@ impl Claim {
     fn results(&self) -> Vec<PathBuf> {
         let results = entries(&self.path).filter(|name| self.kind.writes(name)).map(|name| self.path.join(name));
         let logs = self.path.join(LOGS);
-        // What nobody knows as ours is a stranger's, and in nobody's way unless it has a node's name.
+        // A file that is not listed belongs to the user. It is in the way only if it has a node's name.
         let is_log = |path: &PathBuf| {
             let node = path.file_stem().and_then(|stem| stem.to_str()).map(str::parse::<Role>);
             is_ours(path) || path.extension().is_some_and(|ending| ending == "log") && matches!(node, Some(Ok(_)))
@@ -281,7 +281,7 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
             "expected a folder of its own, a run goes on in {}: choose another, or stop that run",
             folder.display()
         ))),
-        // A file system without locks has room for runs all the same.
+        // Runs also work on a file system without locks.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
     }
 }
