@@ -18,7 +18,7 @@ pub enum Failure {
     /// Bad usage or bad input: exit code 2.
     Input(String),
     /// Bad input that has already been reported, line by line: exit code 2.
-    ToldInput,
+    ReportedInput,
     /// Failed while running: exit code 1.
     Running(anyhow::Error),
 }
@@ -37,7 +37,7 @@ impl Failure {
                 complain(problem);
                 ExitCode::from(2)
             }
-            Self::ToldInput => ExitCode::from(2),
+            Self::ReportedInput => ExitCode::from(2),
             Self::Running(error) => {
                 complain(&with_causes(error));
                 ExitCode::from(1)
@@ -125,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cause_that_is_quoted_already_is_not_said_twice() {
+    fn a_quoted_cause_is_not_repeated() {
         let cause = || std::io::Error::other("no room");
         assert_eq!(with_causes(&anyhow::Error::new(cause()).context("a: no room")), "a: no room");
         assert_eq!(with_causes(&anyhow::Error::new(cause()).context("a")), "a: no room");

@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_broken_stays_whole() {
+    fn unbreakable_text_stays_in_one_piece() {
         let path = "x".repeat(100);
         assert_eq!(wrapped(&path, 10), path);
         assert_eq!(field("a label of its own", "b"), "  a label of its own b");

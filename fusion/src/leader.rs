@@ -102,7 +102,7 @@ pub struct Leader {
     distrusted: RobotSet,
     noise_scale: f64,
     /// Causes of refusal that have been reported.
-    told: [bool; Refusal::ALL.len()],
+    refusals_reported: [bool; Refusal::ALL.len()],
     suspension: Suspension,
 }
 
@@ -143,7 +143,7 @@ impl Leader {
             estimate: Estimate::default(),
             distrusted: RobotSet::default(),
             noise_scale: 1.0,
-            told: [false; Refusal::ALL.len()],
+            refusals_reported: [false; Refusal::ALL.len()],
             suspension: Suspension::default(),
         }
     }
@@ -247,8 +247,8 @@ impl Leader {
                 (Phase::Record, Action::SendEstimate)
             }
             Phase::Record => {
-                self.tell_of_trust();
-                self.tell_of_refusals();
+                self.report_trust();
+                self.report_refusals();
                 (Phase::Gather, Action::Record)
             }
         };
@@ -349,7 +349,7 @@ impl Leader {
 
     /// Reports when most sensors begin or cease to fail together; otherwise the robots that have become distrusted or
     /// trusted since the last tick.
-    fn tell_of_trust(&mut self) {
+    fn report_trust(&mut self) {
         let (now, noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
         let before = std::mem::replace(&mut self.distrusted, now);
         let noise_scale_before = std::mem::replace(&mut self.noise_scale, noise_scale);
@@ -365,11 +365,11 @@ impl Leader {
     }
 
     /// Reports each cause of refusal once; the run's report has the counts.
-    fn tell_of_refusals(&mut self) {
+    fn report_refusals(&mut self) {
         for refusal in Refusal::ALL {
-            let is_new = self.counts.refused[refusal as usize] > 0 && !self.told[refusal as usize];
+            let is_new = self.counts.refused[refusal as usize] > 0 && !self.refusals_reported[refusal as usize];
             if is_new {
-                self.told[refusal as usize] = true;
+                self.refusals_reported[refusal as usize] = true;
                 self.tell(Notice::Refused(refusal));
             }
         }

@@ -87,14 +87,14 @@ mod tests {
     }
 
     #[test]
-    fn it_waits_for_the_lock_of_who_leads() {
+    fn a_standby_waits_for_the_leaders_lock() {
         let mut standby = standby("greedy");
         assert!(!standby.waits_anew(Some(1)) && !standby.waits_anew(None));
         assert!(standby.waits_anew(Some(2)) && !standby.waits_anew(Some(2)));
     }
 
     #[test]
-    fn nobody_is_deposed_who_never_led() {
+    fn a_process_that_never_led_is_not_deposed() {
         let mut standby = standby("greedy");
         assert!((0..99).all(|_| standby.look(None).is_none()));
     }

@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn where_most_fail_together_nobody_is_distrusted_and_all_are_noisier() {
+    fn if_most_fail_together_no_robot_is_distrusted_and_all_are_noisier() {
         let mut trust = trust(4);
         noisy(&mut trust, 40, [0.4, 0.4, 30.0, 0.4]);
         assert!(trust.distrusted().iter().eq([2]) && trust.noise_scale() == 1.0, "one of four is to blame");
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_switch_nothing_is_widened_and_nobody_distrusted() {
+    fn without_the_switch_no_noise_is_widened_and_no_robot_distrusted() {
         let mut trust = Trust::new(4, Policy { distrusts: false, widens: false });
         assert_eq!(noisy(&mut trust, 60, [900.0, 900.0, 900.0, 0.4]), 1.0);
         noisy(&mut trust, 60, [0.4, 0.4, 30.0, 0.4]);
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_little_more_than_the_told_noise_does_not_add_up() {
+    fn a_little_more_than_the_reported_noise_does_not_accumulate() {
         assert_eq!(steady(&mut trust(4), 500, &[0.6; 4]), (vec![], 1.0));
     }
 
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn of_three_that_never_agreed_nobody_is_distrusted() {
+    fn no_robot_of_three_that_never_agreed_is_distrusted() {
         let mut trust = trust(3);
         assert_eq!(steady(&mut trust, 40, &[0.4, 0.4, 30.0]), (vec![], 1.0));
         let mut trust = self::trust(3);
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn alone_or_in_a_pair_nobody_can_tell_who_is_wrong() {
+    fn one_or_two_robots_cannot_identify_a_faulty_sensor() {
         for robots in [1, 2] {
             let mut trust = trust(robots);
             let mut failed = RobotSet::default();

@@ -9,7 +9,7 @@ use rangehound_shared::scenario::Scenario;
 use rangehound_shared::scenario::bounds::TICKS_MAX;
 use rangehound_shared::sealed::{self, SealError};
 
-use crate::world::{World, are_sound};
+use crate::world::{World, are_valid};
 
 /// A target with a state of dimension `N` and the robots round it.
 ///
@@ -101,7 +101,7 @@ impl<const N: usize> World for Simulation<N> {
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (tick, target, entries): (u64, SVector<f64, N>, Vec<WorldEntry>) = sealed::decode(bytes)?;
         let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
-        let is_sound = tick <= TICKS_MAX + 1 && are_sound(target.iter().copied().chain(places));
+        let is_sound = tick <= TICKS_MAX + 1 && are_valid(target.iter().copied().chain(places));
         if entries.len() != self.entries.len() || !is_sound {
             return Err(SealError::Malformed);
         }

@@ -7,7 +7,7 @@ use rangehound_shared::sealed::SealError;
 const PLACE_MAX: f64 = 1e150;
 
 /// True if a world can go on with these numbers.
-pub(crate) fn are_sound(numbers: impl IntoIterator<Item = f64>) -> bool {
+pub(crate) fn are_valid(numbers: impl IntoIterator<Item = f64>) -> bool {
     numbers.into_iter().all(|number| number.abs() <= PLACE_MAX)
 }
 

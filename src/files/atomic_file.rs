@@ -23,7 +23,7 @@ pub fn with_ending(path: &Path, ending: &str) -> PathBuf {
 
 /// An unfinished file under a temporary name. It gets its final name when it is finished; otherwise it is removed.
 #[derive(Debug)]
-pub struct WholeFile {
+pub struct AtomicFile {
     out: BufWriter<File>,
     path: PathBuf,
     partial: PathBuf,
@@ -46,7 +46,7 @@ pub fn write_for_owner(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result
 }
 
 fn write_with_mode(path: &Path, content: impl AsRef<[u8]>, mode: u32) -> anyhow::Result<()> {
-    let mut file = WholeFile::create_with_mode(path, mode)?;
+    let mut file = AtomicFile::create_with_mode(path, mode)?;
     file.write_all(content.as_ref())?;
     file.finish()
 }
@@ -83,7 +83,7 @@ pub fn rename_to_free(partial: &Path, path: &Path) -> std::io::Result<()> {
 /// Permissions of a new file, before the user's mask.
 const MODE: u32 = 0o666;
 
-impl WholeFile {
+impl AtomicFile {
     /// Begins a file.
     ///
     /// # Errors
@@ -113,7 +113,7 @@ impl WholeFile {
     }
 }
 
-impl Write for WholeFile {
+impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.out.write(bytes).map_err(|error| named(&self.path, &error))
     }
@@ -123,7 +123,7 @@ impl Write for WholeFile {
     }
 }
 
-impl Drop for WholeFile {
+impl Drop for AtomicFile {
     fn drop(&mut self) {
         // Not there any more if it was finished.
         let _ = std::fs::remove_file(&self.partial);
@@ -145,7 +145,7 @@ mod tests {
         let names = || std::fs::read_dir(folder.path()).unwrap().count() - 1;
         let _claim = out_folder::claim(folder.path(), crate::files::layout::Kind::Run, &[]).unwrap();
         write(&path, "first").unwrap();
-        let mut second = WholeFile::create(&path).unwrap();
+        let mut second = AtomicFile::create(&path).unwrap();
         second.write_all(b"second").unwrap();
         drop(second);
         assert_eq!((std::fs::read_to_string(&path).unwrap(), names()), ("first".to_owned(), 1));

@@ -56,7 +56,7 @@ impl Action {
         let pid = remote::signal(run, role, signal).map_err(|failure| match failure {
             Failure::Input(problem) => Refused::Nonsense(problem),
             Failure::Running(error) => Refused::NotNow(error.to_string()),
-            Failure::ToldInput => Refused::NotNow(format!("{role} cannot be reached")),
+            Failure::ReportedInput => Refused::NotNow(format!("{role} cannot be reached")),
         })?;
         if self == Self::Restart {
             // One that is stopped hears it only when it runs. One that has ended by now needs nothing.

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn who_follows_has_the_same_points_as_who_comes_late() {
+    fn early_and_late_viewers_have_the_same_points() {
         let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
         for tick in 1..=3_000 {
             history.add(&frame(tick));

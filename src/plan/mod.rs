@@ -41,7 +41,7 @@ pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Resu
     };
     match serve(&mut desk, input, io::stdout().lock(), LINE_BYTES_MAX, complain) {
         Ok(0) => Ok(()),
-        Ok(_) => Err(Failure::ToldInput),
+        Ok(_) => Err(Failure::ReportedInput),
         Err(Stopped::Reading(error)) => Err(unreadable(&name, &error)),
         // The reader has closed the pipe.
         Err(Stopped::Writing(error)) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

@@ -10,7 +10,7 @@ use rangehound_shared::sealed;
 
 use super::experiment::Experiment;
 use crate::failure::Failure;
-use crate::files::atomic_file::{self, WholeFile};
+use crate::files::atomic_file::{self, AtomicFile};
 use crate::files::input::in_utf8;
 use crate::files::layout::{DESCRIPTION, Kind, SCENARIO};
 use crate::files::out_folder::{self, Claim};
@@ -27,7 +27,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
         if let Source::Recorded(ranges) = &experiment.description.scenario.source
             && let Some(recording) = ranges.already_read()
         {
-            let mut copy = WholeFile::create(&out_dir.join(COPY))?;
+            let mut copy = AtomicFile::create(&out_dir.join(COPY))?;
             recording.write_csv(&mut copy)?;
             copy.finish()?;
         }

@@ -368,9 +368,13 @@ impl Centre {
     }
 
     /// The last tick's exchange with each robot, for the record, given the robots' reports.
-    pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Measurement>]) -> impl Iterator<Item = Exchange> + 'a {
-        said.iter().zip(&self.judged).zip(&self.commands).map(move |((said, judged), command)| Exchange {
-            heard: said.map(|measurement| Heard { measurement, taken_at: tick, judged: *judged }),
+    pub fn exchanges<'a>(
+        &'a self,
+        tick: u64,
+        reports: &'a [Option<Measurement>],
+    ) -> impl Iterator<Item = Exchange> + 'a {
+        reports.iter().zip(&self.judged).zip(&self.commands).map(move |((report, judged), command)| Exchange {
+            heard: report.map(|measurement| Heard { measurement, taken_at: tick, judged: *judged }),
             command: *command,
         })
     }

@@ -8,7 +8,7 @@ use rangehound_shared::scenario::{Prior, ScenarioFile};
 
 /// A state that doubles each tick: said as such, long before numbers run out.
 #[test]
-fn an_estimate_that_leaves_all_bounds_is_told() {
+fn an_estimate_that_leaves_all_bounds_is_reported() {
     let text = "[target]\nmodel = \"custom\"\nstart = [0.0, 0.0]\nphi = [[2.0, 0.0], [0.0, 2.0]]\n\
                 qd = [[1.0, 0.0], [0.0, 1.0]]\n";
     let file = ScenarioFile::parse(text, "test").unwrap();
@@ -42,7 +42,7 @@ fn a_state_that_no_centre_can_have_is_refused() {
 
 /// A robot that falls silent is planned for as if it obeyed, for some ticks, and then told to stand.
 #[test]
-fn a_silent_robot_is_told_to_stand_after_some_ticks() {
+fn a_silent_robot_is_commanded_to_stop_after_some_ticks() {
     let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     let mut centre = Centre::new(&scenario).unwrap();
     let heard = Some(Measurement::new(Pose::at([15.0, 0.0]), None));
@@ -183,7 +183,7 @@ fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
 }
 
 #[test]
-fn a_robot_whose_ranges_keep_failing_is_distrusted_and_trusted_again_when_it_mends() {
+fn a_robot_whose_ranges_fail_is_distrusted_until_they_pass_again() {
     let team_of_four = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
     let mut centre = of(team_of_four);
     let mut distrusted = Vec::new();
@@ -308,13 +308,13 @@ fn a_certified_team_reaches_the_least_trace_unless_a_range_is_missing() {
 }
 
 #[test]
-fn who_proves_nothing_has_no_least_trace() {
+fn a_planner_without_proof_has_no_least_trace() {
     assert!(traces_m2("adaptive", u64::MAX).iter().all(|(_, least_m2)| *least_m2 == 0.0));
 }
 
 /// Three robots of which all read five times as noisy as they say: nobody is blamed, and the estimate keeps to it.
 #[test]
-fn noise_that_all_have_is_nobodys_fault() {
+fn noise_of_all_sensors_distrusts_no_robot() {
     let text = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
     let mut centre = of(text);
     let mut widened = 0;

@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_token_is_new_each_time_and_only_the_whole_of_it_counts() {
+    fn a_token_is_new_each_time_and_must_match_completely() {
         let (token, other) = (Token::new().unwrap(), Token::new().unwrap());
         let text = token.to_string();
         assert!(text.len() == 32 && token != other && token.is(&text) && !other.is(&text));

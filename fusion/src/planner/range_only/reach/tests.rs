@@ -131,7 +131,7 @@ proptest! {
 
 /// Two robots that are too close, the one between the other and the target.
 #[test]
-fn who_makes_way_keeps_the_stand_off_that_it_had() {
+fn a_robot_that_makes_way_keeps_its_stand_off() {
     let mut positions_m = [Vector::new(5.2, 0.0), Vector::new(6.2, 0.0)];
     let clearance = Clearance { stand_off_m: 5.0, stand_off_sigma: 0.0, separation_m: 4.0 };
     for _ in 0..20 {
