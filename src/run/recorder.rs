@@ -43,7 +43,7 @@ pub fn bytes(megabytes: u64) -> u64 {
 pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Result<Recorded, Failure> {
     let termination = Termination::listen()?;
     let description = folder::read_description(folder)?;
-    // A run that goes on writes this recording itself.
+    // A living run writes this recording itself.
     let _alone = out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
     record_logs(&description, out, bytes_max, &termination)
 }

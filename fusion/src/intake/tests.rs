@@ -7,7 +7,7 @@ use rangehound_shared::scenario::ScenarioFile;
 
 const DT_NS: u64 = 100_000_000;
 
-/// A team of three at (15, 0) and its fusion centre; ticks pass as the clock of the test says.
+/// A team of three at (15, 0) and its fusion centre; the test sets the clock.
 struct Team {
     leader: Leader,
     now_ns: u64,

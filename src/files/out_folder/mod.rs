@@ -289,7 +289,7 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
 /// Locks the folder of a run that is over while it is recorded.
 ///
 /// # Errors
-/// [`Failure::Input`] if a run goes on in it.
+/// [`Failure::Input`] if a living run uses it.
 pub fn lock_finished(folder: &Path) -> Result<File, Failure> {
     lock(folder).map_err(|_| {
         Failure::input(format!(
