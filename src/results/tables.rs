@@ -11,7 +11,7 @@ use rangehound_shared::scenario::Source;
 
 use super::frame::{Frames, PutDown};
 use super::report::position_covariance;
-use crate::files::atomic_file::WholeFile;
+use crate::files::atomic_file::AtomicFile;
 use crate::files::layout::{ESTIMATES, RANGES, TRUTH};
 
 /// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes
@@ -23,7 +23,7 @@ use crate::files::layout::{ESTIMATES, RANGES, TRUTH};
 pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let RunDescription { scenario, out_dir, .. } = description;
     let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
-    let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
+    let mut out = AtomicFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
     let mut last: Option<(f64, Estimate)> = None;
     // What the simulator put down is not needed, and the log may be long.
@@ -58,8 +58,8 @@ fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) ->
 /// If a file cannot be read or written.
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let out_dir = &description.out_dir;
-    let mut ranges = WholeFile::create(&out_dir.join(RANGES))?;
-    let mut truths = WholeFile::create(&out_dir.join(TRUTH))?;
+    let mut ranges = AtomicFile::create(&out_dir.join(RANGES))?;
+    let mut truths = AtomicFile::create(&out_dir.join(TRUTH))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
     Frames::open(description)?.for_each(|PutDown { fusion, world, .. }| {
