@@ -1,4 +1,4 @@
-//! Adding up a run tick by tick.
+//! Sums up a run tick by tick.
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
@@ -18,10 +18,10 @@ use crate::results::hops::Hops;
 use crate::results::percentiles;
 use crate::statistics::{Mean, Samples, median};
 
-/// Most that one range counts in the NIS by which a result is judged: the square of a usual gate.
+/// Largest contribution of one range to the NIS that the verdict uses: the square of a usual gate.
 const SQUARE_CAP: f64 = 16.0;
 
-/// Adds up a run tick by tick.
+/// Sums up a run tick by tick.
 #[derive(Debug)]
 pub struct Accumulator {
     ticks: u64,
@@ -61,7 +61,7 @@ impl Sensor {
 }
 
 impl Accumulator {
-    /// Nothing yet.
+    /// An empty accumulator.
     ///
     /// # Errors
     /// If the histogram cannot be made.
@@ -112,7 +112,7 @@ impl Accumulator {
         }
     }
 
-    /// Begins and ends the times of distrust.
+    /// Starts and ends the intervals of distrust.
     fn add_distrust(&mut self, tick: u64, distrusted: RobotSet) {
         let mut begun = distrusted;
         for open in self.distrusted.iter_mut().filter(|distrust| distrust.to_tick.is_none()) {
@@ -145,8 +145,8 @@ impl Accumulator {
         }
     }
 
-    /// Adds a tick's ranges that fusion has, but of which the simulator has not put down that they were published: it was
-    /// told too late, or ended before the tick did.
+    /// Adds the ranges of a tick that fusion has but the simulator did not log as published: the message reached the
+    /// simulator too late, or the simulator ended before the tick did.
     pub fn add_untold(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
@@ -155,7 +155,7 @@ impl Accumulator {
         }
     }
 
-    /// Adds what became of a tick's ranges, sensor by sensor.
+    /// Adds the outcome of a tick's ranges for each sensor.
     pub fn add_sensors(&mut self, exchanges: &[Exchange]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             if self.sensors.len() <= robot {
@@ -175,14 +175,14 @@ impl Accumulator {
         }
     }
 
-    /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
+    /// Adds the robots' hops of one tick; fusion and simulator each know half of the stamps.
     pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
         for robot in robots {
             self.hops.add(stages, robot);
         }
     }
 
-    /// What a verdict weighs.
+    /// The evidence for the verdict.
     fn evidence(&self, scenario: &Scenario, background: Background) -> Evidence {
         let sensors: Vec<SensorEvidence> = scenario
             .robots
@@ -194,7 +194,7 @@ impl Accumulator {
                 fused: sensor.counts[RangeUse::Fused as usize],
             })
             .collect();
-        // A faulty sensor says nothing about the others' result.
+        // A faulty sensor does not count against the result of the others.
         let of_others = |nis: fn(&Sensor) -> Mean| {
             let others = sensors.iter().zip(&self.sensors).filter(|(evidence, _)| !evidence.is_faulty());
             let mean: Mean = others.map(|(_, sensor)| nis(sensor)).sum();
@@ -275,7 +275,7 @@ impl Accumulator {
     }
 }
 
-/// What is known of a run from elsewhere than its logs.
+/// Facts about a run that its logs do not hold.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Background {
     /// The true track that the user gave.
@@ -334,7 +334,7 @@ mod tests {
         totals.add_world(1, &robots);
         totals.add_untold(&heard, &robots);
         assert_eq!(totals.ranges.published, 3);
-        // The tick under way when a run is ended: the simulator has not put it down.
+        // The tick in progress at the end of a run: the simulator has not logged it.
         totals.add_untold(&heard, &[]);
         assert_eq!(totals.ranges.published, 5);
     }
