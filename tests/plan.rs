@@ -356,7 +356,7 @@ fn but(old: &str, new: &str) -> String {
 }
 
 #[test]
-fn a_bad_line_is_told_by_number_and_key_and_the_others_are_answered() {
+fn a_bad_line_is_reported_by_number_and_key_and_the_others_are_answered() {
     let covariance = |matrix: &str| (but("[[4,0.5],[0.5,2]]", matrix), "prior_position_covariance");
     let target = |place: &str| (but("[0,0]", place), "target");
     let with = |keys: &str, names| (but("{", &format!("{{{keys},")), names);
@@ -485,7 +485,7 @@ fn teams_may_be_large_but_for_separation_and_grid() {
 }
 
 #[test]
-fn what_stops_it_at_once_is_told_in_one_line() {
+fn a_fatal_error_is_reported_in_one_line() {
     let cases = [
         ("plan missing.jsonl", "missing.jsonl"),
         ("plan folder", "folder"),
@@ -544,7 +544,7 @@ impl Drop for Partner {
 const LIMIT: Duration = Duration::from_secs(60);
 
 #[test]
-fn who_writes_one_line_and_waits_is_answered() {
+fn a_client_that_waits_after_one_line_is_answered() {
     let mut partner = Partner::start();
     let mut questions = partner.0.stdin.take().unwrap();
     let answers = BufReader::new(partner.0.stdout.take().unwrap());
@@ -567,7 +567,7 @@ fn who_writes_one_line_and_waits_is_answered() {
 }
 
 #[test]
-fn a_reader_that_has_had_enough_is_no_failure() {
+fn a_reader_that_closes_early_is_no_failure() {
     let mut partner = Partner::start();
     drop(partner.0.stdout.take());
     let mut questions = partner.0.stdin.take().unwrap();

@@ -239,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_happened_between_two_ticks_has_a_time_between_theirs() {
+    fn an_event_between_two_ticks_gets_a_time_between_them() {
         let curves = Curves { ended_ns: vec![(1_000, 0.1), (3_000, 0.2), (9_000, 0.3)], ..Curves::default() };
         let near = |at_ns, expected: f64| (curves.time_s_at(at_ns).unwrap() - expected).abs() < 1e-12;
         assert!(near(0, 0.1) && near(2_000, 0.15) && near(3_000, 0.2) && near(6_000, 0.25) && near(u64::MAX, 0.3));

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_with_stamps_missing_or_out_of_order_is_left_out() {
+    fn hops_with_stamps_missing_or_out_of_order_are_left_out() {
         let whole = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
         let mut hops = Hops::new().unwrap();
         hops.add(&STAGES, &RobotRecord { heading_held_ns: None, ..whole });

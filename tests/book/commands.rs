@@ -101,7 +101,7 @@ fn typed(block: &Block) -> String {
 }
 
 #[test]
-fn what_is_not_run_says_why_and_is_understood() {
+fn skipped_commands_have_a_reason_and_parse() {
     let mut faults = Vec::new();
     let mut reasons = BTreeSet::new();
     for page in pages() {

@@ -68,7 +68,7 @@ fn a_folder_with_other_files_is_refused_by_every_command_and_left_as_it_was() {
 }
 
 #[test]
-fn what_is_no_folder_is_refused_with_the_cause_and_left_as_it_was() {
+fn a_path_that_is_no_folder_is_refused_with_the_cause_and_unchanged() {
     let run = Run::new();
     run.write("uwb.csv", RECORDING);
     run.write("file", "mine");
@@ -235,7 +235,7 @@ fn a_hangup_ends_a_run_with_its_report_unless_it_is_ignored() {
 }
 
 #[test]
-fn a_simulator_that_joins_a_run_is_told_which_flag_says_otherwise() {
+fn a_joining_simulator_with_other_flags_is_refused_by_flag() {
     let run = Run::new();
     let first = run.node("sim --out out --seed 7");
     run.wait_until("the run is founded", || run.path("out/scenario.toml").exists() && first.has_joined());

@@ -303,7 +303,7 @@ fn the_tool_without_a_name_numbers_its_folders() {
 }
 
 #[test]
-fn help_tells_every_flag() {
+fn help_lists_every_flag() {
     let experiment = ["--robots", "--ticks", "--seed", "--clock", "--planner", "--timeout", "--name", "--out"];
     let cases: [(&[&str], &[&str]); 9] = [
         (&[], &["run", "sim", "fusion", "robot", "watch", "scenario", "track", "compare", "Exit codes"]),

@@ -49,7 +49,7 @@ fn server_of(supervisor: &Process) -> Option<Pid> {
 }
 
 #[test]
-fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
+fn only_requests_with_the_token_and_origin_of_the_page_are_accepted() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);
     let Page { port, token, .. } = &page;
@@ -184,7 +184,7 @@ fn buttons_kill_stop_continue_and_restart() {
 }
 
 #[test]
-fn a_viewer_sees_the_run_to_its_last_tick_and_is_told_of_its_end() {
+fn a_viewer_sees_the_run_to_its_last_tick_and_its_end() {
     let run = Run::new();
     let words = "--ticks 20000 --timeout forever --robots 5";
     let supervisor = run.lockstep(&format!("{words} --live"));
@@ -317,7 +317,7 @@ fn a_page_that_is_killed_comes_back_where_it_was_with_all_that_was_before() {
 }
 
 #[test]
-fn a_run_by_hand_has_a_page_too_but_nobody_who_starts_nodes_again() {
+fn a_run_by_hand_has_a_page_but_no_restarts() {
     let run = Run::new();
     let live = run.node("live");
     let sim = run.command("sim --clock realtime --ticks 100000 --robots 1");
@@ -348,7 +348,7 @@ fn a_run_by_hand_has_a_page_too_but_nobody_who_starts_nodes_again() {
 }
 
 #[test]
-fn what_cannot_be_shown_is_refused_in_one_line() {
+fn a_file_that_cannot_be_shown_is_refused_in_one_line() {
     for (words, expected) in [
         ("run --live=x", "--live"),
         ("run --live=65536", "--live"),

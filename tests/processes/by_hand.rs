@@ -186,7 +186,7 @@ fn a_damaged_checkpoint_is_refused_and_kept() {
 }
 
 #[test]
-fn who_watches_a_run_hears_that_it_was_stopped() {
+fn a_watch_reports_that_its_run_was_stopped() {
     let run = Run::new();
     let supervisor = run.command("run --clock realtime --ticks 100000");
     run.wait_for_ticks(2);

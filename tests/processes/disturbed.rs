@@ -32,7 +32,7 @@ fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
 }
 
 #[test]
-fn a_refused_run_leaves_the_folder_of_the_living_one_alone() {
+fn a_refused_run_does_not_change_the_folder_of_the_living_one() {
     let run = Run::new();
     let first = run.lockstep("--ticks 50 --timeout forever");
     let robot = run.pid_of("robot-0", 1);
@@ -174,7 +174,7 @@ fn other_terminals_can_look_at_a_run_and_act_on_it() {
 
 /// What a process was about to make when it was killed has no length, and iceoryx2 would wait for it.
 #[test]
-fn half_made_shared_memory_of_the_dead_is_removed_and_that_of_the_living_is_not() {
+fn unfinished_shared_memory_of_dead_processes_is_removed_and_of_living_ones_is_kept() {
     let run = Run::new();
     let supervisor = run.lockstep(ENDLESS);
     run.wait_for_ticks(3);
@@ -334,7 +334,7 @@ fn a_run_whose_program_file_is_replaced_goes_on() {
 
 /// A process stopped in the door of one run keeps nobody from another.
 #[test]
-fn the_door_of_one_run_does_not_hold_up_another() {
+fn the_membership_lock_of_one_run_does_not_block_another() {
     let run = Run::new();
     let first = run.lockstep(ENDLESS);
     run.wait_for_ticks(3);

@@ -125,7 +125,7 @@ mod tests {
     use crate::results::report::{Accumulator, Background};
 
     #[test]
-    fn names_are_text_whatever_they_hold() {
+    fn names_are_escaped() {
         let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.name = "<script>".to_owned();
         let report = Accumulator::new().unwrap().report(&scenario, Background::default(), Vec::new());

@@ -310,7 +310,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_came_late_was_not_missing_after_all() {
+    fn a_late_range_no_longer_counts_as_missing() {
         let mut totals = Accumulator::new().unwrap();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
         totals.add_estimate(1, &tick(1, 2), None);
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
+    fn a_range_that_fusion_has_counts_as_published_without_a_record_of_the_simulator() {
         let exchange = |range_m| Exchange {
             heard: Some(Heard { measurement: Measurement::new(Pose::default(), range_m), taken_at: 1, judged: None }),
             command: Command::default(),
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn each_sensor_is_told_what_became_of_its_ranges() {
+    fn each_sensor_has_the_outcome_of_its_ranges() {
         let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
             heard: Some(Heard {
                 measurement: Measurement::new(Pose::default(), judged.map(|_| (1.0, 1.0))),
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_are_told_by_cause() {
+    fn refusals_are_counted_by_cause() {
         let mut totals = Accumulator::new().unwrap();
         let estimate = Estimate { refused: [1, 2, 3, 4, 5, 6], ..Estimate::default() };
         totals.add_estimate(1, &estimate, None);

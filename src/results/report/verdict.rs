@@ -357,14 +357,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_speaks_against_a_good_result() {
+    fn a_good_result_is_valid() {
         let verdict = Verdict::of(&good());
         assert!(verdict.sound && verdict.reasons.is_empty() && verdict.notes.is_empty(), "{verdict:?}");
         assert!(verdict.summary.contains("297 of 300 ranges fused"), "{verdict:?}");
     }
 
     #[test]
-    fn one_faulty_sensor_is_named_and_does_not_make_the_rest_unsound() {
+    fn one_faulty_sensor_is_named_and_does_not_make_the_rest_invalid() {
         let mut evidence = good();
         evidence.sensors[1] = sensor("2938", 100, 20);
         let verdict = Verdict::of(&evidence);
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_reader_doubts_comes_first() {
+    fn doubts_of_the_reader_come_first() {
         let doubts =
             vec!["the ranges are in millimetres".to_owned(), "the stamps too".to_owned(), "and more".to_owned()];
         let recording = Some(RecordingEvidence { doubts, ..RecordingEvidence::default() });
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_true_track_on_another_clock_is_told() {
+    fn a_true_track_on_another_clock_is_reported() {
         let truth = TruthEvidence { covered_share: 0.0, span_s: [1.7e9, 1.7e9 + 9.0], run_span_s: [0.1, 10.0] };
         let evidence = Evidence { truth: Some(truth), anees: None, ..good() };
         assert!(reasons(&evidence).contains("does not overlap"));
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn misfits_are_told_by_what_they_look_like() {
+    fn misfits_have_reasons_that_match_their_pattern() {
         let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..good() };
         assert!(reasons(&misfit).contains("--range-std 0.30"));
         let heights = || RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn who_cannot_tell_says_so() {
+    fn an_ambiguous_position_is_reported() {
         let two = vec![sensor("A", 100, 100), sensor("B", 100, 100)];
         assert!(reasons(&Evidence { sensors: two, position_std_m: 6.0, ..good() }).contains("mirror image"));
         assert!(reasons(&Evidence { position_std_m: 6.0, ..good() }).contains("on a line"));
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cautious_filter_is_sound_and_told_so() {
+    fn a_cautious_filter_is_valid_and_noted() {
         let verdict = Verdict::of(&Evidence { nis_all: figure(0.09), ..good() });
         assert!(verdict.sound && verdict.notes[0].contains("--range-std 0.03"), "{verdict:?}");
     }

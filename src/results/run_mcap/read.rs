@@ -36,13 +36,13 @@ pub enum ReadError {
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// The file is cut short, as by a kill.
-    #[error("it is cut short {}", what_is_left(*.after))]
+    #[error("it is cut short {}", cut_position(*.after))]
     Cut {
         /// The last complete tick.
         after: Option<u64>,
     },
     /// It is not an MCAP file, or it is damaged.
-    #[error("{reason} (after {})", behind(*.after))]
+    #[error("{reason} (after {})", position_after(*.after))]
     Damaged {
         /// The error.
         reason: String,
@@ -97,7 +97,7 @@ impl std::fmt::Display for Missing {
     }
 }
 
-fn what_is_left(after: Option<u64>) -> String {
+fn cut_position(after: Option<u64>) -> String {
     match after {
         Some(tick) => format!("after tick {tick}"),
         None => "before its first tick: it holds nothing; `rangehound record DIR` makes one of a run folder's logs"
@@ -105,7 +105,7 @@ fn what_is_left(after: Option<u64>) -> String {
     }
 }
 
-fn behind(tick: Option<u64>) -> String {
+fn position_after(tick: Option<u64>) -> String {
     tick.map_or("its beginning".to_owned(), |tick| format!("tick {tick}"))
 }
 

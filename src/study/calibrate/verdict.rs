@@ -229,14 +229,14 @@ fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Op
     judged.iter().find_map(|one| index(one.fit.model))?;
     let least = judged.first()?.score;
     // A model without the error has the value 0 with certainty.
-    let said = judged.iter().map(|one| {
+    let estimates = judged.iter().map(|one| {
         let (value, variance) =
             index(one.fit.model).map_or((0.0, 0.0), |at| (one.fit.estimate.errors[at], one.covariance[(at, at)]));
         ((least - one.score).exp(), value, variance)
     });
-    let total: f64 = said.clone().map(|(weight, ..)| weight).sum();
-    let value = said.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
-    let variance = said.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
+    let total: f64 = estimates.clone().map(|(weight, ..)| weight).sum();
+    let value = estimates.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
+    let variance = estimates.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
     Some(Measured { value, half_width: Z_95 * variance.sqrt() })
 }
 
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn sound_ranges_are_left_alone() {
+    fn valid_ranges_are_not_corrected() {
         let (findings, _) = findings(&simulated(5, [0.0; 4], 0.0, 0.05, true));
         assert!(
             findings.sensors.iter().all(|sensor| sensor.bias_m.is_none() && sensor.scale.is_none()),
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_is_not() {
+    fn undetermined_errors_are_not_reported() {
         let (findings, fit) = findings(&simulated(6, [0.2; 4], 0.0, 0.05, false));
         assert!(fit.is_none() && findings.untold[0].contains("stands still"), "{findings:?}");
         let mut readings = simulated(7, [0.0; 4], 0.0, 0.05, true);

@@ -77,19 +77,19 @@ impl<'a> Campaign<'a> {
         let out_dir = description.out_dir.join(format!("round-{}", self.rounds));
         let mut run = Run::start(self.experiment, seed, self.standbys, &out_dir)?;
         let began = Instant::now();
-        let (joined, mut ended) = self.hurt(&mut run)?;
+        let (joined, mut ended) = self.inject_faults(&mut run)?;
         self.progress.finish();
         let code = run.end(ended == Ended::Done)?;
         if ended == Ended::Done && code != Some(0) {
             ended = Ended::Failed;
         }
-        let said = if ended == Ended::Done { String::new() } else { run.last_words() };
+        let last_message = if ended == Ended::Done { String::new() } else { run.last_words() };
         let Some(joined) = joined else {
             // The run failed before it started: its error is one of the user's input.
-            return Err(if code == Some(2) { Failure::input(said) } else { Failure::Running(anyhow::anyhow!(said)) });
+            return Err(if code == Some(2) { Failure::input(last_message) } else { Failure::Running(anyhow::anyhow!(last_message)) });
         };
         let processes_left = processes_of(name);
-        // Reported, but no file remains.
+        // Reported and killed.
         for pid in processes_left.iter().filter_map(|pid| Pid::from_raw(*pid)) {
             let _ = kill_process(pid, Signal::KILL);
         }
@@ -97,7 +97,7 @@ impl<'a> Campaign<'a> {
         Ok(Round {
             seed,
             ended,
-            said,
+            last_message,
             wall_s: began.elapsed().as_secs_f64(),
             // A run that ended early may have left no logs.
             tally: tally(&joined).unwrap_or_default(),
@@ -110,7 +110,7 @@ impl<'a> Campaign<'a> {
 
     /// Joins the run and injects faults until it ends; joins again after each total outage. The membership ends on return,
     /// so that the run's last own member cleans up as usual.
-    fn hurt(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
+    fn inject_faults(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
         let name = &self.experiment.name;
         let (mut description, mut recovering) = (None, None);
         loop {
@@ -124,7 +124,7 @@ impl<'a> Campaign<'a> {
                 std::thread::sleep(POLL);
             };
             description = Some(rendezvous.description().clone());
-            match self.hurt_until_it_ends(run, &rendezvous, recovering.take())? {
+            match self.inject_until_it_ends(run, &rendezvous, recovering.take())? {
                 Life::Over(ended) => return Ok((description, ended)),
                 Life::BlackedOut(hit) => {
                     drop(rendezvous);
@@ -135,13 +135,13 @@ impl<'a> Campaign<'a> {
                         starts: 0,
                         heard_before: None,
                     });
-                    run.black_out_and_resume()?;
+                    run.kill_all_and_resume()?;
                 }
             }
         }
     }
 
-    fn hurt_until_it_ends(
+    fn inject_until_it_ends(
         &mut self,
         run: &mut Run,
         rendezvous: &Rendezvous,

@@ -37,7 +37,7 @@ pub(super) struct Recovering {
     pub(super) role: Role,
     pub(super) killed: Instant,
     pub(super) starts: u64,
-    /// Ranges that counted as received from the role when its successor was there.
+    /// Newest tick with a message of the role when its successor was there.
     pub(super) heard_before: Option<u64>,
 }
 

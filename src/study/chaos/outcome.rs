@@ -152,7 +152,7 @@ pub(super) struct Round {
     /// How it ended.
     pub(super) ended: Ended,
     /// Its last message, if it failed.
-    pub(super) said: String,
+    pub(super) last_message: String,
     /// Wall time, s.
     pub(super) wall_s: f64,
     /// The result in its logs.
@@ -284,7 +284,7 @@ impl Round {
         let mut broken = Vec::new();
         match self.ended {
             Ended::Done => {}
-            Ended::Failed => broken.push(format!("the run failed: {}", self.said)),
+            Ended::Failed => broken.push(format!("the run failed: {}", self.last_message)),
             Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
             Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
         }
@@ -392,7 +392,7 @@ mod tests {
         Round {
             seed: 1,
             ended: Ended::Done,
-            said: String::new(),
+            last_message: String::new(),
             wall_s: 1.0,
             tally: tally.clone(),
             alone: Some(tally),
@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn each_broken_promise_is_told() {
+    fn each_broken_promise_is_reported() {
         assert_eq!(round().broken(), [""; 0]);
         type Hurt = fn(&mut Round);
         let hurt: [(Hurt, &str); 8] = [

@@ -64,7 +64,7 @@ impl Run {
     }
 
     /// Kills the supervisor and all nodes, then resumes the run.
-    pub(super) fn black_out_and_resume(&mut self) -> anyhow::Result<()> {
+    pub(super) fn kill_all_and_resume(&mut self) -> anyhow::Result<()> {
         // A stopped supervisor starts no nodes while the others are killed.
         let _ = kill_process(Pid::from_child(&self.child), Signal::STOP);
         loop {

@@ -79,10 +79,10 @@ pub(super) fn run(
         std::thread::sleep(LOOK);
     };
     if !status.success() {
-        let said = std::fs::read_to_string(&log_path).unwrap_or_default();
-        let said = said.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
+        let log = std::fs::read_to_string(&log_path).unwrap_or_default();
+        let last_message = log.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
         let is_input = status.code() == Some(2);
-        return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });
+        return Err(if is_input { Failure::input(last_message) } else { anyhow!("the run failed: {last_message}").into() });
     }
     folder::read_description(folder)
 }

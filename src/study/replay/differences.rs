@@ -97,7 +97,7 @@ impl Differences {
         let recorded = &frame.fusion.estimate;
         for (side, estimate) in self.sides.iter_mut().zip([recorded, replayed]) {
             side.totals.add_estimate(frame.tick, estimate, truth_m);
-            // A robotless team has no objective.
+            // A planner without an objective reports none.
             if estimate.objective > 0.0 {
                 side.objective.add(estimate.objective);
             }

@@ -29,7 +29,7 @@ pub enum StepError {
         /// The tick at which it was taken, according to the recording.
         taken_at: u64,
     },
-    /// The replayed estimate is not finite.
+    /// The replayed estimate diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
 }

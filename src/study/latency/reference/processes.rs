@@ -45,10 +45,10 @@ pub(in crate::study::latency) fn measure(
         futex::create(&run)?;
     }
     let scenario = &experiment.description.scenario;
-    let said = out_folder::append(log).with_context(|| log.display().to_string())?;
+    let log_file = out_folder::append(log).with_context(|| log.display().to_string())?;
     let mut team = Team { nodes: Vec::new(), log: log.to_owned() };
     for role in std::iter::once(Role::Fusion).chain((0..scenario.robots.len()).map(Role::Robot)) {
-        team.nodes.push(Node::start(reference, role, &run, said.try_clone()?, termination)?);
+        team.nodes.push(Node::start(reference, role, &run, log_file.try_clone()?, termination)?);
     }
     let exchanged = team.exchange(scenario.ticks, &mut robot).map_err(|error| team.explain(reference, error));
     // The log is read; it is no longer needed.
@@ -75,7 +75,7 @@ impl Team<'_> {
     ) -> anyhow::Result<()> {
         for node in &mut self.nodes {
             if node.read_word()? != READY {
-                return Err(anyhow!("{} said something else than that it is ready", node.role));
+                return Err(anyhow!("{} is not ready: its first word is unexpected", node.role));
             }
         }
         let start_ns = monotonic_ns() + LEAD.as_nanos() as u64;
@@ -95,8 +95,8 @@ impl Team<'_> {
 
     /// An error with the nodes' first message: one node that fails ends the others.
     fn explain(&self, reference: Reference, error: anyhow::Error) -> anyhow::Error {
-        let said = std::fs::read_to_string(&self.log).unwrap_or_default();
-        match said.lines().next() {
+        let messages = std::fs::read_to_string(&self.log).unwrap_or_default();
+        match messages.lines().next() {
             Some(first) => {
                 let first = first.trim_start_matches("rangehound: ");
                 anyhow!("a node of the {} reference failed: {first}", reference.name())
