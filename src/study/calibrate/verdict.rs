@@ -236,7 +236,8 @@ fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Op
     });
     let total: f64 = estimates.clone().map(|(weight, ..)| weight).sum();
     let value = estimates.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
-    let variance = estimates.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
+    let variance =
+        estimates.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
     Some(Measured { value, half_width: Z_95 * variance.sqrt() })
 }
 

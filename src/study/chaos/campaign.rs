@@ -86,7 +86,11 @@ impl<'a> Campaign<'a> {
         let last_message = if ended == Ended::Done { String::new() } else { run.last_words() };
         let Some(joined) = joined else {
             // The run failed before it started: its error is one of the user's input.
-            return Err(if code == Some(2) { Failure::input(last_message) } else { Failure::Running(anyhow::anyhow!(last_message)) });
+            return Err(if code == Some(2) {
+                Failure::input(last_message)
+            } else {
+                Failure::Running(anyhow::anyhow!(last_message))
+            });
         };
         let processes_left = processes_of(name);
         // Reported and killed.

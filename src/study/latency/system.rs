@@ -82,7 +82,11 @@ pub(super) fn run(
         let log = std::fs::read_to_string(&log_path).unwrap_or_default();
         let last_message = log.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
         let is_input = status.code() == Some(2);
-        return Err(if is_input { Failure::input(last_message) } else { anyhow!("the run failed: {last_message}").into() });
+        return Err(if is_input {
+            Failure::input(last_message)
+        } else {
+            anyhow!("the run failed: {last_message}").into()
+        });
     }
     folder::read_description(folder)
 }
