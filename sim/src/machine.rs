@@ -164,7 +164,10 @@ impl Machine {
                 (Phase::NextTick, Action::Save)
             }
             Phase::NextTick if self.tick > self.last_tick => (Phase::TellRobots, Action::Finish),
-            Phase::NextTick => (Phase::Wake, Action::SendWorld),
+            Phase::NextTick => {
+                self.begin_tick(now_ns);
+                (Phase::Wake, Action::SendWorld)
+            }
             Phase::TellRobots => {
                 (Phase::TellFusion, Action::Notify(Notification::always(WaitGroup::Robots, Event::Finished)))
             }
@@ -243,14 +246,19 @@ impl Machine {
         if self.tick == 0 { Timeout::Forever } else { self.timeout }
     }
 
+    /// Time lost to a process that was stopped is not made up by a burst of ticks, nor by one of no length.
+    fn begin_tick(&mut self, now_ns: u64) {
+        if self.due_ns.is_some_and(|due_ns| due_ns <= now_ns) {
+            self.due_ns = Some(now_ns + self.dt_ns);
+        }
+    }
+
     fn published(&mut self, now_ns: u64) {
         self.hello = false;
         self.repeat_at_ns = now_ns + REPEAT_NS;
         // A simulator that was started again waits for nobody.
         if self.clock == Clock::Realtime && self.tick > 0 {
-            // One that was stopped on the way from tick to tick gives the new one its time.
-            let due_ns = self.due_ns.filter(|due_ns| *due_ns > now_ns);
-            self.due_ns = Some(due_ns.unwrap_or(now_ns + self.dt_ns));
+            self.due_ns.get_or_insert(now_ns + self.dt_ns);
         }
     }
 
@@ -259,9 +267,7 @@ impl Machine {
         self.first_answer_ns = self.first_answer_ns.map(|first_ns| first_ns + suspended_ns);
         if let Some(due_ns) = self.due_ns {
             if due_ns <= now_ns {
-                // Time lost to a stopped process is not made up by a burst of ticks, nor by one of no length.
-                let next_ns = due_ns + self.dt_ns;
-                self.due_ns = Some(if next_ns <= now_ns { now_ns + self.dt_ns } else { next_ns });
+                self.due_ns = Some(due_ns + self.dt_ns);
                 return self.end_tick();
             }
         } else if self.drives.iter().any(Option::is_some) {

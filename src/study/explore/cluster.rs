@@ -28,6 +28,9 @@ const START_NS: u64 = 1_000_000_000;
 /// Time in which a run must end once faults have ceased, beside its ticks.
 const CALM_NS: u64 = 60_000_000_000;
 
+/// Most happenings without any time between.
+const AT_ONCE_MAX: u32 = 100_000;
+
 /// Time in which an undisturbed run in lock step ends: for the start, and for each tick.
 const SMOOTH_START_NS: u64 = 40_000_000;
 const SMOOTH_TICK_NS: u64 = 500_000;
@@ -102,6 +105,8 @@ pub(super) struct Cluster<'a> {
     pub(super) now_ns: u64,
     pub(super) calm_from_ns: u64,
     order: u64,
+    /// Happenings without any time between.
+    at_once: u32,
     due: BinaryHeap<Reverse<Due>>,
     pub(super) nodes: Vec<Node>,
     pub(super) partitions: Vec<(usize, u64)>,
@@ -147,6 +152,7 @@ impl<'a> Cluster<'a> {
             now_ns: START_NS,
             calm_from_ns: START_NS + plan.calm_from_ns(),
             order: 0,
+            at_once: 0,
             due: BinaryHeap::new(),
             nodes: plan.clock_rates.iter().map(|clock_rate| Node::new(*clock_rate)).collect(),
             partitions: Vec::new(),
@@ -180,6 +186,10 @@ impl<'a> Cluster<'a> {
         let ends_ns = self.calm_from_ns + CALM_NS + self.plan.ticks * 2 * (self.scenario.dt_s * 1e9) as u64;
         while !self.has_ended() {
             let Some(Reverse(Due { at_ns, happening, .. })) = self.due.pop() else { break };
+            self.at_once = if at_ns == self.now_ns { self.at_once + 1 } else { 0 };
+            if self.at_once > AT_ONCE_MAX {
+                return Err(self.violation(None, "time stands still".to_owned()));
+            }
             self.now_ns = at_ns;
             if at_ns > ends_ns {
                 let tick = self.witness.last_estimate().map_or(0, |tick| tick + 1);

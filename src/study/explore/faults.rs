@@ -159,7 +159,8 @@ fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
     let short_ns = random.random_range(0..300_000_000);
     // Long enough to be deposed.
     let long_ns = random.random_range(300_000_000..2_000_000_000);
-    let up_ns = if random.random_bool(0.8) { short_ns / 10 } else { long_ns };
+    let slow_ns = random.random_range(300_000_000..2_600_000_000);
+    let up_ns = if random.random_bool(0.8) { short_ns / 10 } else { slow_ns };
     let for_ns = if random.random_bool(0.5) { short_ns } else { long_ns };
     let written = if random.random_bool(0.5) { random.random_range(0.0..1.0) } else { 0.0 };
     match random.random_range(0..100) {

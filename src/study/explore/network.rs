@@ -108,8 +108,8 @@ impl Cluster<'_> {
     /// A message reaches a node, whose process looks at it if that wakes it.
     pub(super) fn arrive(&mut self, to: usize, message: Message, is_garbled: bool) -> bool {
         let node = &mut self.nodes[to];
-        // Nobody listens yet.
-        if matches!(node.process, Process::None | Process::Starting) {
+        // One that starts may hear what was said before it knew who leads.
+        if matches!(node.process, Process::None) {
             return false;
         }
         if node.inbox.len() == INBOX {
@@ -119,11 +119,11 @@ impl Cluster<'_> {
                 node.inbox.remove(0);
             }
         }
-        if let Message::Range(header, _) = &message
+        if let Message::Range(header, range) = &message
             && !is_garbled
-            && node.first_arrival.is_none_or(|(newest, _)| newest < header.tick)
+            && node.first_arrival.is_none_or(|(newest, ..)| newest < header.tick)
         {
-            node.first_arrival = Some((header.tick, self.now_ns));
+            node.first_arrival = Some((header.tick, self.now_ns, self.plan.robot_nodes().start + range.robot as usize));
         }
         node.inbox.push((message, is_garbled));
         self.plan.network.wakes_on_arrival && node.process.is_woken()

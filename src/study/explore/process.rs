@@ -62,8 +62,8 @@ pub(super) struct Node {
     dooms_to_come: Vec<Doom>,
     /// What has come, and whether it is garbled.
     pub(super) inbox: Vec<(Message, bool)>,
-    /// The newest tick of which a range came, and when the first one did.
-    pub(super) first_arrival: Option<(u64, u64)>,
+    /// The newest tick of which a range came, when the first one did, and from which node.
+    pub(super) first_arrival: Option<(u64, u64, usize)>,
     /// What it has done since it last slept.
     actions: u32,
     pub(super) wakes_at_ns: u64,

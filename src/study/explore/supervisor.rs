@@ -108,7 +108,7 @@ impl Cluster<'_> {
                 }
                 Action::EndRun { node, .. } => {
                     self.tell(Some(node), || "is given up: the run ends".to_owned());
-                    let given_up = self.supervisor.witness.gives_up(node);
+                    let given_up = self.supervisor.witness.gives_up(&self.nodes, node);
                     given_up.map_err(|what| self.violation(Some(node), what))?;
                     self.supervisor.has_given_up = true;
                     return Ok(());

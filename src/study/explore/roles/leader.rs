@@ -153,12 +153,17 @@ impl Cluster<'_> {
         // A wake-up may come before a slow message, which is seen at the next look then.
         let is_seen_at_once = self.plan.network.wakes_on_arrival || self.plan.network.slow == 0.0;
         let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);
+        // One that is stopped or killed just after it has sent wakes nobody.
+        let first_arrival = fusion.first_arrival.filter(|(.., from)| {
+            is_seen_at_once && self.nodes[*from].well_for_ns(self.now_ns) > (self.scenario.dt_s * 1e9) as u64
+        });
+        let first_arrival = first_arrival.map(|(first, at_ns, _)| (first, at_ns));
         Closing {
             tick,
             missing,
             is_cut: leading.newest_heard > tick || self.is_finished,
             at_ns: (began_ns as f64 / fusion.clock_rate) as u64,
-            arrived_ns: of_tick(fusion.first_arrival.filter(|_| is_seen_at_once)),
+            arrived_ns: of_tick(first_arrival),
             held_ns: of_tick(leading.first_range).map(|first_ns| began_ns.saturating_sub(first_ns)),
             ran_ns: of_tick(leading.ran_at_first_ns).map(|first_ns| ran_ns - first_ns),
             well_for_ns: sim

@@ -191,9 +191,12 @@ impl Supervision {
         if may_leave || is_hopeless { Ok(()) } else { Err("it was not started again".to_owned()) }
     }
 
-    /// It ends the run for a node.
-    pub(in crate::study::explore) fn gives_up(&self, node: usize) -> Result<(), String> {
+    /// It ends the run for a node: not for one whose place another could take.
+    pub(in crate::study::explore) fn gives_up(&self, nodes: &[Node], node: usize) -> Result<(), String> {
         let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
-        if is_hopeless { Ok(()) } else { Err("the run was ended for it".to_owned()) }
+        let can_lead = 1..self.robots_from;
+        let is_spare = can_lead.contains(&node)
+            && can_lead.into_iter().any(|other| other != node && !matches!(nodes[other].process, Process::None));
+        if is_hopeless && !is_spare { Ok(()) } else { Err("the run was ended for it".to_owned()) }
     }
 }
