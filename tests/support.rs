@@ -317,8 +317,8 @@ impl Process {
 }
 
 impl Drop for Process {
-    /// Ends the processes of a failed test, in order if possible, so that they end their nodes and remove their
-    /// shared memory along.
+    /// Ends the processes of a failed test, in order if possible, so that they end their nodes and remove the run's
+    /// shared memory.
     fn drop(&mut self) {
         if !matches!(self.child.try_wait(), Ok(None)) {
             return;

@@ -149,7 +149,7 @@ impl Curves {
         if let Some(stretch) = stretches.last_mut() {
             stretch.add(estimate);
         }
-        // A late range was counted as missing at its own tick: in this bucket or the one before. Correct that here.
+        // A late range was counted as missing at its own tick: in this bucket or shortly before. Correct that here.
         let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
         for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
             let found = came.min(stretch.missing);

@@ -29,7 +29,7 @@ pub fn curve(latencies_us: &Samples) -> Vec<Point> {
     points.map(|(quantile, latency_us)| Point { percentile: 100.0 * quantile, latency_us }).collect()
 }
 
-/// Position of a point on the axis: the number of factors of ten by which the samples above it have decreased.
+/// Position of a point on the axis: the number of tenfold reductions of the samples above it.
 fn tenths(point: &Point, last: f64) -> f64 {
     (-(1.0 - point.percentile / 100.0).log10()).min(last)
 }

@@ -386,7 +386,7 @@ fn every_frame_comes_back_to_the_bit() {
         while let Some(frame) = reader.next_frame().unwrap() {
             read.push(frame);
         }
-        // Minus zero differs from zero, and NaN has no unique text.
+        // As text: minus zero differs from zero, and each number has its own text.
         assert_eq!(format!("{read:?}"), format!("{all:?}"), "{file}");
     }
 }
