@@ -1,4 +1,4 @@
-//! How a command ends when it does not end well: one line and an exit code.
+//! Failures of commands: one line and an exit code.
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::terminal::{self, BAD};
 
-/// Longest complaint, bytes: what it quotes may be as long as a file.
+/// Longest error message, bytes: the text that it quotes may be as long as a file.
 const COMPLAINT_CHARS_MAX: usize = 400;
 
 /// Why a command failed.
@@ -17,8 +17,8 @@ const COMPLAINT_CHARS_MAX: usize = 400;
 pub enum Failure {
     /// Bad usage or bad input: exit code 2.
     Input(String),
-    /// Bad input that has been told already, line by line: exit code 2.
-    ToldInput,
+    /// Bad input that has already been reported, line by line: exit code 2.
+    ReportedInput,
     /// Failed while running: exit code 1.
     Running(anyhow::Error),
 }
@@ -29,7 +29,7 @@ impl Failure {
         Self::Input(problem.to_string())
     }
 
-    /// Tells the user, in one line, and gives the exit code.
+    /// Reports to the user in one line, and returns the exit code.
     #[must_use]
     pub fn report(&self) -> ExitCode {
         match self {
@@ -37,7 +37,7 @@ impl Failure {
                 complain(problem);
                 ExitCode::from(2)
             }
-            Self::ToldInput => ExitCode::from(2),
+            Self::ReportedInput => ExitCode::from(2),
             Self::Running(error) => {
                 complain(&with_causes(error));
                 ExitCode::from(1)
@@ -80,13 +80,12 @@ pub fn one_short_line(problem: &str) -> String {
     short
 }
 
-/// A line on standard error. If nobody can read it, nothing is lost but the line: `eprintln!` would panic.
+/// Writes a line to standard error. If that is closed, the line is dropped: `eprintln!` would panic.
 pub fn tell(line: impl std::fmt::Display) {
     let _ = terminal::write_above_bar(format_args!("{line}\n"));
 }
 
-/// Prints to standard output. Whoever read it may have had enough; anything else that keeps it from being printed
-/// is a failure, not a panic as with `println!`.
+/// Prints to standard output. A closed pipe is no failure; any other error is, without the panic of `println!`.
 ///
 /// # Errors
 /// [`Failure::Running`], such as a full disk's.
@@ -94,7 +93,7 @@ pub fn print(text: impl std::fmt::Display) -> Result<(), Failure> {
     print_if_read(text).map(drop)
 }
 
-/// The same; false if nobody reads it.
+/// The same; false if the reader has closed the pipe.
 ///
 /// # Errors
 /// As [`print()`].
@@ -126,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cause_that_is_quoted_already_is_not_said_twice() {
+    fn a_quoted_cause_is_not_repeated() {
         let cause = || std::io::Error::other("no room");
         assert_eq!(with_causes(&anyhow::Error::new(cause()).context("a: no room")), "a: no room");
         assert_eq!(with_causes(&anyhow::Error::new(cause()).context("a")), "a: no room");

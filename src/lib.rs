@@ -1,6 +1,6 @@
 //! The operator's tool: starts, watches and reports runs of rangehound.
 //!
-//! It stands outside the loop that the nodes are in, starts and watches them, and reads what they put down:
+//! It is outside the nodes' loop: it starts and watches the nodes, and reads their records:
 //!
 //! ```text
 //! sim --world--> robot 0..M-1 --range--> fusion --heading--> robot 0..M-1 --drive--> sim
@@ -14,12 +14,12 @@
 //! |---|---|
 //! | [`cli`] | the command line |
 //! | [`run`] | a run: started, watched, acted on |
-//! | [`live`] | a page that shows a run while it goes on |
-//! | [`study`] | many runs, or one looked at in another way |
+//! | [`live`] | a page that shows a living run |
+//! | [`study`] | experiments over many runs, and analysis of one |
 //! | [`plan`] | one step per JSON line, for programs of any language |
-//! | [`results`] | what a run leaves |
-//! | [`draw`] | what all pictures are drawn with |
-//! | [`files`] | what users give, and where results go |
+//! | [`results`] | the results of a run |
+//! | [`draw`] | drawing for all pictures |
+//! | [`files`] | the users' inputs and the results' folders |
 //! | [`statistics`] | quantiles, means, intervals, fits |
 //! | [`failure`] | exit codes |
 //! | [`terminal`] | how output looks |

@@ -1,6 +1,6 @@
 //! Statistics, pure: quantiles, means, intervals, fits.
 //!
-//! What a quantile is:
+//! Definitions of quantiles:
 //!
 //! | of | rule | in |
 //! |---|---|---|
@@ -75,7 +75,7 @@ impl Ascending {
     }
 }
 
-/// Many values, each counted to three digits, in whole thousandths of the unit in which they are told: ns of us, mm of m.
+/// Many values, each counted to three digits, in whole thousandths of the reported unit: ns of us, mm of m.
 #[derive(Debug, Clone)]
 pub struct Samples(Histogram<u64>);
 

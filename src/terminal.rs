@@ -1,5 +1,5 @@
-//! How output looks: lines of at most 80 columns, colours only where somebody sees them, and lines that do not run into
-//! the progress bar.
+//! Terminal output: lines of at most 80 columns, colours only on terminals that show them, and lines that do not
+//! overwrite the progress bar.
 
 use std::fmt::Display;
 use std::io::{IsTerminal, Write};
@@ -37,7 +37,7 @@ pub fn stream<S: RawStream>(raw: S) -> AutoStream<S> {
     AutoStream::new(raw, choice)
 }
 
-/// True if what goes to standard error can be drawn over: a terminal, and one that moves its cursor.
+/// True if standard error can be drawn over: a terminal, and one that moves its cursor.
 #[must_use]
 pub fn draws_on_stderr() -> bool {
     std::io::stderr().is_terminal() && !is_dumb()
@@ -63,7 +63,7 @@ pub fn set_bar(bar: Option<ProgressBar>) {
 /// # Errors
 /// Those of writing.
 pub fn write_above_bar(text: impl Display) -> std::io::Result<()> {
-    // Not held while writing: who writes may be slow, and somebody else may want to end the bar.
+    // The lock is not held while writing, which may be slow: another thread may want to end the bar.
     let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let write = || write!(stream(std::io::stderr().lock()), "{text}");
     match bar {
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_broken_stays_whole() {
+    fn unbreakable_text_stays_in_one_piece() {
         let path = "x".repeat(100);
         assert_eq!(wrapped(&path, 10), path);
         assert_eq!(field("a label of its own", "b"), "  a label of its own b");

@@ -11,7 +11,7 @@ fn every_dependency_has_an_allowed_licence() {
     let allowed: Vec<&str> =
         deny["licenses"]["allow"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
 
-    // Reads what the build has resolved; builds nothing.
+    // Reads the resolved dependencies; builds nothing.
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version=1", "--locked"])
         .args(["--filter-platform", "x86_64-unknown-linux-gnu"])

@@ -1,30 +1,30 @@
 //! The integration tests, one binary.
 //!
-//! | module | what it is for |
+//! | module | purpose |
 //! |---|---|
-//! | `book` | README, ARCHITECTURE.md and `docs/`: every command works, every link and name leads somewhere |
-//! | `command_line` | what a user types: exit codes and one-line complaints |
-//! | `command_line::hostile` | damaged input of every kind: refused in one line, no panic, hang or endless memory |
-//! | `command_line::kept` | nothing of the user's is replaced or removed; one writer of each result |
-//! | `command_line::terminal` | what is printed: widths, colours, JSON; completions and manual pages |
+//! | `book` | README, ARCHITECTURE.md and `docs/`: every command works, every link and name exists |
+//! | `command_line` | the command line: exit codes and one-line error messages |
+//! | `command_line::hostile` | damaged input of every kind: refused in one line, no panic, hang or unbounded memory |
+//! | `command_line::kept` | no file of the user is replaced or removed; one writer of each result |
+//! | `command_line::terminal` | printed output: widths, colours, JSON; completions and manual pages |
 //! | `estimation::comparison` | Monte Carlo of the planners: figures, pictures, threads |
-//! | `estimation::distrust` | robots whose sensors fail, many seeds in one process: the right one is named |
+//! | `estimation::distrust` | robots with sensor faults, many seeds in one process: the right robot is named |
 //! | `estimation::golden` | the filter against numbers from independent implementations |
-//! | `estimation::paper` | the paper's experiment, many seeds in one process: do the figures come out |
+//! | `estimation::paper` | the paper's experiment, many seeds in one process: its figures are reproduced |
 //! | `licences` | every dependency is free to use |
-//! | `live` | the live page: who is let in, what its buttons do, and in a real browser |
+//! | `live` | the live page: access, buttons, and in a real browser |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
-//! | `processes` | runs with real processes: digests, kills, several at once, nothing left behind |
-//! | `processes::chaos` | campaigns of faults: every promise kept, nothing left behind |
-//! | `processes::drivers` | a robot whose sensor and drive are on a port: the example, fed through a FIFO |
-//! | `processes::latency` | the system beside its references: who is counted, what is left |
-//! | `processes::resources` | full disks, lost folders, no shared memory, few open files: a clear line, and on where it can |
-//! | `processes::strangers` | other users and other versions: kept out, in a clear line |
+//! | `processes` | runs with real processes: digests, kills, several at once, no file left behind |
+//! | `processes::chaos` | campaigns of faults: every promise kept, no file left behind |
+//! | `processes::drivers` | a robot with sensor and drive on a port: the example, fed through a FIFO |
+//! | `processes::latency` | the system beside its references: counted samples, and cleanup |
+//! | `processes::resources` | full disks, lost folders, no shared memory, few open files: a clear line, and the run continues if possible |
+//! | `processes::strangers` | other users and other versions: refused in a clear line |
 //! | `recordings` | recorded ranges, ours and (where they lie beside the project) real ones |
-//! | `recordings::believed` | what is believed of a recording: verdicts, and what `calibrate` finds |
-//! | `recordings::intake` | how a recording gets into a run: pipes, its copy in the run folder, names, a known start |
-//! | `results::page` | `report.html`: whole, small, offline, and the faults are in it |
-//! | `results::run_mcap` | a run in one file: for other readers, replayed to the bit, cut, repaired, bounded |
+//! | `recordings::believed` | the credibility of a recording: verdicts, and the findings of `calibrate` |
+//! | `recordings::intake` | input of a recording into a run: pipes, the copy in the run folder, names, a known start |
+//! | `results::page` | `report.html`: complete, small, offline, and it shows the faults |
+//! | `results::run_mcap` | a run in one file: for other readers, replayed bit-identically, cut, repaired, bounded |
 //! | `support` | run names, watchdogs, temporary folders |
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on should panic")]

@@ -1,4 +1,4 @@
-//! `plan`: problems in, answers out, checked against what follows from the paper by other ways.
+//! `plan`: problems in, answers out, checked against the paper's results by independent methods.
 
 use std::f64::consts::{SQRT_2, TAU};
 use std::io::{BufRead, BufReader, Write};
@@ -26,7 +26,7 @@ fn planned(lines: &[impl ToString], flags: &str) -> Outcome {
     run.start(&args).finish()
 }
 
-/// The answers, all of which must be there.
+/// The answers, all of which must exist.
 fn answers(lines: &[impl ToString], flags: &str) -> Vec<Value> {
     let outcome = planned(lines, flags).succeeded();
     assert_eq!(outcome.stderr, "");
@@ -51,7 +51,7 @@ fn pair(value: &Value) -> Vector2<f64> {
     Vector2::new(value[0].as_f64().unwrap(), value[1].as_f64().unwrap())
 }
 
-/// `|S|` and the trace of (13) for a team that ends in these places, straight from the matrices.
+/// `|S|` and the trace of (13) for a team with these final positions, straight from the matrices.
 fn worth(problem: &Value, ends: &[Vector2<f64>]) -> (f64, f64) {
     let p = &problem["prior_position_covariance"];
     let prior = Matrix2::from_rows(&[pair(&p[0]).transpose(), pair(&p[1]).transpose()]);
@@ -66,7 +66,7 @@ fn worth(problem: &Value, ends: &[Vector2<f64>]) -> (f64, f64) {
     (eigenvalues.max() - eigenvalues.min(), information.try_inverse().unwrap().trace())
 }
 
-/// Where robot `i` of a problem ends that drives at this heading and speed.
+/// Final position of robot `i` of a problem at this heading and speed.
 fn end(problem: &Value, i: usize, heading_rad: f64, speed_mps: f64) -> Vector2<f64> {
     let way = speed_mps * number(problem, "time_step_s");
     pair(&problem["robots"][i]["position"]) + Vector2::new(heading_rad.cos(), heading_rad.sin()) * way
@@ -128,7 +128,7 @@ fn the_answer_has_the_keys_of_the_contract() {
     }
 }
 
-/// Rayleigh's case: the best of many headings is no better, and nearly as good.
+/// Rayleigh's case: the best of many headings is no better, and almost as good.
 #[test]
 fn one_robot_does_as_well_as_any_heading() {
     let problems: Vec<Value> =
@@ -153,7 +153,7 @@ fn two_robots_do_as_well_as_any_two_headings() {
         step([[2.0, 0.0], [0.0, 2.0]], [1.0, 1.0], &[robot(7.0, 1.0, 20.0, 1.0), robot(8.0, 2.0, 20.0, 0.5)]),
     ];
     for (problem, answer) in problems.iter().zip(answers(&problems, "")) {
-        // Eq. 25 from the places that each heading leads to.
+        // Eq. 25 from the positions that the headings lead to.
         let steps = 1_500;
         let vectors = [0, 1].map(|i| {
             let robot = &problem["robots"][i];
@@ -179,7 +179,7 @@ fn two_robots_do_as_well_as_any_two_headings() {
     }
 }
 
-/// The paper's lambda = (sqrt 2; 1, 1) with two robots that can get to any bearing.
+/// The paper's lambda = (sqrt 2; 1, 1) with two robots that can reach any bearing.
 #[test]
 fn the_worked_example_reaches_zero() {
     let prior = [[1.0 / (1.0 + SQRT_2), 0.0], [0.0, 1.0]];
@@ -263,7 +263,7 @@ fn stand_off_and_separation_hold_at_the_end_of_the_step() {
             for (i, end) in ends.iter().enumerate() {
                 let (robot, target) = (&problem["robots"][i], pair(&problem["target"]));
                 let step_m = 0.1 * number(robot, "max_speed");
-                // Who stands inside can only go out as far as it gets.
+                // A robot inside the stand-off can only move out as far as it reaches.
                 let least = least.min((pair(&robot["position"]) - target).norm() + step_m);
                 assert!((end - target).norm() >= least - 1e-9, "{planner}: {problem} {answer}");
             }
@@ -294,7 +294,7 @@ fn a_certificate_holds_for_the_trace_of_robots_that_have_nothing_in_common() {
     }
 }
 
-/// Within a step of the target, where a stand-off below all measure was half believed.
+/// Within a step of the target, with a stand-off so small that it was only partly applied before.
 #[test]
 fn a_tiny_stand_off_claims_what_its_motion_leads_to() {
     let team = [robot(0.3, 0.2, 10.0, 1.0), robot(-0.4, 0.1, 10.0, 1.0), robot(0.1, -0.5, 10.0, 1.0)];
@@ -308,7 +308,7 @@ fn a_tiny_stand_off_claims_what_its_motion_leads_to() {
     }
 }
 
-/// A covariance that is all but singular: the products of its entries cancel to five digits.
+/// A nearly singular covariance: the products of its entries cancel to five digits.
 #[test]
 fn the_trace_keeps_its_digits_beside_a_flat_covariance() {
     // By rotation of diag(1, 1e-12), in entries that doubles have exactly: P = [[a, a - d], [a - d, a]], |P| = d (2 a - d).
@@ -349,14 +349,14 @@ fn a_line_may_name_its_planner_and_flags_set_the_rest() {
     assert_ne!(first[0], other[0]);
 }
 
-/// A good line with `old` in the place of `new`.
+/// A good line in which `old` is replaced by `new`.
 fn but(old: &str, new: &str) -> String {
     assert!(LINE.contains(old), "{old}");
     LINE.replacen(old, new, 1)
 }
 
 #[test]
-fn a_bad_line_is_told_by_number_and_key_and_the_others_are_answered() {
+fn a_bad_line_is_reported_by_number_and_key_and_the_others_are_answered() {
     let covariance = |matrix: &str| (but("[[4,0.5],[0.5,2]]", matrix), "prior_position_covariance");
     let target = |place: &str| (but("[0,0]", place), "target");
     let with = |keys: &str, names| (but("{", &format!("{{{keys},")), names);
@@ -485,7 +485,7 @@ fn teams_may_be_large_but_for_separation_and_grid() {
 }
 
 #[test]
-fn what_stops_it_at_once_is_told_in_one_line() {
+fn a_fatal_error_is_reported_in_one_line() {
     let cases = [
         ("plan missing.jsonl", "missing.jsonl"),
         ("plan folder", "folder"),
@@ -507,7 +507,7 @@ fn what_stops_it_at_once_is_told_in_one_line() {
         assert_eq!((outcome.code, told.lines().count(), outcome.stdout.as_str()), (Some(2), 1, ""), "{words}: {told}");
         assert!(told.contains(names) && told.contains("expected"), "{words}: {told}");
     }
-    // Nothing to do is done.
+    // Empty input gives empty output.
     assert_eq!(Run::new().start(&["plan"]).finish().succeeded().stdout, "");
 }
 
@@ -522,7 +522,7 @@ fn the_example_of_its_help_is_answered() {
     assert!(answers(&[example], "")[0]["certified"].is_boolean());
 }
 
-/// The program at the other end of two pipes; killed with the test.
+/// The program behind two pipes; killed with the test.
 struct Partner(Child);
 
 impl Partner {
@@ -540,11 +540,11 @@ impl Drop for Partner {
     }
 }
 
-/// Far above what an answer takes: only one that never comes runs into it.
+/// Far above the time of an answer: only a missing answer reaches it.
 const LIMIT: Duration = Duration::from_secs(60);
 
 #[test]
-fn who_writes_one_line_and_waits_is_answered() {
+fn a_client_that_waits_after_one_line_is_answered() {
     let mut partner = Partner::start();
     let mut questions = partner.0.stdin.take().unwrap();
     let answers = BufReader::new(partner.0.stdout.take().unwrap());
@@ -567,11 +567,11 @@ fn who_writes_one_line_and_waits_is_answered() {
 }
 
 #[test]
-fn a_reader_that_has_had_enough_is_no_failure() {
+fn a_reader_that_closes_early_is_no_failure() {
     let mut partner = Partner::start();
     drop(partner.0.stdout.take());
     let mut questions = partner.0.stdin.take().unwrap();
-    // It may be gone before all is written.
+    // The reader may be gone before all is written.
     while questions.write_all(format!("{LINE}\n").as_bytes()).is_ok() {}
     let mut told = String::new();
     std::io::Read::read_to_string(&mut partner.0.stderr.take().unwrap(), &mut told).unwrap();

@@ -1,7 +1,7 @@
 //! Runs of the real program: a name and a folder for each, and a limit on every wait.
 //!
-//! Tests run side by side, beside other users of `/dev/shm`: whatever is looked at or ended here
-//! belongs to one run, told by its name.
+//! Tests run side by side, beside other users of `/dev/shm`. They observe and end only the processes and files
+//! of one run, identified by its name.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -19,10 +19,10 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Far above what anything here takes: only what would never come runs into it.
+/// Far above the time of any step: only a missing event reaches it.
 const LIMIT: Duration = Duration::from_secs(120);
 
-/// How long what a failed test leaves running may take to end in order.
+/// Most time for the processes of a failed test to end in order.
 const GRACE: Duration = Duration::from_secs(10);
 
 /// The program under test.
@@ -30,12 +30,12 @@ pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_rangehound");
 
 const POLL: Duration = Duration::from_millis(1);
 
-/// Says that something was not tested, and why. Not by `println!`, which the harness keeps to itself where a test passes.
+/// Reports that a test was skipped, and why. `println!` would not do: the harness hides it if the test passes.
 pub(crate) fn skipped(what: &str, why: &str) {
     let _ = writeln!(std::io::stderr(), "NOT TESTED: {what}: {why}");
 }
 
-/// Runs a command that is refused in one line, with nothing made.
+/// Runs a command that must be refused in one line, with no file created.
 #[track_caller]
 pub(crate) fn assert_refused_at_once(words: &str, expected: &str) {
     let run = Run::new();
@@ -46,7 +46,7 @@ pub(crate) fn assert_refused_at_once(words: &str, expected: &str) {
     assert!(!run.path("out").exists());
 }
 
-/// One run: a name that nobody else has, and a folder that the program works in. The run folder
+/// One run: a unique name, and a working folder of the program. The run folder
 /// is `out` in it.
 pub(crate) struct Run {
     pub(crate) name: String,
@@ -61,7 +61,7 @@ impl Run {
         Self { name, folder: TempDir::new().unwrap(), started: Cell::new(0) }
     }
 
-    /// A path in the folder that the program works in.
+    /// A path in the working folder.
     pub(crate) fn path(&self, file: &str) -> PathBuf {
         self.folder.path().join(file)
     }
@@ -110,12 +110,12 @@ impl Run {
         Process { child, args: args.join(" "), stdout, stderr, shared: self.shared_folder() }
     }
 
-    /// Starts a command, words split at spaces, on this run's name and folder.
+    /// Starts a command, split at spaces, with this run's name and folder.
     pub(crate) fn command(&self, words: &str) -> Process {
         self.start(&self.args_of(words))
     }
 
-    /// A command's words with this run's name and folder. What is not asked to record does not: a test has no use for it.
+    /// A command's words with this run's name and folder. It does not record unless requested: most tests need no recording.
     fn args_of<'a>(&'a self, words: &'a str) -> Vec<&'a str> {
         let mut args: Vec<&str> = words.split_whitespace().collect();
         if matches!(args.first(), Some(&("run" | "track"))) && !args.contains(&"--record") {
@@ -142,7 +142,7 @@ impl Run {
         self.start(&args)
     }
 
-    /// Where the run's processes meet.
+    /// The run's shared folder.
     pub(crate) fn shared_folder(&self) -> PathBuf {
         Path::new("/dev/shm").join(format!("rh-{}-{}", rustix::process::getuid().as_raw(), self.name))
     }
@@ -155,7 +155,7 @@ impl Run {
         self.report()["digest"].as_str().unwrap().to_owned()
     }
 
-    /// Waits until something is so; fails with all that was said if it never is.
+    /// Waits until a condition is true; on time-out fails with all output.
     pub(crate) fn wait_until(&self, what: &str, mut so: impl FnMut() -> bool) {
         let began = Instant::now();
         while !so() {
@@ -164,7 +164,7 @@ impl Run {
         }
     }
 
-    /// What the programs and their nodes told.
+    /// The output of the programs and their nodes.
     fn said(&self) -> String {
         [self.folder.path().to_owned(), self.path("out/logs")]
             .iter()
@@ -174,7 +174,7 @@ impl Run {
             .collect()
     }
 
-    /// The process in a role, once the role has been started so often and that start lives.
+    /// The process in a role, once the role has been started this many times and the latest process lives.
     pub(crate) fn pid_of(&self, role: &str, starts: u64) -> Pid {
         let file = self.shared_folder().join(format!("{role}.role"));
         let mut found = None;
@@ -182,7 +182,7 @@ impl Run {
             let text = std::fs::read_to_string(&file).unwrap_or_default();
             found = text.trim().split_once(' ').and_then(|(count, pid)| {
                 let pid = Pid::from_raw(pid.parse().ok()?)?;
-                // The file is rewritten in pieces: the process itself tells whose the pid is.
+                // The file is rewritten in pieces: the process itself confirms the pid.
                 (count.parse() == Ok(starts) && is_alive(pid) && comm(pid) == format!("rh-{role}")).then_some(pid)
             });
             found.is_some()
@@ -192,7 +192,7 @@ impl Run {
 
     /// True while a process holds this role.
     pub(crate) fn is_held(&self, role: &str) -> bool {
-        // Not by trying: who comes for the role at that moment would take it for held, and a standby the next number.
+        // Without try-lock: a node that tries to take the role at that moment would find it held, and a standby would take the next number.
         let role = std::fs::metadata(self.shared_folder().join(format!("{role}.role")));
         let locks = std::fs::read_to_string("/proc/locks").unwrap();
         role.is_ok_and(|role| {
@@ -200,13 +200,13 @@ impl Run {
         })
     }
 
-    /// How often a role has been started.
+    /// Number of starts of a role.
     pub(crate) fn starts(&self, role: &str) -> u64 {
         let text = std::fs::read_to_string(self.shared_folder().join(format!("{role}.role"))).unwrap_or_default();
         text.split(' ').next().and_then(|starts| starts.parse().ok()).unwrap_or(0)
     }
 
-    /// The newest tick that the simulator has put down.
+    /// The newest tick that the simulator has logged.
     pub(crate) fn last_world(&self) -> Option<(u64, WorldRecord)> {
         let description = RunDescription::open(&std::fs::read(self.path("out/run.sealed")).ok()?).ok()?;
         let mut log = logs::read_worlds(&description).ok()?;
@@ -214,7 +214,7 @@ impl Run {
         Some((tick, log.at(tick).ok()??.clone()))
     }
 
-    /// Ticks that the simulator has put down.
+    /// Ticks that the simulator has logged.
     pub(crate) fn ticks_done(&self) -> u64 {
         self.last_world().map_or(0, |(tick, _)| tick + 1)
     }
@@ -223,7 +223,7 @@ impl Run {
         self.wait_until(&format!("{ticks} ticks are done"), || self.ticks_done() >= ticks);
     }
 
-    /// How the names of the run's shared memory start, once it has been founded.
+    /// Prefix of the run's shared memory, once it has been founded.
     pub(crate) fn shared_memory_prefix(&self) -> String {
         let config = self.shared_folder().join("iceoryx2.toml");
         self.wait_until("the run is founded", || config.exists());
@@ -231,9 +231,9 @@ impl Run {
         config.lines().find_map(|line| line.strip_prefix("prefix = ")).unwrap().trim_matches('"').to_owned()
     }
 
-    /// Checks that the run has left `/dev/shm` as it was.
+    /// Checks that the run has left no file in `/dev/shm`.
     pub(crate) fn assert_nothing_left(&self) {
-        // Not at once: any founder looks into the folders of others, to remove those of the dead.
+        // Repeated: any founder looks into the folders of others, to remove those of dead processes.
         self.wait_until("the run's folder is gone", || !self.shared_folder().exists());
         let names = |prefix: &str| -> Vec<String> {
             let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
@@ -241,7 +241,7 @@ impl Run {
             names.filter(|name| name.starts_with(prefix)).collect()
         };
         let left = names("rh");
-        // The prefix of shared memory follows from the name alone, and a founder writes it down.
+        // The prefix of shared memory follows from the name alone, and a founder records it.
         let founder = self.node("sim --ticks 1 --out of-founder");
         let prefix = self.shared_memory_prefix();
         let left: Vec<&String> = left.iter().filter(|name| name.starts_with(&prefix)).collect();
@@ -253,14 +253,14 @@ impl Run {
     }
 }
 
-/// The digest of a scenario composed in one process: what every undisturbed run must give.
+/// The digest of a scenario composed in one process: every undisturbed run must have it.
 pub(crate) fn digest_in_process(words: &str) -> String {
     let run = Run::new();
     run.lockstep(&format!("--in-process {words}")).finish().succeeded();
     run.digest()
 }
 
-/// A program that was started here and does not outlive the test.
+/// A program that a test started and that does not outlive the test.
 pub(crate) struct Process {
     child: Child,
     args: String,
@@ -269,10 +269,10 @@ pub(crate) struct Process {
     shared: PathBuf,
 }
 
-/// How a program ended.
+/// The end of a program.
 #[derive(Debug)]
 pub(crate) struct Outcome {
-    /// `None`: by a signal.
+    /// `None` after a signal.
     pub(crate) code: Option<i32>,
     pub(crate) stdout: String,
     pub(crate) stderr: String,
@@ -317,8 +317,8 @@ impl Process {
 }
 
 impl Drop for Process {
-    /// Ends what a failed test leaves: in order if it will, so that it takes its nodes and its
-    /// shared memory along.
+    /// Ends the processes of a failed test, in order if possible, so that they end their nodes and remove the run's
+    /// shared memory.
     fn drop(&mut self) {
         if !matches!(self.child.try_wait(), Ok(None)) {
             return;
@@ -341,14 +341,14 @@ impl Drop for Process {
 }
 
 impl Outcome {
-    /// Itself, if the program did what it was told.
+    /// Returns itself if the program succeeded.
     #[track_caller]
     pub(crate) fn succeeded(self) -> Self {
         assert_eq!(self.code, Some(0), "{self:#?}");
         self
     }
 
-    /// The complaints, as the tool itself gives them: progress and warnings have another beginning.
+    /// The error messages of the tool itself: progress and warnings begin differently.
     pub(crate) fn complaints(&self) -> Vec<&str> {
         self.stderr.lines().filter(|line| line.starts_with("rangehound: ")).collect()
     }
@@ -358,13 +358,13 @@ pub(crate) fn signal(pid: Pid, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// The name that a process goes by.
+/// The name of a process.
 pub(crate) fn comm(pid: Pid) -> String {
     let text = std::fs::read_to_string(format!("/proc/{}/comm", pid.as_raw_pid())).unwrap_or_default();
     text.trim_end().to_owned()
 }
 
-/// False once a process has ended, whether or not its parent has taken note.
+/// False once a process has ended, even if its parent has not waited for it.
 pub(crate) fn is_alive(pid: Pid) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_pid())).unwrap_or_default();
     stat.rsplit_once(") ").is_some_and(|(_, rest)| !rest.starts_with(['Z', 'X']))

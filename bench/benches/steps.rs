@@ -66,7 +66,7 @@ fn planners(criterion: &mut Criterion) {
     }
 }
 
-/// What the planners are asked in the paper's runs: the mean, and before it the percentiles of single steps.
+/// The planners' inputs in the paper's runs: percentiles of single steps, then the mean.
 fn along_the_papers_trajectories(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("along the paper's trajectories, mean");
     for (name, stand_off_m) in [("paper", 0.0), ("stand-off 2 m", 2.0)] {
@@ -115,8 +115,8 @@ fn pose_and_plan(criterion: &mut Criterion) {
     }
 }
 
-/// The paper's yardstick against the proven optimum of (25) without (26): no speed limit and so no
-/// headings. What they reach is printed beside the times: the grid at its step is the coarser of the two. Four robots would take the grid seconds a step.
+/// The paper's reference against the proven optimum of (25) without (26): no speed limit and so no
+/// headings. Their objectives are printed beside the times: the grid at its step is the coarser of the two. Four robots would take the grid seconds a step.
 fn grid(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("without constraints");
     group.sample_size(10);

@@ -1,13 +1,13 @@
 //! Problems that the benchmarks measure on; the benchmarks are in `benches/`.
 //!
-//! Its place is outside the loop, of which it takes the two steps that fusion computes:
+//! It measures the two steps of the loop that fusion computes:
 //!
 //! ```text
 //! robot 0..M-1 --range--> fusion: FILTER, PLANNER --heading--> robot 0..M-1
 //! ```
 //!
-//! It depends on the other members and none on it. It calls those steps directly, on teams made here or on what the
-//! planner is asked in the paper's runs, with no process or topic between: what those cost, `rangehound latency` tells.
+//! It calls these steps directly, on teams made here or on the planner's inputs in the paper's runs, without processes or
+//! topics: `rangehound latency` measures their cost. No other crate depends on this one.
 
 use nalgebra::Matrix2;
 use rangehound::run::in_process::Team;
@@ -37,8 +37,8 @@ pub fn problem(robots: usize) -> Problem {
     Problem::of(&Situation { belief, team: team(robots).collect(), step_s: 0.1, ..Situation::default() })
 }
 
-/// What the planner was asked along the paper's trajectories: 20 runs of 200 ticks of its scenario.
-/// `None` if the scenario that is shipped does not run.
+/// The planner's inputs along the paper's trajectories: 20 runs of 200 ticks of its scenario.
+/// `None` if the default scenario does not run.
 #[must_use]
 pub fn paper_problems(stand_off_m: f64) -> Option<Vec<Problem>> {
     let text = include_str!("../../scenarios/paper.toml");

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_shared::motion::Transition;
 use serde::{Deserialize, Serialize};
 
-/// Below this distance from the estimate, m, a range has no line of sight and informs of nothing.
+/// Below this distance from the estimate, m, a range has no line of sight and carries no information.
 const LINE_OF_SIGHT_MIN_M: f64 = 1e-9;
 
 /// Relative inflation of the variances in each step: above the rounding that could make a covariance
@@ -27,7 +27,7 @@ pub struct Gaussian<const N: usize> {
     pub p: SMatrix<f64, N, N>,
 }
 
-/// What a set of ranges says of the target's position, linearised about one estimate.
+/// Information of a set of ranges about the target's position, linearised about one estimate.
 ///
 /// With `e_i` the line of sight from robot i to the estimate and `nu_i = z_i - d_i` the innovation:
 /// `J = sum e_i e_i^T / sigma_i^2` (the sum of Eq. 13), `y = sum e_i nu_i / sigma_i^2`.
@@ -41,7 +41,7 @@ pub struct RangeInformation {
     pub count: u32,
 }
 
-/// A range against what the estimate predicts of it.
+/// A range compared with the estimate's prediction of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
     /// Gradient of the distance, a row of `H`: the unit vector from the robot to the estimated target. Of a sensor at
@@ -107,7 +107,7 @@ impl<const N: usize> Gaussian<N> {
     ///
     /// The position's posterior covariance is `(P_11^-1 + J)^-1`, written for 2 x 2 matrices without an
     /// inverse as `(P_11 + |P_11| adj J) / (1 + tr(P_11 J) + |P_11| |J|)`: a sum of positive terms, so
-    /// it stays positive definite however much the ranges say. The other states follow by their
+    /// it stays positive definite however precise the ranges are. The other states follow by their
     /// regression `B = P_21 P_11^-1` on the position; their conditional covariance does not change.
     #[must_use]
     pub fn update(&self, information: &RangeInformation) -> Self {
@@ -130,7 +130,7 @@ impl<const N: usize> Gaussian<N> {
             }
         }
         for i in 0..N {
-            // What is left of a difference is uncertain by the rounding of what it was taken from.
+            // A difference is uncertain by the rounding of its operands.
             p[(i, i)] += DIFFERENCE_ROUNDING * self.p[(i, i)];
         }
         let mut x = self.x + b * shift;
@@ -183,10 +183,10 @@ fn posterior_covariance(prior: &Matrix2<f64>, prior_det: f64, j: &Matrix2<f64>) 
     (prior + j_adjugate * prior_det) * gain
 }
 
-/// What a distance gains and how far it scatters because it is no linear function of the position.
+/// Second-order terms of a distance: bias and variance, as it is not linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bend {
-    /// How much longer it is in the mean than at the estimate, m.
+    /// Mean distance less the distance at the estimate, m.
     pub mean_m: f64,
     /// Variance beyond the linear one, m^2.
     pub variance_m2: f64,
@@ -248,7 +248,7 @@ mod tests {
         information
     }
 
-    /// Positive definite in the sense that counts: it has a Cholesky factor.
+    /// Positive definite: it has a Cholesky factor.
     fn is_spd<const N: usize>(p: &SMatrix<f64, N, N>) -> bool {
         *p == p.transpose() && DMatrix::from_fn(N, N, |i, j| p[(i, j)]).cholesky().is_some()
     }
@@ -404,7 +404,7 @@ mod tests {
         assert!(is_spd(&estimate.p) && estimate.x.iter().all(|value| value.is_finite()));
     }
 
-    /// Robots on one spot tell one direction very well and the other not at all.
+    /// Robots at one place measure one direction very well and the other not at all.
     #[test]
     fn one_direction_known_far_better_than_the_other_is_survived() {
         let transition = MotionModel::IntegratorChain { order: 2, noise_psd: 0.0 }.transition::<4>(0.1);

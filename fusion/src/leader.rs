@@ -1,10 +1,10 @@
 //! The fusion centre's part in the protocol as a state machine round a [`Centre`]: no clock, no port, no file.
 //!
-//! A driver feeds it with what came ([`Leader::on_range`]), asks for the next [`Action`], carries it out, and asks again until there
+//! A driver feeds it with messages ([`Leader::on_range`]), asks for the next [`Action`], carries it out, and asks again until there
 //! is none. Nothing is fed in between. Time is an argument: monotonic, ns.
 //!
-//! A tick is update, plan, checkpoint, headings, estimate, record; in that order, so that robots wait for nothing else, and nothing is
-//! published that a kill could make forget.
+//! A tick is update, plan, checkpoint, headings, estimate, record; in that order, so that robots do not wait for the rest, and a kill
+//! cannot lose published state.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -22,50 +22,50 @@ use crate::centre::{self, Centre, Diverged};
 use crate::intake::{self, Admitted, Intake, IntakeCounts, LateReport};
 use crate::planner::PlannerError;
 
-/// What the driver does next.
+/// The driver's next action.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Action {
     /// Look at the clock, and ask again.
     Continue,
-    /// Make sure that nobody has taken the lead meanwhile. Whoever has lost it does nothing more.
+    /// Check that no other process has taken the lead meanwhile. A process that has lost the lead must not act any more.
     RequireLead,
-    /// Write [`Leader::saved`] to the checkpoint, before anything that follows.
+    /// Write [`Leader::saved`] to the checkpoint, before all later actions.
     Save,
     /// Publish the commands of the last tick: [`Leader::centre`].
     SendHeadings,
-    /// Wake somebody.
+    /// Notify another node.
     Notify(Notification),
     /// Publish [`Leader::estimate`].
     SendEstimate,
-    /// Write down the last tick: [`Leader::estimate`], [`Leader::exchanges`], [`Leader::late_reports`].
+    /// Record the last tick: [`Leader::estimate`], [`Leader::exchanges`], [`Leader::late_reports`].
     Record,
-    /// Tell the user.
+    /// Report to the user.
     Tell(Notice),
 }
 
-/// What a user is told.
+/// A message to the user.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Notice {
-    /// These ticks are over, and it was not there.
+    /// Fusion has missed these ticks.
     Missed {
         /// The first of them.
         first: u64,
         /// The last of them.
         last: u64,
     },
-    /// Most sensors fail together: their ranges are taken to be so many times as noisy as told, and nobody is distrusted.
+    /// Most sensors fail together: the reported noise of all ranges is multiplied by this factor, and no robot is distrusted.
     Widened(f64),
-    /// That is over.
+    /// Most sensors no longer fail together.
     NoLongerWidened,
     /// A robot is distrusted.
     Distrusted(usize),
     /// A robot is trusted again.
     Trusted(usize),
-    /// Messages are refused for this cause: told once.
+    /// Messages are refused for this cause: reported once.
     Refused(Refusal),
 }
 
-/// What is done after what has been returned last.
+/// The step after the last action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Gather,
@@ -88,25 +88,25 @@ pub struct Leader {
     pub(crate) intake: Intake,
     phase: Phase,
     actions: VecDeque<Action>,
-    /// It has told the simulator that it leads.
+    /// The simulator has been notified of the lead.
     greeted: bool,
-    /// Ticks before this one are over, whoever has not been heard.
+    /// Ticks before this one are over, whether or not all robots have reported.
     pub(crate) over_before: u64,
-    /// It has missed ticks: the repeat of the present one is asked for.
+    /// Ticks were missed: the simulator must repeat the present one.
     asks_repeat: bool,
-    /// A robot said again what was fused: it has missed its heading.
+    /// A robot repeated a fused report: it has missed its heading.
     pub(crate) repeat_asked: bool,
     stages: Stages,
     pub(crate) counts: IntakeCounts,
     estimate: Estimate,
     distrusted: RobotSet,
     noise_scale: f64,
-    /// Causes of refusal that have been told.
-    told: [bool; Refusal::ALL.len()],
+    /// Causes of refusal that have been reported.
+    refusals_reported: [bool; Refusal::ALL.len()],
     suspension: Suspension,
 }
 
-/// What a fusion centre started again needs: borrowed as it is written, owned as it is read.
+/// State for a restarted fusion centre: borrowed for writing, owned after reading.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Saved<'a> {
     centre: centre::Saved<'a>,
@@ -143,16 +143,16 @@ impl Leader {
             estimate: Estimate::default(),
             distrusted: RobotSet::default(),
             noise_scale: 1.0,
-            told: [false; Refusal::ALL.len()],
+            refusals_reported: [false; Refusal::ALL.len()],
             suspension: Suspension::default(),
         }
     }
 
-    /// Goes on from where a killed predecessor stopped. It may have published the last tick or not: a robot that missed its
-    /// heading asks for it, and the tick is recorded again.
+    /// Continues from the saved state of a killed predecessor, which may or may not have published the last tick. A robot
+    /// that missed its heading asks for it, and the tick is recorded again.
     ///
     /// # Errors
-    /// If this is not what a fusion centre of the same run saved.
+    /// If the state is invalid or belongs to another run.
     pub fn restore(&mut self, saved: Saved<'_>, now_ns: u64) -> Result<(), SealError> {
         let Saved { centre, intake, counts } = saved;
         self.centre.restore(centre)?;
@@ -170,7 +170,7 @@ impl Leader {
         Ok(())
     }
 
-    /// What [`Self::restore`] needs to go on from here.
+    /// State from which [`Self::restore`] continues.
     ///
     /// # Errors
     /// If the tracker cannot be encoded.
@@ -178,9 +178,9 @@ impl Leader {
         Ok(Saved { centre: self.centre.saved()?, intake: Cow::Borrowed(self.intake.state()), counts: self.counts })
     }
 
-    /// Takes a message of the topic `range` that came at `now_ns`.
+    /// Takes a message of the topic `range` that arrived at `now_ns`.
     pub fn on_range(&mut self, header: &Header, message: &[Range], now_ns: u64) {
-        // What is refused is counted by the intake.
+        // The intake counts refused messages.
         let Ok(admitted) = self.intake.admit(&self.centre, header, message, now_ns) else { return };
         let [range] = message else { return };
         let (tick, next) = (header.tick, self.centre.next_tick());
@@ -198,22 +198,22 @@ impl Leader {
         }
     }
 
-    /// Counts messages of processes that do not hold the role which they speak for.
+    /// Counts messages of processes that do not hold the lease of their role.
     pub fn refuse_impostors(&mut self, count: u64) {
         self.intake.refuse(Refusal::Impostor, count);
     }
 
-    /// All of the present tick that will ever come has come.
+    /// No more messages of the present tick will arrive.
     pub fn end_tick(&mut self) {
         self.over_before = self.over_before.max(self.centre.next_tick() + 1);
     }
 
-    /// The run has come to its end: what never came in real time is missing, but every tick has its estimate.
+    /// Ends the run: reports that never arrived in real time count as missing, but every tick gets its estimate.
     pub fn finish(&mut self) {
         self.over_before = self.last_tick + 1;
     }
 
-    /// What to do next; `None` until something comes or [`Self::wakes_at_ns`].
+    /// The next action; `None` until a message arrives or [`Self::wakes_at_ns`].
     ///
     /// # Errors
     /// [`Diverged`] if the estimate leaves all bounds.
@@ -231,7 +231,7 @@ impl Leader {
             Phase::Close => {
                 self.stages.planned_ns = now_ns;
                 self.counts = self.intake.close(self.centre.next_tick() - 1, self.stages.filtered_ns);
-                // A deposed one writes nothing that its successor could read.
+                // A deposed process writes nothing that its successor could read.
                 (Phase::Save, Action::RequireLead)
             }
             Phase::Save => (Phase::RequireLead, Action::Save),
@@ -249,8 +249,8 @@ impl Leader {
                 (Phase::Record, Action::SendEstimate)
             }
             Phase::Record => {
-                self.tell_of_trust();
-                self.tell_of_refusals();
+                self.report_trust();
+                self.report_refusals();
                 (Phase::Gather, Action::Record)
             }
         };
@@ -258,7 +258,7 @@ impl Leader {
         Ok(Some(action))
     }
 
-    /// When it has something to do even if nothing comes, monotonic ns.
+    /// When it must act even if no message arrives, monotonic ns.
     #[must_use]
     pub fn wakes_at_ns(&self) -> Option<u64> {
         self.intake.deadline_ns(self.centre.next_tick())
@@ -299,7 +299,7 @@ impl Leader {
         self.centre.exchanges(self.centre.next_tick().saturating_sub(1), self.intake.state().reports())
     }
 
-    /// What was said of earlier ticks since the one before the last.
+    /// Late reports that arrived during the last tick.
     #[must_use]
     pub fn late_reports(&self) -> &[LateReport] {
         self.intake.state().late_reports()
@@ -349,9 +349,9 @@ impl Leader {
         self.actions.push_back(Action::Tell(notice));
     }
 
-    /// Tells when most sensors fail together and when they no longer do; otherwise who is distrusted since the last tick,
-    /// and who no longer is.
-    fn tell_of_trust(&mut self) {
+    /// Reports when most sensors begin or cease to fail together; otherwise the robots that have become distrusted or
+    /// trusted since the last tick.
+    fn report_trust(&mut self) {
         let (now, noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
         let before = std::mem::replace(&mut self.distrusted, now);
         let noise_scale_before = std::mem::replace(&mut self.noise_scale, noise_scale);
@@ -366,12 +366,12 @@ impl Leader {
         before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.tell(Notice::Trusted(id)));
     }
 
-    /// Tells once of each cause that messages are refused; the report counts them.
-    fn tell_of_refusals(&mut self) {
+    /// Reports each cause of refusal once; the run's report has the counts.
+    fn report_refusals(&mut self) {
         for refusal in Refusal::ALL {
-            let is_new = self.counts.refused[refusal as usize] > 0 && !self.told[refusal as usize];
+            let is_new = self.counts.refused[refusal as usize] > 0 && !self.refusals_reported[refusal as usize];
             if is_new {
-                self.told[refusal as usize] = true;
+                self.refusals_reported[refusal as usize] = true;
                 self.tell(Notice::Refused(refusal));
             }
         }

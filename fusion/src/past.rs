@@ -24,7 +24,7 @@ pub(crate) struct PastTick {
     pub(crate) reports: Vec<Option<Measurement>>,
     /// What became of the reports' ranges.
     pub(crate) judged: Vec<Option<Judged>>,
-    /// What robots were told after it.
+    /// The commands published after it.
     pub(crate) commands: Vec<Command>,
 }
 

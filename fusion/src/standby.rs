@@ -1,4 +1,4 @@
-//! When a standby takes the lead, pure: from whom it waits for, and whom it deposes. Silence is counted in looks.
+//! When a standby takes the lead or deposes a silent leader, pure. Silence is counted in looks.
 
 use std::time::Duration;
 
@@ -7,24 +7,24 @@ use rangehound_shared::scenario::{PlannerSpec, Scenario};
 /// Most standbys of a run.
 pub const STANDBYS_MAX: usize = 8;
 
-/// How often a standby looks whether who leads sends heartbeats.
+/// How often a standby checks the leader's heartbeat.
 pub const LOOK: Duration = Duration::from_millis(50);
 
-/// Looks in a row without a heartbeat after which who leads is deposed. Counted in looks, so that a
-/// standby that was stopped too, or a clock that jumps, deposes nobody.
+/// Consecutive looks without a heartbeat after which the leader is deposed. Looks are counted so that neither a
+/// suspension of the standby itself nor a clock jump deposes a leader.
 const SILENT_LOOKS_MAX: u32 = 10;
 
-/// What a step of the grid planner may take without a heartbeat.
+/// Longest step of the grid planner without a heartbeat.
 const GRID_STEP_MAX: Duration = Duration::from_secs(30);
 
-/// The silence that is no hang, because one step of the scenario's planner may take as long.
+/// Silence that is no hang: one step of the scenario's planner may take as long.
 #[must_use]
 pub fn step_max(scenario: &Scenario) -> Duration {
     if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO }
 }
 
-/// One standby's view of who leads; `S` is a heartbeat, of which only whether it changes means anything. `L` names the
-/// lock that whoever leads holds, if there is one: another one after somebody was deposed.
+/// One standby's view of the leader. `S` is a heartbeat, of which only changes matter. `L` names the leader's lock, if
+/// there is one; after a leader was deposed there is a new lock.
 #[derive(Debug, Clone, Copy)]
 pub struct Standby<S, L> {
     last_heartbeat: Option<S>,
@@ -60,7 +60,7 @@ impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
         is_other
     }
 
-    /// The silence after which who leads is deposed.
+    /// The silence after which the leader is deposed.
     #[must_use]
     pub fn silence_max(&self) -> Duration {
         LOOK * self.silent_looks_max
@@ -87,14 +87,14 @@ mod tests {
     }
 
     #[test]
-    fn it_waits_for_the_lock_of_who_leads() {
+    fn a_standby_waits_for_the_leaders_lock() {
         let mut standby = standby("greedy");
         assert!(!standby.waits_anew(Some(1)) && !standby.waits_anew(None));
         assert!(standby.waits_anew(Some(2)) && !standby.waits_anew(Some(2)));
     }
 
     #[test]
-    fn nobody_is_deposed_who_never_led() {
+    fn a_process_that_never_led_is_not_deposed() {
         let mut standby = standby("greedy");
         assert!((0..99).all(|_| standby.look(None).is_none()));
     }

@@ -1,32 +1,32 @@
-//! Whose ranges are fused, and how noisy they are taken to be, pure: a robot whose ranges keep failing the gate is
-//! distrusted until it mends; where most sensors fail together, it is the filter or the noise that is wrong.
+//! Fault detection of sensors, pure. A robot whose ranges keep failing the gate is distrusted until they pass again. If
+//! most sensors fail together, the filter or the assumed noise is wrong.
 
 use rangehound_shared::robot_set::RobotSet;
 use serde::{Deserialize, Serialize};
 
-/// Verdicts of the gate that are remembered of each robot: bits of its record.
+/// Number of stored gate decisions of each robot: bits of its record.
 pub const RECENT: u32 = u8::BITS;
 
-/// Failures among them from which on a robot is distrusted: a tick or two with outliers are forgiven. With a gate of
+/// A robot with this many failures among them is distrusted: a tick or two with outliers are tolerated. With a gate of
 /// 4 sigma, of 200 runs each with 3, 4, 5 and 8 robots and one sensor that reads 10 or 30 sigma too much, all named
 /// that one, 95 % of them within five ticks, and no other. Off by 6 sigma it hides behind the gate: of 3 robots the
-/// estimate follows it before the gate tells, and in one run of five it is a sound one that is named.
+/// estimate follows it before the gate detects it, and in one run of five a valid sensor is distrusted instead.
 pub const FAILURES_MAX: u32 = 5;
 
-/// Median of a chi-square of one degree of freedom: what half of the normalised innovations squared of a sensor lie
-/// above whose noise is as told.
+/// Median of a chi-square of one degree of freedom: half of a sensor's normalised innovations squared exceed it if the
+/// sensor's noise is as reported.
 const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_572_8;
 
 /// Change of the logarithm of a sensor's noise variance with each range: a tracker of the median that forgets within
 /// some twenty ranges, has a standard deviation of 0.34, and is moved by outliers no more than by other ranges.
 const LOG_STEP: f64 = 0.1;
 
-/// The team's noise variance, over what it is told to be, from which on its sensors are taken to fail together, and
-/// below which they no longer do: twice, two standard deviations of one sensor's tracker, and the root of that.
+/// Ratio of the team's noise variance to the reported one at which its sensors count as failing together, and below
+/// which they no longer do: twice, two standard deviations of one sensor's tracker, and the root of that.
 const LOG_WIDENED: f64 = 0.7;
 const LOG_NARROW: f64 = 0.35;
 
-/// Most that the logarithm is taken for, either way.
+/// Limit of the logarithm's magnitude.
 const LOG_MAX: f64 = 14.0;
 const LOG_MIN: f64 = -1.0;
 
@@ -35,35 +35,35 @@ const LOG_MIN: f64 = -1.0;
 const RANGES_MIN: u32 = 8;
 const RECENT_ROUNDS: u64 = 8;
 
-/// Sensors that find the one out that is wrong among them. Two fit any position, so whom they contradict need not be wrong.
+/// Number of valid sensors that can identify a faulty one. Two fit any position, so a sensor that they contradict may be valid.
 const JURY: usize = 3;
 
-/// Ranges of each sensor after which a team that agrees is known to: time for a noise of twice the told to be seen.
+/// Ranges of each sensor after which a team that agrees is known to: time to detect noise of twice the reported one.
 const AGREED_RANGES: u32 = 24;
 
-/// Most that an estimate is made less certain at once, in variance.
+/// Largest inflation of the estimate's variance at once.
 const LOST_MAX: f64 = 1e6;
 
-/// What may be done about ranges that fail.
+/// Measures against ranges that fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Policy {
     /// Robots are distrusted.
     pub distrusts: bool,
-    /// Where most sensors fail together, ranges are taken to be noisier than told.
+    /// If most sensors fail together, ranges are assumed noisier than reported.
     pub widens: bool,
 }
 
-/// What the gate has said of each robot's ranges.
+/// The gate's decisions on each robot's ranges.
 ///
 /// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of
-/// them passed. Failures count only while most of the team's newest ranges pass: where half of them or more fail, it
-/// is the filter that is wrong, or nobody can tell. Where fewer than three would be left, a robot is distrusted only
-/// if all of them have agreed before: else it may be the others that are wrong.
+/// them passed. Failures count only while most of the team's newest ranges pass: if half of them or more fail, the
+/// filter may be wrong. If fewer than three robots would be left, a robot is distrusted only if all of them have agreed
+/// before: otherwise the others may be wrong.
 ///
-/// Beside that, the noise of each sensor is followed by the median of its normalised innovations squared, which outliers
-/// do not move far. Where the median sensor is worse than it is told to be, most fail together: by a
-/// common bias, by noise that is larger than told, or because the estimate is lost. Then nobody is distrusted, and all
-/// ranges are taken to be as noisy as they are, until that is over.
+/// The noise of each sensor is also tracked, by the median of its normalised innovations squared, which is robust to
+/// outliers. If the median sensor is worse than reported, most sensors fail together: by a common bias, by more noise
+/// than reported, or because the estimate is lost. Until that is over, no robot is distrusted, and the noise of all
+/// ranges is assumed as large as it is observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trust {
     policy: Policy,
@@ -78,17 +78,17 @@ pub struct Trust {
     ranges: u64,
     /// Logarithm of the factor on all variances while sensors fail together.
     widened_log: Option<f64>,
-    /// True once the ranges of all robots were as good as told.
+    /// True once the ranges of all robots were as good as reported.
     has_agreed: bool,
     /// Memory only.
     #[serde(skip)]
     scratch: Vec<f64>,
 }
 
-/// How noisy one sensor is.
+/// Noise of one sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct Noise {
-    /// Logarithm of the variance of its ranges over what it is told to be.
+    /// Logarithm of the ratio of its ranges' variance to the reported one.
     log: f64,
     /// Ranges so far, and the team's count at the last of them.
     ranges: u32,
@@ -96,7 +96,7 @@ struct Noise {
 }
 
 impl Trust {
-    /// Trusts all of a team.
+    /// Trusts all robots of a team.
     #[must_use]
     pub fn new(robots: usize, policy: Policy) -> Self {
         let (distrusted, newest_failed) = (RobotSet::default(), RobotSet::default());
@@ -114,7 +114,7 @@ impl Trust {
         }
     }
 
-    /// Who is distrusted.
+    /// The distrusted robots.
     #[must_use]
     pub fn distrusted(&self) -> RobotSet {
         self.distrusted
@@ -126,8 +126,7 @@ impl Trust {
         self.records.len()
     }
 
-    /// How many times larger than told the standard deviations of ranges are to be taken: 1 unless most sensors fail
-    /// together.
+    /// Factor on the reported standard deviations of ranges: 1 unless most sensors fail together.
     #[must_use]
     pub fn noise_scale(&self) -> f64 {
         self.widened_log.map_or(1.0, |log| (0.5 * log).exp())
@@ -157,7 +156,7 @@ impl Trust {
             self.follow_noise(heard.clone());
         }
         if self.widened_log.is_some() {
-            // Nobody is to blame, nor was before.
+            // No robot is distrusted, and none was before.
             self.distrusted = RobotSet::default();
             self.records.fill(0);
             let squares = heard.filter_map(|(_, square)| square);
@@ -188,7 +187,7 @@ impl Trust {
         }
     }
 
-    /// Follows each sensor's noise, and sees whether most of them are worse than told.
+    /// Tracks each sensor's noise, and checks whether most sensors are worse than reported.
     fn follow_noise(&mut self, heard: impl Iterator<Item = (usize, Option<f64>)>) {
         for (id, square) in heard {
             let Some(square) = square else { continue };
@@ -197,7 +196,7 @@ impl Trust {
             // Squares are of the noise as it is taken at present; here they are of this sensor's own.
             let taken_log = self.widened_log.unwrap_or(0.0);
             let step = match square * (taken_log - log).exp() > CHI_SQUARE_MEDIAN {
-                // The start tells of what was not known, not of the noise.
+                // The first squares reflect the initial uncertainty, not the noise.
                 _ if ranges < RANGES_MIN => 0.0,
                 true => LOG_STEP,
                 false => -LOG_STEP,
@@ -215,7 +214,7 @@ impl Trust {
             self.widened_log = None;
             return;
         };
-        // The lower one of a pair: alone or in a pair nobody can tell who is wrong.
+        // The lower one of a pair: with one or two sensors the faulty one cannot be identified.
         let median = *self.scratch.select_nth_unstable_by(last / 2, f64::total_cmp).1;
         self.scratch.clear();
         let threshold = if self.widened_log.is_some() { LOG_NARROW } else { LOG_WIDENED };
@@ -263,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn where_most_fail_together_nobody_is_distrusted_and_all_are_noisier() {
+    fn if_most_fail_together_no_robot_is_distrusted_and_all_are_noisier() {
         let mut trust = trust(4);
         noisy(&mut trust, 40, [0.4, 0.4, 30.0, 0.4]);
         assert!(trust.distrusted().iter().eq([2]) && trust.noise_scale() == 1.0, "one of four is to blame");
@@ -282,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_switch_nothing_is_widened_and_nobody_distrusted() {
+    fn without_the_switch_no_noise_is_widened_and_no_robot_distrusted() {
         let mut trust = Trust::new(4, Policy { distrusts: false, widens: false });
         assert_eq!(noisy(&mut trust, 60, [900.0, 900.0, 900.0, 0.4]), 1.0);
         noisy(&mut trust, 60, [0.4, 0.4, 30.0, 0.4]);
@@ -300,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_little_more_than_the_told_noise_does_not_add_up() {
+    fn a_little_more_than_the_reported_noise_does_not_accumulate() {
         assert_eq!(steady(&mut trust(4), 500, &[0.6; 4]), (vec![], 1.0));
     }
 
@@ -313,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn of_three_that_never_agreed_nobody_is_distrusted() {
+    fn no_robot_of_three_that_never_agreed_is_distrusted() {
         let mut trust = trust(3);
         assert_eq!(steady(&mut trust, 40, &[0.4, 0.4, 30.0]), (vec![], 1.0));
         let mut trust = self::trust(3);
@@ -341,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn alone_or_in_a_pair_nobody_can_tell_who_is_wrong() {
+    fn one_or_two_robots_cannot_identify_a_faulty_sensor() {
         for robots in [1, 2] {
             let mut trust = trust(robots);
             let mut failed = RobotSet::default();

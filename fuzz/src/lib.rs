@@ -1,6 +1,6 @@
-//! What is fuzzed: one function for each kind of input. It takes or refuses the input, and panics if a promise is broken.
+//! The fuzz targets: one function for each kind of input. It accepts or refuses the input, and panics if a promise is broken.
 //!
-//! `fuzz_targets/` hands these functions to libFuzzer, `tests/command_line/hostile.rs` to the ordinary tests.
+//! `fuzz_targets/` passes these functions to libFuzzer, `tests/command_line/hostile.rs` to the ordinary tests.
 
 pub mod made;
 
@@ -42,19 +42,19 @@ use rangehound_shared::sealed;
 use rangehound_sim::World;
 use rangehound_sim::playback::Playback;
 
-/// Whether an input is taken.
+/// Whether an input is accepted.
 pub type Verdict = Result<(), Complaint>;
 
-/// The line that refuses an input, from whatever error a reader gives.
+/// The line that refuses an input, from any reader's error.
 #[derive(Debug)]
 pub struct Complaint(pub String);
 
-/// Memory that anything may take, and more for each byte of input. A damaged length in a sealed file may claim as
+/// Memory that any input may use, plus a factor for each byte of input. A damaged length in a sealed file may claim as
 /// much as the longest value that can be sealed, 16 MiB.
 const BYTES_FREE: u64 = 20 << 20;
 const BYTES_FOR_ONE: u64 = 400;
 
-/// Longest complaint, bytes: file names and what was found are in it, files are not.
+/// Longest error message, bytes: it contains file names and found values, but no file contents.
 const COMPLAINT_MAX: usize = 600;
 
 impl Complaint {
@@ -70,7 +70,7 @@ impl<E: Display> From<E> for Complaint {
     }
 }
 
-/// Hands an input to a target. Panics if it takes memory that its length does not explain.
+/// Passes an input to a target. Panics if the memory used is more than the input's length explains.
 pub fn check(target: fn(&[u8]) -> Verdict, bytes: &[u8]) -> Verdict {
     let mut verdict = Ok(Ok(()));
     let memory = allocation_counter::measure(|| verdict = catch_unwind(AssertUnwindSafe(|| target(bytes))));
@@ -80,7 +80,7 @@ pub fn check(target: fn(&[u8]) -> Verdict, bytes: &[u8]) -> Verdict {
     verdict
 }
 
-/// The folder of the project, which this crate is a part of.
+/// The project's folder, which contains this crate.
 #[must_use]
 pub fn project() -> &'static Path {
     let mut above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
@@ -91,7 +91,7 @@ fn recording_folder() -> PathBuf {
     project().join("scenarios/recording")
 }
 
-/// Taken if one of several readers takes it, or refused as by the first. All of them read it.
+/// Accepted if one of several readers accepts it, otherwise refused as by the first. All readers read it.
 fn any<const N: usize>(verdicts: [Verdict; N]) -> Verdict {
     verdicts.into_iter().reduce(|all, next| all.or_else(|first| next.map_err(|_| first))).unwrap()
 }
@@ -101,7 +101,7 @@ pub fn scenarios(bytes: &[u8]) -> Verdict {
     let file = ScenarioFile::parse(std::str::from_utf8(bytes)?, "hostile.toml")?;
     let scenario = input::scenario(&file, "hostile.toml", &recording_folder())?;
     assert!(scenario.is_complete());
-    // The run folder's copy and the run's description say the same.
+    // The run folder's copy and the run's description must be equal.
     assert_eq!(ScenarioFile::parse(&file.to_toml().unwrap(), "copy").unwrap(), file);
     let described = RunDescription::new(scenario.clone(), PathBuf::from("/nowhere"));
     assert_eq!(RunDescription::open(described.seal().unwrap().as_bytes()).unwrap(), described);
@@ -124,7 +124,7 @@ pub fn scenarios(bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-/// A table of ranges, in each form that one may be read in.
+/// A table of ranges, in each of its forms.
 pub fn recordings(bytes: &[u8]) -> Verdict {
     static OPTIONS: LazyLock<[ReadOptions; 6]> = LazyLock::new(|| {
         let columns = |text: &str| text.parse::<ColumnMap>().unwrap();
@@ -145,7 +145,7 @@ pub fn recordings(bytes: &[u8]) -> Verdict {
 fn recording(bytes: &[u8], options: &ReadOptions) -> Verdict {
     let (recording, summary) = Recording::parse(bytes, Path::new("hostile.csv"), options)?;
     assert!(summary.lines().iter().all(|line| line.lines().count() == 1));
-    // The run folder's copy is the same recording.
+    // The run folder's copy must be the same recording.
     let mut copy = Vec::new();
     recording.write_csv(&mut copy).unwrap();
     let (again, _) = Recording::parse(&copy[..], Path::new("copy.csv"), &ReadOptions::default()).unwrap();
@@ -159,7 +159,7 @@ fn recording(bytes: &[u8], options: &ReadOptions) -> Verdict {
     Ok(())
 }
 
-/// A table of the sensors' places.
+/// A table of sensor positions.
 pub fn anchors(bytes: &[u8]) -> Verdict {
     let anchors = Anchors::parse(bytes, Path::new("anchors.csv"), &ColumnMap::default())?;
     let numbers = anchors.iter().flat_map(|(_, anchor)| anchor.position_m.into_iter().chain(anchor.height_m));
@@ -167,7 +167,7 @@ pub fn anchors(bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-/// What `--columns` says.
+/// The value of `--columns`.
 pub fn columns(bytes: &[u8]) -> Verdict {
     let map: ColumnMap = std::str::from_utf8(bytes)?.parse()?;
     assert_eq!(map.to_string().parse::<ColumnMap>().unwrap(), map);
@@ -182,7 +182,7 @@ pub fn calibrations(bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-/// A table of the target's places.
+/// A table of target positions.
 pub fn true_tracks(bytes: &[u8]) -> Verdict {
     let truth = Truth::parse(bytes)?;
     for time_s in [0.0, 0.1, 1.0, f64::NAN, f64::INFINITY] {
@@ -202,7 +202,7 @@ pub fn plan_lines(bytes: &[u8]) -> Verdict {
     complaint.map(Complaint::of).map_or(Ok(()), Err)
 }
 
-/// What a user types after `rangehound`, with spaces between the words.
+/// A command line after `rangehound`, split at spaces.
 pub fn command_lines(bytes: &[u8]) -> Verdict {
     let words = bytes.split(|byte| *byte == b' ').map(|word| OsString::from_vec(word.to_vec()));
     match Cli::try_parse_from([OsString::from("rangehound")].into_iter().chain(words)) {
@@ -228,14 +228,14 @@ pub fn words(bytes: &[u8]) -> Verdict {
     ])
 }
 
-/// A run's description: as a sealed file, and as the body of one whose checksum fits.
+/// A run's description: as a sealed file, and as a body with a matching checksum.
 pub fn run_descriptions(bytes: &[u8]) -> Verdict {
     any([run_description(bytes), run_description(&made::sealed_body(bytes))])
 }
 
 fn run_description(bytes: &[u8]) -> Verdict {
     let RunDescription { scenario, .. } = RunDescription::open(bytes)?;
-    // What is opened has the right shapes at least.
+    // An accepted description has valid dimensions at least.
     for id in 0..scenario.robots.len() {
         assert!(Sensor::new(&scenario, id).is_some());
     }
@@ -244,7 +244,7 @@ fn run_description(bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-/// A slot of a checkpoint's file: alone, beside a sound one, and twice.
+/// A slot of a checkpoint file: alone, beside a valid one, and twice.
 pub fn checkpoint_files(bytes: &[u8]) -> Verdict {
     for second in [&made::CHECKPOINT_SLOTS[1][..], bytes] {
         let _ = checkpoint_file(bytes, second);
@@ -252,11 +252,11 @@ pub fn checkpoint_files(bytes: &[u8]) -> Verdict {
     checkpoint_file(bytes, &[]).map(drop)
 }
 
-/// Opens a checkpoint's file with these slots.
+/// Opens a checkpoint file with these slots.
 pub fn checkpoint_file(first: &[u8], second: &[u8]) -> Result<Option<made::State>, Complaint> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("sim.checkpoint");
-    // With a hole, as the file has it.
+    // With a hole between the slots, as in the real file.
     let file = File::create(&path)?;
     file.write_all_at(first, 0)?;
     if !second.is_empty() {
@@ -270,7 +270,7 @@ pub fn checkpoint_file(first: &[u8], second: &[u8]) -> Result<Option<made::State
     Ok(opened?.1)
 }
 
-/// States of simulator and fusion that pass their checksum and are of another run, another version, or nobody's.
+/// States of simulator and fusion with a valid checksum but of another run or version, or arbitrary.
 pub fn node_states(bytes: &[u8]) -> Verdict {
     any(made::SCENARIOS_OF_STATES
         .each_ref()
@@ -295,13 +295,13 @@ fn fusion_state(scenario: &Scenario, bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-/// What fusion or sim wrote down of each tick, beside a sound log of the other one.
+/// The log of fusion or simulator, beside a valid log of the other.
 pub fn tick_logs(bytes: &[u8]) -> Verdict {
     let (description, [estimate, world]) = &*made::RUN_WITH_LOGS;
     any([results(description, [bytes, world]), results(description, [estimate, bytes])])
 }
 
-/// All that is made of a run's logs.
+/// All output that is made from a run's logs.
 fn results(description: &RunDescription, logs: [&[u8]; 2]) -> Verdict {
     let folder = tempfile::tempdir()?;
     for (name, log) in made::LOG_NAMES.iter().zip(logs) {
@@ -319,7 +319,7 @@ fn results(description: &RunDescription, logs: [&[u8]; 2]) -> Verdict {
     report::write(&report, folder.path())?;
     tables::write_estimate_csv(&description)?;
     tables::write_recording(&description)?;
-    // Slow, and mostly the same.
+    // Skipped: slow, and mostly repetitive.
     if logs.concat().len() % 50 == 0 {
         pictures::draw(&report, curves, folder.path())?;
     }
@@ -339,7 +339,7 @@ pub fn run_files(bytes: &[u8]) -> Verdict {
     Ok(())
 }
 
-/// What a radio prints, as each of the radios and in any pieces.
+/// Output of a radio, in each radio's format and split anywhere.
 pub fn radio_logs(bytes: &[u8]) -> Verdict {
     any(Format::ALL.map(|format| radio_log(format, bytes)))
 }
@@ -370,7 +370,7 @@ fn radio_log(format: Format, bytes: &[u8]) -> Verdict {
     }))
 }
 
-/// All ranges of a stream that comes in these pieces, by report; none for what is refused.
+/// All ranges of a stream that arrives in these pieces, by report; refused reports are empty.
 fn reports(format: Format, pieces: &[&[u8]]) -> Vec<Vec<RadioRange>> {
     let (mut parser, mut all) = (radio::Parser::new(format), Vec::new());
     for piece in pieces {

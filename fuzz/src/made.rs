@@ -1,4 +1,4 @@
-//! Sound documents in formats of the program's own. They change with its protocol, so they are made, not kept in `corpus/`.
+//! Valid documents in the program's own formats. They change with its protocol, so they are generated, not kept in `corpus/`.
 
 use std::fs::read;
 use std::path::{Path, PathBuf};
@@ -22,10 +22,10 @@ use xxhash_rust::xxh3::xxh3_64;
 
 use super::project;
 
-/// Every made run has it, so that what one process has made another one takes.
+/// The id of every generated run, so that one process accepts the documents of another.
 pub const RUN_ID: u64 = 7;
 
-/// Writes made documents to the folder of a target's corpus, where libFuzzer finds them.
+/// Writes generated documents to the corpus folder of a target, for libFuzzer.
 pub fn write_to_corpus(target: &str, documents: Vec<Vec<u8>>) {
     let folder = project().join("fuzz/corpus").join(target);
     std::fs::create_dir_all(&folder).unwrap();
@@ -45,7 +45,7 @@ fn description(file: &str, out_dir: PathBuf) -> RunDescription {
     RunDescription { run_id: RUN_ID, ..RunDescription::new(scenario(file), out_dir) }
 }
 
-/// Descriptions of runs, sealed, and the bodies of the same.
+/// Sealed descriptions of runs, and their bodies.
 #[must_use]
 pub fn run_descriptions() -> Vec<Vec<u8>> {
     let files = ["paper.toml", "mixed_team.toml", "custom_model.toml", "recording/replay.toml"];
@@ -61,7 +61,7 @@ fn encoded(value: &impl serde::Serialize) -> Vec<u8> {
     bytes
 }
 
-/// A sealed description with this body: damage that no checksum finds.
+/// A sealed description with this body: the checksum matches, so it does not reveal damage.
 #[must_use]
 pub fn sealed_body(body: &[u8]) -> Vec<u8> {
     let checksum = xxh3_64(&[format!("{PROGRAM} {PROTOCOL} ").as_bytes(), body].concat());
@@ -69,10 +69,10 @@ pub fn sealed_body(body: &[u8]) -> Vec<u8> {
     [head.as_bytes(), body, b"}\n"].concat()
 }
 
-/// What the checkpoints hold.
+/// The state in the checkpoints.
 pub type State = (u64, Vec<f64>);
 
-/// Where a checkpoint's second slot begins.
+/// Offset of a checkpoint's second slot.
 pub const SLOT_LEN: u64 = 1 << 20;
 
 /// The slots of a checkpoint, with the states 4 and 3.
@@ -92,7 +92,7 @@ pub fn state(tick: u64) -> State {
     (tick, vec![0.5 * tick as f64; 40])
 }
 
-/// The slots, sound.
+/// The valid slots.
 #[must_use]
 pub fn checkpoint_files() -> Vec<Vec<u8>> {
     CHECKPOINT_SLOTS.to_vec()
@@ -123,7 +123,7 @@ pub fn node_states() -> Vec<Vec<u8>> {
     states
 }
 
-/// The logs of fusion and sim.
+/// The logs of fusion and simulator.
 pub const LOG_NAMES: [&str; 2] = ["estimate.ticks", "world.ticks"];
 
 /// A short run and its logs.
@@ -135,14 +135,14 @@ pub static RUN_WITH_LOGS: LazyLock<(RunDescription, [Vec<u8>; 2])> = LazyLock::n
     (description, LOG_NAMES.map(|name| read(folder.path().join(name)).unwrap()))
 });
 
-/// The logs, sound.
+/// The valid logs.
 #[must_use]
 pub fn tick_logs() -> Vec<Vec<u8>> {
     RUN_WITH_LOGS.1.to_vec()
 }
 
-/// Runs in one file: as the recorder writes them, where damage meets a checksum; without chunks and checksums, where it
-/// meets the messages; and compressed with zstd, where it meets the decoder.
+/// Runs in one file, in three forms: as the recorder writes them, where checksums detect damage; without chunks and checksums,
+/// where damage reaches the messages; and compressed with zstd, where it reaches the decoder.
 #[must_use]
 pub fn run_files() -> Vec<Vec<u8>> {
     let kinds = |file: &&str| {
@@ -153,7 +153,7 @@ pub fn run_files() -> Vec<Vec<u8>> {
     ["paper.toml", "recording/replay.toml"].iter().flat_map(kinds).collect()
 }
 
-/// The frames of a run in one process, and what the run is.
+/// The frames of a run in one process, and the run's description.
 #[must_use]
 pub fn frames(file: &str, ticks: u64) -> (RunDescription, Vec<Frame>) {
     let folder = tempfile::tempdir().unwrap();
@@ -176,10 +176,10 @@ pub fn recorded(description: &RunDescription, frames: &[Frame]) -> Vec<u8> {
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// A frame of zstd that is no data, which decoders pass over.
+/// A skippable zstd frame.
 const SKIPPABLE: &[u8] = b"\x50\x2a\x4d\x18\x03\0\0\0abc";
 
-/// Bytes of a chunk before it is compressed, at the least.
+/// Least bytes of a chunk before compression.
 const CHUNK: usize = 100_000;
 
 fn record(opcode: u8, body: &[u8]) -> Vec<u8> {
@@ -192,14 +192,14 @@ fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
 }
 
-/// A chunk of these records, in two frames with one between that is no data.
+/// A chunk of these records, in two frames with a skippable frame between them.
 fn chunk(records: &[u8]) -> Vec<u8> {
     let (first, second) = records.split_at(records.len() / 3);
     let frame = |bytes: &[u8]| compress_to_vec(bytes, CompressionLevel::Fastest);
     chunk_of(records.len() as u64, crc32(records), &[&frame(first)[..], SKIPPABLE, &frame(second)].concat())
 }
 
-/// The same of compressed bytes, and of what is claimed of them.
+/// The same with the given compressed bytes and claimed lengths.
 #[must_use]
 pub fn chunk_of(len: u64, crc: u32, compressed: &[u8]) -> Vec<u8> {
     let mut body = vec![0; 16];
@@ -212,7 +212,7 @@ pub fn chunk_of(len: u64, crc: u32, compressed: &[u8]) -> Vec<u8> {
     record(op::CHUNK, &body)
 }
 
-/// The same file with chunks of zstd, and without index.
+/// The same file with zstd chunks, and without index.
 #[must_use]
 pub fn with_zstd(bytes: &[u8]) -> Vec<u8> {
     with_chunks(bytes, chunk)

@@ -1,11 +1,11 @@
-//! One robot of a run, with its range sensor and its drive on a serial port: where a driver of one's own begins.
+//! Runs one robot with its range sensor and its drive on a serial port: a starting point for your own driver.
 //!
 //! ```sh
 //! cargo run --release --example serial_range -- --name demo --id 0 --port /dev/ttyUSB0
 //! cargo run --release --example serial_range -- --name demo --id 0 --port /dev/ttyUSB0 --format dwm1001 --anchor 022E
 //! ```
 //!
-//! Other hardware: implement `RangeSensor` and `Actuator` for it, and give them to `run_with` in place of these two.
+//! Other hardware: implement `RangeSensor` and `Actuator` for it, and pass them to `run_with` instead of these two.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -39,16 +39,16 @@ struct Args {
     /// (NodeFrame3), mauwb (`AT+RANGE=`)
     #[arg(long, default_value_t)]
     format: Format,
-    /// Anchor whose range is this robot's, as the radio prints its id; all formats but plain need it
+    /// Anchor that measures this robot's range, by the id that the radio prints; all formats but plain need it
     #[arg(long, value_name = "ID")]
     anchor: Option<String>,
-    /// Tag whose range is this robot's, where the radio says it [default: the first that is seen]
+    /// Tag that measures this robot's range, if the radio prints tag ids [default: the first seen]
     #[arg(long, value_name = "ID")]
     tag: Option<String>,
     /// Where commands go: a device; - for standard output [default: the port if it is a device and plain, else -]
     #[arg(long, value_name = "PATH")]
     drive: Option<PathBuf>,
-    /// Age at which a range is none any more, s [default: the scenario's time step]
+    /// Age at which a range expires, s [default: the scenario's time step]
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     max_age: Option<Duration>,
     /// Bias B in `measured = (1+S) true + B`, m
@@ -63,7 +63,8 @@ fn main() -> Result<()> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
     let args = Args::parse();
     if args.format != Format::Plain && args.anchor.is_none() {
-        let complaint = format!("--format {}: expected --anchor ID, whose range is this robot's", args.format);
+        let complaint =
+            format!("--format {}: expected --anchor ID, the anchor that measures this robot's range", args.format);
         Args::command().error(ErrorKind::MissingRequiredArgument, complaint).exit();
     }
     ensure!(bounds::BIAS_M.contains(&args.range_bias), "--range-bias: expected {:?} m", bounds::BIAS_M);
@@ -81,9 +82,9 @@ fn main() -> Result<()> {
     let radio = Radio { format: args.format, anchor: args.anchor, tag: args.tag };
     let mut sensor =
         SerialSensor::open(&args.port, radio, calibration, robot.reported_std_m, max_age).with_context(port)?;
-    // A radio's shell takes commands of its own: those to the drive are not for it.
-    let of_radio = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
-    let drive = args.drive.unwrap_or(of_radio);
+    // A radio's shell would take drive commands for its own: send them elsewhere.
+    let command_port = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
+    let drive = args.drive.unwrap_or(command_port);
     let mut actuator =
         SerialActuator::open(&drive).with_context(|| format!("where commands go: {}", drive.display()))?;
     Ok(run_with(&run, args.id, &mut sensor, &mut actuator, &termination)?)

@@ -1,4 +1,4 @@
-//! A block of a run's shared memory that all of its processes see: words that they read and write at once.
+//! A block of a run's shared memory: atomic words that all its processes read and write concurrently.
 
 use std::fmt::Debug;
 use std::ops::Deref;
@@ -20,7 +20,7 @@ impl BlockError {
     }
 }
 
-/// One process's view of a block. Nobody owns it: it goes with the run's other shared memory.
+/// One process's view of a block. No process owns the block: it is removed with the run's other shared memory.
 #[derive(Debug)]
 pub struct Block<T: Debug + Send + Sync + ZeroCopySend + 'static>(Storage<T>);
 
@@ -31,7 +31,7 @@ impl<T: Debug + Send + Sync + ZeroCopySend + 'static> Block<T> {
         Ok(Builder::new(&file_name(name)?).config(&config).has_ownership(false))
     }
 
-    /// Makes the block of this name, of a run whose shared memory has this prefix: before anybody opens it.
+    /// Creates the block of this name for the run with this shared-memory prefix. Call before any process opens it.
     ///
     /// # Errors
     /// [`BlockError`] if the system refuses.
@@ -43,10 +43,10 @@ impl<T: Debug + Send + Sync + ZeroCopySend + 'static> Block<T> {
         builder.create().map(drop).map_err(|reason| BlockError::new(&reason))
     }
 
-    /// Opens a block that has been made.
+    /// Opens an existing block.
     ///
     /// # Errors
-    /// [`BlockError`] if there is none, or the system refuses.
+    /// [`BlockError`] if the block does not exist, or the system refuses.
     pub fn open(prefix: &str, name: &str) -> Result<Self, BlockError> {
         let storage = Self::builder(prefix, name)?.open(AccessMode::ReadWrite);
         storage.map(Self).map_err(|reason| BlockError::new(&reason))

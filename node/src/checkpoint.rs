@@ -1,14 +1,14 @@
-//! A node's state on file: what it needs to go on where its killed predecessor stopped.
+//! A node's state on file, from which a successor resumes after a kill.
 //!
-//! Two slots of one file take turns, each written at once and sealed with the run's id and a sequence
-//! number; the newest whole one counts. A kill in mid-write costs the slot that was being written, whose
-//! state nobody has seen yet: a node writes before it publishes what depends on it.
+//! One file has two slots, written alternately. Each write is sealed with the run's id and a sequence
+//! number; the newest valid slot counts. A kill during a write loses only the slot being written. No other node
+//! has seen its effects: a node writes before it publishes what depends on the state.
 //!
-//! Safe against kills, not against power loss: what was written is in the kernel's hands (no `fsync`), which keeps it when
-//! a process ends, and not when the machine does.
+//! Safe against kills, not against power loss: there is no `fsync`, so the kernel keeps the data when a process ends, but
+//! not when the machine stops.
 //!
-//! Who leads after others, of whom one may have been deposed and wake up yet, goes on in a new file that takes the old one's
-//! name: whatever they still write goes to a file that has none.
+//! A leader with predecessors continues in a new file that replaces the old one. A deposed predecessor that wakes up
+//! again then writes to a file without a name, which nobody reads.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
@@ -28,23 +28,23 @@ pub fn file_name(role: Role) -> String {
     format!("{role}.checkpoint")
 }
 
-/// Bytes of a slot; the file is sparse, so that only what a state needs takes room.
+/// Bytes of a slot; the file is sparse, so only the state itself takes disk space.
 const SLOT_LEN: usize = 1 << 20;
 
-/// Bytes of a slot that are read to see whether anything was written to it.
+/// Bytes of a slot that are read to detect whether it was written.
 const FIRST_READ: usize = 4_096;
 
 /// Why a checkpoint cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file holds no state of this run that this build can read.
-    #[error("{}: {reason}; it is kept as {}: expected a new run, or a whole checkpoint in its place", .file.display(), .kept.display())]
+    #[error("{}: {reason}; it is kept as {}: start a new run, or restore a valid checkpoint", .file.display(), .kept.display())]
     Unusable {
         /// The file.
         file: PathBuf,
         /// Why.
         reason: String,
-        /// Where it has been put aside.
+        /// Where it has been moved.
         kept: PathBuf,
     },
     /// The system refuses.
@@ -55,7 +55,7 @@ pub enum CheckpointError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// The state cannot be written down.
+    /// The state cannot be encoded.
     #[error("{}: {reason}", .file.display())]
     Unencodable {
         /// The file.
@@ -82,8 +82,8 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
-    /// Opens the checkpoint of a role of a run, and returns the state to go on from. A folder that cannot
-    /// be written costs the checkpoint, not the run: `None`, with a warning.
+    /// Opens the checkpoint of a role of a run, and returns the state to resume from. If the folder cannot be
+    /// written, the run goes on without a checkpoint: `None`, with a warning.
     ///
     /// # Errors
     /// [`CheckpointError::Unusable`].
@@ -97,16 +97,18 @@ impl Checkpoint {
             Ok((mut checkpoint, state)) => {
                 if role == Role::Fusion && needs_own_checkpoint(lease.incarnation) {
                     let partial = beside(&checkpoint.path, &format!(".{}", lease.incarnation));
-                    // Nobody is deposed while it is done, so that no successor's file is replaced.
+                    // Nobody can be deposed meanwhile, so no successor's file is replaced.
                     let moved = rendezvous.while_current(lease, || checkpoint.move_to_new_file(&partial));
                     let _ = std::fs::remove_file(&partial);
                     match moved {
                         Ok(Some(Ok(()))) => {}
-                        Ok(Some(Err(error))) => log::warn!("shares its checkpoint with those that led before: {error}"),
-                        // Deposed itself: the file is its successor's.
+                        Ok(Some(Err(error))) => log::warn!(
+                            "cannot replace the checkpoint, which deposed predecessors can still write: {error}"
+                        ),
+                        // This process was deposed: the file belongs to its successor.
                         Ok(None) => return Ok((None, state)),
                         Err(error) => {
-                            log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+                            log::warn!("goes on without a checkpoint; a kill would now end the run: {error}");
                             checkpoint.remove();
                             return Ok((None, state));
                         }
@@ -116,26 +118,26 @@ impl Checkpoint {
             }
             Err(error @ CheckpointError::Unusable { .. }) => Err(error),
             Err(error) => {
-                log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+                log::warn!("goes on without a checkpoint; a kill would now end the run: {error}");
                 Ok((None, None))
             }
         }
     }
 
-    /// Writes a state; a failure is told and ends the checkpoint, as in [`Self::of_role`]. The file goes too: others
-    /// will have gone on when a successor reads it, and from so old a state it could not follow them.
+    /// Writes a state. A failure is logged and ends the checkpoint, as in [`Self::of_role`]. The file is removed too: its
+    /// state would be too old for a successor, because the other nodes go on.
     pub fn write_or_give_up(checkpoint: &mut Option<Self>, state: &impl Serialize) {
         if let Some(file) = checkpoint
             && let Err(error) = file.write(state)
         {
-            log::warn!("goes on without a checkpoint, a kill would end the run: {error}");
+            log::warn!("goes on without a checkpoint; a kill would now end the run: {error}");
             file.remove();
             *checkpoint = None;
         }
     }
 
-    /// Opens the checkpoint of a role and returns its newest state, if there is one. A file without a
-    /// usable state is put aside, never overwritten.
+    /// Opens the checkpoint of a role and returns its newest state, if any. A file without a
+    /// valid state is moved aside, never overwritten.
     ///
     /// # Errors
     /// [`CheckpointError`].
@@ -165,7 +167,7 @@ impl Checkpoint {
         Ok((Self { file, path: path.to_owned(), turns: Turns::after(run_id, sequence) }, state))
     }
 
-    /// True if the file is a checkpoint, of whatever run and version, or empty.
+    /// True if the file is empty or a checkpoint of any run and version.
     #[must_use]
     pub fn is_one(path: &Path) -> bool {
         let is_file = path.symlink_metadata().is_ok_and(|file| file.is_file());
@@ -177,7 +179,7 @@ impl Checkpoint {
         file.metadata().is_ok_and(|file| file.len() == 0) || begins_sealed(0) || begins_sealed(1)
     }
 
-    /// Removes the file, if it is still the one that has the name.
+    /// Removes the file, unless another file has replaced it.
     fn remove(&self) {
         let inode = |file: std::fs::Metadata| file.ino();
         let named = std::fs::metadata(&self.path).map(inode).ok();
@@ -186,7 +188,7 @@ impl Checkpoint {
         }
     }
 
-    /// A new file in the place of the old one, with its newest slot.
+    /// Replaces the file by a new one that holds the newest slot.
     fn move_to_new_file(&mut self, partial: &Path) -> std::io::Result<()> {
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).mode(0o600).open(partial)?;
         let index = self.turns.newest_slot();
@@ -198,10 +200,10 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// Writes a state over the older of the two. Allocates nothing once it has written one as large.
+    /// Overwrites the older state. Allocates nothing unless the state is larger than all before.
     ///
     /// # Errors
-    /// [`CheckpointError`]; the last state that was written stays usable.
+    /// [`CheckpointError`]; the last written state stays valid.
     pub fn write(&mut self, state: &impl Serialize) -> Result<(), CheckpointError> {
         let encoded = self.turns.encode(state);
         let bytes = self.turns.bytes();
@@ -225,21 +227,21 @@ fn slot_start(index: usize) -> u64 {
     (index * SLOT_LEN) as u64
 }
 
-/// A file of another name in the same folder.
+/// A path in the same folder with a suffix appended to the file name.
 fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(suffix);
     PathBuf::from(name)
 }
 
-/// Where to put a file aside: never over one that was put there before.
+/// A free path for a refused file: an earlier refused file is never overwritten.
 fn free_name(path: &Path) -> PathBuf {
     let numbered =
         |number: u32| beside(path, &if number == 1 { ".refused".to_owned() } else { format!(".refused-{number}") });
     (1..1_000).map(numbered).find(|name| !name.exists()).unwrap_or_else(|| numbered(1_000))
 }
 
-/// What was written to a slot, as far as its length says; `None` if nothing was.
+/// The written part of a slot, by its length field; `None` if the slot is empty.
 fn read_slot(file: &File, index: usize, file_len: u64) -> std::io::Result<Option<Vec<u8>>> {
     let room = file_len.saturating_sub(slot_start(index)).min(SLOT_LEN as u64) as usize;
     let mut bytes = vec![0; room.min(FIRST_READ)];
@@ -287,9 +289,9 @@ mod tests {
         }
     }
 
-    /// What a deposed predecessor still writes does not reach its successor's file.
+    /// A deposed predecessor's writes do not reach its successor's file.
     #[test]
-    fn a_moved_checkpoint_is_out_of_its_forerunners_reach() {
+    fn a_predecessor_does_not_write_to_a_moved_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("checkpoint");
         for count in [0, 1, 4, 5] {
@@ -314,7 +316,7 @@ mod tests {
         for cut in [5, 40, 100, 300] {
             let _ = std::fs::remove_file(&path);
             written(&path, 4);
-            // State 4 stands in slot 0: its first bytes are overwritten by a fifth that was cut short.
+            // State 4 is in slot 0: the truncated write of a fifth state overwrites its first bytes.
             let file = OpenOptions::new().write(true).open(&path).unwrap();
             file.write_all_at(&vec![0xA5; cut], 0).unwrap();
             assert_eq!(open(&path, 7).unwrap().1.unwrap().0, 3, "{cut}");
@@ -322,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_this_runs_is_refused_and_kept() {
+    fn a_checkpoint_of_another_run_is_refused_and_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("checkpoint");
         let kept = folder.path().join("checkpoint.refused");
@@ -334,19 +336,19 @@ mod tests {
         let first = std::fs::read(&kept).unwrap();
         std::fs::write(&path, b"not a checkpoint").unwrap();
         assert!(open(&path, 7).is_err());
-        assert_eq!(std::fs::read(&kept).unwrap(), first, "what was kept before stays");
+        assert_eq!(std::fs::read(&kept).unwrap(), first, "an earlier refused file stays");
         assert_eq!(std::fs::read(folder.path().join("checkpoint.refused-2")).unwrap(), b"not a checkpoint");
         std::fs::write(&path, vec![0xFF; 3 * SLOT_LEN]).unwrap();
         assert!(open(&path, 7).is_err());
 
-        // Of a build to come.
+        // From a future build.
         written(&path, 1);
         let file = OpenOptions::new().write(true).open(&path).unwrap();
         file.write_all_at(&(PROTOCOL + 1).to_le_bytes(), SLOT_LEN as u64 + LEN_BYTES as u64 + 8).unwrap();
         let error = open(&path, 7).unwrap_err().to_string();
         assert!(error.contains(&format!("(protocol {})", PROTOCOL + 1)) && !path.exists(), "{error}");
 
-        // Of another kind: whole, but no such state.
+        // Valid, but of another type.
         let (mut checkpoint, _) = Checkpoint::open::<u8>(&path, 7).unwrap();
         checkpoint.write(&"text").unwrap();
         assert!(open(&path, 7).is_err());
@@ -363,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_checkpoint_that_was_given_up_is_not_there_to_go_on_from() {
+    fn an_abandoned_checkpoint_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("checkpoint");
         written(&path, 2);
@@ -374,7 +376,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever one bit of damage does, no state comes back that was not written.
+        /// After damage of one bit, every state that opens is one that was written.
         #[test]
         fn no_damage_passes_for_a_state(at in 0..2_000_usize, slot in 0..2_u64, bit in 0..8_u8) {
             let folder = tempfile::tempdir().unwrap();

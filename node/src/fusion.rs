@@ -32,16 +32,16 @@ pub enum FusionError {
     /// The planner cannot serve the team.
     #[error(transparent)]
     Planner(#[from] PlannerError),
-    /// The state that a predecessor left cannot be used.
+    /// The predecessor's state cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The same, found later.
+    /// The predecessor's state cannot be used, as found after opening it.
     #[error("the checkpoint {0}")]
     Sealed(#[from] SealError),
     /// The filter diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
-    /// Another process took its role while it sent no heartbeat.
+    /// Another process took the role because this one sent no heartbeat.
     #[error("sent no heartbeat and was deposed")]
     Deposed,
 }
@@ -56,8 +56,8 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Fus
     Driver::new(rendezvous, &bus)?.lead(lease, termination)
 }
 
-/// Runs a standby: a fusion centre that waits until nobody leads, or until who leads sends no heartbeat,
-/// and goes on from its checkpoint. Deposed in its turn, it stands by again.
+/// Runs a standby: a fusion centre that waits until the leader ends or sends no heartbeat, and then
+/// resumes from its checkpoint. If it is deposed later, it stands by again.
 ///
 /// # Errors
 /// [`FusionError`].
@@ -119,8 +119,8 @@ impl<'a> Driver<'a> {
         })
     }
 
-    /// Waits for the lead; `None` if the run ends first. It keeps its ports as ready as if it led: the newest
-    /// ranges wait in their buffers.
+    /// Waits for the lead; `None` if the run ends first. It keeps its ports connected as a leader does: the newest
+    /// ranges stay queued.
     fn stand_by(&self, own: &RoleLease, termination: &Termination) -> Result<Option<RoleLease>, FusionError> {
         let roster = self.rendezvous.roster();
         let mut standby =
@@ -155,17 +155,17 @@ impl<'a> Driver<'a> {
         self.go_on_from_checkpoint(&lease)?;
         let first_tick = self.leader.centre().next_tick();
         self.waiter.expect(self.leader.expected());
-        // What has waited for a standby is answered before anything else.
+        // Ranges that queued up during standby are answered first.
         self.receive()?;
         self.act(&lease)?;
-        log::info!("leads from tick {first_tick}, {:?} after it could", began.elapsed());
+        log::info!("leads from tick {first_tick}, {:?} after the lead was free", began.elapsed());
         while !termination.requested() {
             let events = self.wait();
             let tick = self.leader.centre().next_tick();
             self.receive()?;
             self.act(&lease)?;
             if self.leader.centre().next_tick() == tick {
-                // It has commanded nothing, which is when it looks whether it leads.
+                // Nothing was commanded yet, so this is the time to check that it still leads.
                 self.require_lead(&lease)?;
             }
             if (events.has(Event::Finished) || events.is_empty()) && self.rendezvous.is_finished() {
@@ -193,10 +193,10 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
-    /// Until called, or until the tick's ranges are overdue.
+    /// Waits for an event, or until the tick's ranges are overdue.
     fn wait(&self) -> Events {
         let left = self.leader.wakes_at_ns().map_or(IDLE, |at_ns| until(at_ns).min(IDLE));
-        // In real time the next tick is far away until the first range of it has come.
+        // In real time the next tick is far away until its first range arrives.
         if self.leader.waits_for_tick() { self.waiter.sleep(left) } else { self.waiter.wait(left) }
     }
 
@@ -239,14 +239,14 @@ impl<'a> Driver<'a> {
             WaitGroup::Sim => self.sim.notify(notification),
             WaitGroup::Robots | WaitGroup::Fusion => {
                 self.robots.notify(notification);
-                // The robots first: on a busy core they would wait for what is only recorded.
+                // Robots first: on a busy core they would otherwise wait for the log.
                 std::thread::yield_now();
             }
         }
     }
 
-    /// Gives a heartbeat, and sees that nobody has taken the lead meanwhile: after each sleep, and before
-    /// anything is commanded. The robots check too: they obey nobody who leads no more.
+    /// Sends a heartbeat, and checks that this process still leads: after each sleep, and before
+    /// each command. The robots check too: they ignore a deposed leader.
     fn require_lead(&self, lease: &RoleLease) -> Result<(), FusionError> {
         if lease.is_current() {
             lease.renew();
@@ -269,10 +269,10 @@ impl<'a> Driver<'a> {
         match notice {
             Notice::Missed { first, last } => log::warn!("missed the ticks {first} to {last}"),
             Notice::Widened(noise_scale) => log::warn!(
-                "most sensors fail together: takes their ranges to be {noise_scale:.1} times as noisy as told, and distrusts nobody"
+                "most sensors fail together: assumes {noise_scale:.1} times their stated range noise, and distrusts no sensor"
             ),
             Notice::NoLongerWidened => {
-                log::warn!("most sensors no longer fail together: takes their ranges to be as noisy as told again");
+                log::warn!("most sensors no longer fail together: assumes their stated range noise again");
             }
             Notice::Distrusted(id) => {
                 log::warn!("{} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate", name_of(id));
@@ -287,7 +287,7 @@ impl<'a> Driver<'a> {
     }
 }
 
-/// Records a tick, with all that it takes to go through it again: what was heard of each robot, in time or late.
+/// Logs a tick with all data needed to replay it: what came from each robot, in time or late.
 fn write(log: &mut TickLogWriter<FusionRecord>, leader: &Leader, tick: u64) -> Result<(), TickLogError> {
     log.write(tick, |record| record.set(leader.centre().time_s(), leader.estimate(), leader.exchanges()))?;
     for late in leader.late_reports() {

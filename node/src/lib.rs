@@ -1,18 +1,18 @@
-//! A role in a process: what its machine says, done over shared memory, files and the kernel.
+//! Runs a role in a process: connects its pure machine to shared memory, files and the kernel.
 //!
-//! The members `sim`, `robot` and `fusion` are pure: their machines take messages and the time, and say what to do. Here is
-//! the loop that carries it out, and all that a process needs for it:
+//! The crates `sim`, `robot` and `fusion` are pure: their machines take messages and the time, and return actions. This
+//! crate has the loops that carry these actions out, and all that a process needs for them:
 //!
 //! | module | what |
 //! |---|---|
 //! | [`sim`], [`robot`], [`fusion`] | the loop of each role |
-//! | [`world`] | the world that the simulator shows, a recording's copy among it |
-//! | [`serial`] | a robot's sensor and drive that speak lines of text over a port |
+//! | [`world`] | the simulator's world: simulated or played back from a recording |
+//! | [`serial`] | a robot's sensor and drive on a serial port, as lines of text |
 //! | [`bus`] | topics and their iceoryx2 services |
 //! | [`wait_groups`] | wake-ups over shared memory |
-//! | [`block`] | words of shared memory that all processes of a run see |
-//! | [`rendezvous`] | how processes find a run, know who lives, and clean up after it |
-//! | [`checkpoint`] | the state of a killed node |
+//! | [`block`] | atomic words in shared memory, for all processes of a run |
+//! | [`rendezvous`] | how processes find a run, detect who lives, and clean up |
+//! | [`checkpoint`] | the state from which a killed node's successor resumes |
 //! | [`tick_log`], [`logs`] | files of fixed-size records, one for each tick |
 //! | [`system`] | the operating system: its limits and resources, monotonic time, requests to end |
 

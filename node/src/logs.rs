@@ -1,4 +1,4 @@
-//! What fusion and the simulator put down of each tick, as files of the run folder.
+//! The per-tick logs of fusion and the simulator in the run folder.
 
 use std::path::{Path, PathBuf};
 
@@ -13,13 +13,13 @@ pub const ESTIMATES: &str = "estimate.ticks";
 /// The simulator's log in a run folder.
 pub const WORLDS: &str = "world.ticks";
 
-/// Where fusion's log lies.
+/// Path of fusion's log.
 #[must_use]
 pub fn estimates_path(out_dir: &Path) -> PathBuf {
     out_dir.join(ESTIMATES)
 }
 
-/// Where the simulator's log lies.
+/// Path of the simulator's log.
 #[must_use]
 pub fn worlds_path(out_dir: &Path) -> PathBuf {
     out_dir.join(WORLDS)

@@ -46,7 +46,7 @@ pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Res
     run_with(rendezvous, id, &mut sensor, &mut SimulatedActuator, termination)
 }
 
-/// Runs one robot with a sensor and an actuator of one's own. Whatever ends it, the last command is to stop.
+/// Runs one robot with the caller's sensor and actuator. The last command is always to stop, however the run ends.
 ///
 /// # Errors
 /// [`RobotError`].
@@ -119,7 +119,7 @@ impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
         Ok(())
     }
 
-    /// Until called, or until the machine has something to do.
+    /// Waits for an event, or until the machine has something to do.
     fn wait(&mut self) -> Result<Events, BusError> {
         // In real time the next tick is far away.
         if self.clock == Clock::Lockstep || self.machine.heading_deadline_ns().is_some() {
@@ -133,7 +133,7 @@ impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
         Ok(self.waiter.sleep(self.machine.wakes_at_ns().map_or(IDLE, |at_ns| until(at_ns).min(IDLE))))
     }
 
-    /// Takes what it was called for; whatever has come if nobody called.
+    /// Drains the topics whose events came, or all topics after a time-out.
     fn receive(&mut self, events: Events) -> Result<(), BusError> {
         let Self { machine, worlds, headings, .. } = self;
         if events.has(Event::World) || events.is_empty() {

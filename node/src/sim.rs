@@ -17,8 +17,8 @@ use crate::system::signal::Termination;
 use crate::tick_log::TickLogWriter;
 use crate::world::{PlaybackError, world_of};
 
-/// How late a bed's time limit may come, which counts in the kernel's ticks: the rest of a real-time tick is slept
-/// out deaf, but on time.
+/// Bound on the delay of a waiter's time-out, which has the resolution of kernel ticks: the rest of a real-time tick is slept
+/// out exactly, without reaction to events.
 const WAITER_LATE: Duration = Duration::from_millis(8);
 
 /// Why the simulator ended early.
@@ -30,10 +30,10 @@ pub enum SimError {
     /// The bus failed.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The state that a predecessor left cannot be used.
+    /// The predecessor's state cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The same, found later.
+    /// The predecessor's state cannot be used, as found after opening it.
     #[error("the checkpoint {0}")]
     Sealed(#[from] SealError),
     /// The recording cannot be played.
@@ -106,7 +106,7 @@ impl<'a> Driver<'a> {
         })
     }
 
-    /// Until called, or until the machine has something to do.
+    /// Waits for an event, or until the machine has something to do.
     fn wait(&mut self) -> Events {
         let left = self.machine.wakes_at_ns().map_or(IDLE, until);
         match self.machine.due_ns() {

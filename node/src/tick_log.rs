@@ -1,11 +1,11 @@
-//! Logs with one record of fixed width for each tick, at the place that its tick gives it.
+//! Logs with one fixed-width record per tick, at an offset given by the tick.
 //!
-//! Because a record's place depends on its tick alone, writing a tick twice leaves the file as it was: a node that is
-//! started again after a kill repeats its last record and loses none. The report and every table are made from these
-//! files, never from what an observer caught.
+//! Because a record's offset depends on its tick alone, writing a tick twice does not change the file: a node that is
+//! restarted after a kill repeats its last record and loses none. The report and all tables come from these
+//! files, never from an observer's messages.
 //!
-//! A log says by itself what is in it. It begins with three words: a magic number, the run's id, and the length of the
-//! description that follows, which is JSON in the form of a NumPy `dtype`. Each record begins with its tick plus one; one
+//! A log describes its own layout. It starts with three words: a magic number, the run's id, and the length of the
+//! description that follows, which is JSON in the form of a NumPy `dtype`. Each record starts with its tick plus one; a record
 //! that was never written is zeros.
 
 use std::fs::{File, OpenOptions};
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use rangehound_shared::record::{Record, describe, put, take};
 
-/// Starts every log.
+/// The first word of every log.
 const MAGIC: u64 = u64::from_le_bytes(*b"rhticks2");
 
 /// A log file could not be used.
@@ -32,18 +32,18 @@ impl TickLogError {
     }
 }
 
-/// How a log is laid out.
+/// The layout of a log.
 #[derive(Debug, Clone)]
 struct Layout {
     header: Vec<u8>,
-    /// Bytes of a record with its mark.
+    /// Bytes of a record with its leading word.
     record_len: usize,
 }
 
 impl Layout {
     fn of(run_id: u64, record: &mut impl Record) -> Self {
         let mut description = format!(r#"[["tick_plus_1","<u8"],{}]"#, describe(record));
-        // Records stand at whole words.
+        // Records are aligned to words.
         description.extend(std::iter::repeat_n(' ', description.len().next_multiple_of(8) - description.len()));
         let words = [MAGIC, run_id, description.len() as u64];
         let mut header: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
@@ -53,13 +53,13 @@ impl Layout {
         Self { header, record_len: 8 + bytes.len() }
     }
 
-    /// Where a tick's record is; `None` where no file reaches.
+    /// Offset of a tick's record; `None` beyond the largest file.
     fn offset(&self, tick: u64) -> Option<u64> {
         let offset = tick.checked_mul(self.record_len as u64)?.checked_add(self.header.len() as u64)?;
         (offset <= i64::MAX as u64).then_some(offset)
     }
 
-    /// The newest tick that a file of this length has room for.
+    /// The newest tick that fits in a file of this length.
     fn newest_tick(&self, file: &File) -> std::io::Result<Option<u64>> {
         let records = file.metadata()?.len().saturating_sub(self.header.len() as u64) / self.record_len as u64;
         Ok(records.checked_sub(1))
@@ -73,12 +73,12 @@ pub struct TickLogWriter<R> {
     path: PathBuf,
     layout: Layout,
     bytes: Vec<u8>,
-    /// The record that is filled or changed.
+    /// Buffer of the record that is written or changed.
     record: R,
 }
 
 impl<R: Record> TickLogWriter<R> {
-    /// Opens the log of this run, or starts it anew if the file is another run's. `record` is any with as many items as
+    /// Opens the log of this run, or starts it anew if the file is another run's. `record` is any record with as many items as
     /// the run's.
     ///
     /// # Errors
@@ -104,7 +104,7 @@ impl<R: Record> TickLogWriter<R> {
         Ok(newest.is_none())
     }
 
-    /// Writes the record of one tick, which `fill` puts in the place of another one's.
+    /// Writes the record of one tick. `fill` overwrites a buffer that holds another tick's.
     ///
     /// # Errors
     /// If the system refuses the write.
@@ -114,7 +114,7 @@ impl<R: Record> TickLogWriter<R> {
         write_record(file, layout, bytes, tick, record).map_err(|error| TickLogError::new(path, error))
     }
 
-    /// Changes the record of a tick, if it was written.
+    /// Changes the record of a tick, if it exists.
     ///
     /// # Errors
     /// If the system refuses to read or to write.
@@ -163,7 +163,7 @@ fn read_record(
     }
 }
 
-/// Takes a record from its bytes; false if they are not of this tick.
+/// Decodes a record; false if the bytes are not of this tick.
 fn take_marked(bytes: &[u8], tick: u64, record: &mut impl Record) -> bool {
     let Some((mark, words)) = bytes.split_first_chunk::<8>() else { return false };
     let is_written = u64::from_le_bytes(*mark) == tick + 1;
@@ -173,7 +173,7 @@ fn take_marked(bytes: &[u8], tick: u64, record: &mut impl Record) -> bool {
     is_written
 }
 
-/// Reads records in tick order, or any.
+/// Reads records, in tick order or at random.
 #[derive(Debug)]
 pub struct TickLogReader<R> {
     input: BufReader<File>,
@@ -185,7 +185,7 @@ pub struct TickLogReader<R> {
 }
 
 impl<R: Record> TickLogReader<R> {
-    /// Opens the log of a run. `record` is any with as many items as the run's.
+    /// Opens the log of a run. `record` is any record with as many items as the run's.
     ///
     /// # Errors
     /// If the file cannot be read or is not a log of this run with such records.
@@ -200,7 +200,7 @@ impl<R: Record> TickLogReader<R> {
         Ok(Self { input, path: path.to_owned(), bytes: vec![0; layout.record_len], layout, record, tick: 0 })
     }
 
-    /// The newest tick that has room in the log, written or not; `None` before the first.
+    /// The newest tick that fits in the log, written or not; `None` before the first.
     ///
     /// # Errors
     /// If the system does not tell.
@@ -208,7 +208,7 @@ impl<R: Record> TickLogReader<R> {
         self.layout.newest_tick(self.input.get_ref()).map_err(|error| TickLogError::new(&self.path, error))
     }
 
-    /// The next tick that was written, with its record; `None` at the end.
+    /// The next written tick, with its record; `None` at the end.
     ///
     /// # Errors
     /// If the file cannot be read.
@@ -228,8 +228,8 @@ impl<R: Record> TickLogReader<R> {
         }
     }
 
-    /// The record of one tick, wherever [`Self::next`] is; `None` if it was not written. One that is being written
-    /// while this reads may be half of each; an older one is whole.
+    /// The record of one tick, independent of [`Self::next`]; `None` if it was not written. A record that is being overwritten
+    /// meanwhile may mix old and new; older records are complete.
     ///
     /// # Errors
     /// If the file cannot be read.

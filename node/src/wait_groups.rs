@@ -1,8 +1,8 @@
-//! Wake-ups: a word of shared memory for each kind of sleeper, on which the kernel lets it wait (futex).
+//! Wake-ups: a word of shared memory for each wait group, on which its processes wait in the kernel (futex).
 //!
-//! Against an event of iceoryx2's, which is a datagram to every listener, a ring wakes all robots with one
-//! system call, costs none where nobody sleeps, and holds no socket. Nothing here can be left locked: a
-//! process that is killed leaves at most a count too high, which costs a system call.
+//! Compared with an iceoryx2 event, which is a datagram to every listener, a signal here wakes all robots with one
+//! system call, costs none if nobody sleeps, and needs no socket. Nothing can be left locked: a
+//! killed process leaves at most a count too high, which costs a system call.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -18,21 +18,21 @@ use rustix::time::Timespec;
 use crate::block::{Block, BlockError};
 use crate::system::clock::monotonic_ns;
 
-/// Name of the block that holds them.
+/// Name of the block with the wait groups.
 const NAME: &str = "wait_groups";
 
-/// One sleeper's words, on a cache line of their own, so that rings for one do not disturb another.
+/// One wait group's words, on their own cache line, so that signals to one group do not disturb another.
 #[derive(Debug, Default, ZeroCopySend)]
 #[repr(C)]
 #[repr(align(64))]
 struct Words {
-    /// Counts rings; the word that the kernel compares.
+    /// Counts signals; the word that the kernel compares.
     signals: AtomicU32,
-    /// Who may be asleep: at least as many as are.
+    /// Upper bound on the processes asleep.
     asleep: AtomicU32,
-    /// Counts each call.
+    /// Count of each event.
     events: [AtomicU32; EVENTS],
-    /// Answers without which a tick does not go on.
+    /// Answers that a tick waits for.
     expected: AtomicU32,
     /// [`Answers`] to the newest tick.
     answers: AtomicU64,
@@ -40,15 +40,15 @@ struct Words {
 
 const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && size_of::<Board>() == 3 * 64);
 
-/// How long a process looks out for a call, if other cores may be about to make it: some times what falling asleep and
-/// being woken from another core take, as the rest of the team has to be woken too.
+/// How long a process spins for an event, if other cores may be about to send it: a few times the cost of sleeping and
+/// being woken from another core, because the rest of the team has to be woken too.
 const WATCH_NS: u64 = 200_000;
 
-/// The team takes no longer for a round of turns, unless it is large and on one processor: who had this one computes
-/// something else. From such, only who is woken from sleep gets the processor back at once.
+/// A longer turn means that a large team shares one processor, which ran other processes meanwhile. The kernel
+/// then gives the processor back at once only to a process that it wakes from sleep.
 const LONG_TURN_NS: u64 = 1_000_000;
 
-/// After a long turn, waits until the next look-out.
+/// After a long turn, waits until the next spin.
 const WAITS_AFTER_LONG_TURN: u32 = 250;
 
 /// The words of a run.
@@ -65,7 +65,7 @@ struct Board {
 #[derive(Debug, Clone)]
 pub(crate) struct WaitGroups(Rc<Block<Board>>);
 
-/// Makes the wait groups of a run whose shared memory has this prefix: before anybody can join it.
+/// Creates the wait groups of the run with this shared-memory prefix. Call before any process can join it.
 ///
 /// # Errors
 /// [`BlockError`] if the system refuses.
@@ -88,16 +88,16 @@ impl WaitGroups {
     }
 }
 
-/// Where a process sleeps until it is called.
+/// The place where a process waits for events.
 #[derive(Debug)]
 pub struct Waiter {
     wait_groups: WaitGroups,
     group: WaitGroup,
-    /// How long it looks out: on one core, where nobody runs meanwhile, for one look.
+    /// How long it spins: on one core, where no other process runs meanwhile, it checks once.
     watch_ns: u64,
-    /// Waits for which it does not look out.
+    /// Waits left without a spin.
     asleep_at_once: Cell<u32>,
-    /// Each call's count at the last look.
+    /// Each event's count at the last check.
     heard: Cell<[u32; EVENTS]>,
 }
 
@@ -113,14 +113,14 @@ impl Waiter {
         }
     }
 
-    /// Looks out for a call that is about to come, and sleeps if it does not: see [`Self::watch`], [`Self::sleep`].
+    /// Spins for an event that may be about to come, and then sleeps: see [`Self::watch`], [`Self::sleep`].
     pub fn wait(&self, at_most: Duration) -> Events {
         let events = self.watch();
         if events.is_empty() { self.sleep(at_most) } else { events }
     }
 
-    /// Looks out for a call for a moment, and lets others run meanwhile: cheaper for all than to fall asleep and be
-    /// woken, if the call is about to come.
+    /// Spins for an event, yielding to other processes: if the event is about to come, this costs less than
+    /// sleeping and being woken.
     #[must_use]
     pub fn watch(&self) -> Events {
         if let Some(fewer) = self.asleep_at_once.get().checked_sub(1) {
@@ -143,8 +143,8 @@ impl Waiter {
         }
     }
 
-    /// Sleeps until called, until time runs out, or until a signal comes. Does not sleep if called since the
-    /// last time. May end without a call, if that of a ring was seen before the ring had ended.
+    /// Sleeps until an event, a time-out or a signal. Does not sleep if an event came since the
+    /// last call. May return without an event, if it saw an event's signal before that had finished.
     pub fn sleep(&self, at_most: Duration) -> Events {
         let words = self.wait_groups.words(self.group);
         let signals = words.signals.load(SeqCst);
@@ -154,7 +154,7 @@ impl Waiter {
         }
         words.asleep.fetch_add(1, SeqCst);
         let timeout = Timespec { tv_sec: at_most.as_secs().cast_signed(), tv_nsec: at_most.subsec_nanos().into() };
-        // Whatever ends it, a ring just before among them: the caller looks at everything.
+        // Sleep may end for any reason, a recent signal included: the caller checks everything.
         let _ = futex::wait(&words.signals, futex::Flags::empty(), signals, Some(&timeout));
         words.asleep.fetch_sub(1, SeqCst);
         self.events(words)
@@ -167,13 +167,13 @@ impl Waiter {
         Events::new(std::array::from_fn(|event| now[event] != heard[event]))
     }
 
-    /// Says how many answers this sleeper waits for: see [`Notifier::signal_if_last`].
+    /// Sets the number of answers that this wait group waits for: see [`Notifier::signal_if_last`].
     pub fn expect(&self, answers: usize) {
         self.wait_groups.words(self.group).expected.store(answers as u32, Relaxed);
     }
 }
 
-/// Wakes a sleeper.
+/// Wakes a wait group.
 #[derive(Debug)]
 pub struct Notifier {
     wait_groups: WaitGroups,
@@ -185,7 +185,7 @@ impl Notifier {
         Self { wait_groups, group }
     }
 
-    /// Wakes as a role asks for it.
+    /// Carries out a wake-up that a role asks for.
     pub fn notify(&self, notification: &Notification) {
         match notification.when {
             When::Always => self.signal(notification.event),
@@ -193,28 +193,28 @@ impl Notifier {
         }
     }
 
-    /// Events the sleeper.
+    /// Sends an event to the wait group.
     pub fn signal(&self, event: Event) {
         let words = self.wait_groups.words(self.group);
         words.events[event as usize].fetch_add(1, AcqRel);
         words.signals.fetch_add(1, SeqCst);
         if words.asleep.load(SeqCst) > 0 {
-            // An error is nothing to act on: who was not woken looks by itself before long.
+            // No error needs an action: a process that was not woken checks by itself after its time-out.
             let _ = futex::wake(&words.signals, futex::Flags::empty(), i32::MAX as u32);
         }
     }
 
-    /// Counts an answer to a tick, and calls the sleeper if it is the last that it waits for; or the first, if
-    /// that is asked for.
+    /// Counts an answer to a tick, and wakes the wait group if it is the last expected one; with `or_first` also
+    /// if it is the first.
     ///
-    /// A count that a kill has left short costs a wait until the next repeat, which rings without
-    /// counting; one that a restarted robot has made too high costs a wake-up.
+    /// A count that a kill left too low costs a wait until the next repeat, which signals without
+    /// counting; a count that a restarted robot made too high costs a wake-up.
     pub fn signal_if_last(&self, event: Event, tick: u64, or_first: bool) {
         let words = self.wait_groups.words(self.group);
         let counted = |answers: u64| Answers::from_bits(answers).with(tick).map(Answers::to_bits);
         let before = words.answers.fetch_update(AcqRel, Relaxed, counted).ok();
         let answers = before.and_then(|before| Answers::from_bits(before).with(tick));
-        // Of a tick that is over: whoever needs it waits for nothing else.
+        // The tick is over: nobody waits for its answers.
         if answers.is_none_or(|answers| answers.event(words.expected.load(Relaxed).into(), or_first)) {
             self.signal(event);
         }
@@ -226,10 +226,10 @@ mod tests {
     use super::*;
     use crate::rendezvous::found_for_test as run;
 
-    /// Far above what any wait takes here.
+    /// Far longer than any wait takes here.
     const LIMIT: Duration = Duration::from_secs(60);
 
-    /// To and fro as fast as it goes, so that rings come at every moment of falling asleep.
+    /// Ping-pong at full speed, so that signals come at every moment of falling asleep.
     #[test]
     fn every_ring_is_heard() {
         let run = run("wait-groups-heard");
@@ -242,7 +242,7 @@ mod tests {
             }
             for round in 0..rounds {
                 let began = std::time::Instant::now();
-                // It may return without a call, if the last ring was seen before it had ended.
+                // It may return without an event, if it saw the last signal before that had finished.
                 while !waiter.sleep(LIMIT).has(Event::Range) {
                     assert!(began.elapsed() < LIMIT, "round {round}");
                 }
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn each_sleepers_words_have_a_cache_line_of_their_own() {
+    fn each_wait_groups_words_have_their_own_cache_line() {
         let run = run("wait-groups-lines");
         let wait_groups = WaitGroups::open(run.shared_memory_prefix()).unwrap();
         for group in [WaitGroup::Sim, WaitGroup::Fusion, WaitGroup::Robots] {
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn one_ring_wakes_all_who_sleep_in_one_place() {
+    fn one_signal_wakes_the_whole_wait_group() {
         let run = run("wait-groups-all");
         let prefix = run.shared_memory_prefix();
         std::thread::scope(|scope| {
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_answers_to_a_tick_the_last_one_rings() {
+    fn the_last_answer_to_a_tick_signals() {
         let run = run("wait-groups-last");
         let wait_groups = WaitGroups::open(run.shared_memory_prefix()).unwrap();
         let (waiter, notifier) =
@@ -298,12 +298,12 @@ mod tests {
         };
         for tick in [0, 1, 7] {
             assert_eq!([0; 3].map(|_| signals(tick, false)), [false, false, true], "{tick}");
-            // A robot that was started again answers again.
+            // A restarted robot answers again.
             assert!(signals(tick, false));
         }
         assert_eq!([0; 3].map(|_| signals(8, true)), [true, false, true]);
         assert!(signals(7, false), "of a tick that is over");
-        // One is not waited for any more.
+        // One answer fewer is expected.
         waiter.expect(2);
         assert_eq!([0; 2].map(|_| signals(9, false)), [false, true]);
     }

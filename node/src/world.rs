@@ -1,4 +1,4 @@
-//! The world that the simulator shows, with the run folder's copy of a recording behind it.
+//! The simulator's world: simulated, or played back from the run folder's copy of a recording.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ pub enum PlaybackError {
     /// The run folder's copy cannot be read.
     #[error("the run's own copy of its recording cannot be read: {0}")]
     Unreadable(#[from] RecordingError),
-    /// The run folder's copy says something else than when the run began.
+    /// The run folder's copy differs from what was read when the run began.
     #[error(
         "{}: it has changed since the run began: expected the copy that the run made of its recording; start a new run",
         .0.display()
@@ -22,11 +22,11 @@ pub enum PlaybackError {
     Changed(PathBuf),
 }
 
-/// The world of a scenario at tick 0. A recording that this process has not read itself is read from the copy in the run
+/// The world of a scenario at tick 0. If this process has not read the recording itself, it reads the copy in the run
 /// folder.
 ///
 /// # Errors
-/// [`PlaybackError`] if that copy cannot be read, or is not what it was.
+/// [`PlaybackError`] if that copy cannot be read or has changed.
 pub fn world_of(scenario: &Scenario, run_folder: &Path) -> Result<Box<dyn World>, PlaybackError> {
     rangehound_sim::world_of(scenario, |ranges| read_copy(ranges, &run_folder.join(COPY)))
 }

@@ -1,4 +1,4 @@
-//! What one process writes and another reads changes with the number of the protocol only.
+//! Data shared between processes changes only with the protocol number.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -13,7 +13,7 @@ use rangehound_shared::protocol::PROTOCOL;
 use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
 
-/// Every protocol so far with the digest of what it says. A new one is a new line, never a change of an old one.
+/// Every protocol so far with the digest of its data layout. Add a line for a new protocol; never change an old one.
 const HISTORY: [(u32, u64); 5] = [
     (1, 0x8a98_a0c7_e0b3_ca0d),
     (2, 0xf26b_d96f_19ad_d4f6),
@@ -22,10 +22,10 @@ const HISTORY: [(u32, u64); 5] = [
     (5, 0x7a0e_4cf4_61c2_071c),
 ];
 
-/// The same of the description of a recorded run.
+/// The same for the description of a recorded run.
 const RECORDED: (u32, u64) = (5, 0x28cc_c856_7779_fe98);
 
-/// The versioned names under which iceoryx2 compares what lies in shared memory; asking it for them would take `unsafe`.
+/// The versioned type names that iceoryx2 compares; reading them through iceoryx2 would take `unsafe`.
 fn type_names() -> String {
     let sources = [
         include_str!("../../shared/src/measurement.rs"),
@@ -46,7 +46,7 @@ fn topic<T: Topic + Default>() -> String {
     format!("{} {}", T::NAME, layout::<T>())
 }
 
-/// The fields of a description; of its numbers only that they are there.
+/// The fields of a description, without the values of numbers.
 fn description() -> String {
     let scenario = |text: &str| {
         let text = format!("{text}\n[robots]\ncount = 1\n[filter]\ngate_sigma = 3.0\n");
@@ -62,7 +62,7 @@ fn description() -> String {
 }
 
 #[test]
-fn what_a_recorded_runs_description_says_changes_with_the_protocol_only() {
+fn a_recorded_runs_description_changes_only_with_the_protocol() {
     let text = "[recording]\nranges = \"r.csv\"\ntarget_height_m = 1.0\n[filter]\ngate_sigma = 3.0\n";
     let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,sensor_z_m,range_m,other\n1,a,0,0,2,3,x\n1,a,0,0,2,z,x\n2,a,0,0,2,3,x\n";
     let read = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
@@ -76,7 +76,7 @@ fn what_a_recorded_runs_description_says_changes_with_the_protocol_only() {
 }
 
 #[test]
-fn what_processes_say_to_each_other_changes_with_the_protocol_only() {
+fn messages_change_only_with_the_protocol() {
     let said = [
         type_names(),
         layout::<Header>(),

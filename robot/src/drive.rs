@@ -1,4 +1,4 @@
-//! What a robot drives: the heading it is given, the last one for a while, or nothing; and the trait of what does so.
+//! The motion controller: a robot drives the given heading, then the last one for a while, then stops; and the actuator trait.
 
 use rangehound_shared::message::Command;
 
@@ -19,11 +19,11 @@ impl Controller {
         Self { speed_limit_mps, last: None }
     }
 
-    /// Takes the command for a tick and returns what is driven: the speed within the robot's limit,
-    /// and nothing at all if the command is no number.
+    /// Takes the command for a tick and returns the driven one: its speed is within the robot's limit.
+    /// A command with NaN or infinite values stops the robot.
     pub fn obey(&mut self, tick: u64, command: Command) -> Command {
-        let sound = command.heading_rad.is_finite() && command.speed_mps.is_finite();
-        let driven = if sound {
+        let is_valid = command.heading_rad.is_finite() && command.speed_mps.is_finite();
+        let driven = if is_valid {
             Command { heading_rad: command.heading_rad, speed_mps: command.speed_mps.clamp(0.0, self.speed_limit_mps) }
         } else {
             Command::default()
@@ -32,7 +32,7 @@ impl Controller {
         driven
     }
 
-    /// What is driven at a tick whose heading did not come in time: the last heading for
+    /// The command for a tick whose heading did not arrive in time: the last heading for
     /// [`HOLD_TICKS`], then nothing.
     #[must_use]
     pub fn hold(&self, tick: u64) -> Command {
@@ -43,20 +43,20 @@ impl Controller {
     }
 }
 
-/// What carries out a robot's commands.
+/// Carries out a robot's commands.
 ///
 /// The [`Controller`] stands before it: speeds are within the robot's limit, and in real time a robot without ticks
-/// or headings is told to stop after [`HOLD_TICKS`], as it is when its part in the run ends. A killed process tells
-/// nothing: a vehicle stops by itself when no command comes for longer.
+/// or headings is commanded to stop after [`HOLD_TICKS`], and also when its part in the run ends. A killed process sends
+/// no command: a vehicle must stop by itself when no command arrives for longer.
 pub trait Actuator {
     /// Carries out a command until the next one, and returns what the robot drives, which is how the simulator moves
-    /// its body: the command, or what is known to be driven in its place.
+    /// its body: the command, or the motion known to be driven instead.
     ///
-    /// It is on the control path, and hands the command over without waiting for the motion.
+    /// This is on the control path: it must not wait for the motion.
     fn carry_out(&mut self, command: Command) -> Command;
 }
 
-/// The actuator of a body that others move: the simulator, which does as it is told, or a recording.
+/// The actuator of a body that the simulator or a recording moves.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SimulatedActuator;
 

@@ -1,13 +1,13 @@
 //! One robot.
 //!
-//! Its place in the loop is everywhere that one part of the team acts by itself:
+//! Its place in the loop:
 //!
 //! ```text
 //! sim --world--> ROBOT --range--> fusion --heading--> ROBOT --drive--> sim
 //! ```
 //!
-//! At each tick it measures its range, publishes it, and drives as the heading that comes back says.
-//! It has no state worth keeping: killed and started again, it goes on with the present tick.
+//! At each tick it measures its range, publishes it, and drives the heading that fusion returns.
+//! It needs no checkpoint: after a restart it continues with the present tick.
 //!
 //! A robot of one's own is a [`sensor::RangeSensor`] and a [`drive::Actuator`], given to `rangehound_node::robot::run_with`
 //! in place of the simulated ones; `node/examples/serial_range.rs` is such a program.
@@ -15,8 +15,8 @@
 //! | module | what |
 //! |---|---|
 //! | [`sensor`] | the range sensor: simulated (noise), recorded (calibration), or one's own |
-//! | [`drive`] | from headings, or their absence, to commands; what carries them out |
-//! | [`machine`] | the protocol: what comes in, what to do out |
+//! | [`drive`] | the motion controller, from headings or their absence to commands, and the actuator |
+//! | [`machine`] | the protocol: messages in, actions out |
 
 pub mod drive;
 pub mod machine;

@@ -1,6 +1,6 @@
 //! The robot's part in the protocol as a state machine: no clock, no port, no sensor.
 //!
-//! A driver feeds it with what came ([`Machine::on_world`], [`Machine::on_heading`]), asks for the next [`Action`], carries
+//! A driver feeds it with messages ([`Machine::on_world`], [`Machine::on_heading`]), asks for the next [`Action`], carries
 //! it out, and asks again until there is none. Two actions are answered: [`Action::Measure`] by [`Machine::measured`],
 //! [`Action::CarryOut`] by [`Machine::carried_out`]. Time is an argument: monotonic, ns.
 
@@ -14,14 +14,14 @@ use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::drive::{Controller, HOLD_TICKS};
 
-/// What the driver does next.
+/// The driver's next action.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Action {
     /// Ask the sensor for the range at a tick, and answer with [`Machine::measured`].
     Measure {
         /// The tick.
         tick: u64,
-        /// What the world shows this robot.
+        /// This robot's entry of the world.
         entry: WorldEntry,
     },
     /// Have the actuator carry out a command, and answer with [`Machine::carried_out`].
@@ -30,11 +30,11 @@ pub enum Action {
     SendRange(Outgoing<Range>),
     /// Publish a drive.
     SendDrive(Outgoing<Drive>),
-    /// Wake somebody.
+    /// Notify another node.
     Notify(Notification),
 }
 
-/// One robot in one incarnation. It has no state worth keeping: started again, it goes on with the present tick.
+/// One robot in one incarnation. It needs no checkpoint: after a restart it continues with the present tick.
 #[derive(Debug)]
 pub struct Machine {
     id: usize,
@@ -44,14 +44,14 @@ pub struct Machine {
     dt_s: f64,
     controller: Controller,
     is_moving: bool,
-    /// The newest world that has come and was not looked at.
+    /// The newest world message that has not been processed.
     world: Option<(Header, WorldEntry)>,
-    /// The newest heading that has come: its tick and this robot's command.
+    /// The newest heading received: its tick and this robot's command.
     heading: Option<(u64, Command)>,
     present: Option<Present>,
-    /// What the driver has been asked to do and has not answered.
+    /// The action that the driver has not answered yet.
     asked: Option<Asked>,
-    /// Greatest incarnation of fusion that has been heard or counted: none before it is obeyed.
+    /// Greatest known incarnation of fusion: headings of earlier ones are ignored.
     fusion_incarnation: u64,
     headings_refused: u64,
     actions: VecDeque<Action>,
@@ -65,7 +65,7 @@ struct Present {
     time_s: f64,
     range: Range,
     range_sent_ns: u64,
-    /// It has said what it drives if no heading comes.
+    /// The command for the case that no heading arrives has been published.
     provided: bool,
     drive: Option<Drive>,
 }
@@ -81,7 +81,7 @@ enum Asked {
         heading_held_ns: u64,
         is_late: bool,
     },
-    /// To stand: nobody is told.
+    /// Stops: no message is published.
     Stop,
 }
 
@@ -117,7 +117,7 @@ impl Machine {
         }
     }
 
-    /// Takes a message of the topic `heading`: none of a fusion that was deposed.
+    /// Takes a message of the topic `heading`; those of a deposed fusion are ignored.
     pub fn on_heading(&mut self, header: &Header, commands: &[Command]) {
         if header.incarnation < self.fusion_incarnation {
             self.headings_refused += 1;
@@ -134,7 +134,7 @@ impl Machine {
         self.headings_refused += count;
     }
 
-    /// What to do next; `None` until something comes or [`Self::wakes_at_ns`].
+    /// The next action; `None` until a message arrives or [`Self::wakes_at_ns`].
     pub fn next_action(&mut self, now_ns: u64) -> Option<Action> {
         if self.actions.is_empty() && self.asked.is_none() {
             self.decide(now_ns);
@@ -142,13 +142,13 @@ impl Machine {
         self.actions.pop_front()
     }
 
-    /// When it has something to do even if nothing comes, monotonic ns.
+    /// When it must act even if no message arrives, monotonic ns.
     #[must_use]
     pub fn wakes_at_ns(&self) -> Option<u64> {
         self.heading_deadline_ns().or_else(|| self.stop_deadline_ns())
     }
 
-    /// When the heading that is waited for will be overdue; tick 0 waits for the whole team.
+    /// When the expected heading is overdue; tick 0 waits for the complete team.
     #[must_use]
     pub fn heading_deadline_ns(&self) -> Option<u64> {
         let present = self.present.as_ref()?;
@@ -163,7 +163,7 @@ impl Machine {
     }
 
     /// In real time a tick does not wait for a robot that is late, and a kernel's timers may be later than the rest
-    /// of the tick: so what it drives if nothing comes is said before it sleeps. Nobody is woken for it.
+    /// of the tick. So the robot publishes its default command before it sleeps, without a notification.
     pub fn before_sleep(&mut self) {
         let Some(present) = self.present.filter(|present| !present.provided) else { return };
         if self.heading_deadline_ns().is_some() {
@@ -200,7 +200,7 @@ impl Machine {
         self.notify(Notification::by_last_answer(WaitGroup::Fusion, Event::Range, header.tick, or_first));
     }
 
-    /// Answers [`Action::CarryOut`]: what is driven.
+    /// Answers [`Action::CarryOut`] with the driven command.
     pub fn carried_out(&mut self, driven: Command) {
         let Some(Asked::Drive { heading_held_ns, is_late }) = self.asked.take() else { return };
         let Some(present) = self.present else { return };
@@ -224,7 +224,7 @@ impl Machine {
         let is_fresh = |&(tick, _): &(u64, Command)| tick == present.tick;
         let obeyed = present.drive.is_some_and(|drive| drive.heading_held_ns != 0);
         if let Some((_, command)) = self.heading.take_if(|heading| is_fresh(heading)).filter(|_| !obeyed) {
-            // Overdue, but the tick is not over: better late than held.
+            // Overdue, but the tick is not over: a late heading is better than a held one.
             let is_late = present.drive.is_some();
             let command = self.controller.obey(present.tick, command);
             self.carry_out(command, Asked::Drive { heading_held_ns: now_ns, is_late });
@@ -236,21 +236,21 @@ impl Machine {
         }
     }
 
-    /// A new tick is measured and told to fusion; a repeated one is answered with what was said.
+    /// A new tick is measured and its range published; a repeated tick is answered with the same message.
     fn see_world(&mut self, header: Header, entry: WorldEntry) {
         let seen = self.present.map(|present| (present.sim_incarnation, present.tick));
         let news = (header.incarnation, header.tick);
         if seen == Some(news) {
             self.repeat();
         } else if seen.is_none_or(|seen| seen < news) {
-            // What the last drive has told of is told.
-            if let Some(told) = self.present.and_then(|present| present.drive) {
-                self.headings_refused -= told.headings_refused;
+            // The last drive message has already counted these refusals.
+            if let Some(reported) = self.present.and_then(|present| present.drive) {
+                self.headings_refused -= reported.headings_refused;
             }
             self.asked = Some(Asked::Range { header, entry });
             self.actions.push_back(Action::Measure { tick: header.tick, entry });
         }
-        // A simulator that was started again may go back; the same one never does.
+        // A restarted simulator may go back in ticks; the same incarnation never does.
     }
 
     fn repeat(&mut self) {

@@ -1,12 +1,12 @@
-//! A target model of one's own: prints a scenario whose target moves by it.
+//! A custom target model: prints a scenario whose target moves by this model.
 //!
 //! ```sh
 //! cargo run --release -p rangehound-shared --example own_motion_model > singer.toml
 //! rangehound run singer.toml
 //! ```
 //!
-//! Any linear model will do, `dx = A x dt + dw` with position first. Here it is Singer's: an acceleration that is kept for
-//! some seconds, as a driver would, and then forgotten. A model that the tool should know by name goes into
+//! Any linear model `dx = A x dt + dw` with position first works. This one is Singer's: the driver keeps an acceleration for
+//! some seconds and then changes it. A model that the tool should know by name goes into
 //! `shared/src/motion/mod.rs`.
 
 use nalgebra::SMatrix;
@@ -16,11 +16,11 @@ type Matrix = SMatrix<f64, 6, 6>;
 
 /// How long a manoeuvre lasts, s.
 const MANOEUVRE_S: f64 = 4.0;
-/// How hard it is: standard deviation of the acceleration on each axis, m/s^2.
+/// Strength of a manoeuvre: standard deviation of the acceleration on each axis, m/s^2.
 const ACCELERATION_STD_MPS2: f64 = 0.8;
 const DT_S: f64 = 0.1;
 
-/// The step is a very short one, doubled so many times.
+/// Doublings of a very short step that give the full step.
 const DOUBLINGS: i32 = 20;
 
 fn main() {
@@ -48,18 +48,18 @@ fn discretised(a: &Matrix, psd: &Matrix, dt_s: f64) -> (Matrix, Matrix) {
     let short_s = dt_s / 2.0_f64.powi(DOUBLINGS);
     let step = a * short_s;
     let mut phi = Matrix::identity() + step + step * step * 0.5;
-    // Noise of the middle of the short step: exact to the square of its length.
+    // Noise at the middle of the short step: exact to the square of its length.
     let half = Matrix::identity() + step * 0.5;
     let mut qd = half * psd * half.transpose() * short_s;
     for _ in 0..DOUBLINGS {
         qd += phi * qd * phi.transpose();
         phi *= phi;
     }
-    // Rounding must not make it unsymmetric.
+    // Rounding must not break the symmetry.
     (phi, (qd + qd.transpose()) * 0.5)
 }
 
-/// As TOML writes a matrix.
+/// A matrix in TOML.
 fn rows(matrix: &Matrix) -> String {
     let rows = matrix.row_iter().map(|row| format!("    {:?},\n", row.iter().collect::<Vec<_>>()));
     format!("[\n{}]", rows.collect::<String>())

@@ -1,17 +1,17 @@
 //! Random numbers as a pure function of (seed, stream, tick).
 //!
 //! No generator keeps a position between ticks: each draw starts from the ChaCha stream of its
-//! purpose at the block of its tick. A process that is killed and started again, or that sees a
-//! tick twice, draws the same numbers; no order of arrival can change them.
+//! purpose at the block of its tick. A process that is restarted after a kill, or that sees a
+//! tick twice, draws the same numbers. The order of arrival does not matter.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal, StandardUniform};
 
-/// 32-bit words set aside for one tick of one stream; a normal draw takes two, rarely more.
+/// 32-bit words reserved for one tick of one stream; a normal draw takes two, rarely more.
 const WORDS_PER_TICK: u128 = 1 << 10;
 
-/// What a random number is for. Each purpose, and each robot, has a ChaCha stream of its own.
+/// The purpose of a random number. Each purpose, and each robot, has its own ChaCha stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stream {
     /// Process noise of the simulated target.
@@ -20,7 +20,7 @@ pub enum Stream {
     PriorMean,
     /// Headings of the random planner.
     RandomPlanner,
-    /// Faults of a campaign, which has a seed of its own.
+    /// Faults of a campaign, which has its own seed.
     Faults,
     /// Noise of one robot's range.
     RangeNoise {
@@ -36,7 +36,7 @@ impl Stream {
             Self::PriorMean => 1,
             Self::RandomPlanner => 2,
             Self::Faults => 3,
-            // Far above the fixed purposes, so that a new purpose moves no robot's noise.
+            // Far above the fixed purposes, so that a new purpose does not change any robot's noise.
             Self::RangeNoise { robot } => 1_000 + robot as u64,
         }
     }

@@ -1,28 +1,28 @@
-//! What all nodes of a rangehound run agree on.
+//! Types and rules that all nodes of a rangehound run share.
 //!
-//! The whole loop, each arrow a topic of its own:
+//! The complete loop; each arrow is one topic:
 //!
 //! ```text
 //! sim --world--> robot 0..M-1 --range--> fusion --heading--> robot 0..M-1 --drive--> sim
 //!                                           `--estimate--> observers        sim --truth--> observers
 //! ```
 //!
-//! The members `sim`, `robot` and `fusion` depend on this crate and never on each other. None of them does I/O;
-//! whatever two of them must share stands here once:
+//! The crates `sim`, `robot` and `fusion` depend on this crate and never on each other. None of them does I/O.
+//! Everything that two of them share is defined here once:
 //!
-//! | module | the one place for |
+//! | module | contents |
 //! |---|---|
 //! | [`scenario`] | the experiment: file format, defaults, validation |
 //! | [`motion`] | linear target models, exactly discretised; matrices of run-time size |
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
-//! | [`recording`] | recorded ranges: tables as loggers write them, and logs of radios |
-//! | [`radio`] | what ranging radios print |
-//! | [`measurement`] | what a robot measures, and where |
-//! | [`message`] | what travels on each topic |
+//! | [`recording`] | recorded ranges: tables from loggers, and logs of radios |
+//! | [`radio`] | output formats of ranging radios |
+//! | [`measurement`] | a robot's measurement and its place |
+//! | [`message`] | the payload of each topic |
 //! | [`robot_set`] | a set of robots' ids |
-//! | [`record`] | what is recorded of each tick, and the rolling digest over all estimates |
-//! | [`sealed`] | values that must be complete, the state of a killed node among them |
-//! | [`protocol`] | which builds understand each other, who wakes whom, deadlines of a real-time tick |
+//! | [`record`] | the log record of each tick, and the rolling digest over all estimates |
+//! | [`sealed`] | values that must be complete, such as the state of a killed node |
+//! | [`protocol`] | compatibility of builds, wake-ups, deadlines of a real-time tick |
 //! | [`run_name`] | names of runs |
 
 pub mod draws;

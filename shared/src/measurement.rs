@@ -1,11 +1,11 @@
-//! What a robot measures, and where: the same in its message, in fusion and in the logs.
+//! A robot's measurement and its place: the same types in messages, in fusion and in logs.
 
 #[cfg(feature = "iceoryx2")]
 use iceoryx2::prelude::ZeroCopySend;
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
-/// Where a robot or a sensor is, in the frame of the run.
+/// Place of a robot or a sensor, in the frame of the run.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Pose.v1"))]
 #[repr(C)]
@@ -14,14 +14,14 @@ pub struct Pose {
     pub x_m: f64,
     /// Position, m.
     pub y_m: f64,
-    /// Height above the plane in which the target moves, m; 0 where both move in one plane.
+    /// Height above the plane in which the target moves, m; 0 if both move in one plane.
     pub height_m: f64,
-    /// Covariance of the position, m^2: of x, of x and y, of y. All zero, as now, takes the position to be exact.
+    /// Covariance of the position, m^2: xx, xy, yy. All zero, as now, means that the position is exact.
     pub covariance_m2: [f64; 3],
 }
 
 impl Pose {
-    /// In the plane of the target, known exactly.
+    /// A place in the plane of the target, known exactly.
     #[must_use]
     pub fn at([x_m, y_m]: [f64; 2]) -> Self {
         Self { x_m, y_m, ..Self::default() }
@@ -41,23 +41,23 @@ impl Pose {
     }
 }
 
-/// What a robot's sensor has at a tick.
+/// A sensor's result at a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Measurement.v1"))]
 #[repr(C)]
 pub struct Measurement {
-    /// Where the sensor is.
+    /// Place of the sensor.
     pub pose: Pose,
-    /// 1 if it has a range, 0 if not; the next two are zero then.
+    /// 1 if there is a range, 0 if not; the next two fields are zero then.
     pub has_range: u64,
-    /// The range, calibrated, m: the slant one if the sensor is at another height than the target.
+    /// The range, calibrated, m: the slant range if the sensor and the target differ in height.
     pub range_m: f64,
-    /// Its standard deviation, m.
+    /// Standard deviation of the range, m.
     pub range_std_m: f64,
 }
 
 impl Measurement {
-    /// A range and its standard deviation, m, or none.
+    /// A measurement with a range and its standard deviation, m, or without a range.
     #[must_use]
     pub fn new(pose: Pose, range_m: Option<(f64, f64)>) -> Self {
         let (has_range, (range_m, range_std_m)) = (u64::from(range_m.is_some()), range_m.unwrap_or_default());

@@ -1,4 +1,4 @@
-//! What travels on each topic: `repr(C)`, versioned by type name, sizes pinned.
+//! The payload of each topic: `repr(C)`, versioned by type name, sizes pinned.
 //!
 //! Every message is a slice of one of the payloads below under a [`Header`]. A change of fields
 //! needs a new version in the type name: iceoryx2 compares names and sizes, not meanings.
@@ -10,40 +10,40 @@ use serde::{Deserialize, Serialize};
 use crate::measurement::{Measurement, Pose};
 use crate::{STATE_DIM_MAX, robot_set};
 
-/// What every message carries.
+/// Header of every message.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Header.v1"))]
 #[repr(C)]
 pub struct Header {
-    /// Id of the run: a message of another run is ignored.
+    /// Id of the run: messages of other runs are ignored.
     pub run_id: u64,
-    /// Which start of the sender's role sent it, counted from 1.
+    /// Incarnation of the sender in its role, counted from 1.
     pub incarnation: u64,
-    /// Tick that the contents belong to.
+    /// Tick of the contents.
     pub tick: u64,
-    /// Time that the contents are valid for, s since the run's or recording's zero.
+    /// Time at which the contents are valid, s since the run's or recording's zero.
     pub valid_at_s: f64,
-    /// When it was sent, monotonic ns.
+    /// Time of sending, monotonic ns.
     pub sent_ns: u64,
 }
 
 /// A message of one entry, to be published.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outgoing<T> {
-    /// The tick that it belongs to.
+    /// Tick of the message.
     pub tick: u64,
-    /// Time that it is valid for, s.
+    /// Time at which it is valid, s.
     pub valid_at_s: f64,
     /// Its only entry.
     pub entry: T,
 }
 
-/// Topic `world`, an entry for each robot: where it is and what its sensor would measure.
+/// Topic `world`, an entry for each robot: its place and its sensor's input.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.WorldEntry.v3"))]
 #[repr(C)]
 pub struct WorldEntry {
-    /// Where it is.
+    /// Place of the robot.
     pub pose: Pose,
     /// Range to the target, m; see `range_kind`.
     pub range_m: f64,
@@ -52,7 +52,7 @@ pub struct WorldEntry {
 }
 
 impl WorldEntry {
-    /// True if its numbers are numbers and its range is of a kind.
+    /// True if its numbers are finite and its range kind is known.
     #[must_use]
     pub fn is_sound(&self) -> bool {
         let Self { pose, range_m, range_kind } = *self;
@@ -62,7 +62,7 @@ impl WorldEntry {
     }
 }
 
-/// What the range of a [`WorldEntry`] is.
+/// Meaning of the range of a [`WorldEntry`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RangeKind {
     /// No range at this tick.
@@ -74,7 +74,7 @@ pub enum RangeKind {
 }
 
 impl RangeKind {
-    /// Its number in a message.
+    /// The number of this kind in a message.
     #[must_use]
     pub fn to_bits(self) -> u64 {
         match self {
@@ -91,20 +91,20 @@ impl RangeKind {
     }
 }
 
-/// Topic `range`: what one robot measured at this tick, or its word that it has nothing.
+/// Topic `range`: one robot's measurement at this tick; also sent without a range.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v3"))]
 #[repr(C)]
 pub struct Range {
     /// Id of the robot.
     pub robot: u64,
-    /// What it measured, and where.
+    /// The measurement and the sensor's place.
     pub measurement: Measurement,
-    /// When the tick began, monotonic ns, as `world` said: what real-time deadlines count from.
+    /// Start of the tick, monotonic ns, as in `world`: real-time deadlines count from it.
     pub tick_began_ns: u64,
 }
 
-/// Topic `heading`, an entry for each robot: what it shall drive until the next tick.
+/// Topic `heading`, an entry for each robot: its command until the next tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Command.v1"))]
 #[repr(C)]
@@ -115,7 +115,7 @@ pub struct Command {
     pub speed_mps: f64,
 }
 
-/// Topic `drive`: what one robot carries out until the next tick.
+/// Topic `drive`: one robot's motion until the next tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Drive.v2"))]
 #[repr(C)]
@@ -126,39 +126,39 @@ pub struct Drive {
     pub heading_rad: f64,
     /// Speed, m/s.
     pub speed_mps: f64,
-    /// When its range of this tick was ready to be published, monotonic ns; 0 if it had none.
+    /// When the robot's range of this tick was ready to be published, monotonic ns; 0 without a range.
     pub range_sent_ns: u64,
-    /// When it held the heading of this tick, monotonic ns; 0 if it drives without one.
+    /// When the robot had the heading of this tick, monotonic ns; 0 if it drives without one.
     pub heading_held_ns: u64,
-    /// 1 if the heading came when it was overdue.
+    /// 1 if the heading came after its deadline.
     pub heading_late: u64,
-    /// Headings refused since the drive before: from a fusion that was deposed, or a process that never led.
+    /// Headings refused since the last drive message: from a deposed fusion, or a process that never led.
     pub headings_refused: u64,
 }
 
-/// Why a message was refused: its contents are never used, but it is counted.
+/// Why a message was refused. Its contents are never used, but the refusal is counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
-    /// Its sender does not hold the role of the robot that it names.
+    /// The sender does not hold the role of the robot in the message.
     Impostor,
-    /// It names a robot that the team does not have.
+    /// The robot id is not in the team.
     OutOfRange,
-    /// Not one entry, or numbers that no sensor of this run gives.
+    /// The message has more or fewer than one entry, or invalid numbers for a sensor of this run.
     Malformed,
-    /// Of a tick that cannot have begun.
+    /// The tick cannot have begun.
     Future,
-    /// It says other than the same robot's first message of the same tick.
+    /// The message contradicts the same robot's first message of the same tick.
     Contradiction,
-    /// The robot cannot have come from where it last was to where it says it is.
+    /// The robot cannot have moved this far since its last message.
     Jump,
 }
 
 impl Refusal {
-    /// All of them, in the order of their counts in an [`Estimate`].
+    /// All refusals, in the order of their counts in an [`Estimate`].
     pub const ALL: [Self; 6] =
         [Self::Impostor, Self::OutOfRange, Self::Malformed, Self::Future, Self::Contradiction, Self::Jump];
 
-    /// What it is called in logs and reports.
+    /// Name of the refusal in logs and reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -172,7 +172,7 @@ impl Refusal {
     }
 }
 
-/// Topic `estimate`: what fusion knows after a tick.
+/// Topic `estimate`: fusion's result of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v6"))]
 #[repr(C)]
@@ -187,16 +187,16 @@ pub struct Estimate {
     pub nis: f64,
     /// Ranges fused: degrees of freedom of the NIS.
     pub fused: u64,
-    /// Normalised innovation squared of all ranges of the tick, whether they were fused or not.
+    /// Normalised innovation squared of all ranges of the tick, fused or not.
     pub nis_all: f64,
-    /// Ranges in it: its degrees of freedom.
+    /// Number of these ranges: the degrees of freedom.
     pub tested: u64,
-    /// How many times larger than told the filter takes the standard deviations of ranges from the next on: more than 1
+    /// Factor on the stated standard deviations of ranges, from the next range on: more than 1
     /// while most sensors fail together.
     pub noise_scale: f64,
     /// Ranges that failed the gate, or whose robot is distrusted.
     pub rejected: u64,
-    /// Robots not heard.
+    /// Robots without a message.
     pub missing: u64,
     /// Ranges of earlier ticks that came since the last estimate.
     pub late: u64,
@@ -212,24 +212,24 @@ pub struct Estimate {
     pub objective: f64,
     /// Lower bound on it; `-inf` from planners that prove none.
     pub lower_bound: f64,
-    /// No headings of this tick lead to a lesser trace of the position covariance at the next, m^2, if those who are planned
-    /// for then measure; 0 from planners that prove nothing. Only a late range, of which the plan did not know, can bring it
-    /// below.
+    /// Lower bound on the trace of the position covariance at the next tick, m^2, for any headings of this tick, if the robots of
+    /// the plan then measure; 0 from planners that prove nothing. Only a late range, unknown to the plan, can reduce the trace
+    /// further.
     pub least_trace_m2: f64,
-    /// When fusion came to each stage of the tick.
+    /// When fusion reached each stage of the tick.
     pub stages: Stages,
     /// Rolling digest after this tick, low and high half.
     pub digest: [u64; 2],
 }
 
-/// When fusion came to each stage of a tick, monotonic ns; 0 where nobody looked at a clock.
+/// When fusion reached each stage of a tick, monotonic ns; 0 if the time was not taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Stages.v1"))]
 #[repr(C)]
 pub struct Stages {
-    /// The last of the tick's ranges was sent, as its robot says.
+    /// The last of the tick's ranges was sent, by its robot's time stamp.
     pub last_range_ns: u64,
-    /// Fusion had all that it waited for.
+    /// Fusion had all expected ranges.
     pub began_ns: u64,
     /// Prediction and update were done.
     pub filtered_ns: u64,
@@ -237,11 +237,11 @@ pub struct Stages {
     pub planned_ns: u64,
     /// The checkpoint was written.
     pub saved_ns: u64,
-    /// The headings were sent; their robots were still to be woken.
+    /// The headings were sent; the robots were not yet woken.
     pub sent_ns: u64,
 }
 
-/// Topic `truth`: what only the simulator knows.
+/// Topic `truth`: data that only the simulator has.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Truth.v1"))]
 #[repr(C)]
@@ -252,7 +252,7 @@ pub struct Truth {
     pub state: [f64; STATE_DIM_MAX],
     /// Ticks of the run.
     pub ticks: u64,
-    /// Slowest robot's end-to-end latency in the tick before, ns; 0 if none is known.
+    /// End-to-end latency of the slowest robot in the last tick, ns; 0 if unknown.
     pub latency_ns: u64,
 }
 
@@ -284,7 +284,7 @@ impl Default for Estimate {
 }
 
 impl Drive {
-    /// From publishing the range to holding the heading computed from it; `None` without either.
+    /// From publishing the range to receiving the heading computed from it; `None` if either is missing.
     #[must_use]
     pub fn latency_ns(&self) -> Option<u64> {
         if self.range_sent_ns == 0 || self.heading_held_ns == 0 {
@@ -294,7 +294,7 @@ impl Drive {
     }
 }
 
-// What other builds read from shared memory: a change must be a decision.
+// The memory layout that other builds read: change it only on purpose.
 const _: () = {
     assert!(size_of::<Header>() == 40);
     assert!(size_of::<WorldEntry>() == 64);
@@ -310,7 +310,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_entry_of_the_world_without_sense_is_told() {
+    fn an_invalid_world_entry_is_detected() {
         let sound = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
         assert!(sound.is_sound());
         for nonsense in [

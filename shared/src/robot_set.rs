@@ -12,19 +12,19 @@ pub const WORDS: usize = ROBOTS_MAX / u64::BITS as usize;
 pub struct RobotSet([u64; WORDS]);
 
 impl RobotSet {
-    /// The set with these words, as [`Self::to_bits`] gave them.
+    /// The set from the words of [`Self::to_bits`].
     #[must_use]
     pub fn from_bits(words: [u64; WORDS]) -> Self {
         Self(words)
     }
 
-    /// Its words: bit `i % 64` of word `i / 64` tells of robot `i`.
+    /// Its words: bit `i % 64` of word `i / 64` is robot `i`.
     #[must_use]
     pub fn to_bits(self) -> [u64; WORDS] {
         self.0
     }
 
-    /// Puts a robot in, or takes it out.
+    /// Adds or removes a robot.
     pub fn set(&mut self, id: usize, is_in: bool) {
         if let Some(word) = self.0.get_mut(id / 64) {
             let bit = 1 << (id % 64);
@@ -32,25 +32,25 @@ impl RobotSet {
         }
     }
 
-    /// True if the robot is in it.
+    /// True if the set contains the robot.
     #[must_use]
     pub fn contains(&self, id: usize) -> bool {
         self.0.get(id / 64).is_some_and(|word| word >> (id % 64) & 1 == 1)
     }
 
-    /// How many are in it.
+    /// Number of robots in the set.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.iter().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// True if none is in it.
+    /// True if the set is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// Who is in it, by id.
+    /// The robots' ids, ascending.
     pub fn iter(self) -> impl Iterator<Item = usize> {
         (0..ROBOTS_MAX).filter(move |id| self.contains(*id))
     }
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_was_put_in_is_in_until_taken_out() {
+    fn a_robot_is_in_the_set_until_it_is_removed() {
         let mut set = RobotSet::default();
         for id in [0, 63, 64, 1023, 1024, usize::MAX] {
             set.set(id, true);

@@ -9,13 +9,13 @@ const NAME_LEN_MAX: usize = 24;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RunName(String);
 
-/// A text that is no [`RunName`].
+/// The text is not a valid [`RunName`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("expected {}", self.expected())]
 pub struct RunNameError;
 
 impl RunNameError {
-    /// What a name must be.
+    /// Description of a valid name.
     #[must_use]
     pub fn expected(self) -> &'static str {
         "a name of 1 to 24 letters, digits, '-' or '_'"

@@ -1,22 +1,22 @@
 //! The simulator.
 //!
-//! Its place in the loop is where a tick begins and ends; observers hear what only it knows:
+//! Each tick begins and ends here. Observers receive the truth, which no other node has:
 //!
 //! ```text
 //! robot 0..M-1 --drive--> SIM --world--> robot 0..M-1
 //!                          `--truth--> observers
 //! ```
 //!
-//! It keeps the team's clock: `world(k)` says where each robot is and what its sensor would measure,
-//! and the next tick starts when the robots have said what they drive (lock step) or when it is time
-//! (real time). What it shows of the target are ranges only; the true state goes to observers.
+//! It keeps the team's clock: `world(k)` has each robot's position and the range that its sensor would measure,
+//! and the next tick starts when all robots have sent their drives (lock step) or by the clock (real time).
+//! Robots receive ranges only; the target's true state goes to observers.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`world`] | what a tick shows: the trait behind both kinds |
-//! | [`simulation`] | a target that moves by its model, robots that move as they drive |
+//! | [`world`] | the trait of both kinds of world |
+//! | [`simulation`] | the target moves by its model, the robots by their drives |
 //! | [`playback`] | recorded ranges in place of a simulation |
-//! | [`machine`] | the protocol: what comes in, what to do out |
+//! | [`machine`] | the protocol: messages in, actions out |
 
 pub mod machine;
 pub mod playback;
@@ -33,7 +33,7 @@ use playback::Playback;
 use simulation::Simulation;
 pub use world::World;
 
-/// The world of a scenario at tick 0. A recording that this process has not read itself is had from `read`.
+/// The world of a scenario at tick 0. A recording that this process has not read comes from `read`.
 ///
 /// # Errors
 /// Those of `read`.

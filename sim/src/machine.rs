@@ -1,6 +1,6 @@
 //! The simulator's part in the protocol as a state machine round a [`World`]: no clock, no port, no file.
 //!
-//! A driver feeds it with what came ([`Machine::on_drive`], [`Machine::on_hello`]), asks for the next [`Action`], carries it
+//! A driver feeds it with messages ([`Machine::on_drive`], [`Machine::on_hello`]), asks for the next [`Action`], carries it
 //! out, and asks again until there is none. Nothing is fed in between. Time is an argument: monotonic, ns.
 
 use std::borrow::Cow;
@@ -15,29 +15,29 @@ use serde::{Deserialize, Serialize};
 
 use crate::World;
 
-/// After this long without all answers the tick is sent again: mends whatever was lost.
+/// After this long without all answers the tick is sent again, in case messages were lost.
 const REPEAT_NS: u64 = 50_000_000;
 
-/// What the driver does next.
+/// The driver's next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
-    /// Write down the tick: [`Machine::world`] and [`Machine::drives`].
+    /// Record the tick: [`Machine::world`] and [`Machine::drives`].
     Record,
-    /// Write [`Machine::saved`] to the checkpoint, before anything that follows.
+    /// Write [`Machine::saved`] to the checkpoint, before all later actions.
     Save,
     /// Publish [`Machine::world`]'s entries.
     SendWorld,
     /// Publish [`Machine::truth`].
     SendTruth,
-    /// Wake somebody.
+    /// Notify another node.
     Notify(Notification),
-    /// Say that the run goes on without a robot, which was silent for too long.
+    /// Report that the run continues without a robot, which was silent for too long.
     ReportSilent(usize),
-    /// Put down that the run has come to its end.
+    /// Mark the run as finished.
     Finish,
 }
 
-/// What is done after what has been returned last.
+/// The step after the last action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     /// Before tick 0: killed between its record and its checkpoint, a successor would find a state lost.
@@ -71,13 +71,13 @@ pub struct Machine {
     /// When the first answer to the tick came.
     first_answer_ns: Option<u64>,
     repeat_at_ns: u64,
-    /// In real time, when the tick ends; `None` before the whole team has answered tick 0.
+    /// In real time, when the tick ends; `None` before the complete team has answered tick 0.
     due_ns: Option<u64>,
     suspension: Suspension,
     world_bytes: Vec<u8>,
 }
 
-/// What a simulator started again needs: borrowed as it is written, owned as it is read.
+/// State for a restarted simulator: borrowed for writing, owned after reading.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Saved<'a> {
     tick: u64,
@@ -110,10 +110,10 @@ impl Machine {
         }
     }
 
-    /// Goes on from what a simulator of the same run saved.
+    /// Continues from the saved state of a simulator of the same run.
     ///
     /// # Errors
-    /// If it is not such.
+    /// If the state is invalid or belongs to another run.
     pub fn restore(&mut self, saved: Saved<'_>) -> Result<(), SealError> {
         let Saved { tick, silent, world } = saved;
         self.world.restore(&world)?;
@@ -124,7 +124,7 @@ impl Machine {
         Ok(())
     }
 
-    /// What [`Self::restore`] needs to go on from here.
+    /// State from which [`Self::restore`] continues.
     ///
     /// # Errors
     /// If the world cannot be encoded.
@@ -134,8 +134,7 @@ impl Machine {
         Ok(Saved { tick: self.tick, silent: Cow::Borrowed(&self.silent), world: Cow::Borrowed(&self.world_bytes) })
     }
 
-    /// Takes a message of the topic `drive`. Whatever speed and heading it says: the world moves nobody faster than he
-    /// is, or by no number.
+    /// Takes a message of the topic `drive`. The world limits speeds, and ignores NaN and infinite values.
     pub fn on_drive(&mut self, tick: u64, drive: &Drive) {
         let id = usize::try_from(drive.robot).ok().filter(|_| tick == self.tick);
         let Some(id) = id.filter(|id| *id < self.drives.len()) else { return };
@@ -143,12 +142,12 @@ impl Machine {
         self.silent[id] = false;
     }
 
-    /// Takes the call of a node that has just started and needs the present tick.
+    /// Takes the hello of a node that has just started and needs the present tick.
     pub fn on_hello(&mut self) {
         self.hello = true;
     }
 
-    /// What to do next; `None` until something comes or [`Self::wakes_at_ns`].
+    /// The next action; `None` until a message arrives or [`Self::wakes_at_ns`].
     pub fn next_action(&mut self, now_ns: u64) -> Option<Action> {
         let (phase, action) = match self.phase {
             Phase::Begin => (Phase::Publish, Action::Save),
@@ -196,7 +195,7 @@ impl Machine {
         Some(timeout_ends_ns.map_or(self.repeat_at_ns, |ends_ns| ends_ns.min(self.repeat_at_ns)))
     }
 
-    /// When the present real-time tick is over, monotonic ns: nothing that comes before can end it.
+    /// When the present real-time tick is over, monotonic ns: no message ends it earlier.
     #[must_use]
     pub fn due_ns(&self) -> Option<u64> {
         self.due_ns.filter(|_| self.phase == Phase::Wait)
@@ -220,7 +219,7 @@ impl Machine {
         self.world.as_ref()
     }
 
-    /// What each robot has said of the present tick.
+    /// Each robot's drive message of the present tick.
     #[must_use]
     pub fn drives(&self) -> &[Option<Drive>] {
         &self.drives
@@ -232,7 +231,7 @@ impl Machine {
         self.silent.iter().filter(|silent| !**silent).count()
     }
 
-    /// What observers are told.
+    /// The message for observers.
     #[must_use]
     pub fn truth(&self) -> Truth {
         let truth = self.world.truth();
@@ -241,7 +240,7 @@ impl Machine {
         Truth { state_dim: truth.len() as u64, state, ticks: self.last_tick, latency_ns: self.slowest_latency_ns }
     }
 
-    /// Tick 0 waits for the whole team, so that the run starts when everybody is there.
+    /// Tick 0 waits for the complete team, so that the run starts when all robots are there.
     fn timeout(&self) -> Timeout {
         if self.tick == 0 { Timeout::Forever } else { self.timeout }
     }
@@ -256,7 +255,7 @@ impl Machine {
     fn published(&mut self, now_ns: u64) {
         self.hello = false;
         self.repeat_at_ns = now_ns + REPEAT_NS;
-        // A simulator that was started again waits for nobody.
+        // A restarted simulator does not wait for the complete team.
         if self.clock == Clock::Realtime && self.tick > 0 {
             self.due_ns.get_or_insert(now_ns + self.dt_ns);
         }
@@ -303,7 +302,7 @@ impl Machine {
         Some(Action::Record)
     }
 
-    /// Advances the world by what was driven.
+    /// Advances the world by the driven commands.
     fn advance(&mut self) {
         self.slowest_latency_ns = self.drives.iter().flatten().filter_map(Drive::latency_ns).max().unwrap_or(0);
         self.world.advance(&self.drives);
@@ -319,7 +318,7 @@ mod tests {
 
     use super::*;
 
-    /// Seed 10304 of `rangehound explore` found a tick of no length.
+    /// Seed 10304 of `rangehound explore` found a tick of zero length.
     #[test]
     fn a_tick_that_begins_late_has_its_time() {
         let text = "clock = \"realtime\"\n[robots]\ncount = 1\n";

@@ -7,7 +7,7 @@ use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
 use rangehound_shared::recording::{RecordedRange, Recording};
 use rangehound_shared::sealed::{self, SealError};
 
-use crate::world::{World, are_sound};
+use crate::world::{World, are_valid};
 
 /// A recording, one instant a tick from tick 1 on. As in a simulation, tick 0 carries no range.
 #[derive(Debug, Clone)]
@@ -55,7 +55,7 @@ impl World for Playback {
             self.time_s = time_s;
             for reading in readings {
                 let &RecordedRange { sensor, position_m, height_m, range_m } = reading;
-                // Without the target's height, ranges are taken as level.
+                // Without the target's height, ranges are taken as horizontal.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
                 let range_kind = RangeKind::Measured.to_bits();
@@ -73,7 +73,7 @@ impl World for Playback {
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (next_instant, time_s, entries): (usize, f64, Vec<WorldEntry>) = sealed::decode(bytes)?;
         let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
-        if entries.len() != self.entries.len() || !are_sound(places.chain([time_s])) {
+        if entries.len() != self.entries.len() || !are_valid(places.chain([time_s])) {
             return Err(SealError::Malformed);
         }
         (self.next_instant, self.time_s, self.entries) = (next_instant, time_s, entries);

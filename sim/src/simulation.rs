@@ -1,4 +1,4 @@
-//! The simulated world: a target that moves by its model, robots that move as they drive.
+//! The simulated world: the target moves by its model, the robots by their drives.
 
 use nalgebra::{SMatrix, SVector};
 use rangehound_shared::draws::{Draws, Stream};
@@ -9,7 +9,7 @@ use rangehound_shared::scenario::Scenario;
 use rangehound_shared::scenario::bounds::TICKS_MAX;
 use rangehound_shared::sealed::{self, SealError};
 
-use crate::world::{World, are_sound};
+use crate::world::{World, are_valid};
 
 /// A target with a state of dimension `N` and the robots round it.
 ///
@@ -79,7 +79,7 @@ impl<const N: usize> World for Simulation<N> {
     fn advance(&mut self, drives: &[Option<Drive>]) {
         for ((entry, drive), limit_mps) in self.entries.iter_mut().zip(drives).zip(&self.speed_limits_mps) {
             let Some(drive) = drive else { continue };
-            // A body cannot do what its motors cannot, whatever it is told.
+            // A body cannot exceed its speed limit, whatever the command.
             let step_m = drive.speed_mps.clamp(0.0, *limit_mps) * self.dt_s;
             let (sin, cos) = drive.heading_rad.sin_cos();
             if step_m.is_finite() && sin.is_finite() {
@@ -101,7 +101,7 @@ impl<const N: usize> World for Simulation<N> {
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (tick, target, entries): (u64, SVector<f64, N>, Vec<WorldEntry>) = sealed::decode(bytes)?;
         let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
-        let is_sound = tick <= TICKS_MAX + 1 && are_sound(target.iter().copied().chain(places));
+        let is_sound = tick <= TICKS_MAX + 1 && are_valid(target.iter().copied().chain(places));
         if entries.len() != self.entries.len() || !is_sound {
             return Err(SealError::Malformed);
         }

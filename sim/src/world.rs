@@ -1,13 +1,13 @@
-//! What the team lives in, pure: no I/O, no clock.
+//! The team's environment, pure: no I/O, no clock.
 
 use rangehound_shared::message::{Drive, WorldEntry};
 use rangehound_shared::sealed::SealError;
 
-/// Beyond this, m, no world goes on from what was saved: its distances would not be finite.
+/// Largest saved coordinate that is accepted, m: beyond it distances would not be finite.
 const PLACE_MAX: f64 = 1e150;
 
 /// True if a world can go on with these numbers.
-pub(crate) fn are_sound(numbers: impl IntoIterator<Item = f64>) -> bool {
+pub(crate) fn are_valid(numbers: impl IntoIterator<Item = f64>) -> bool {
     numbers.into_iter().all(|number| number.abs() <= PLACE_MAX)
 }
 
@@ -16,24 +16,24 @@ pub trait World: std::fmt::Debug + Send {
     /// Time of the present tick, s.
     fn time_s(&self) -> f64;
 
-    /// Each robot's place and what its sensor would measure.
+    /// Each robot's position and the range that its sensor would measure.
     fn entries(&self) -> &[WorldEntry];
 
-    /// The target's true state; empty if nobody knows it.
+    /// The target's true state; empty if unknown.
     fn truth(&self) -> &[f64];
 
     /// Goes to the next tick. `drives` has an entry for each robot; one without stands still.
     fn advance(&mut self, drives: &[Option<Drive>]);
 
-    /// Appends what [`Self::restore`] needs to go on from here, to the bit.
+    /// Appends the state from which [`Self::restore`] continues bit for bit.
     ///
     /// # Errors
     /// If it cannot be encoded.
     fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError>;
 
-    /// Goes on from what a world of the same scenario saved.
+    /// Continues from the saved state of a world of the same scenario.
     ///
     /// # Errors
-    /// If the bytes are not such.
+    /// If the bytes are not a valid state of this world.
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError>;
 }

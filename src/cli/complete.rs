@@ -1,4 +1,4 @@
-//! What a shell wants to know of the tool: completions and manual pages, made of what the command line is read with.
+//! Completions and manual pages, made from the definition of the command line.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -38,7 +38,7 @@ pub fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     failure::print(with_names(args.shell, String::from_utf8(script)?))
 }
 
-/// A script that also asks for what no command line tells: the names of runs and nodes.
+/// A script that also asks the program for the names of runs and nodes.
 fn with_names(shell: Shell, script: String) -> String {
     match shell {
         Shell::Bash => script + include_str!("complete/names.bash"),
@@ -59,7 +59,7 @@ pub fn names(args: &NamesArgs) -> Result<(), Failure> {
     let names: BTreeSet<String> = match args.of {
         NamesOf::Runs => living_runs().iter().map(ToString::to_string).collect(),
         NamesOf::Nodes => {
-            // A run of another version is no reason to be silent about the others.
+            // A run of another version is left out; the others are listed.
             let runs = living_runs().into_iter().filter_map(|name| Rendezvous::join_if_alive(&name).ok().flatten());
             runs.flat_map(|run| watch::roles(run.description().scenario.robots.len()))
                 .map(|role| role.to_string())
@@ -109,7 +109,7 @@ fn is_page(file: &Path) -> bool {
     title.is_some_and(|title| title.starts_with(".TH rangehound") && title.contains("rangehound "))
 }
 
-/// Writes a page beside its place, and gives it its name: what had that before may have other names, and keeps its content.
+/// Writes a page under a temporary name and renames it: a file that is replaced keeps its content under its other names.
 fn write_page(file: &Path, page: &[u8]) -> std::io::Result<()> {
     let partial = with_ending(file, &format!(".{}{PARTIAL}", std::process::id()));
     let mut out = File::create_new(&partial)?;

@@ -1,4 +1,4 @@
-//! From what the command line says of an experiment to a scenario file, and from there to an experiment.
+//! From the command line's flags to a scenario file, and from there to an experiment.
 
 use std::path::Path;
 
@@ -138,7 +138,7 @@ impl InputArgs {
     }
 }
 
-/// Sorts values for all sensors from those for one; the last word on each counts.
+/// Separates values for all sensors from those for one; the last value of each counts.
 fn apply(
     values: &[PerSensor],
     all: &mut Option<f64>,

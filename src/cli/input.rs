@@ -6,7 +6,7 @@ use clap::Args;
 
 use super::values::number;
 
-/// What the user says of a recording.
+/// The flags of a recording.
 #[derive(Debug, Clone, Default, Args)]
 pub struct InputArgs {
     /// Recorded ranges: a table with a row for each range, a pipe, or - for standard input

@@ -1,4 +1,4 @@
-//! What looks at runs, or acts on them: `watch`, `live`, `record`, `replay`, `status`, `kill`, `restart`, `stop`.
+//! Commands that observe or control runs: `watch`, `live`, `record`, `replay`, `status`, `kill`, `restart`, `stop`.
 
 use std::path::PathBuf;
 

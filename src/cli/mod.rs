@@ -1,12 +1,12 @@
-//! The command line, as clap reads it, and what each command does with it.
+//! The command line, as clap reads it, and its commands.
 //!
 //! | module | what |
 //! |---|---|
-//! | `run` | what starts runs |
+//! | `run` | commands that start runs |
 //! | `node` | one node |
-//! | `look` | what looks at runs, or acts on them |
-//! | `study` | what measures and compares |
-//! | `shell`, [`complete`] | what a shell asks for: completions, names, manual pages |
+//! | `look` | commands that observe or control runs |
+//! | `study` | commands that measure and compare |
+//! | `shell`, [`complete`] | for the shell: completions, names, manual pages |
 //! | `experiment` | from flags to a scenario file |
 //! | `input` | how a recording is read |
 //! | `values` | values as they are written behind flags |
@@ -118,21 +118,21 @@ pub fn command() -> clap::Command {
 pub fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
     // What clap adds after an empty line is advice and usage.
-    let said: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
-    let said = said.join(" ");
-    let said = said.strip_prefix("error: ").unwrap_or(&said);
+    let message: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
+    let message = message.join(" ");
+    let message = message.strip_prefix("error: ").unwrap_or(&message);
     let expected = match error.kind() {
-        ErrorKind::ValueValidation => return said.to_owned(),
-        ErrorKind::InvalidValue if said.contains("[possible values:") => {
-            return said.replace("[possible values:", "[expected one of:");
+        ErrorKind::ValueValidation => return message.to_owned(),
+        ErrorKind::InvalidValue if message.contains("[possible values:") => {
+            return message.replace("[possible values:", "[expected one of:");
         }
         ErrorKind::InvalidValue => "one",
         ErrorKind::InvalidSubcommand => "a command",
         ErrorKind::MissingRequiredArgument => {
-            let missing = said.rsplit_once("provided: ").map_or(said, |(_, missing)| missing);
+            let missing = message.rsplit_once("provided: ").map_or(message, |(_, missing)| missing);
             return format!("expected {missing} too, as in --help");
         }
         _ => "arguments",
     };
-    format!("{said}: expected {expected} as in --help")
+    format!("{message}: expected {expected} as in --help")
 }

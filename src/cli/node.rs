@@ -65,7 +65,7 @@ pub struct LatencyNodeArgs {
     pub node: NodeArgs,
 }
 
-/// What the nodes and who watches them have in common.
+/// The flags that nodes and observers share.
 #[derive(Debug, Args)]
 pub struct NodeArgs {
     /// Name of the run to join; waits for it to be founded
@@ -138,8 +138,8 @@ impl LatencyNodeArgs {
     }
 }
 
-/// The simulator started by hand founds the run; started again after a kill, it goes back to it. With the claim on the
-/// run folder.
+/// A simulator started by hand founds the run; started again after a kill, it joins it again. Returns the claim on the
+/// run folder too.
 fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<Claim>), Failure> {
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
         refuse_other_experiment(args, experiment, living.description())?;
@@ -161,7 +161,7 @@ fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, 
     Ok((rendezvous, Some(folder)))
 }
 
-/// Refuses flags that say another experiment than the one that goes on: they would be without effect.
+/// Refuses flags that describe another experiment than the living run's: they would have no effect.
 fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &RunDescription) -> Result<(), Failure> {
     let name = &asked.name;
     let refuse = |flag: &str, is: &dyn std::fmt::Display| {

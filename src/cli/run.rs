@@ -1,4 +1,4 @@
-//! What starts runs: `run`, `track`, `resume`.
+//! Commands that start runs: `run`, `track`, `resume`.
 
 use std::path::PathBuf;
 

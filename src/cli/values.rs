@@ -86,7 +86,7 @@ impl TypedValueParser for PlannerName {
     }
 }
 
-/// One of these words: what it stands for, and what `--help` tells of it.
+/// One of these words: its meaning, and its text in `--help`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OneOf<T: 'static>(&'static [(&'static str, T, &'static str)]);
 

@@ -1,6 +1,6 @@
-//! Files that are there as a whole or not at all: nobody reads half of one, and a full disk leaves none without its content.
+//! Atomic files: they are complete or absent. No reader sees half a file, and a full disk leaves no empty file.
 //!
-//! They take the place of nothing but what rangehound itself has written, see [`crate::files::out_folder`].
+//! They replace only files that rangehound has written, see [`crate::files::out_folder`].
 
 use std::fs::File;
 use std::io::{BufWriter, ErrorKind, Write};
@@ -21,15 +21,15 @@ pub fn with_ending(path: &Path, ending: &str) -> PathBuf {
     name.into()
 }
 
-/// A file in the making, beside its place. It gets its name when it is finished; otherwise it is taken away.
+/// An unfinished file under a temporary name. It gets its final name when it is finished; otherwise it is removed.
 #[derive(Debug)]
-pub struct WholeFile {
+pub struct AtomicFile {
     out: BufWriter<File>,
     path: PathBuf,
     partial: PathBuf,
 }
 
-/// Writes a whole file.
+/// Writes a complete file.
 ///
 /// # Errors
 /// With its name, if the system refuses.
@@ -46,7 +46,7 @@ pub fn write_for_owner(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result
 }
 
 fn write_with_mode(path: &Path, content: impl AsRef<[u8]>, mode: u32) -> anyhow::Result<()> {
-    let mut file = WholeFile::create_with_mode(path, mode)?;
+    let mut file = AtomicFile::create_with_mode(path, mode)?;
     file.write_all(content.as_ref())?;
     file.finish()
 }
@@ -57,7 +57,7 @@ fn write_with_mode(path: &Path, content: impl AsRef<[u8]>, mode: u32) -> anyhow:
 /// If the system refuses, or another file has that name.
 pub fn give_name(file: &File, partial: &Path, path: &Path) -> std::io::Result<()> {
     out_folder::note_finished(path, file)?;
-    // Between this look and the change of names nobody else comes in a folder that is claimed.
+    // In a claimed folder no other process can interfere between this check and the rename.
     if out_folder::is_ours(path) {
         return std::fs::rename(partial, path);
     }
@@ -80,10 +80,10 @@ pub fn rename_to_free(partial: &Path, path: &Path) -> std::io::Result<()> {
     }
 }
 
-/// What a new file may be used for, less what the user forbids.
+/// Permissions of a new file, before the user's mask.
 const MODE: u32 = 0o666;
 
-impl WholeFile {
+impl AtomicFile {
     /// Begins a file.
     ///
     /// # Errors
@@ -93,7 +93,7 @@ impl WholeFile {
     }
 
     fn create_with_mode(path: &Path, mode: u32) -> anyhow::Result<Self> {
-        // Another process may be writing the same, as `watch` does beside a run's supervisor: whoever is last has the name.
+        // Another process may be writing the same, as `watch` does beside a run's supervisor: the last one replaces the others' file.
         let partial = with_ending(path, &format!(".{}{PARTIAL}", std::process::id()));
         let file = File::options().write(true).create_new(true).mode(mode).open(&partial);
         let file = file.map_err(|error| named(path, &error))?;
@@ -113,7 +113,7 @@ impl WholeFile {
     }
 }
 
-impl Write for WholeFile {
+impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.out.write(bytes).map_err(|error| named(&self.path, &error))
     }
@@ -123,7 +123,7 @@ impl Write for WholeFile {
     }
 }
 
-impl Drop for WholeFile {
+impl Drop for AtomicFile {
     fn drop(&mut self) {
         // Not there any more if it was finished.
         let _ = std::fs::remove_file(&self.partial);
@@ -145,7 +145,7 @@ mod tests {
         let names = || std::fs::read_dir(folder.path()).unwrap().count() - 1;
         let _claim = out_folder::claim(folder.path(), crate::files::layout::Kind::Run, &[]).unwrap();
         write(&path, "first").unwrap();
-        let mut second = WholeFile::create(&path).unwrap();
+        let mut second = AtomicFile::create(&path).unwrap();
         second.write_all(b"second").unwrap();
         drop(second);
         assert_eq!((std::fs::read_to_string(&path).unwrap(), names()), ("first".to_owned(), 1));

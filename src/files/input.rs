@@ -18,7 +18,7 @@ use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, Scena
 
 use crate::failure::Failure;
 
-/// What complaints about flags name in place of a scenario file.
+/// Named in errors about flags, in place of a scenario file.
 pub const COMMAND_LINE: &str = "command line";
 
 /// Longest scenario file, bytes: some times what 1024 robots one by one take.
@@ -27,13 +27,13 @@ const SCENARIO_LEN_MAX: usize = 4 << 20;
 /// Standard input, as a path.
 const STANDARD_INPUT: &str = "-";
 
-/// After so long without a byte the user is told what is waited for.
+/// After so long without a byte, a message says what the program is waiting for.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A path as text, which is how the files of a run and its processes tell it each other.
+/// A path as text: a run's files and processes exchange paths as text.
 ///
 /// # Errors
-/// [`Failure::Input`], with the path, if it is none in UTF-8.
+/// [`Failure::Input`], with the path, if it is not UTF-8.
 pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
     path.to_str().ok_or_else(|| {
         Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
@@ -114,13 +114,13 @@ fn open_file(path: &Path) -> Result<File, RecordingError> {
     File::open(path).map_err(|error| RecordingError::unreadable(path, &error))
 }
 
-/// What is read, and what errors call it.
+/// An input and its name in errors.
 struct Input {
     reader: Box<dyn Read>,
     name: PathBuf,
 }
 
-/// Opens a recording. Who may have to wait for a pipe's writer is told so.
+/// Opens a recording. A message is printed if it must wait for a pipe's writer.
 fn open(path: &Path) -> Result<Input, RecordingError> {
     let is_standard_input = path == Path::new(STANDARD_INPUT);
     let name = if is_standard_input { PathBuf::from("standard input") } else { path.to_owned() };
@@ -136,7 +136,7 @@ fn open(path: &Path) -> Result<Input, RecordingError> {
     })
 }
 
-/// Says what is waited for whenever nothing has come for a while, until what is returned is let go of.
+/// Prints what the program is waiting for when no byte has arrived for a while, until the returned value is dropped.
 fn watch(name: &Path) -> Arc<AtomicU64> {
     let bytes = Arc::new(AtomicU64::new(0));
     let (weak, name) = (Arc::downgrade(&bytes), name.to_owned());
@@ -154,7 +154,7 @@ fn watch(name: &Path) -> Arc<AtomicU64> {
             before = now;
         }
     };
-    // Where no thread can be had, it is waited in silence.
+    // Without a thread, the program waits without a message.
     let _ = std::thread::Builder::new().name("input-watch".to_owned()).spawn(watch);
     bytes
 }

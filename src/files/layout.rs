@@ -1,4 +1,4 @@
-//! What lies where in the folders that results go to: each name stands here once.
+//! The files in result folders; each name is defined once, here.
 //!
 //! A run folder has
 //!
@@ -10,22 +10,22 @@
 //! | `estimate.csv` | the track: a row for each tick |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
 //! | `run.mcap` | the whole run in one file |
-//! | `estimate.ticks`, `world.ticks` | what the nodes put down, see `rangehound_node::tick_log` |
-//! | `run.sealed` | what the run is, for `resume`: JSON with a checksum |
-//! | `sim.checkpoint`, `fusion.checkpoint` | where a killed node's successor goes on, see `rangehound_node::checkpoint` |
-//! | `logs/NODE.log` | what a node had to say |
+//! | `estimate.ticks`, `world.ticks` | the nodes' records, see `rangehound_node::tick_log` |
+//! | `run.sealed` | the run's description, for `resume`: JSON with a checksum |
+//! | `sim.checkpoint`, `fusion.checkpoint` | the state from which a killed node's successor continues, see `rangehound_node::checkpoint` |
+//! | `logs/NODE.log` | a node's messages |
 
 use rangehound_node::rendezvous::Role;
 use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::COPY;
 
-/// Where run folders go unless told otherwise; other results go below it too.
+/// The default folder of run folders and other results.
 pub const RUNS: &str = "runs";
 
 /// The scenario as it was run.
 pub const SCENARIO: &str = "scenario.toml";
 
-/// What the run is, for `resume`.
+/// The run's description, for `resume`.
 pub const DESCRIPTION: &str = "run.sealed";
 
 /// The report, for programs.

@@ -1,12 +1,12 @@
-//! Files: those that users give, and where results go.
+//! Files: the users' inputs and the results.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`input`] | scenarios, recordings, anchors, true tracks |
 //! | [`calibration`] | `calibration.toml` |
-//! | [`layout`] | what lies where in the folders of results |
+//! | [`layout`] | the files in result folders |
 //! | [`out_folder`] | where results may go, and what may be replaced there |
-//! | [`atomic_file`] | files that are there as a whole or not at all |
+//! | [`atomic_file`] | files that are complete or absent |
 
 pub mod atomic_file;
 pub mod calibration;

@@ -1,4 +1,4 @@
-//! What the page's buttons do to a process.
+//! The actions of the page's buttons on a process.
 
 use rangehound_node::rendezvous::{Rendezvous, Role};
 use rustix::process::Signal;
@@ -6,22 +6,22 @@ use rustix::process::Signal;
 use crate::failure::Failure;
 use crate::run::remote;
 
-/// What may be done to a node.
+/// An action on a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Action {
-    /// As a crash would end it.
+    /// SIGKILL, like a crash.
     Kill,
-    /// It hangs, as it were, until it is continued.
+    /// It is stopped, like a hung process, until it is continued.
     Stop,
     Continue,
     /// It is asked to end, and the supervisor starts another.
     Restart,
 }
 
-/// Why nothing was done.
+/// Why an action failed.
 #[derive(Debug)]
 pub(super) enum Refused {
-    /// What was asked for makes no sense.
+    /// The request is invalid.
     Nonsense(String),
     /// It cannot be done now.
     NotNow(String),
@@ -38,7 +38,7 @@ impl Action {
         })
     }
 
-    /// Does it to the process in a role; says to which.
+    /// Acts on the process in a role; returns its id.
     pub(super) fn on(self, run: &Rendezvous, node: &str) -> Result<String, Refused> {
         let role: Role = node.parse().map_err(Refused::Nonsense)?;
         if run.is_finished() {
@@ -56,7 +56,7 @@ impl Action {
         let pid = remote::signal(run, role, signal).map_err(|failure| match failure {
             Failure::Input(problem) => Refused::Nonsense(problem),
             Failure::Running(error) => Refused::NotNow(error.to_string()),
-            Failure::ToldInput => Refused::NotNow(format!("{role} cannot be reached")),
+            Failure::ReportedInput => Refused::NotNow(format!("{role} cannot be reached")),
         })?;
         if self == Self::Restart {
             // One that is stopped hears it only when it runs. One that has ended by now needs nothing.

@@ -1,4 +1,4 @@
-//! The eyes of the page: looks at a run until its end, at files only.
+//! Follows a run until its end for the page; reads files only.
 
 use std::time::{Duration, Instant};
 
@@ -27,14 +27,14 @@ const ROBOTS_OF_PAST_MAX: u64 = 200_000;
 /// Ticks that are taken in at once; between them viewers are answered.
 const TICKS_AT_ONCE: usize = 256;
 
-/// A run without a single process for this long has ended, whatever it says.
+/// A run without any process for this long has ended, whatever its state.
 const DESERTED: Duration = Duration::from_secs(3);
 
-/// Whom a terminal interrupts together with the page says within this time that the run ends.
+/// If Ctrl-C interrupts run and page together, the run reports its end within this time.
 const INTERRUPTED: Duration = Duration::from_millis(500);
 const INTERRUPTED_POLL: Duration = Duration::from_millis(10);
 
-/// Shows the run until its end; says how that came.
+/// Shows the run until its end; returns the reason of the end.
 pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Termination) -> &'static str {
     let scenario = &run.description().scenario;
     let robots = u32::try_from(scenario.robots.len()).unwrap_or(u32::MAX);
@@ -42,7 +42,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
     let mut reader = Reader { frames: None, next: None };
     let (mut nodes_at, mut inhabited, mut has_been_inhabited) = (None, Instant::now(), false);
     loop {
-        // Asked before the look: what was there at the end is in it.
+        // Checked before the look, so that the look includes everything up to the end.
         let is_finished = run.is_finished();
         let is_asked = !is_finished && termination.requested();
         let is_over = is_finished || is_asked && is_ending(run);
@@ -86,7 +86,7 @@ fn is_ending(run: &Rendezvous) -> bool {
         if run.note(ENDING_NOTE).is_some() {
             return true;
         }
-        // Of a run by hand nobody says it.
+        // A run started by hand has no supervisor to report it.
         if !run.roster().is_held(Role::Supervisor) || asked.elapsed() >= INTERRUPTED {
             return false;
         }
@@ -137,7 +137,7 @@ impl Reader {
         };
         let (mut new, mut is_new) = (Vec::new(), false);
         for tick in spread(self.next.unwrap_or(0), newest, most) {
-            // One that cannot be read now is left out, as others are that nobody has put down.
+            // A tick that cannot be read now is left out, like ticks that were not recorded.
             if let Ok(Some(frame)) = frames.at(tick) {
                 new.push(frame);
                 is_new = true;
@@ -159,7 +159,7 @@ impl Reader {
         if is_new { server.update(look) } else { server.keep(look) }
     }
 
-    /// Counts what fusion has put down last, of which the simulator has nothing.
+    /// Counts fusion's last recorded ticks that the simulator has not recorded.
     fn finish(&mut self, server: &Server) {
         let (Some(frames), Some(next)) = (&mut self.frames, self.next) else { return };
         count_anew(frames, server);
@@ -172,7 +172,7 @@ impl Reader {
     }
 }
 
-/// Reads again what may have been put down anew since.
+/// Reads ticks again that may have been recorded again since.
 fn count_anew(frames: &mut Frames, server: &Server) {
     let mut unsettled = Vec::new();
     server.keep(|scene| unsettled = scene.unsettled());

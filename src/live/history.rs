@@ -1,4 +1,4 @@
-//! What the page's curves show: the whole run in a bounded number of points.
+//! The data of the page's curves: the complete run in a bounded number of points.
 
 use rangehound_shared::record::FusionRecord;
 use serde::Serialize;
@@ -8,7 +8,7 @@ use crate::results::frame::Frame;
 use crate::results::report::position_covariance;
 use crate::statistics::{Interval, chi_square_mean_bounds, median};
 
-/// Points at which neighbours are put together: more would not be seen.
+/// Number of points at which neighbours are merged: more would not be visible.
 const POINTS_MAX: usize = 600;
 
 /// The run so far. When it has as many points as there may be, each two become one, and stand for twice the ticks.
@@ -37,14 +37,14 @@ struct Point {
     latency_max_us: f64,
 }
 
-/// How far somebody knows the history.
+/// The part of the history that a viewer has.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Known {
     stride: u64,
     points: usize,
 }
 
-/// What somebody does not know yet: the points from one on, which replace those that they have from there.
+/// The part that a viewer does not have yet: points from an index on, which replace the viewer's from there.
 #[derive(Debug, Serialize)]
 pub(super) struct News<'a> {
     from: usize,
@@ -90,7 +90,7 @@ impl History {
         }
     }
 
-    /// What is new since somebody last knew all.
+    /// The points that are new to a viewer.
     pub(super) fn news(&self, known: &mut Known) -> News<'_> {
         // The last point may have grown; of another stride all are others.
         let from = if known.stride == self.stride { known.points.saturating_sub(1) } else { 0 };
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn who_follows_has_the_same_points_as_who_comes_late() {
+    fn early_and_late_viewers_have_the_same_points() {
         let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
         for tick in 1..=3_000 {
             history.add(&frame(tick));

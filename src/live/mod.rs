@@ -1,14 +1,14 @@
-//! `rangehound live`: a page that shows a run while it goes on, and lets one kill its processes and watch it survive.
+//! `rangehound live`: a page that shows a living run, with buttons to kill its processes.
 //!
-//! It costs the control loop nothing: the page is a process of its own, of the least priority, that reads the nodes' logs.
-//! Nobody in the loop knows of it, sends to it or wakes it.
+//! It does not load the control loop: the page is a separate process of the lowest priority that reads the nodes' logs.
+//! No node in the loop sends messages or notifications to it.
 //!
 //! | module | what |
 //! |---|---|
-//! | `follow` | looks at a run until its end |
-//! | `scene`, `history`, `latency` | what is shown, bounded |
+//! | `follow` | follows a run until its end |
+//! | `scene`, `history`, `latency` | the displayed data, bounded |
 //! | `act` | what the buttons do |
-//! | `server` | how a browser gets it; `guard`: who may look and act; `page/`: the page itself |
+//! | `server` | the HTTP server; `guard`: access control; `page/`: the page itself |
 
 mod act;
 mod follow;
@@ -54,7 +54,7 @@ pub fn live(name: &RunName, port: Option<u16>, json: bool) -> Result<(), Failure
     let note = format!("{} {token}", listener.local_addr()?.port());
     let scene = Scene::new(&run.name().to_string(), "run", scenario);
     let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
-    // Without it the page is found at another address after a kill.
+    // Without it the page has another address after a kill.
     let _ = run.leave_note(LIVE_NOTE, &note);
     if json {
         print_json(&json!({ "name": run.name().to_string(), "address": server.address() }))?;
@@ -116,7 +116,7 @@ fn feed(
     Ok(())
 }
 
-/// A port and a token that nobody has.
+/// A free port and a new token.
 fn new_address(port: Option<u16>) -> Result<(TcpListener, Token), Failure> {
     Ok((listen(port)?, Token::new()?))
 }

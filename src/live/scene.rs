@@ -98,7 +98,7 @@ struct Robot {
     /// What it drives.
     heading_rad: f64,
     speed_mps: f64,
-    /// What fusion told it.
+    /// Fusion's command.
     command_rad: f64,
     command_mps: f64,
     /// The range that fusion heard, and where it was measured.
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_viewer_is_told_at_first_of_all_and_then_of_what_is_new() {
+    fn a_viewer_receives_the_full_scene_first_and_then_changes() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let (mut scene, mut seen) = (Scene::new("a", "run", &scenario), Seen::default());
         let names = |events: &[(String, Value)]| events.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
@@ -350,16 +350,16 @@ mod tests {
             scene.add(frame_for_test(tick, &scenario));
         }
         scene.set_nodes(json!({"nodes": []}));
-        let told = events(&scene, &mut seen);
-        assert_eq!(names(&told), ["nodes", "picture"]);
-        assert_eq!(told[1].1["history"]["points"].as_array().unwrap().len(), 9);
+        let sent = events(&scene, &mut seen);
+        assert_eq!(names(&sent), ["nodes", "picture"]);
+        assert_eq!(sent[1].1["history"]["points"].as_array().unwrap().len(), 9);
         scene.add(frame_for_test(10, &scenario));
         scene.end("over");
-        let told = events(&scene, &mut seen);
-        assert_eq!(names(&told), ["picture", "ended"]);
+        let sent = events(&scene, &mut seen);
+        assert_eq!(names(&sent), ["picture", "ended"]);
         // The last point may have grown.
-        assert_eq!(told[0].1["history"]["from"], 8);
-        assert_eq!(told[0].1["history"]["points"].as_array().unwrap().len(), 2);
+        assert_eq!(sent[0].1["history"]["from"], 8);
+        assert_eq!(sent[0].1["history"]["points"].as_array().unwrap().len(), 2);
     }
 
     #[test]
@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_told_as_unknown() {
+    fn nan_and_infinite_values_are_shown_as_unknown() {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         let (mut scene, mut seen) = (Scene::new("a\n\"b", "run", &scenario), Seen::default());
         let mut frame = frame_for_test(u64::MAX - 1, &scenario);
@@ -389,7 +389,7 @@ mod tests {
         scene.add(frame.clone());
         scene.add(frame);
         scene.looked(Instant::now());
-        let told = events(&scene, &mut seen);
-        assert_eq!(told[2].1["estimate_m"], json!([null, null]));
+        let sent = events(&scene, &mut seen);
+        assert_eq!(sent[2].1["estimate_m"], json!([null, null]));
     }
 }

@@ -36,14 +36,14 @@ pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Resu
         _ => ("standard input".to_owned(), Box::new(io::stdin().lock())),
     };
     let complain = |number: u64, problem: &str| {
-        // If nobody listens, the line's answer still tells.
+        // If standard error is closed, the line's answer still has the error.
         let _ = writeln!(io::stderr(), "error: {name}: line {number}: {problem}");
     };
     match serve(&mut desk, input, io::stdout().lock(), LINE_BYTES_MAX, complain) {
         Ok(0) => Ok(()),
-        Ok(_) => Err(Failure::ToldInput),
+        Ok(_) => Err(Failure::ReportedInput),
         Err(Stopped::Reading(error)) => Err(unreadable(&name, &error)),
-        // Whoever read the answers has had enough.
+        // The reader has closed the pipe.
         Err(Stopped::Writing(error)) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         Err(Stopped::Writing(error)) => Err(anyhow::Error::new(error).context("standard output").into()),
     }

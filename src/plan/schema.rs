@@ -65,16 +65,16 @@ fn complaint(text: &str, error: &serde_json::Error) -> String {
     let path = tracked.err().map(|tracked| tracked.path().to_string()).unwrap_or_default();
     let path = path.trim_end_matches('?').trim_end_matches('.');
     let place = if path.is_empty() { String::new() } else { format!("{path}: ") };
-    let said = error.to_string();
-    let said = said.rsplit_once(" at line ").map_or(said.as_str(), |(said, _)| said);
-    if said.starts_with("number out of range") {
+    let message = error.to_string();
+    let message = message.rsplit_once(" at line ").map_or(message.as_str(), |(message, _)| message);
+    if message.starts_with("number out of range") {
         format!("{place}expected a finite number, got one out of range")
     } else if !error.is_data() {
-        format!("{place}expected valid JSON, got at column {}: {said}", error.column())
-    } else if said.starts_with("duplicate field") {
-        format!("{place}expected each key once, got a {said}")
+        format!("{place}expected valid JSON, got at column {}: {message}", error.column())
+    } else if message.starts_with("duplicate field") {
+        format!("{place}expected each key once, got a {message}")
     } else {
-        format!("{place}{}", said.replace("a sequence", "a list"))
+        format!("{place}{}", message.replace("a sequence", "a list"))
     }
 }
 

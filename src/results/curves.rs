@@ -1,4 +1,4 @@
-//! What is drawn of a run: the logs of its nodes, thinned.
+//! The curves and paths that are drawn of a run: the logs of its nodes, thinned.
 
 use std::ops::Range;
 
@@ -13,10 +13,10 @@ use crate::draw::field::Paths;
 use crate::results::frame::PutDown;
 use crate::results::report::{Truth, position_covariance};
 
-/// Points of a curve: more would not be seen.
+/// Most points of a curve; more could not be distinguished.
 const POINTS_MAX: u64 = 1_500;
 
-/// Points of all robots' paths together: a page stays small enough to be sent to somebody.
+/// Most points of all robots' paths together, so that the page stays small enough to send.
 const ROBOT_POINTS_MAX: u64 = 50_000;
 
 /// Buckets that a run is cut into.
@@ -25,22 +25,22 @@ const STRETCHES_MAX: u64 = 300;
 /// Largest number that axes can be made for.
 pub const DRAWABLE_MAX: f64 = 1e15;
 
-/// Every so many ticks of a run.
+/// The drawn ticks, at a regular interval.
 #[derive(Debug, Clone, Default)]
 pub struct Curves {
     /// Their times, s.
     pub times_s: Vec<f64>,
-    /// Who was where.
+    /// Positions of the target, the estimate and the robots.
     pub paths: Paths,
-    /// The least that the trace could have been, where that is proven: time and trace, s and m^2.
+    /// The proven lower bound of the trace: time and trace, s and m^2.
     pub least_traces_m2: Vec<(f64, f64)>,
-    /// All ticks, added up.
+    /// Sums over all ticks, in buckets.
     pub stretches: Vec<Bucket>,
-    /// When ticks were over, monotonic ns, and their times, s.
+    /// End times of ticks, monotonic ns, and their run times, s.
     ended_ns: Vec<(u64, f64)>,
 }
 
-/// Some ticks in a row, added up.
+/// Sums over some consecutive ticks.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Bucket {
     first_tick: u64,
@@ -52,7 +52,7 @@ pub struct Bucket {
     pub nis: f64,
     /// Ranges fused in time: degrees of freedom of the NIS.
     pub fused: u64,
-    /// Robots not heard, or too late to be used.
+    /// Robots whose range was missing or too late to be used.
     pub missing: u64,
     /// Ranges that came after their tick.
     pub late: u64,
@@ -64,7 +64,7 @@ pub struct Bucket {
 
 impl Bucket {
     fn add(&mut self, estimate: &Estimate) {
-        // What a damaged log holds may be any number.
+        // A damaged log may hold any number.
         let add = |sum: &mut u64, count: u64| *sum = sum.saturating_add(count);
         self.ticks += 1;
         self.nis += estimate.nis;
@@ -75,7 +75,7 @@ impl Bucket {
     }
 }
 
-/// Gathers the curves of a run tick by tick; `truth` is the target's true track where the run knows none.
+/// Collects the curves of a run tick by tick; `truth` is the target's true track if the run does not know it.
 #[derive(Debug)]
 pub struct CurvesBuilder<'a> {
     curves: Curves,
@@ -149,7 +149,7 @@ impl Curves {
         if let Some(stretch) = stretches.last_mut() {
             stretch.add(estimate);
         }
-        // What came late was not missing after all, though it was when its own tick was told of: here or just before.
+        // A late range was counted as missing at its own tick: in this bucket or shortly before. Correct that here.
         let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
         for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
             let found = came.min(stretch.missing);
@@ -158,7 +158,7 @@ impl Curves {
         }
     }
 
-    /// True if no number is one that axes or ellipses could not be made of: their loops would not end.
+    /// True if all numbers are finite and small enough: otherwise the loops that draw axes and ellipses would not end.
     fn can_be_drawn(&self) -> bool {
         let Paths { estimates_m, covariances_m2, .. } = &self.paths;
         let places = estimates_m.iter().chain(self.paths.bodies()).flat_map(|place| place.iter());
@@ -169,13 +169,13 @@ impl Curves {
             && self.times_s.is_sorted()
     }
 
-    /// True if there is something over time.
+    /// True if at least one tick was added.
     #[must_use]
     pub fn has_length(&self) -> bool {
         self.times_s.len() >= 2
     }
 
-    /// From the first tick to the last, s.
+    /// Times of the first and the last tick, s.
     #[must_use]
     pub fn span_s(&self) -> Range<f64> {
         let first = self.times_s.first().copied().unwrap_or_default();
@@ -194,7 +194,7 @@ impl Curves {
         self.times_s.iter().zip(&self.paths.covariances_m2).map(|(time_s, p)| (*time_s, p.trace()))
     }
 
-    /// The run's time at a monotonic time: that of the tick that was going on, or the nearest. `None` without ticks.
+    /// The run time at a monotonic time: that of the tick in progress, or of the nearest tick. `None` without ticks.
     #[must_use]
     pub fn time_s_at(&self, monotonic_ns: u64) -> Option<f64> {
         let after = self.ended_ns.partition_point(|(ended_ns, _)| *ended_ns < monotonic_ns);
@@ -214,11 +214,11 @@ impl Curves {
 /// Which ticks of a run are drawn.
 #[derive(Debug, Clone, Copy)]
 struct Thinning {
-    /// One of so many, and
+    /// The interval between drawn ticks.
     every: u64,
-    /// the last.
+    /// The last tick, which is always drawn.
     last: u64,
-    /// Ticks of a stretch.
+    /// Ticks of a bucket.
     stretch: u64,
 }
 
@@ -239,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_happened_between_two_ticks_has_a_time_between_theirs() {
+    fn an_event_between_two_ticks_gets_a_time_between_them() {
         let curves = Curves { ended_ns: vec![(1_000, 0.1), (3_000, 0.2), (9_000, 0.3)], ..Curves::default() };
         let near = |at_ns, expected: f64| (curves.time_s_at(at_ns).unwrap() - expected).abs() < 1e-12;
         assert!(near(0, 0.1) && near(2_000, 0.15) && near(3_000, 0.2) && near(6_000, 0.25) && near(u64::MAX, 0.3));

@@ -1,5 +1,5 @@
-//! A run tick by tick: all that travelled on its topics, from what the nodes put down. Report, tables, curves, the page and
-//! recordings are made from here.
+//! A run tick by tick: all messages of its topics, read from the nodes' logs. Report, tables, curves, page and
+//! recordings are made from these frames.
 
 use nalgebra::Vector2;
 use rangehound_fusion::LATE_TICKS_MAX;
@@ -9,7 +9,7 @@ use rangehound_node::tick_log::{TickLogError, TickLogReader};
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{FusionRecord, WorldRecord};
 
-/// The newest ticks, whose records fusion may still amend, or put down anew when it comes back from a kill.
+/// The newest ticks. Fusion may still change their records, or write them again after a kill.
 pub const UNSETTLED_TICKS: usize = LATE_TICKS_MAX + 1;
 
 /// One tick of a run.
@@ -17,25 +17,25 @@ pub const UNSETTLED_TICKS: usize = LATE_TICKS_MAX + 1;
 pub struct Frame {
     /// The tick.
     pub tick: u64,
-    /// What fusion heard, knew and commanded.
+    /// Fusion's input, estimate and commands.
     pub fusion: FusionRecord,
-    /// Where all were, and what the robots did.
+    /// True positions, and the robots' actions.
     pub world: WorldRecord,
 }
 
-/// One tick as far as it was put down: a node that was killed may lack one that the other has.
+/// One tick as far as it was logged: after a kill one node's record may be missing.
 #[derive(Debug, Clone, Copy)]
 pub struct PutDown<'a> {
     /// The tick.
     pub tick: u64,
-    /// What fusion heard, knew and commanded.
+    /// Fusion's input, estimate and commands.
     pub fusion: Option<&'a FusionRecord>,
-    /// Where all were, and what the robots did.
+    /// True positions, and the robots' actions.
     pub world: Option<&'a WorldRecord>,
 }
 
 impl PutDown<'_> {
-    /// Where the target truly was, if the simulator knew, m.
+    /// The target's true position, m, if the simulator knew it.
     #[must_use]
     pub fn target_m(&self) -> Option<Vector2<f64>> {
         let truth = &self.world?.truth;
@@ -43,7 +43,7 @@ impl PutDown<'_> {
     }
 }
 
-/// The ticks of a run folder, while the run goes on or after it. Nobody is asked or woken: the nodes' own logs are read.
+/// The ticks of a run folder, during the run or after it. Only the nodes' logs are read; no node is contacted.
 #[derive(Debug)]
 pub struct Frames {
     fusion: TickLogReader<FusionRecord>,
@@ -54,7 +54,7 @@ impl Frames {
     /// Opens the logs of a run.
     ///
     /// # Errors
-    /// If one is not there yet, or is another run's.
+    /// If a log does not exist yet, or belongs to another run.
     pub fn open(description: &RunDescription) -> Result<Self, TickLogError> {
         Ok(Self { fusion: logs::read_estimates(description)?, world: logs::read_worlds(description)? })
     }
@@ -62,7 +62,7 @@ impl Frames {
     /// The newest tick that both logs have room for; `None` before the first.
     ///
     /// # Errors
-    /// If the system does not tell.
+    /// If the length of a log cannot be read.
     pub fn newest_tick(&self) -> Result<Option<u64>, TickLogError> {
         Ok(self.fusion.newest_tick()?.min(self.world.newest_tick()?))
     }
@@ -70,12 +70,12 @@ impl Frames {
     /// The newest tick that fusion's log has room for, whether or not the simulator's has.
     ///
     /// # Errors
-    /// If the system does not tell.
+    /// If the length of the log cannot be read.
     pub fn newest_estimate(&self) -> Result<Option<u64>, TickLogError> {
         self.fusion.newest_tick()
     }
 
-    /// What fusion has put down of a tick, whether or not the simulator has.
+    /// Fusion's record of a tick, even if the simulator has none yet.
     ///
     /// # Errors
     /// If its log cannot be read.
@@ -83,7 +83,7 @@ impl Frames {
         Ok(self.fusion.at(tick)?.map(|record| record.estimate))
     }
 
-    /// The frame of a tick; `None` if one of the nodes has not put it down.
+    /// The frame of a tick; `None` if a node has not logged it.
     ///
     /// # Errors
     /// If a log cannot be read.
@@ -92,10 +92,10 @@ impl Frames {
         Ok(Some(Frame { tick, fusion: fusion.clone(), world: world.clone() }))
     }
 
-    /// Looks at each tick that either node has put down, in order.
+    /// Visits each tick that at least one node has logged, in order.
     ///
     /// # Errors
-    /// If a log cannot be read, and those of `look`.
+    /// If a log cannot be read; also the errors of `look`.
     pub fn for_each(self, mut look: impl FnMut(PutDown<'_>) -> anyhow::Result<()>) -> anyhow::Result<()> {
         let Self { mut fusion, mut world } = self;
         let (mut known, mut shown) = (fusion.next().transpose()?, world.next().transpose()?);

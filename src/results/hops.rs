@@ -1,6 +1,6 @@
-//! Where the time between a range and its heading goes: the hops of one way through the system.
+//! The time from a range to its heading, divided into hops.
 //!
-//! The stamps ride in the messages, all of one monotonic clock: robots tell theirs in `drive`, fusion its own in
+//! The messages carry the time stamps, all of one monotonic clock: robots send theirs in `drive`, fusion sends its own in
 //! `estimate`. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
 
 use rangehound_shared::message::Stages;
@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::statistics::{Percentiles, Samples};
 
-/// Hops of a way.
+/// Number of hops from range to heading.
 const COUNT: usize = 7;
 
-/// What each is called where there is room, in their order.
+/// Full names of the hops, in order.
 pub const NAMES: [&str; COUNT] =
     ["wait for the team", "fusion awake", "filter", "planner", "checkpoint", "publish", "robot awake"];
 
@@ -20,22 +20,22 @@ pub const NAMES: [&str; COUNT] =
 #[derive(Debug)]
 pub struct Hops([Samples; COUNT]);
 
-/// Percentiles of each hop, us. Medians do not add up to the median of the whole.
+/// Percentiles of each hop, us. The medians of the hops do not add up to the median of the total.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct HopSummary {
-    /// From a robot's sending its range to the last robot's sending its own.
+    /// From a robot's range to the last robot's range.
     pub wait_for_team: Percentiles,
-    /// From there to fusion's having taken it.
+    /// From the last range until fusion has received it.
     pub fusion_awake: Percentiles,
     /// Prediction and update.
     pub filter: Percentiles,
-    /// Choice of the headings.
+    /// Selection of the headings.
     pub planner: Percentiles,
-    /// What a kill must not make forget is written.
+    /// Writing the checkpoint.
     pub checkpoint: Percentiles,
-    /// The headings are sent.
+    /// Sending the headings.
     pub publish: Percentiles,
-    /// From there to the robot's holding its own.
+    /// From sending until the robot has received its heading.
     pub robot_awake: Percentiles,
 }
 
@@ -56,7 +56,7 @@ impl HopSummary {
 }
 
 impl Hops {
-    /// Nothing yet.
+    /// An empty collection.
     ///
     /// # Errors
     /// If a histogram cannot be made.
@@ -65,7 +65,7 @@ impl Hops {
         Ok(Self(std::array::from_fn(|_| none.clone())))
     }
 
-    /// Adds one robot's way in one tick, if all of its stamps are known.
+    /// Adds the hops of one robot in one tick, if all of its stamps are known.
     pub fn add(&mut self, stages: &Stages, robot: &RobotRecord) {
         let Some(durations_ns) = durations_ns(stages, robot) else { return };
         for (samples, duration_ns) in self.0.iter_mut().zip(durations_ns) {
@@ -73,14 +73,14 @@ impl Hops {
         }
     }
 
-    /// Percentiles of what was added.
+    /// Percentiles of the added hops.
     #[must_use]
     pub fn summary(&self) -> HopSummary {
         HopSummary::from_order(self.0.each_ref().map(Samples::percentiles))
     }
 }
 
-/// Each hop's duration; `None` if a stamp is missing, or older than the one before it, as after a restart.
+/// Duration of each hop; `None` if a stamp is missing or older than its predecessor, as after a restart.
 fn durations_ns(stages: &Stages, robot: &RobotRecord) -> Option<[u64; COUNT]> {
     let Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } = *stages;
     let (first_ns, held_ns) = (robot.range_sent_ns?, robot.heading_held_ns?);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_with_stamps_missing_or_out_of_order_is_left_out() {
+    fn hops_with_stamps_missing_or_out_of_order_are_left_out() {
         let whole = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
         let mut hops = Hops::new().unwrap();
         hops.add(&STAGES, &RobotRecord { heading_held_ns: None, ..whole });

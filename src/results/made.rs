@@ -1,4 +1,4 @@
-//! What is made of a run's logs: the report, printed and written, tables, the page and the picture.
+//! All output that is made from a run's logs: the report (printed and written), tables, page and picture.
 
 use std::path::Path;
 
@@ -12,23 +12,23 @@ use super::{page, picture};
 use crate::failure::{self, Failure};
 use crate::terminal;
 
-/// Ticks times robots of a run whose report takes seconds: whoever waits wants to know what for.
+/// Ticks times robots above which the report takes seconds, so that a message announces it.
 const LONG: u64 = 1_000_000;
 
-/// What is done with a run's logs beyond its report, and how that is printed.
+/// Outputs beyond the report, and how the report is printed.
 #[derive(Debug, Default)]
 pub struct Keep {
     /// The ranges and the true track are written as a recording.
     pub ranges: bool,
-    /// The true track to compare with, where the run itself knows none.
+    /// The true track to compare with, if the run does not know it.
     pub truth: Option<Truth>,
     /// The report is printed as JSON.
     pub json: bool,
-    /// A result that is not sound is a failure.
+    /// An invalid result is a failure.
     pub strict: bool,
 }
 
-/// Prints the report of a run and writes all that is made of its logs: whatever cannot be written, the rest is.
+/// Prints the report of a run and writes all other output. A file that cannot be written does not prevent the others.
 ///
 /// # Errors
 /// [`Failure::Running`] with the first file that could not be read or written.
@@ -55,7 +55,7 @@ pub fn report_and_tables(
     Ok(report)
 }
 
-/// Prints the report of a run that another process writes down.
+/// Prints the report of a run that another process logs.
 ///
 /// # Errors
 /// [`Failure::Running`] if a log cannot be read, or standard output not written.
@@ -64,7 +64,7 @@ pub fn print_report(description: &RunDescription, keep: &Keep, nodes: Vec<NodeSu
     printed.map(|()| report)
 }
 
-/// A run's report, and whether it could be printed. The logs are read once: `also` is shown each tick too.
+/// A run's report, and whether it could be printed. The logs are read once: `also` receives each tick too.
 fn make_report(
     description: &RunDescription,
     keep: &Keep,
@@ -93,14 +93,14 @@ fn make_report(
     Ok((report, printed))
 }
 
-/// A path as one would type it here.
+/// A path as typed relative to the current folder.
 pub(crate) fn from_here(path: &Path) -> &Path {
     let here = std::env::current_dir().ok();
     let below = here.and_then(|here| path.strip_prefix(here).ok()).filter(|below| !below.as_os_str().is_empty());
     below.unwrap_or(path)
 }
 
-/// Draws what people look at: the page, and the picture.
+/// Draws the page and the picture.
 ///
 /// # Errors
 /// If the logs hold numbers that cannot be drawn, or a file cannot be written.

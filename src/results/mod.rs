@@ -1,12 +1,12 @@
-//! What a run leaves, made from its nodes' own logs.
+//! The results of a run, made from its nodes' logs.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`frame`] | a run tick by tick: the one reader of the logs |
-//! | [`report`], [`hops`], [`percentiles`] | `report.json` and what it is added up from |
-//! | [`made`] | all that is made of the logs of a run that is over |
+//! | [`frame`] | a run tick by tick: the only reader of the logs |
+//! | [`report`], [`hops`], [`percentiles`] | `report.json` and its figures |
+//! | [`made`] | all output of a finished run |
 //! | [`tables`] | CSV |
-//! | [`curves`], [`page`], [`picture`] | what is drawn: `report.html`, a picture |
+//! | [`curves`], [`page`], [`picture`] | drawings: `report.html`, a picture |
 //! | [`run_mcap`] | the run in one file that viewers open |
 
 pub mod curves;

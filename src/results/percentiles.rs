@@ -1,4 +1,4 @@
-//! Percentiles of latencies as pictures: the curve, and a bar for each hop.
+//! Pictures of latency percentiles: the curve, and a bar for each hop.
 
 use plotters::prelude::*;
 use serde::Serialize;
@@ -7,18 +7,18 @@ use crate::draw::chart::{self, Area, Drawn, LogAxis};
 use crate::results::hops::{self, HopSummary};
 use crate::statistics::Samples;
 
-/// Points of a curve from one halving of what is left to the next.
+/// Points of a curve each time the remaining part halves.
 const POINTS_PER_HALVING: u32 = 5;
 
-/// From here on latencies have powers of ten: less has room beside the axis.
+/// Latencies from here on are labelled with powers of ten: there is little room beside the axis.
 const WIDE_US: f64 = 1e6;
 
 /// A point of a percentile curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Point {
-    /// Part of the samples, %,
+    /// Part of the samples, %.
     pub percentile: f64,
-    /// whose latency is at most this, us.
+    /// The largest latency of this part, us.
     pub latency_us: f64,
 }
 
@@ -29,12 +29,12 @@ pub fn curve(latencies_us: &Samples) -> Vec<Point> {
     points.map(|(quantile, latency_us)| Point { percentile: 100.0 * quantile, latency_us }).collect()
 }
 
-/// Where a point stands on the axis: the tenths to which the samples above it come down.
+/// Position of a point on the axis: the number of tenfold reductions of the samples above it.
 fn tenths(point: &Point, last: f64) -> f64 {
     (-(1.0 - point.percentile / 100.0).log10()).min(last)
 }
 
-/// The percentile at so many tenths.
+/// The percentile at this axis position.
 fn percentile(tenths: &f64) -> String {
     if tenths.fract().abs() > 1e-9 {
         return String::new();
@@ -48,8 +48,8 @@ fn percentile(tenths: &f64) -> String {
     }
 }
 
-/// Draws curves on the axis that users of HdrHistogram know: each step to the right leaves a tenth. The largest of
-/// `samples` is the last.
+/// Draws curves on the axis of HdrHistogram: each step to the right leaves a tenth of the samples. The last point is
+/// the largest of the `samples`.
 ///
 /// # Errors
 /// The backend's.
@@ -81,13 +81,13 @@ pub fn draw_curves(area: &Area<'_>, curves: &[(&[Point], RGBColor)], samples: u6
     Ok(())
 }
 
-/// Draws where the time goes, hop by hop, on a log axis: what is rare may take a thousand times as long as what is not.
+/// Draws the duration of each hop on a log axis: a rare duration may be a thousand times as long as a usual one.
 ///
 /// # Errors
 /// The backend's.
 pub fn draw_hops(area: &Area<'_>, hops_us: &HopSummary, colour: RGBColor, label: &str) -> Drawn {
     let hops_us = hops_us.in_order();
-    // Room for the shortest: its bar starts at less than its median.
+    // Room for the shortest bar, which starts below its median.
     let limits = chart::log_limits(hops_us.iter().flat_map(|hop| [hop.p50 / 2.0, hop.p99]));
     let start_us = limits.start;
     let mut chart = chart::draw_rows(area, &hops::NAMES, LogAxis(limits), label)?;

@@ -1,4 +1,4 @@
-//! The picture of a run: who was where, and how well the target was known.
+//! The picture of a run: positions of all bodies, and the accuracy of the estimate.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::draw::over_time::{Line, OverTime};
 use crate::files::layout::PICTURE;
 use crate::results::curves::Curves;
 
-/// Width of the field; its height is what its key needs beside.
+/// Width of the field; its height leaves room for the key.
 const FIELD: u32 = 1_000;
 
 /// Width of the graph beside it.

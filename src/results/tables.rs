@@ -11,22 +11,22 @@ use rangehound_shared::scenario::Source;
 
 use super::frame::{Frames, PutDown};
 use super::report::position_covariance;
-use crate::files::atomic_file::WholeFile;
+use crate::files::atomic_file::AtomicFile;
 use crate::files::layout::{ESTIMATES, RANGES, TRUTH};
 
-/// Writes `estimate.csv` from fusion's log, a row for each stamp: a recording whose sensor repeats within a stamp takes
-/// several ticks for it, of which the last knows most. A recording's tick 0 is left out: it comes before the first range,
-/// when nothing is known.
+/// Writes `estimate.csv` from fusion's log, one row for each stamp. A recording whose sensor repeats within a stamp uses
+/// several ticks for it; the last one has the most information. A recording's tick 0 is left out: it comes before the
+/// first range, when nothing is known.
 ///
 /// # Errors
 /// If a file cannot be read or written.
 pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
     let RunDescription { scenario, out_dir, .. } = description;
     let first_tick = u64::from(matches!(scenario.source, Source::Recorded { .. }));
-    let mut out = WholeFile::create(&out_dir.join(ESTIMATES))?;
+    let mut out = AtomicFile::create(&out_dir.join(ESTIMATES))?;
     writeln!(out, "time_s,x_m,y_m,vx_mps,vy_mps,var_x_m2,cov_xy_m2,var_y_m2")?;
     let mut last: Option<(f64, Estimate)> = None;
-    // What the simulator put down is not needed, and the log may be long.
+    // The simulator's log is not needed, and may be long.
     let mut log = logs::read_estimates(description)?;
     while let Some(record) = log.next() {
         let (tick, FusionRecord { time_s, estimate, .. }) = record?;
@@ -45,21 +45,21 @@ pub fn write_estimate_csv(description: &RunDescription) -> anyhow::Result<()> {
 }
 
 fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) -> std::io::Result<()> {
-    // Models without velocities (a random walk) take them to be zero.
+    // Models without velocities (a random walk) have zero velocity.
     let [x, y, vx, vy, ..] = estimate.state;
     let p = position_covariance(estimate);
     writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
 }
 
-/// Writes `ranges.csv` and `truth.csv` of a run with a truth: what fusion heard of the robots' ranges, in the form of a
-/// recording, and where the target was.
+/// Writes `ranges.csv` and `truth.csv` of a run with known truth: the ranges that fusion received, in the form of a
+/// recording, and the target's true positions.
 ///
 /// # Errors
 /// If a file cannot be read or written.
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let out_dir = &description.out_dir;
-    let mut ranges = WholeFile::create(&out_dir.join(RANGES))?;
-    let mut truths = WholeFile::create(&out_dir.join(TRUTH))?;
+    let mut ranges = AtomicFile::create(&out_dir.join(RANGES))?;
+    let mut truths = AtomicFile::create(&out_dir.join(TRUTH))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
     Frames::open(description)?.for_each(|PutDown { fusion, world, .. }| {

@@ -1,4 +1,4 @@
-//! From a scenario file to an experiment that may start: checked, with a name and a folder.
+//! From a scenario file to an experiment: checked, with a name and a folder.
 
 use std::path::{Path, PathBuf};
 
@@ -20,28 +20,28 @@ pub const DEFAULT_SCENARIO: &str = include_str!("../../scenarios/paper.toml");
 /// How a run gets its name when the user gives none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Naming {
-    /// The scenario's name, numbered if that is taken: no earlier result is overwritten unasked.
+    /// The scenario's name, numbered if that is taken, so that no earlier result is overwritten.
     Numbered,
-    /// The scenario's name: nodes in other terminals know it.
+    /// The scenario's name, by which nodes in other terminals join.
     Exact,
 }
 
-/// An experiment that may start: everything the user gave has been checked.
+/// An experiment whose input has been checked completely.
 #[derive(Debug)]
 pub struct Experiment {
     /// Name of the run.
     pub name: RunName,
-    /// What its nodes must know.
+    /// The run's description, for its nodes.
     pub description: RunDescription,
     /// The scenario file that leads here again, overrides included: for the run folder, beside the recording's copy.
     pub scenario_file: ScenarioFile,
     /// Files that were read to make it. Nothing may be written over them.
     inputs: Vec<PathBuf>,
-    /// How it goes on to another name, if the user has left that to this program.
+    /// The next names to try, if the user has chosen none.
     numbered: Option<Numbered>,
 }
 
-/// What numbered names are made of.
+/// The parts of numbered names.
 #[derive(Debug)]
 struct Numbered {
     wanted: String,
@@ -49,7 +49,7 @@ struct Numbered {
     folder: Option<Reserved>,
 }
 
-/// A folder made so that no other process takes its name. It goes again if nothing has come into it.
+/// A folder that reserves its name against other processes. It is removed again if it stays empty.
 #[derive(Debug)]
 pub struct Reserved(PathBuf);
 
@@ -98,7 +98,7 @@ impl Experiment {
         self.inputs.iter().map(PathBuf::as_path).collect()
     }
 
-    /// The description for those who read the recording's copy: without what has been read.
+    /// The description for nodes, which read the recording's copy: without the recording's data.
     #[must_use]
     pub fn description_for_nodes(&self) -> RunDescription {
         let mut description = self.description.clone();
@@ -153,7 +153,7 @@ impl Experiment {
         Ok(Self { name, description, scenario_file: file, inputs, numbered })
     }
 
-    /// Founds its run. Where the user gave no name and another process has just taken this one, the next is taken.
+    /// Founds its run. If the user gave no name and another process has just taken this one, the next is tried.
     ///
     /// # Errors
     /// [`Failure`].
@@ -183,9 +183,9 @@ impl Experiment {
 pub struct Given {
     /// The scenario.
     pub file: ScenarioFile,
-    /// What to call it in errors.
+    /// Its name in errors.
     pub file_name: String,
-    /// What paths in it are relative to.
+    /// The base of relative paths in it.
     pub folder: PathBuf,
     /// The file, if it was read from one.
     pub path: Option<PathBuf>,
@@ -206,7 +206,7 @@ impl Given {
             },
             None => Self {
                 file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
-                // Of the default nothing can be wrong but what the command line puts over it.
+                // The default is valid: only values from the command line can be wrong.
                 file_name: COMMAND_LINE.to_owned(),
                 folder: PathBuf::new(),
                 path: None,
@@ -215,8 +215,8 @@ impl Given {
     }
 }
 
-/// The scenario's name, or the first of name-2, name-3, ... that neither lives nor (unless the folder
-/// is given) has a folder. That folder is made at once: of all who look at the same time only one can.
+/// The scenario's name, or the first of name-2, name-3, ... that no living run has and (unless the folder
+/// is given) no folder. The folder is made at once: of several processes only one succeeds.
 pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<(RunName, Option<Reserved>), Failure> {
     let living = living_runs();
     let short: String = wanted.chars().take(19).collect();
@@ -236,5 +236,5 @@ pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<(RunName, Op
             }
         }
     }
-    Err(Failure::input("--name: expected a name, as all numbered ones are taken"))
+    Err(Failure::input("--name: expected a name: all numbered names are taken; choose another"))
 }

@@ -1,4 +1,4 @@
-//! The run folder before and between runs: made ready, read, and looked at whether a run can go on in it.
+//! The run folder before and between runs: preparing, reading, and checking it for `resume`.
 
 use std::path::Path;
 
@@ -10,12 +10,12 @@ use rangehound_shared::sealed;
 
 use super::experiment::Experiment;
 use crate::failure::Failure;
-use crate::files::atomic_file::{self, WholeFile};
+use crate::files::atomic_file::{self, AtomicFile};
 use crate::files::input::in_utf8;
 use crate::files::layout::{DESCRIPTION, Kind, SCENARIO};
 use crate::files::out_folder::{self, Claim};
 
-/// Makes the run folder ready, and claims it: removes an earlier run's results, writes the scenario.
+/// Prepares and claims the run folder: removes an earlier run's results, writes the scenario.
 ///
 /// # Errors
 /// [`Failure::Input`] if the folder cannot be used.
@@ -27,7 +27,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
         if let Source::Recorded(ranges) = &experiment.description.scenario.source
             && let Some(recording) = ranges.already_read()
         {
-            let mut copy = WholeFile::create(&out_dir.join(COPY))?;
+            let mut copy = AtomicFile::create(&out_dir.join(COPY))?;
             recording.write_csv(&mut copy)?;
             copy.finish()?;
         }
@@ -43,10 +43,10 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
     Ok(claim)
 }
 
-/// What a run is, from its folder, wherever that is now.
+/// Reads a run's description from its folder, which may have been moved.
 ///
 /// # Errors
-/// [`Failure::Input`] if the folder is not a run's.
+/// [`Failure::Input`] if the folder is not a run folder.
 pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let path = folder.join(DESCRIPTION);
     let expected = |reason: &dyn std::fmt::Display| {
@@ -59,8 +59,8 @@ pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     Ok(RunDescription { out_dir, ..description })
 }
 
-/// Claims the folder of a run that is to go on, and looks whether it can: nodes that cannot write there go on without
-/// their logs.
+/// Claims the folder of a run to resume, and checks that its files can be written: a node that cannot write its log
+/// would continue without it.
 ///
 /// # Errors
 /// [`Failure::Input`] with the first file that cannot be written.
@@ -77,7 +77,7 @@ pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure>
             return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
         }
     }
-    // A node would begin another run's log anew.
+    // A node would overwrite the log of another run.
     let has_content = |log: &Path| std::fs::metadata(log).is_ok_and(|log| log.len() > 0);
     let [estimates, worlds] = &logs;
     if has_content(estimates) {

@@ -1,7 +1,7 @@
 //! The roles' machines in one process: no shared memory, no other processes, no waiting, no faults.
 //!
-//! The same estimates to the bit as a lock-step run of the same scenario: what the processes add is
-//! only transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
+//! The estimates equal those of a lock-step run of the same scenario bit for bit: processes add only
+//! transport. This is the oracle of the tests and the engine of Monte Carlo experiments.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rangehound_sim::World;
 use rangehound_sim::machine as sim;
 
-/// Stamps of ranges and headings that say what there was, and give no latency.
+/// Stamps of ranges and headings that exist, without a latency.
 const RANGE_SENT_NS: u64 = u64::MAX;
 const HEADING_HELD_NS: u64 = 1;
 
@@ -46,7 +46,7 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
     Ok(())
 }
 
-/// A whole team, stepped by hand.
+/// A complete team, stepped by the caller.
 #[derive(Debug)]
 pub struct Team {
     sim: sim::Machine,
@@ -81,13 +81,13 @@ impl Team {
     /// # Errors
     /// [`TeamError`].
     pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
-        // It goes on for as long as it is stepped.
+        // The run lasts for as long as it is stepped.
         let ticks = u64::MAX - 1;
         let scenario = &Scenario { clock: Clock::Lockstep, timeout: Timeout::Forever, ticks, ..scenario.clone() };
         let team = 0..scenario.robots.len();
         Ok(Self {
             sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),
-            // Nothing is late here: no past is kept.
+            // No report is late here: past ticks are not stored.
             leader: Leader::of_centre(scenario, Centre::new(scenario)?),
             robots: team
                 .filter_map(|id| Some((robot::Machine::new(scenario, id, 0)?, Sensor::new(scenario, id)?)))
@@ -96,7 +96,7 @@ impl Team {
         })
     }
 
-    /// One tick up to the drives: world, ranges, update, plan. What it left can be looked at until
+    /// One tick up to the drives: world, ranges, update, plan. The results can be read until
     /// [`Self::advance`].
     ///
     /// # Errors
@@ -105,7 +105,7 @@ impl Team {
         self.tick_disturbed(|_| {})
     }
 
-    /// The same, but what the robots tell fusion is disturbed first.
+    /// The same, but the robots' messages to fusion are disturbed first.
     ///
     /// # Errors
     /// As [`Self::tick`].
@@ -183,7 +183,7 @@ impl Team {
         stages.planned_ns.saturating_sub(stages.filtered_ns)
     }
 
-    /// What the robots drive after the present tick.
+    /// The robots' drives after the present tick.
     #[must_use]
     pub fn drives(&self) -> &[Option<Drive>] {
         self.sim.drives()

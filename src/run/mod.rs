@@ -1,14 +1,14 @@
-//! A run: what it is, who starts and watches its processes, and how others look at it and act on it.
+//! A run: its definition, the supervision of its processes, and tools that observe and control it.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`experiment`] | from the command line to a validated scenario, a name and a folder |
-//! | [`folder`] | the run folder, made ready or gone on with |
-//! | [`supervisor`] | `run`, `resume`, `track`: starts the nodes, watches, starts them again, ends them |
+//! | [`folder`] | the run folder, prepared or resumed |
+//! | [`supervisor`] | `run`, `resume`, `track`: starts, watches, restarts and ends the nodes |
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
 //! | [`in_process`] | all roles stepped in this process |
 //! | [`watch`] | progress, as an observer sees it |
-//! | [`recorder`] | who writes `run.mcap` while the run goes on |
+//! | [`recorder`] | the sidecar that writes `run.mcap` during the run |
 //! | [`remote`], [`mod@status`] | `kill`, `restart`, `stop`, `status`: from another terminal |
 //! | [`port`] | ports of this machine |
 //! | [`pin`] | which processors a command runs on |

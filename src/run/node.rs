@@ -1,4 +1,4 @@
-//! One node of a run, started by hand or by a supervisor, and what those who look on have in common with it.
+//! One node of a run, started by hand or by a supervisor, and code that nodes and observers share.
 
 use std::ffi::CStr;
 use std::os::unix::process::CommandExt;
@@ -63,7 +63,7 @@ pub fn robot(name: &RunName, id: usize, parent: Option<u32>) -> Result<(), Failu
     })
 }
 
-/// Joins a run, telling the user if it must wait.
+/// Joins a run; reports to the user if it must wait.
 ///
 /// # Errors
 /// [`Failure`].
@@ -72,14 +72,14 @@ pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Fai
     Rendezvous::join(name, termination, waiting).map_err(input_or_running)
 }
 
-/// Joins a run to look on, under a title (of at most 15 bytes) that tells it from the nodes in the kernel's lists, and with
-/// the least priority: whoever else wants the processor has it. `None` if asked to end before, as by a supervisor whose run
-/// could not start.
+/// Joins a run as an observer, with the lowest priority, so that it never delays other processes. Its title (at most
+/// 15 bytes) distinguishes it from the nodes in the kernel's lists. `None` if asked to end before it could join, as by a
+/// supervisor whose run could not start.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn look_on(title: &CStr, name: &RunName, termination: &Termination) -> Result<Option<Rendezvous>, Failure> {
-    // Without name or priority it looks on all the same.
+    // It also works without title and priority.
     let _ = rustix::thread::set_name(title);
     let _ = rustix::process::setpriority_process(None, LEAST_PRIORITY);
     match join(name, termination) {
@@ -99,16 +99,16 @@ pub fn prepare(role: Role, parent: Option<u32>) -> Result<Termination, Failure> 
     Ok(termination)
 }
 
-/// This program once more; not by its path, which another build may have taken meanwhile.
+/// This program again. Not by its path, where another build may be by now.
 #[must_use]
 pub fn this_program() -> process::Command {
     let mut command = process::Command::new("/proc/self/exe");
-    // What it says goes to a log, and from there may be quoted.
+    // Its output goes to a log, which errors may quote.
     command.arg0("rangehound").env("NO_COLOR", "1");
     command
 }
 
-/// The command line of a node of a run that ends with this process, as a person would write it.
+/// The command line of a node that ends with this process, as a user would type it.
 #[must_use]
 pub fn command_line(role: Role, name: &RunName) -> Vec<String> {
     let kind = match role {
@@ -120,10 +120,10 @@ pub fn command_line(role: Role, name: &RunName) -> Vec<String> {
     kind.into_iter().chain(run).collect()
 }
 
-/// Has this process asked to end when the one that started it ends, if that is given.
+/// Asks the kernel to end this process when its parent ends, if the parent is given.
 ///
 /// # Errors
-/// [`Failure`] if that has ended already.
+/// [`Failure`] if the parent has already ended.
 pub fn end_with(parent: Option<u32>) -> Result<(), Failure> {
     if let Some(pid) = parent {
         set_parent_process_death_signal(Some(Signal::TERM))?;
@@ -135,7 +135,7 @@ pub fn end_with(parent: Option<u32>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A name or role that is taken, or a run of another version, is the user's to mend; the rest is the system's.
+/// A taken name or role, or a run of another version, is an input error; all others are system errors.
 #[must_use]
 pub fn input_or_running(error: RendezvousError) -> Failure {
     match error {

@@ -1,4 +1,4 @@
-//! Which processors a command and all that it starts run on.
+//! The processors of a command and of all processes that it starts.
 
 use std::str::FromStr;
 
@@ -8,10 +8,10 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 /// Which processors to run on.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Pin {
-    /// All that the system allows.
+    /// All processors that the system allows.
     #[default]
     None,
-    /// One of them, for everything: then latency is the software's alone, without wake-ups across processors.
+    /// One processor for all processes: latency then excludes wake-ups across processors.
     OneCore,
     /// These.
     Cpus(Vec<usize>),
@@ -28,7 +28,7 @@ impl Pin {
             Self::None => return Ok(()),
             Self::OneCore => {
                 let allowed = sched_getaffinity(None)?;
-                // The last: interrupts tend to be the first one's.
+                // The last one: the first usually handles interrupts.
                 let last = (0..CpuSet::MAX_CPU).rev().find(|cpu| allowed.is_set(*cpu));
                 set.set(last.unwrap_or(0));
             }

@@ -1,4 +1,4 @@
-//! `record`: writes a run into one file while it goes on, and ends with it.
+//! `record`: writes a run into one file during the run, and ends with it.
 //!
 //! It reads the nodes' logs, some ticks behind them. The run does not notice it. However far it falls behind, it misses no tick
 //! and needs no more memory. If it is killed, another one starts from the first tick and loses nothing.
@@ -43,12 +43,12 @@ pub fn bytes(megabytes: u64) -> u64 {
 pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Result<Recorded, Failure> {
     let termination = Termination::listen()?;
     let description = folder::read_description(folder)?;
-    // A run that goes on writes this recording itself.
+    // A living run writes this recording itself.
     let _alone = out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
     record_logs(&description, out, bytes_max, &termination)
 }
 
-/// Records a run while it goes on; `None` if it was asked to end before it could join.
+/// Records a living run; `None` if it was asked to end before it could join.
 ///
 /// # Errors
 /// [`Failure`].
@@ -85,7 +85,7 @@ impl Recorded {
             (false, Some(file), Some(ticks)) => {
                 failure::print(format_args!("recorded: {ticks} of {ticks_of_run} ticks in {file}\n"))
             }
-            // A warning has said so.
+            // A warning has reported this.
             (false, _, _) => Ok(()),
         }
     }
@@ -275,7 +275,7 @@ impl<'a> Recorder<'a> {
     }
 }
 
-/// A failure that a restart would not mend: the run goes on without a recording.
+/// A failure that a restart would not repair: the run continues without a recording.
 fn unwritable(error: anyhow::Error) -> Failure {
     Failure::input(format!("recording ends, the file that there is can be repaired: {error:#}"))
 }

@@ -1,4 +1,4 @@
-//! A run, seen and acted on from another terminal: what `status` tells; `kill`, `restart`, `stop`.
+//! Observing and controlling a run from another terminal: the data of `status`; `kill`, `restart`, `stop`.
 
 use std::time::{Duration, Instant, SystemTime};
 
@@ -15,7 +15,7 @@ use crate::failure::{Failure, print, print_json};
 use crate::run::node::input_or_running;
 use crate::run::watch;
 
-/// How long what was asked for may take until it is called failed.
+/// Time-out of a request.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 const POLL: Duration = Duration::from_millis(10);
@@ -23,15 +23,15 @@ const POLL: Duration = Duration::from_millis(10);
 /// Time without a heartbeat after which a process that runs is shown as hung.
 const HUNG: Duration = Duration::from_secs(1);
 
-/// State of a node that lives where it cannot be looked at: in another PID namespace.
+/// State of a node in another PID namespace, which cannot be observed.
 pub(crate) const ELSEWHERE: &str = "elsewhere";
 
-/// A run as it is at the moment.
+/// The present state of a run.
 #[derive(Debug, Serialize)]
 pub(crate) struct Status {
     pub(crate) name: String,
     pub(crate) scenario: String,
-    /// `running`, or `finishing`: its nodes have ended or are to, and what it leaves is written.
+    /// `running`, or `finishing`: the nodes are ending or have ended, and the results are being written.
     pub(crate) phase: &'static str,
     /// Newest tick that is over, and the run's last.
     pub(crate) tick: u64,
@@ -45,7 +45,7 @@ pub(crate) struct Status {
     pub(crate) nodes: Vec<NodeStatus>,
 }
 
-/// A node as it is at the moment.
+/// The present state of a node.
 #[derive(Debug, Serialize)]
 pub(crate) struct NodeStatus {
     pub(crate) name: String,
@@ -55,13 +55,13 @@ pub(crate) struct NodeStatus {
     pub(crate) state: &'static str,
     pub(crate) pid: Option<i32>,
     pub(crate) starts: u64,
-    /// Since its last heartbeat, s; by the wall clock, so that a jump of it shows until the next sign.
+    /// Since its last heartbeat, s; by the wall clock, so that a jump of that clock shows until the next heartbeat.
     pub(crate) silent_s: Option<f64>,
     /// Resident memory, kB.
     pub(crate) resident_kb: Option<u64>,
 }
 
-/// `rangehound kill`: SIGKILL, as a crash would end it.
+/// `rangehound kill`: sends SIGKILL, which acts like a crash.
 ///
 /// # Errors
 /// [`Failure`].
@@ -75,7 +75,7 @@ pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failur
     print(format!("killed {node}, process {pid}\n"))
 }
 
-/// `rangehound restart`: asks a node to end and waits for the one that takes its place.
+/// `rangehound restart`: asks a node to end and waits for its successor.
 ///
 /// # Errors
 /// [`Failure`].
@@ -120,7 +120,7 @@ pub fn stop(name: Option<&RunName>, json: bool) -> Result<(), Failure> {
     } else {
         let standbys = (1..=STANDBYS_MAX).map(Role::Standby);
         let mut processes = Vec::new();
-        // All or none: half a team is no run that has ended.
+        // All nodes or none: a run without some of its nodes has not ended.
         for role in watch::roles(robots).chain(standbys) {
             match run.roster().process(role) {
                 Holder::Here(process) => processes.push(process),
@@ -134,7 +134,7 @@ pub fn stop(name: Option<&RunName>, json: bool) -> Result<(), Failure> {
             let _ = process.signal(Signal::CONT);
         }
     }
-    // Its members leave one by one; this one must not be the last that keeps it.
+    // The members leave one by one. This process must not be the last member.
     drop(run);
     let began = Instant::now();
     while living_runs().contains(&name) {
@@ -149,7 +149,7 @@ pub fn stop(name: Option<&RunName>, json: bool) -> Result<(), Failure> {
     print(format!("run {name} has ended\n"))
 }
 
-/// The run that is meant: the one of this name, or the only one there is.
+/// The run of this name, or the only run.
 pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
     let living = living_runs();
     match (name, living.as_slice()) {
@@ -176,7 +176,7 @@ pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid
     Ok(process.pid())
 }
 
-/// The process in a role, as the kernel tells it.
+/// The process in a role, as the kernel identifies it.
 pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failure> {
     if let Role::Robot(id) = role
         && id >= run.description().scenario.robots.len()
@@ -205,7 +205,7 @@ fn gone(run: &Rendezvous, role: Role) -> Failure {
 }
 
 impl Status {
-    /// True while there is any process that the run is made of.
+    /// True while any process of the run exists.
     pub(crate) fn has_processes(&self) -> bool {
         self.nodes.iter().any(|node| node.pid.is_some() || node.state == ELSEWHERE)
     }
@@ -239,7 +239,7 @@ impl NodeStatus {
     fn of(run: &Rendezvous, role: Role) -> Self {
         let holder = run.roster().process(role);
         let (pid, told) = match &holder {
-            Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.told("status")),
+            Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.proc_text("status")),
             Holder::Nobody | Holder::Elsewhere => (None, String::new()),
         };
         let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);

@@ -39,7 +39,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
     let termination = Termination::listen()?;
     let in_place = again && !json && terminal::draws_on_stdout();
     let mut is_first = true;
-    // It joins only to look: a run does not end while it has members.
+    // It joins only briefly: a run does not end while it has members.
     while let Some(run) = Rendezvous::join_if_alive(&name).map_err(input_or_running)? {
         let status = Status::of(&run);
         drop(run);
@@ -245,14 +245,14 @@ mod tests {
     }
 
     #[test]
-    fn who_is_not_well_comes_first() {
+    fn nodes_in_trouble_come_first() {
         let states = ["running", "stopped", "gone", "hung"];
         let text = text(&status(4, |id| states[id]), false);
         assert_eq!(nodes_shown(&text), ["robot-2", "robot-3", "robot-1", "sim", "fusion", "robot-0", "run"]);
     }
 
     #[test]
-    fn many_robots_that_are_well_share_a_line_and_the_others_do_not() {
+    fn many_running_robots_share_a_line_and_the_others_do_not() {
         let status = status(128, |id| if id == 77 { "hung" } else { "running" });
         let folded = text(&status, false);
         assert_eq!(nodes_shown(&folded), ["robot-77", "sim", "fusion", "127 robots", "run"]);
@@ -263,14 +263,14 @@ mod tests {
     }
 
     #[test]
-    fn many_robots_that_are_gone_are_told_by_number() {
+    fn many_robots_that_are_gone_are_listed_by_id() {
         let text = text(&status(256, |id| if id % 3 == 0 { "running" } else { "gone" }), false);
         assert!(text.contains("171 robots") || text.contains("170 robots"), "{text}");
         assert!(text.contains("robot-1 to 2, 4 to 5,") && text.contains("253 to 254"), "{text}");
     }
 
     #[test]
-    fn of_a_run_that_is_over_those_are_shown_that_are_still_there() {
+    fn a_finished_run_shows_only_living_nodes() {
         let mut over = status(3, |_| "gone");
         over.phase = "finishing";
         let text = text(&over, true);
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_is_told_by_the_users_name_in_its_row() {
+    fn a_robots_row_shows_its_sensors_name() {
         let mut status = status(3, |_| "running");
         for (node, name) in status.nodes[2..].iter_mut().zip(["2938", "\u{202e}a\u{1b}[31m", &"n".repeat(64)]) {
             node.sensor = Some(name.to_owned());

@@ -1,4 +1,4 @@
-//! Progress of a run, as an observer sees it: never woken, never waited for.
+//! Progress of a run for observers: no node notifies or waits for them.
 
 use std::time::{Duration, Instant};
 
@@ -22,15 +22,15 @@ pub const LOOK: Duration = Duration::from_millis(50);
 /// How often a line is printed where there is no terminal.
 const LINE: Duration = Duration::from_secs(2);
 
-/// How long fusion may take to put its last tick down once the run has ended. By then a supervisor has killed one that hangs.
+/// How long fusion may take to record its last tick after the run's end. By then a supervisor has killed a hung fusion.
 const LAST_WORDS: Duration = Duration::from_secs(10);
 
-/// The same where an end is asked for before the run's: asked may be only who waits here.
+/// The same if an end is requested before the run's end: the request may concern only this process.
 const EARLY_LAST_WORDS: Duration = Duration::from_secs(1);
 
 const LAST_WORDS_POLL: Duration = Duration::from_millis(5);
 
-/// How far the two that keep logs have got, as an observer knows.
+/// The newest ticks of the two nodes that write logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Newest {
     /// Tick of the newest estimate.
@@ -39,7 +39,7 @@ pub struct Newest {
     pub sim: Option<u64>,
 }
 
-/// What an observer has caught of a run.
+/// An observer's newest messages of a run.
 #[derive(Debug)]
 pub struct Watch {
     estimates: Subscriber<Estimate>,
@@ -141,7 +141,7 @@ impl Progress {
         Self { bar, is_drawn, step, steps, last_line: None }
     }
 
-    /// Takes the bar away: what follows is the report.
+    /// Removes the bar before the report is printed.
     pub fn finish(&self) {
         if self.is_drawn {
             self.bar.finish_and_clear();
@@ -153,7 +153,7 @@ impl Progress {
     pub fn show(&mut self, done: u64, message: &str) {
         if self.is_drawn {
             if self.bar.is_finished() {
-                // Taken away for what was printed meanwhile, as between the runs of a campaign.
+                // It was removed for other output, as between the runs of a campaign.
                 self.bar.reset();
                 terminal::set_bar(Some(self.bar.clone()));
             }
@@ -186,7 +186,7 @@ pub fn watch(name: &RunName, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The same; false if somebody has removed the shared memory of a run, whose supervisor makes it again.
+/// The same; false if the shared memory of a supervised run was removed: the supervisor makes it again.
 fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) -> Result<bool, Failure> {
     let rendezvous = node::join(name, termination)?;
     let bus = Bus::connect(&rendezvous, "observer")?;
@@ -200,7 +200,7 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
             watch.finish();
             return if is_supervised { Ok(false) } else { Err(input_or_running(rendezvous.removed())) };
         }
-        // Nobody marks a run as finished that is ended before its last tick.
+        // A run that is ended before its last tick is not marked as finished.
         if has_lost_its_supervisor() && !rendezvous.is_finished() {
             watch.finish();
             return Err(Failure::Running(anyhow::anyhow!("run {name} was ended before its last tick")));
@@ -218,13 +218,13 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
         .collect();
     let keep = Keep { json, ..Keep::default() };
     if roster.starts(Role::Supervisor) > 0 {
-        // The supervisor writes the report, and knows more of the nodes.
+        // The supervisor writes the report: it has more data on the nodes.
         return made::print_report(description, &keep, nodes).map(|_| true);
     }
     made::report_and_tables(description, &keep, nodes).map(|_| true)
 }
 
-/// Waits for fusion, which puts its last tick down after it has published it. False if it goes on: the run does, or it hangs.
+/// Waits until fusion has recorded its last tick and ended. False if fusion is still there: the run continues, or fusion hangs.
 pub fn wait_for_last_words(run: &Rendezvous) -> bool {
     let began = Instant::now();
     while run.roster().is_held(Role::Fusion) {

@@ -1,4 +1,4 @@
-//! Studies: many runs, or one looked at in another way.
+//! Studies: many runs, or one run analysed in another way.
 //!
 //! | module | what |
 //! |---|---|
@@ -7,7 +7,7 @@
 //! | [`chaos`] | campaigns of faults on live runs |
 //! | [`explore`] | campaigns of faults in simulated time |
 //! | [`latency`] | the time from range to heading, beside the bare transport |
-//! | [`replay`] | a recording through a fresh fusion: the same to the bit, or what would be different |
+//! | [`replay`] | a recording through a fresh fusion: bit-identical, or the differences |
 
 pub mod calibrate;
 pub mod chaos;

@@ -1,5 +1,5 @@
-//! The commands of each page, typed in order by a shell: in a folder of their own, in which the project's examples lie, and
-//! with a `/dev/shm` of their own, so that the names of their runs are nobody else's.
+//! The commands of each page, run in order by a shell. Each page has its own folder with the project's examples, and
+//! its own `/dev/shm`, so that the names of its runs are unique.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -12,7 +12,7 @@ use super::page::{Block, Page, root};
 use super::{assert_none, pages};
 use crate::support::{Outcome, PROGRAM, Run, skipped};
 
-/// What a test cannot have, and the pages may say so.
+/// The reasons that a page may give for a command that the test cannot run.
 const REASONS: [&str; 8] = [
     "builds the program",
     "needs a browser",
@@ -24,10 +24,10 @@ const REASONS: [&str; 8] = [
     "needs a viewer",
 ];
 
-/// Programs that the pages use and not every machine has.
+/// Programs that the pages use and that some machines lack.
 const OTHERS: [&str; 2] = ["jq", "python3"];
 
-/// The program's folder, the folder's own shared memory, and background jobs whose failure counts too.
+/// The program's folder, the page's own shared memory, and background jobs, whose failures count too.
 const BEFORE: &str = r#"set -euo pipefail
 mount -t tmpfs none /dev/shm
 mkdir temporary
@@ -52,7 +52,7 @@ fn the_commands_of_the_book_do_what_it_says() {
     assert_none(faults);
 }
 
-/// What went wrong when the commands of a page were typed.
+/// The failure of a page's commands, if any.
 fn fault(page: &Page) -> Option<String> {
     let mut script = String::new();
     for block in page.commands().filter(|block| block.not_run.is_none()) {
@@ -72,7 +72,7 @@ fn fault(page: &Page) -> Option<String> {
     }
     let programs = Path::new(PROGRAM).parent().unwrap().display();
     folder.write("typed.sh", format!("export PATH='{programs}':$PATH\n{BEFORE}{script}{AFTER}"));
-    // Whatever the commands start ends with the namespace.
+    // All processes that the commands start end with the namespace.
     let mut args = vec!["--mount", "--pid", "--fork", "--kill-child", "--mount-proc"];
     if !rustix::process::getuid().is_root() {
         args.push("--map-root-user");
@@ -83,7 +83,7 @@ fn fault(page: &Page) -> Option<String> {
     (code != Some(0)).then(|| format!("{}: exit code {code:?}\n{stdout}\n{stderr}", page.path.display()))
 }
 
-/// True if the block uses a program that this machine does not have.
+/// True if the block uses a program that this machine lacks.
 fn lacks_a_program(block: &Block) -> bool {
     let used = |program: &&str| block.text.contains(*program) || block.language == "python" && *program == "python3";
     OTHERS
@@ -92,7 +92,7 @@ fn lacks_a_program(block: &Block) -> bool {
         .any(|program| Command::new(program).arg("--version").output().is_err())
 }
 
-/// The block as it is typed: its background jobs are noted, Python goes to Python.
+/// The block as the shell gets it: background jobs are recorded, Python blocks go to Python.
 fn typed(block: &Block) -> String {
     if block.language == "python" {
         return format!("python3 - <<'PYTHON'\n{}PYTHON\n", block.text);
@@ -101,7 +101,7 @@ fn typed(block: &Block) -> String {
 }
 
 #[test]
-fn what_is_not_run_says_why_and_is_understood() {
+fn skipped_commands_have_a_reason_and_parse() {
     let mut faults = Vec::new();
     let mut reasons = BTreeSet::new();
     for page in pages() {
@@ -120,7 +120,7 @@ fn what_is_not_run_says_why_and_is_understood() {
     assert_none(faults);
 }
 
-/// Why a command would not be understood, if it is one of the project's.
+/// Why the project's program refuses a command, if it does.
 fn refusal(words: &[String]) -> Option<String> {
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     match words[..] {
@@ -143,7 +143,7 @@ fn refusal_by_program(args: &[&str]) -> Option<String> {
     (!is_answer).then(|| format!("rangehound {}: {refusal}", args.join(" ")))
 }
 
-/// An example that is built beside this binary is asked for its help behind the other flags, which it reads before.
+/// An example that is built beside this binary is run with `--help` after the other flags, which it parses first.
 fn refusal_by_example(name: &str, args: &[&str]) -> Option<String> {
     let exists =
         ["fusion", "node", "shared"].iter().any(|member| root().join(format!("{member}/examples/{name}.rs")).exists());
@@ -159,7 +159,7 @@ fn refusal_by_example(name: &str, args: &[&str]) -> Option<String> {
     (!answer.status.success()).then(|| format!("{name}: {}", String::from_utf8_lossy(&answer.stderr)))
 }
 
-/// The commands of a script, word by word: quotes and comments are known, and what stands between commands.
+/// The commands of a script as words. Quotes, comments and separators of commands are understood.
 fn commands(script: &str) -> impl Iterator<Item = Vec<String>> {
     let mut commands = vec![Vec::new()];
     let mut word = String::new();
@@ -189,14 +189,14 @@ fn commands(script: &str) -> impl Iterator<Item = Vec<String>> {
             }
         }
     }
-    // What is redirected is the shell's.
+    // Redirections belong to the shell.
     commands.into_iter().filter(|command| !command.is_empty()).map(|command| {
         let is_argument = |word: &String| !word.starts_with(['<', '>']);
         command.into_iter().take_while(is_argument).collect()
     })
 }
 
-/// A flag is one of the program's, of the driver's or of a script's.
+/// A flag must belong to the program, the driver or a script.
 #[test]
 fn flags_that_are_named_exist() {
     let [driver, script] = ["node/examples/serial_range.rs", "tools/bag_to_csv.py"]

@@ -1,4 +1,4 @@
-//! README, the map of the code and the book in `docs/`: their commands do what they say, their links and names lead
+//! README, ARCHITECTURE.md and the book in `docs/`: their commands work, and their links and names exist.
 //! somewhere.
 
 mod commands;
@@ -14,17 +14,17 @@ use sources::Sources;
 
 use crate::support::Run;
 
-/// Languages of blocks that are not run; those that are have their tests in [`commands`].
+/// Languages of blocks that are not run; [`commands`] tests the others.
 const SHOWN: [&str; 2] = ["text", "toml"];
 
-/// README and ARCHITECTURE.md are read at one sitting.
+/// Limits of length, so that README and ARCHITECTURE.md stay short.
 const LINES_MAX: [(&str, usize); 2] = [("README.md", 150), ("ARCHITECTURE.md", 120)];
 
 fn assert_none(faults: Vec<String>) {
     assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
 }
 
-/// Every page that names what there is now.
+/// Every page that names present files and functions.
 fn pages() -> Vec<Page> {
     let mut pages = Page::of_book();
     pages.extend(["README.md", "ARCHITECTURE.md"].map(Page::of));
@@ -66,7 +66,7 @@ fn leads_somewhere(page: &Page, link: &str) -> bool {
     found && anchor.is_none_or(|anchor| Page::of(path.to_str().unwrap()).anchors().contains(anchor))
 }
 
-/// Whether a name between backticks is one of the project's files or folders.
+/// Whether a name in backticks is one of the project's files or folders.
 fn is_path(sources: &Sources, name: &str) -> bool {
     let is_source = Path::new(name).extension().is_some_and(|extension| extension == "rs" || extension == "py");
     let is_folder = name.ends_with('/') && !name.starts_with('/') && !name.contains("NAME");
@@ -74,7 +74,7 @@ fn is_path(sources: &Sources, name: &str) -> bool {
     !name.contains(' ') && (is_source || is_folder || first.is_some_and(|first| sources.has_at_its_root(first)))
 }
 
-/// Whether a name between backticks is one of a type or function: `Plan`, `Centre::update`.
+/// Whether a name in backticks is that of a type or function: `Plan`, `Centre::update`.
 fn is_of_rust(name: &str) -> bool {
     let is_type = name.starts_with(|c: char| c.is_ascii_uppercase())
         && name.chars().nth(1).is_some_and(|c| c.is_ascii_lowercase());

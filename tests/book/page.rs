@@ -1,9 +1,9 @@
-//! A page as its author wrote it: blocks of commands, links, headings, names between backticks.
+//! A page's parts: blocks of commands, links, headings, names in backticks.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// What a page says of a block that the test cannot run: the reason stands between these two, on the line before the block.
+/// Mark of a block that the test cannot run: the reason is between these two, on the line before the block.
 const NOT_RUN: (&str, &str) = ("<!-- not run: ", " -->");
 
 const FENCE: &str = "```";
@@ -15,12 +15,12 @@ pub(super) fn root() -> &'static Path {
 
 /// A page of the project.
 pub(super) struct Page {
-    /// From the project's folder.
+    /// Path relative to the project's folder.
     pub(super) path: PathBuf,
     pub(super) text: String,
 }
 
-/// What stands between two fences.
+/// The text between two fences.
 pub(super) struct Block {
     pub(super) line: usize,
     pub(super) language: String,
@@ -51,7 +51,7 @@ impl Page {
         paths.into_iter().map(Self::read).collect()
     }
 
-    /// Where something on this page is, for a complaint.
+    /// A position on this page, for an error message.
     pub(super) fn at(&self, line: usize) -> String {
         format!("{}:{line}", self.path.display())
     }
@@ -90,12 +90,12 @@ impl Page {
         (1..).zip(numbered).filter_map(|(number, (outside, line))| outside.then_some((number, line))).collect()
     }
 
-    /// What stands between backticks, with the number of its line.
+    /// Texts in backticks, with their line numbers.
     pub(super) fn names(&self) -> Vec<(usize, &str)> {
         self.prose().into_iter().flat_map(|(number, line)| names(line).map(move |name| (number, name))).collect()
     }
 
-    /// Where links and pictures lead, with the number of their line.
+    /// Targets of links and pictures, with their line numbers.
     pub(super) fn links<'a>(&'a self) -> Vec<(usize, &'a str)> {
         let of_line = |(number, line): (usize, &'a str)| {
             line.split("](").skip(1).filter_map(move |rest| Some((number, rest.split_once(')')?.0)))
@@ -111,7 +111,7 @@ impl Page {
             .collect()
     }
 
-    /// What the headings are called in links.
+    /// Anchors of the headings.
     pub(super) fn anchors(&self) -> BTreeSet<String> {
         self.headings().into_iter().map(|(_, heading)| anchor(heading)).collect()
     }
@@ -124,12 +124,12 @@ impl Page {
     }
 }
 
-/// What stands between backticks in a line.
+/// Texts in backticks in a line.
 pub(super) fn names(line: &str) -> impl Iterator<Item = &str> {
     line.split('`').skip(1).step_by(2)
 }
 
-/// As GitHub makes it of a heading.
+/// A heading's anchor, as GitHub makes it.
 fn anchor(heading: &str) -> String {
     let kept = heading.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
     kept.flat_map(char::to_lowercase).map(|c| if c == ' ' { '-' } else { c }).collect()

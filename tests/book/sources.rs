@@ -1,15 +1,15 @@
-//! What there is in the project: its files and folders, and the names of its tests.
+//! The contents of the project: its files and folders, and the names of its tests.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::page::root;
 
-/// Folders that hold nothing of the project's own.
+/// Folders without files of the project.
 const FOREIGN: [&str; 4] = [".git", "target", "runs", "corpus"];
 
 pub(super) struct Sources {
-    /// Files and folders, from the project's folder.
+    /// Files and folders, relative to the project's folder.
     paths: Vec<PathBuf>,
     tests: BTreeSet<String>,
     /// Every identifier of the Rust sources.
@@ -34,12 +34,12 @@ impl Sources {
         root().join(path).exists() || self.paths.iter().any(|known| known.ends_with(path))
     }
 
-    /// True for the name of a file or folder that lies in the project's folder itself.
+    /// True for the name of a file or folder directly in the project's folder.
     pub(super) fn has_at_its_root(&self, name: &str) -> bool {
         self.paths.iter().any(|path| path == Path::new(name))
     }
 
-    /// True if each part of a name of Rust, such as `Centre::update`, stands in the sources.
+    /// True if each part of a Rust name, such as `Centre::update`, occurs in the sources.
     pub(super) fn has_words(&self, name: &str) -> bool {
         words_of(name).all(|word| self.words.contains(word))
     }

@@ -1,4 +1,4 @@
-//! Hostile input: whatever is handed in is taken or refused in one line, without panic, hang or endless memory.
+//! Hostile input: every input is accepted, or refused in one line, without panic, hang or unbounded memory.
 //!
 //! Each target of `fuzz/` reads its corpus and a bounded number of inputs that are derived from it. `cargo fuzz` finds more.
 
@@ -31,10 +31,10 @@ use rangehound_shared::scenario::{PlannerTable, ScenarioFile};
 
 use targets::{Verdict, check, made, project};
 
-/// A case takes microseconds: only one that would not end runs into this.
+/// A case takes microseconds: only an endless one reaches this limit.
 const LIMIT: Duration = Duration::from_secs(60);
 
-/// A test for each target: how many inputs are derived, and the documents that are made beside those of `fuzz/corpus/`.
+/// A test for each target: the number of derived inputs, and the generated documents beside those of `fuzz/corpus/`.
 macro_rules! attacks {
     ($($target:ident: $cases:literal, $made:expr;)*) => {
         $(#[test]
@@ -79,20 +79,20 @@ fn attack(name: &str, cases: u32, mut taken: Vec<Vec<u8>>, target: fn(&[u8]) -> 
     }
     let count = Cell::new(0);
     for_all(cases, &derived(taken), |Input(bytes)| count.set(count.get() + u32::from(feed(&bytes).is_ok())));
-    // Damage that only ever does one of both would test half of a reader.
+    // Derived inputs of only one kind would test half of a reader.
     assert!(count.get() > 0, "{name}: none of {cases} derived inputs is taken");
     println!("{name}: {} of {cases} derived inputs are taken", count.get());
 }
 
-/// The files of a folder, if there is one, always in the same order.
+/// The files of a folder, if it exists, always in the same order.
 fn documents(folder: &Path) -> Vec<Vec<u8>> {
-    // Sound documents of formats that follow the protocol's number are made, so there may be no folder of them.
+    // Valid documents of formats that follow the protocol version are generated, so there may be no folder for them.
     let mut files: Vec<_> = std::fs::read_dir(folder).into_iter().flatten().map(|file| file.unwrap().path()).collect();
     files.sort();
     files.iter().map(|file| std::fs::read(file).unwrap()).collect()
 }
 
-/// The same values each time; a value that fails is made as small as it can be.
+/// Uses the same values in each run; a failing value is minimised.
 fn for_all<S: Strategy>(cases: u32, strategy: &S, test: impl Fn(S::Value)) {
     let config =
         ProptestConfig { cases, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default() };
@@ -112,7 +112,7 @@ impl Debug for Input {
     }
 }
 
-/// Documents in which words, and what is between words, are lost, added or others.
+/// Documents in which words and separators are lost, added or changed.
 fn derived(documents: Vec<Vec<u8>>) -> impl Strategy<Value = Input> + Clone {
     let hostile = include_str!("../../fuzz/words.dict").lines().map(|line| line.trim_matches('"').as_bytes().to_vec());
     let piece = prop_oneof![
@@ -144,7 +144,7 @@ fn within<T>(list: &[T], at: Index, len: usize) -> Range<usize> {
     at..list.len().min(at + len)
 }
 
-/// Ends the whole test if nothing comes after an input.
+/// Ends the test process if an input takes too long.
 fn watchdog(name: String) -> Sender<Vec<u8>> {
     let (sender, inputs) = channel::<Vec<u8>>();
     std::thread::spawn(move || {
@@ -163,7 +163,7 @@ fn watchdog(name: String) -> Sender<Vec<u8>> {
     sender
 }
 
-/// A checksum finds all damage but the one that is made to fit, so libFuzzer cannot be asked this.
+/// Checksums detect all damage except forged checksums, so libFuzzer cannot test this.
 #[test]
 fn no_damage_passes_a_checksum() {
     let sealed: Vec<_> =
@@ -182,7 +182,7 @@ fn no_damage_passes_a_checksum() {
     });
 }
 
-/// A few million bytes of what recursion, repetition and length could break.
+/// A few million bytes that stress recursion, repetition and length.
 #[test]
 fn long_input_is_taken_or_refused_too() {
     const LEN: usize = 2_000_000;
@@ -217,7 +217,7 @@ fn long_input_is_taken_or_refused_too() {
     }
 }
 
-/// What nodes of this run could send if they were broken.
+/// Messages that broken nodes of this run could send.
 #[test]
 fn hostile_messages() {
     let scenario = made::scenario("paper.toml");

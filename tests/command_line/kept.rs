@@ -1,4 +1,4 @@
-//! Nothing of the user's is replaced or removed: output folders, inputs, and results that several processes could write.
+//! No file of the user is replaced or removed: output folders, inputs, and results that several processes could write.
 
 use std::os::unix::fs::symlink;
 use std::path::Path;
@@ -68,7 +68,7 @@ fn a_folder_with_other_files_is_refused_by_every_command_and_left_as_it_was() {
 }
 
 #[test]
-fn what_is_no_folder_is_refused_with_the_cause_and_left_as_it_was() {
+fn a_path_that_is_no_folder_is_refused_with_the_cause_and_unchanged() {
     let run = Run::new();
     run.write("uwb.csv", RECORDING);
     run.write("file", "mine");
@@ -112,7 +112,7 @@ fn an_input_that_lies_where_results_would_go_is_refused_under_every_name() {
         assert_refused(&start(&run, &format!("{words} --out d")), "is read, and lies where");
     }
     assert!(before == snapshot(&run.path("d")));
-    // With the inputs elsewhere the folder is rangehound's to use again.
+    // With the inputs elsewhere, rangehound may use the folder again.
     start(&run, &format!("track copy.csv {TRACK} --out d")).succeeded();
     assert!(!run.path("d/ranges.csv").exists() && run.path("hard.csv").exists());
 }
@@ -122,7 +122,7 @@ fn in_a_folder_of_rangehounds_own_only_what_it_wrote_is_replaced() {
     let run = Run::new();
     let again = "run --in-process --ticks 20 --write-recording --out out";
     start(&run, again).succeeded();
-    // What has no name of a result is in nobody's way.
+    // Files without a result's name do not prevent a run.
     run.write("out/notes.txt", "mine");
     run.write("out/logs/mine.log", "mine");
     start(&run, again).succeeded();
@@ -132,7 +132,7 @@ fn in_a_folder_of_rangehounds_own_only_what_it_wrote_is_replaced() {
     for file in ["truth.csv", "scenario.toml", "run.mcap", "world.ticks", "logs/sim.log", "report.json.1.partial"] {
         let file = format!("out/{file}");
         let was = std::fs::read(run.path(&file)).ok();
-        // In its place, and over it.
+        // In its place, and on top of it.
         for is_removed in [true, false] {
             if is_removed {
                 let _ = std::fs::remove_file(run.path(&file));
@@ -182,7 +182,7 @@ fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
     assert_refused(&start(&run, "record out"), "it holds 301 ticks of the run");
     assert!(whole == std::fs::read(run.path("out/run.mcap")).unwrap());
     assert!(!run.path("out/run.mcap.partial").exists());
-    // What is repaired is an input too.
+    // The input of a repair is protected too.
     run.write("whole.mcap.partial", &whole[..whole.len() / 2]);
     start(&run, "replay whole.mcap.partial --repair").succeeded();
     assert!(run.path("whole.mcap.partial").exists() && run.path("whole.mcap").exists());
@@ -211,13 +211,13 @@ fn runs_that_start_at_once_take_the_next_number() {
     let all: Vec<_> = (0..6).map(|_| run.start(&words)).collect();
     all.into_iter().for_each(|process| drop(process.finish().succeeded()));
     assert_eq!(std::fs::read_dir(run.path("runs")).unwrap().count(), 6);
-    // Folders of their own, and no name.
+    // They have their own folders, and no name.
     let outs: Vec<String> = (0..4).map(|number| format!("out{number}")).collect();
     let all: Vec<_> = outs.iter().map(|out| run.start(&[&words[..], &["--out", out]].concat())).collect();
     all.into_iter().for_each(|process| drop(process.finish().succeeded()));
 }
 
-/// As when its terminal is closed.
+/// As when the terminal is closed.
 #[test]
 fn a_hangup_ends_a_run_with_its_report_unless_it_is_ignored() {
     for ignored in [false, true] {
@@ -235,7 +235,7 @@ fn a_hangup_ends_a_run_with_its_report_unless_it_is_ignored() {
 }
 
 #[test]
-fn a_simulator_that_joins_a_run_is_told_which_flag_says_otherwise() {
+fn a_joining_simulator_with_other_flags_is_refused_by_flag() {
     let run = Run::new();
     let first = run.node("sim --out out --seed 7");
     run.wait_until("the run is founded", || run.path("out/scenario.toml").exists() && first.has_joined());
@@ -248,7 +248,7 @@ fn a_simulator_that_joins_a_run_is_told_which_flag_says_otherwise() {
     ] {
         assert_refused(&run.node(&format!("sim {flag}")).finish(), expected);
     }
-    // One that says the same would take the place, which is not free.
+    // A simulator with equal settings tries to take the role, which is not free.
     let same = run.node("sim --out out --seed 7").finish();
     assert!(same.stderr.contains("taking the simulator's place"), "{same:#?}");
     assert!(!run.path("other").exists());

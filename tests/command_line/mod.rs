@@ -1,4 +1,4 @@
-//! What a user types: every mistake is told in one line, before anything is made.
+//! The command line: every mistake is reported in one line, before any file is created.
 
 pub(crate) mod hostile;
 mod kept;
@@ -6,7 +6,7 @@ mod terminal;
 
 use crate::support::{Outcome, Run};
 
-/// What a folder holds, but for the captured output.
+/// The contents of a folder, except the captured output.
 fn listing(run: &Run) -> Vec<String> {
     let entries = std::fs::read_dir(run.path("")).unwrap().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
@@ -15,8 +15,8 @@ fn listing(run: &Run) -> Vec<String> {
     names
 }
 
-/// What is wrong with a refusal, if anything: it is exit code 2 and one line that has all of
-/// `names` and says what was expected, and nothing has been made.
+/// The fault of a refusal, if any. A refusal has exit code 2 and one line that contains all of
+/// `names` and the expected value, and no file is created.
 fn fault(run: &Run, before: &[String], outcome: &Outcome, names: &[&str]) -> Option<String> {
     let Outcome { code, stdout, stderr } = outcome;
     let says = |word: &str| stderr.split(|c: char| !c.is_ascii_alphabetic()).any(|said| said == word);
@@ -33,7 +33,7 @@ fn fault(run: &Run, before: &[String], outcome: &Outcome, names: &[&str]) -> Opt
     (!found.is_empty()).then(|| format!("{}: {outcome:?}", found.join(", ")))
 }
 
-/// Fails with everything that went wrong in a table of cases.
+/// Fails with all faults of a table of cases.
 fn assert_none(faults: Vec<String>) {
     assert!(faults.is_empty(), "{} cases:\n{}", faults.len(), faults.join("\n"));
 }
@@ -149,7 +149,7 @@ fn matrices_that_make_no_sense_are_refused_by_key() {
 #[test]
 fn recordings_that_make_no_sense_are_refused_by_row() {
     const HEADER: &str = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n";
-    // One bad row is passed over; where most are bad it is the file that is.
+    // One bad row is skipped; if most rows are bad, the file is refused.
     let mostly = |row: &str| format!("{HEADER}{row}\n{row}\n0.2,1,0,0,5\n").into_bytes();
     let files = [
         (Vec::new(), "row 0"),
@@ -176,7 +176,7 @@ fn recordings_that_make_no_sense_are_refused_by_row() {
     refused_files("track", "bad.csv", &cases);
 }
 
-/// Runs each of (arguments, what the line must name) in a folder with a sound recording.
+/// Runs each of (arguments, what the line must name) in a folder with a valid recording.
 fn refused_usage(cases: &[(&str, &[&str])]) {
     let faults = cases.iter().filter_map(|(words, names)| {
         let run = Run::new();
@@ -303,7 +303,7 @@ fn the_tool_without_a_name_numbers_its_folders() {
 }
 
 #[test]
-fn help_tells_every_flag() {
+fn help_lists_every_flag() {
     let experiment = ["--robots", "--ticks", "--seed", "--clock", "--planner", "--timeout", "--name", "--out"];
     let cases: [(&[&str], &[&str]); 9] = [
         (&[], &["run", "sim", "fusion", "robot", "watch", "scenario", "track", "compare", "Exit codes"]),

@@ -1,5 +1,5 @@
-//! What is printed: for people in 80 columns and without escapes where nobody sees them, for scripts as JSON; what a shell
-//! is told of the commands.
+//! Printed output: in 80 columns and without escapes if there is no terminal, as JSON for scripts; completions and manual
+//! pages of the commands.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,7 @@ use crate::support::{Outcome, Run, signal};
 
 const WIDTH: usize = 80;
 
-/// Keys of the report that others rely on.
+/// Keys of the report that other programs use.
 const CONTRACT: [&str; 17] = [
     "scenario",
     "seed",
@@ -35,7 +35,7 @@ const CONTRACT: [&str; 17] = [
 
 const SHELLS: [&str; 5] = ["bash", "zsh", "fish", "elvish", "powershell"];
 
-/// Fails if a line is too wide, but for a path, which is as long as it is.
+/// Fails if a line is too wide; paths may be of any length.
 #[track_caller]
 fn assert_plain_and_narrow(text: &str) {
     assert!(!text.contains('\u{1b}'), "{text:?}");
@@ -59,14 +59,14 @@ fn assert_report(report: &Value) {
     }
 }
 
-/// Every command that is not hidden.
+/// Every visible command.
 fn commands() -> Vec<String> {
     let command = cli::command();
     let visible = command.get_subcommands().filter(|command| !command.is_hide_set());
     visible.map(|command| command.get_name().to_owned()).collect()
 }
 
-/// One run through its life: looked at, hurt, stopped, resumed, watched.
+/// One run through its life: observed, killed, stopped, resumed, watched.
 #[test]
 fn a_run_reports_in_lines_that_fit_and_as_json() {
     let run = Run::new();
@@ -88,9 +88,9 @@ fn a_run_reports_in_lines_that_fit_and_as_json() {
     let stopped = json(&run.node("stop --json").finish().succeeded());
     assert_eq!(stopped["name"], run.name.as_str());
     let reported = supervisor.finish().stdout;
-    // As one would type it.
+    // The path as the user would type it.
     assert!(reported.ends_with("  run folder       out\n"), "{reported}");
-    // Of the tick under way the simulator has put nothing down, but what fusion has was published.
+    // The simulator has not logged the tick in progress, but the ranges that fusion has count as published.
     let ranges = &run.report()["ranges"];
     assert!(ranges["published"].as_u64() >= Some(ranges["fused"].as_u64().unwrap()), "{ranges}");
     assert!(reported.contains("hops, us p50") && reported.contains("robot-1          2 starts, 1 kills"), "{reported}");
@@ -135,7 +135,7 @@ fn json_is_what_the_file_holds_and_nothing_else() {
     hurt.assert_nothing_left();
 }
 
-/// A supervisor that waits for its recorder, however long that takes, is well.
+/// A supervisor that waits for its recorder for any time is not hung.
 #[test]
 fn a_run_that_is_over_is_finishing_while_it_is_written_up() {
     let run = Run::new();
@@ -168,7 +168,7 @@ fn tables_fit() {
     run.assert_nothing_left();
 }
 
-/// Colour is asked for, as no terminal is there that would ask for it.
+/// Colour is requested explicitly, because there is no terminal.
 #[test]
 fn colours_are_switched_off() {
     const COLOURED: &str = "CLICOLOR_FORCE=1 TERM=xterm";
@@ -183,9 +183,9 @@ fn colours_are_switched_off() {
             assert!(!has_escapes(variables, words), "{variables} {words}");
         }
     }
-    // An empty value forbids nothing.
+    // An empty value does not disable colour.
     assert!(has_escapes(&format!("{COLOURED} NO_COLOR="), "run --help"));
-    // What goes on as data has none, whatever is asked for.
+    // JSON has no colour, even on request.
     assert!(!has_escapes(COLOURED, "run --in-process --ticks 5 --json"));
 }
 
@@ -219,7 +219,7 @@ fn shells_complete_every_command_and_nothing_hidden() {
         }
         assert!(["elvish", "powershell"].contains(&shell) || script.contains("names"), "{shell}");
         assert!(script.contains("--write-recording") || script.contains("write-recording"), "{shell}");
-        // PowerShell and elvish are not told values.
+        // PowerShell and elvish do not get values.
         assert!(["elvish", "powershell"].contains(&shell) || script.contains("greedy"), "{shell}");
     }
 }

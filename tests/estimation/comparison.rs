@@ -6,10 +6,10 @@ use crate::support::Run;
 
 const PICTURES: [&str; 5] = ["trace.svg", "paths.svg", "consistency.svg", "gap.svg", "planning_time.svg"];
 
-/// First seed and number of runs of which some got lost, or nearly so, at 3 sigma.
+/// First seed and number of a series in which some runs were lost, or nearly lost, at 3 sigma.
 const LOST_WITH_LESS: [(u64, u64); 2] = [(1_755, 250), (20_255, 250)];
 
-/// What `compare` printed and its figures.
+/// The output of `compare` and its figures.
 fn compare(words: &str) -> (String, Value, Run) {
     let run = Run::new();
     let mut args: Vec<&str> = words.split_whitespace().collect();
@@ -92,8 +92,8 @@ fn a_comparison_leaves_figures_pictures_and_a_table() {
     }
 }
 
-/// Common random numbers: what differs is the planners' headings alone, and the better they are the
-/// better the target is known.
+/// Common random numbers: only the planners' headings differ, and better headings make the estimate
+/// more accurate.
 #[test]
 fn better_planners_know_the_target_better() {
     let (_, figures, _) = compare("--runs 20 --ticks 60 --planners certified,adaptive,random");
@@ -115,7 +115,7 @@ fn figures_do_not_depend_on_the_number_of_threads() {
     assert_eq!(of(1), of(2));
 }
 
-/// Each run is the one that `run` does with its seed, whoever it is compared with.
+/// Each run equals the one of `run` with its seed, whichever planners are compared.
 #[test]
 fn a_run_of_a_comparison_is_a_run() {
     let run = Run::new();
@@ -143,8 +143,8 @@ fn scenario_flags_and_grid_reach_the_comparison() {
     assert_eq!(figures["planners"][0]["name"], "grid");
 }
 
-/// The stand-off of a scenario that names none, over the seeds at which a smaller one lost runs: one such run in thousands
-/// spoils the errors of all.
+/// The default stand-off, over the seeds at which a smaller one lost runs: one such run in thousands
+/// dominates the errors of all.
 #[test]
 fn the_default_stand_off_loses_no_run() {
     let run = Run::new();

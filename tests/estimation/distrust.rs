@@ -1,4 +1,4 @@
-//! A robot whose sensor fails for a while, over many seeds, each a whole team in this process.
+//! A robot with a temporary sensor fault, over many seeds; each is a complete team in this process.
 
 use nalgebra::Vector2;
 use rangehound::results::report::position_error;
@@ -11,7 +11,7 @@ const TICKS: u64 = 300;
 /// Ticks at which the ranges of robot 1 are too long.
 const OFF: std::ops::Range<u64> = 100..200;
 
-/// What happened in one run.
+/// The outcome of one run.
 struct Outcome {
     /// The first tick after which robot 1 was distrusted.
     named_at: Option<u64>,
@@ -20,7 +20,7 @@ struct Outcome {
     error_at_the_end_m: f64,
 }
 
-/// Runs of `recommended.toml` with more or fewer robots, and ranges of robot 1 that are this much too long.
+/// Runs of `recommended.toml` with this number of robots, and this bias of robot 1's ranges.
 fn outcomes(robots: u64, bias_m: f64) -> Vec<Outcome> {
     let recommended = include_str!("../../scenarios/recommended.toml");
     let mut file = ScenarioFile::parse(recommended, "recommended.toml").unwrap();
@@ -60,7 +60,7 @@ fn run(team: &mut Team, bias_m: f64) -> Outcome {
 
 #[test]
 fn the_robot_whose_sensor_fails_is_named_and_trusted_again_and_nobody_else_ever() {
-    // Of three, now and then one draws the estimate along before its ranges fail.
+    // In a team of three, a faulty robot sometimes biases the estimate before its ranges fail.
     for (robots, slow_ones_max) in [(3, 3), (5, 0)] {
         for bias_m in [10.0, 30.0] {
             let mut slow_ones = 0;

@@ -1,4 +1,4 @@
-//! The filter against a reference that Stone Soup, filterpy and 50-digit arithmetic agree on.
+//! The filter against a reference on which Stone Soup, filterpy and 50-digit arithmetic agree.
 
 use nalgebra::{SMatrix, SVector, Vector2};
 use rangehound_fusion::filter::{Gaussian, RangeInformation};
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 const TOLERANCE: f64 = 1e-9;
 
-/// Computed by the three of them; they agree to all digits that are compared.
+/// Computed by all three; they agree in all digits that are compared.
 fn reference() -> Value {
     serde_json::from_str(include_str!("../data/ekf.json")).unwrap()
 }

@@ -1,4 +1,4 @@
-//! How well teams estimate, each a whole team in this process: against the paper, against references, with faulty sensors.
+//! The accuracy of teams in this process: against the paper, against references, with faulty sensors.
 
 mod comparison;
 mod distrust;

@@ -1,4 +1,4 @@
-//! The paper's experiment over many seeds, each a whole team in this process (Figs. 3 and 4).
+//! The paper's experiment over many seeds; each is a complete team in this process (Figs. 3 and 4).
 
 use rangehound::run::experiment::DEFAULT_SCENARIO;
 use rangehound::run::in_process::Team;

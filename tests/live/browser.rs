@@ -1,4 +1,4 @@
-//! A real browser without a window, driven by the DevTools protocol over two pipes.
+//! A real browser without a window, controlled by the DevTools protocol over two pipes.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 const BROWSERS: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 
-/// Far above what anything here takes.
+/// Far above the time of any step.
 const LIMIT: Duration = Duration::from_secs(60);
 
 const POLL: Duration = Duration::from_millis(20);
@@ -29,13 +29,13 @@ pub(super) struct Browser {
 }
 
 impl Browser {
-    /// `None` if there is none on this machine.
+    /// `None` if this machine has no browser.
     pub(super) fn start() -> Option<Self> {
         let program = find()?;
         let profile = TempDir::new().unwrap();
         let [to, from] = ["to", "from"].map(|name| profile.path().join(name));
         assert!(Command::new("mkfifo").args([&to, &from]).status().unwrap().success());
-        // The protocol is spoken on descriptors 3 and 4.
+        // The protocol uses descriptors 3 and 4.
         let child = Command::new("sh")
             .args(["-c", "exec \"$0\" \"$@\" 3<\"$TO\" 4>\"$FROM\""])
             .arg(&program)
@@ -51,7 +51,7 @@ impl Browser {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        // In the order in which the shell opens them: each waits for the other side.
+        // In the order in which the shell opens them: each end waits for the other.
         let commands = File::options().write(true).open(&to).unwrap();
         let input = BufReader::new(File::open(&from).unwrap());
         let (send, answers) = mpsc::channel();
@@ -73,7 +73,7 @@ impl Browser {
         Some(browser)
     }
 
-    /// Sends a command and waits for what it gives.
+    /// Sends a command and waits for its result.
     #[track_caller]
     fn call(&mut self, method: &str, params: Value) -> Value {
         self.sent += 1;
@@ -97,7 +97,7 @@ impl Browser {
         }
     }
 
-    /// Keeps what the page's console complains of.
+    /// Collects the errors of the page's console.
     fn listen(&mut self, event: &Value) {
         let params = &event["params"];
         let is_complaint = match event["method"].as_str() {
@@ -116,7 +116,7 @@ impl Browser {
     }
 
     pub(super) fn reload(&mut self) {
-        // So that what is waited for next is not yet so.
+        // Ensures that the next awaited condition is not yet true.
         self.evaluate("document.documentElement.dataset.pictures = 0");
         self.call("Page.reload", json!({}));
     }
@@ -133,7 +133,7 @@ impl Browser {
         }
     }
 
-    /// What an expression comes to on the page.
+    /// The value of an expression on the page.
     #[track_caller]
     pub(super) fn evaluate(&mut self, expression: &str) -> Value {
         let params = json!({"expression": expression, "returnByValue": true, "userGesture": true});
@@ -142,11 +142,11 @@ impl Browser {
         answer["result"]["value"].clone()
     }
 
-    /// Waits until an expression is true on the page, whichever page is there by then.
+    /// Waits until an expression is true on the page, even across a reload.
     #[track_caller]
     pub(super) fn wait_for(&mut self, expression: &str) {
         let began = Instant::now();
-        // While a page is being loaded, nothing of it may be there yet.
+        // While a page loads, its elements may be missing.
         let so = format!("(() => {{ try {{ return Boolean({expression}) }} catch {{ return false }} }})()");
         while self.evaluate(&so) != true {
             if began.elapsed() >= LIMIT {
@@ -161,7 +161,7 @@ impl Browser {
         &self.complaints
     }
 
-    /// Ends it in order; what is left undone, drop does.
+    /// Ends the browser in order; drop does the rest.
     pub(super) fn close(mut self) {
         self.session = None;
         self.call("Browser.close", json!({}));
@@ -179,7 +179,7 @@ impl Drop for Browser {
     }
 }
 
-/// The browser that the user names, or the first of those that are usual.
+/// The browser that the user names, or the first usual one.
 fn find() -> Option<PathBuf> {
     if let Some(named) = std::env::var_os("RANGEHOUND_BROWSER") {
         return Some(named.into());

@@ -1,4 +1,4 @@
-//! A plain client of the live page: no more of HTTP than it needs.
+//! A minimal HTTP client of the live page.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -8,17 +8,17 @@ use serde_json::Value;
 
 use crate::support::{Process, Run};
 
-/// Far above what anything here takes.
+/// Far above the time of any step.
 const LIMIT: Duration = Duration::from_secs(60);
 
-/// Where a page is.
+/// Address of a page.
 pub(super) struct Page {
     pub(super) url: String,
     pub(super) port: u16,
     pub(super) token: String,
 }
 
-/// What was answered; status 0 if nothing was.
+/// The answer; status 0 without answer.
 #[derive(Debug)]
 pub(super) struct Answer {
     pub(super) status: u16,
@@ -57,12 +57,12 @@ impl Page {
         self.try_connect().unwrap()
     }
 
-    /// Asks with the token at the end of the path.
+    /// Sends a request with the token at the end of the path.
     pub(super) fn get(&self, path: &str) -> Answer {
         self.ask("GET", &format!("{path}{}", self.token), &[self.host()])
     }
 
-    /// Does what a button does.
+    /// Performs the action of a button.
     pub(super) fn act(&self, action: &str, node: &str) -> Answer {
         let token = format!("X-Rangehound-Token: {}", self.token);
         self.ask("POST", &format!("/act/{action}/{node}"), &[self.host(), token, "Content-Length: 0".to_owned()])
@@ -74,9 +74,9 @@ impl Page {
         request.push_str("\r\n");
         let mut bytes = Vec::new();
         if let Some(mut stream) = self.try_connect() {
-            // The server may have had enough before all is said.
+            // The server may close the connection before all is sent.
             let _ = stream.write_all(request.as_bytes());
-            // A stream that is let in has no end: that it is, is enough.
+            // An accepted stream has no end: its start is sufficient.
             let mut beginning = [0; "HTTP/1.1 200".len()];
             if stream.read_exact(&mut beginning).is_ok() {
                 bytes.extend(beginning);
@@ -108,7 +108,7 @@ impl Events {
         let mut name = String::new();
         loop {
             let mut line = String::new();
-            // Lengths of chunks stand between the events, and are passed over.
+            // Chunk lengths between the events are skipped.
             if self.0.read_line(&mut line).ok()? == 0 {
                 return None;
             }
@@ -120,7 +120,7 @@ impl Events {
         }
     }
 
-    /// Reads until an event of this name is as it should be.
+    /// Reads until an event of this name meets the condition.
     #[track_caller]
     pub(super) fn until(&mut self, name: &str, mut so: impl FnMut(&Value) -> bool) {
         let mut last = Value::Null;

@@ -1,4 +1,4 @@
-//! The live page: who is let in, what its buttons do, what crowds and garbage do not; and in a real browser.
+//! The live page: access, buttons, robustness against crowds and garbage; and in a real browser.
 
 mod browser;
 mod http;
@@ -13,10 +13,10 @@ use crate::support::{Process, Run, comm, digest_in_process, signal, skipped};
 use browser::Browser;
 use http::{Answer, Events, Page};
 
-/// All of the page together.
+/// Largest size of the complete page.
 const PAGE_BYTES_MAX: usize = 300_000;
 
-/// A run that goes on until it is ended, with its page.
+/// A run without end, and its page.
 fn endless(run: &Run) -> (Process, Page) {
     let supervisor = run.command("run --live --clock realtime --ticks 100000");
     let page = Page::of(run, &supervisor);
@@ -30,7 +30,7 @@ fn end(run: &Run, supervisor: Process) {
     run.assert_nothing_left();
 }
 
-/// How the kernel calls the state of a process.
+/// The kernel's letter for the state of a process.
 fn state(pid: Pid) -> char {
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.as_raw_pid())).unwrap_or_default();
     stat.rsplit_once(") ").and_then(|(_, rest)| rest.chars().next()).unwrap_or('X')
@@ -49,7 +49,7 @@ fn server_of(supervisor: &Process) -> Option<Pid> {
 }
 
 #[test]
-fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
+fn only_requests_with_the_token_and_origin_of_the_page_are_accepted() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);
     let Page { port, token, .. } = &page;
@@ -75,7 +75,7 @@ fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
         (403, "GET", format!("/?token={token}"), vec![host.clone(), "Origin: http://evil.example".to_owned()]),
         (403, "GET", format!("/stream?token={token}"), vec![host.clone(), "Origin: null".to_owned()]),
         (403, "POST", act.to_owned(), vec![host.clone()]),
-        // What a form of another page could send.
+        // Requests that a form of another page could send.
         (403, "POST", format!("{act}?token={token}"), vec![host.clone()]),
         (403, "POST", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {wrong}")]),
         (
@@ -87,7 +87,7 @@ fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
         (403, "GET", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {token}")]),
         (405, "PUT", act.to_owned(), vec![host.clone(), format!("X-Rangehound-Token: {token}")]),
     ];
-    // Through a tunnel that takes another port here: refused, with what to do.
+    // Through a tunnel with another local port: refused, with advice.
     let other = [format!("Host: localhost:{}", if *port == 9_000 { 9_001 } else { 9_000 })];
     let answer = page.ask("GET", &format!("/?token={token}"), &other);
     assert_eq!(answer.status, 403, "{answer:?}");
@@ -103,7 +103,7 @@ fn only_who_has_the_token_and_comes_from_the_page_is_let_in() {
         }
         assert!(status == 200 || !answer.body.contains(token.as_str()), "{answer:?}");
     }
-    // Nobody has been killed.
+    // No node was killed.
     assert_eq!(run.starts("robot-1"), 1);
     end(&run, supervisor);
 }
@@ -149,7 +149,7 @@ fn buttons_kill_stop_continue_and_restart() {
     assert_eq!(page.act("kill", "robot-1").status, 200);
     let second = run.pid_of("robot-1", 2);
     assert_ne!(first, second);
-    // The page hears of it.
+    // The page is notified.
     events.until("nodes", |nodes| {
         let node = |name: &str| nodes["nodes"].as_array().unwrap().iter().find(|node| node["name"] == name).cloned();
         node("robot-1").is_some_and(|node| node["pid"] == second.as_raw_pid() && node["starts"] == 2)
@@ -160,7 +160,7 @@ fn buttons_kill_stop_continue_and_restart() {
     run.wait_until("robot-0 is stopped", || state(robot) == 'T');
     assert_eq!(page.act("continue", "robot-0").status, 200);
     run.wait_until("robot-0 goes on", || matches!(state(robot), 'S' | 'R'));
-    // One that is stopped can be restarted too.
+    // A stopped node can be restarted too.
     assert_eq!(page.act("stop", "robot-0").status, 200);
     assert_eq!(page.act("restart", "robot-0").status, 200);
     run.pid_of("robot-0", 2);
@@ -184,7 +184,7 @@ fn buttons_kill_stop_continue_and_restart() {
 }
 
 #[test]
-fn a_viewer_sees_the_run_to_its_last_tick_and_is_told_of_its_end() {
+fn a_viewer_sees_the_run_to_its_last_tick_and_its_end() {
     let run = Run::new();
     let words = "--ticks 20000 --timeout forever --robots 5";
     let supervisor = run.lockstep(&format!("{words} --live"));
@@ -214,7 +214,7 @@ fn a_viewer_sees_the_run_to_its_last_tick_and_is_told_of_its_end() {
     assert_eq!(ended, Some(Value::from("finished")));
     assert_eq!(points.last().unwrap()[0], 20_000);
     supervisor.finish().succeeded();
-    // Whoever looks on, not a bit of any estimate changes.
+    // Observers do not change a bit of any estimate.
     assert_eq!(run.digest(), digest_in_process(words));
     run.assert_nothing_left();
 }
@@ -253,7 +253,7 @@ fn a_recording_is_shown_again_as_it_was_or_would_have_been() {
 fn crowds_garbage_and_viewers_that_do_not_read_do_no_harm() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);
-    // They take all streams that there are, and nothing of what is sent.
+    // They open all available streams, and read none.
     let stuck: Vec<_> = (0..20)
         .map(|_| {
             let mut viewer = page.connect();
@@ -272,16 +272,16 @@ fn crowds_garbage_and_viewers_that_do_not_read_do_no_harm() {
         &[b'A'; 100_000],
     ] {
         let mut connection = page.connect();
-        // The server may have closed it in the middle.
+        // The server may close the connection in the middle.
         let _ = connection.write_all(garbage);
     }
     let long = page.ask("GET", "/", &[page.host(), format!("X-Long: {}", "x".repeat(40_000))]);
     assert!(matches!(long.status, 0 | 431), "{long:?}");
-    // More than it takes: the rest is turned away, and when they are gone all is as before.
+    // More clients than allowed: the others are refused, and afterwards the page works as before.
     let crowd: Vec<_> = (0..200).map(|_| page.try_connect()).collect();
     drop(crowd);
     drop(stuck);
-    // One by one they are noticed to be gone.
+    // Closed connections are noticed one by one.
     run.wait_until("a viewer sees a picture again", || {
         let mut events = Events::open(&page);
         std::iter::from_fn(|| events.next()).any(|(name, _)| name == "picture")
@@ -306,7 +306,7 @@ fn a_page_that_is_killed_comes_back_where_it_was_with_all_that_was_before() {
             && server_of(&supervisor).is_some_and(|server| server != first)
             && page.get("/?token=").status == 200
     });
-    // All that was before is in counts, curves and trails.
+    // Counts, curves and trails include the time before the kill.
     Events::open(&page).until("picture", |picture| {
         let ticks = picture["tally"]["ticks"].as_u64().unwrap();
         let points = picture["history"]["points"].as_array().unwrap();
@@ -317,7 +317,7 @@ fn a_page_that_is_killed_comes_back_where_it_was_with_all_that_was_before() {
 }
 
 #[test]
-fn a_run_by_hand_has_a_page_too_but_nobody_who_starts_nodes_again() {
+fn a_run_by_hand_has_a_page_but_no_restarts() {
     let run = Run::new();
     let live = run.node("live");
     let sim = run.command("sim --clock realtime --ticks 100000 --robots 1");
@@ -337,7 +337,7 @@ fn a_run_by_hand_has_a_page_too_but_nobody_who_starts_nodes_again() {
     assert!(told["address"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{told}");
     other.signal(Signal::TERM);
     other.finish().succeeded();
-    // When the last of them has gone, the page ends too.
+    // When the last node has ended, the page ends too.
     for node in nodes.iter().chain([&sim]) {
         node.signal(Signal::KILL);
     }
@@ -348,7 +348,7 @@ fn a_run_by_hand_has_a_page_too_but_nobody_who_starts_nodes_again() {
 }
 
 #[test]
-fn what_cannot_be_shown_is_refused_in_one_line() {
+fn a_file_that_cannot_be_shown_is_refused_in_one_line() {
     for (words, expected) in [
         ("run --live=x", "--live"),
         ("run --live=65536", "--live"),
@@ -404,7 +404,7 @@ fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
         browser.wait_for(&format!("innerWidth == {width_px}"));
         let width = browser.evaluate("document.documentElement.scrollWidth");
         assert!(width.as_u64() <= Some(width_px), "{width} px wide at {width_px}");
-        // After a kill there are two pids in a row; a longer button is as if it said `continue`.
+        // After a kill there are two pids in a row; the longer button acts like `continue`.
         let overflow = "(() => {
             document.querySelector('tr[data-node=robot-1] button.stop').textContent = 'continue';
             const panel = document.getElementById('processes').getBoundingClientRect().right;
@@ -419,7 +419,7 @@ fn in_a_real_browser_the_canvas_moves_and_a_kill_button_kills() {
     }
     assert_eq!(browser.complaints(), [""; 0]);
 
-    // Loaded again, without a token in its address, it is there again.
+    // Reloaded without a token in its address, the page still works.
     browser.reload();
     browser.wait_for("Number(document.documentElement.dataset.pictures) >= 2");
     end(&run, supervisor);

@@ -1,4 +1,4 @@
-//! Nodes started one by one, each in a terminal of its own as it were.
+//! Nodes started one by one, each as if in its own terminal.
 
 use rustix::process::Signal;
 
@@ -8,7 +8,7 @@ const SIM: &str = "sim mine.toml";
 
 const SCENARIO: &str = "clock = \"lockstep\"\nticks = 200\nseed = 3\ntimeout_s = \"forever\"\n";
 
-/// Starts one node and waits until it has joined the run or says that it waits for it.
+/// Starts one node and waits until it has joined the run or reports that it waits for it.
 fn start(run: &Run, words: &str) -> Process {
     let process = if words == SIM { run.command(words) } else { run.node(words) };
     run.wait_until(words, || process.has_joined() || process.stderr().contains("waiting for run"));
@@ -34,7 +34,7 @@ fn in_any_order_of_starting_the_run_is_the_same() {
         run.write("mine.toml", SCENARIO);
         let (last, first) = order.split_last().unwrap();
         let mut nodes: Vec<Process> = first.iter().map(|words| start(&run, words)).collect();
-        // Fusion, or the node that is still to come, holds the run until the watch is there.
+        // Fusion, or the last node to start, delays the run until the watch has joined.
         let held = if *last == SIM { first.iter().position(|words| *words == "fusion") } else { None };
         let watch = first.iter().position(|words| *words == "watch").unwrap();
         if let Some(held) = held {
@@ -107,7 +107,7 @@ fn a_node_that_waits_for_its_run_ends_when_asked() {
     }
 }
 
-/// A killed node's successor, started by hand too, goes on from the checkpoint.
+/// The successor of a killed node, also started by hand, continues from the checkpoint.
 #[test]
 fn killed_nodes_are_replaced_by_hand_and_change_nothing() {
     let scenario = SCENARIO.replace("200", "4000");
@@ -134,20 +134,20 @@ fn killed_nodes_are_replaced_by_hand_and_change_nothing() {
     run.assert_nothing_left();
 }
 
-/// The first checkpoint stands before the first tick is put down: a simulator killed between a tick's
+/// The first checkpoint is written before the first tick is logged: a simulator killed between a tick's
 /// record and the checkpoint after it is replaced too.
 #[test]
 fn a_simulator_killed_after_its_first_record_is_replaced() {
     let run = Run::new();
     run.write("mine.toml", SCENARIO);
-    // Without the team, tick 0 is never over.
+    // Without the team, tick 0 never ends.
     let sim = start(&run, SIM);
     let checkpoint = run.path("out/sim.checkpoint");
     run.wait_until("the first checkpoint", || std::fs::metadata(&checkpoint).is_ok_and(|file| file.len() > 0));
     let robots = ["robot --id 0", "robot --id 1", "robot --id 2"].map(|words| start(&run, words));
     sim.signal(Signal::KILL);
     sim.finish();
-    // As if it had put tick 0 down: longer than its header.
+    // As if tick 0 had been logged: longer than its header.
     let log = std::fs::OpenOptions::new().append(true).open(run.path("out/world.ticks")).unwrap();
     log.set_len(24 + 8 * 19).unwrap();
     let nodes = [start(&run, SIM), start(&run, "watch"), start(&run, "fusion")];
@@ -158,7 +158,7 @@ fn a_simulator_killed_after_its_first_record_is_replaced() {
     run.assert_nothing_left();
 }
 
-/// Without a usable state a successor would start from the prior and write over what is there.
+/// Without a usable state a successor would start from the prior and overwrite the logs.
 #[test]
 fn a_damaged_checkpoint_is_refused_and_kept() {
     let run = Run::new();
@@ -174,10 +174,10 @@ fn a_damaged_checkpoint_is_refused_and_kept() {
     assert_eq!((refused.code, refused.stderr.lines().count()), (Some(2), 1), "{refused:#?}");
     assert!(refused.stderr.contains("fusion.checkpoint") && refused.stderr.contains("kept as"), "{refused:#?}");
     assert!(run.path("out/fusion.checkpoint.refused").exists());
-    // It is not there any more, but neither does the next one start from the prior.
+    // The checkpoint is gone, but the next node must not start from the prior either.
     let refused = run.node("fusion").finish();
     assert_eq!(refused.code, Some(2), "{refused:#?}");
-    assert!(refused.stderr.contains("fusion of run") && refused.stderr.contains("expected a new run"), "{refused:#?}");
+    assert!(refused.stderr.contains("fusion of run") && refused.stderr.contains("start a new run"), "{refused:#?}");
     for node in nodes.drain(..) {
         node.signal(Signal::INT);
         node.finish();
@@ -186,7 +186,7 @@ fn a_damaged_checkpoint_is_refused_and_kept() {
 }
 
 #[test]
-fn who_watches_a_run_hears_that_it_was_stopped() {
+fn a_watch_reports_that_its_run_was_stopped() {
     let run = Run::new();
     let supervisor = run.command("run --clock realtime --ticks 100000");
     run.wait_for_ticks(2);

@@ -34,7 +34,7 @@ fn faults_of_all_kinds_break_no_promise_in_lock_step() {
 }
 
 #[test]
-fn standbys_take_over_and_blackouts_are_got_over() {
+fn standbys_take_over_and_runs_recover_from_total_outages() {
     let run = Run::new();
     let words = "--standby 1 --kinds kill,blackout --roles fusion,standby --faults 12 --rate 2 --ticks 20000";
     let said = run.command(&format!("chaos {words}")).finish().succeeded();

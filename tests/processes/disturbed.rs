@@ -6,7 +6,7 @@ use crate::support::{Run, digest_in_process, is_alive, signal};
 
 const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
-/// A run that no test waits out.
+/// A run longer than any test.
 const ENDLESS: &str = "--ticks 100000000 --timeout forever";
 
 fn pids(run: &Run) -> Vec<Pid> {
@@ -18,7 +18,7 @@ fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
     let words = "--ticks 20000 --timeout forever";
     let run = Run::new();
     let first = run.lockstep(words);
-    // Held, so that it lives for as long as the second needs to notice.
+    // Suspended, so that it lives until the second has noticed it.
     let robot = run.pid_of("robot-0", 1);
     signal(robot, Signal::STOP);
     let refused = run.start(&["run", "--clock", "lockstep", "--name", &run.name, "--out", "elsewhere"]).finish();
@@ -32,7 +32,7 @@ fn a_second_run_of_a_living_name_is_refused_and_the_first_goes_on() {
 }
 
 #[test]
-fn a_refused_run_leaves_the_folder_of_the_living_one_alone() {
+fn a_refused_run_does_not_change_the_folder_of_the_living_one() {
     let run = Run::new();
     let first = run.lockstep("--ticks 50 --timeout forever");
     let robot = run.pid_of("robot-0", 1);
@@ -85,7 +85,7 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
     let run = Run::new();
     let supervisor = run.lockstep(words);
     run.wait_for_ticks(200);
-    // The second start of a role is killed as soon as it has it: half-way up.
+    // The second process of a role is killed as soon as it takes the role, during its start.
     for (role, start) in
         [("robot-1", 1), ("robot-1", 2), ("robot-0", 1), ("fusion", 1), ("fusion", 2), ("sim", 1), ("sim", 2)]
     {
@@ -111,7 +111,7 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
     run.assert_nothing_left();
 }
 
-/// The supervisor too, so that nobody is left to start anything again.
+/// Including the supervisor, so that no process restarts the nodes.
 #[test]
 fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
     let words = "--ticks 60000 --timeout forever";
@@ -123,7 +123,7 @@ fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
         supervisor.signal(Signal::KILL);
         nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
         supervisor.finish();
-        // A busy machine takes its time to end them.
+        // A busy machine may take a while to end them.
         run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
         supervisor = run.start(&["resume", "out", "--name", &run.name]);
     }
@@ -172,9 +172,9 @@ fn other_terminals_can_look_at_a_run_and_act_on_it() {
     run.assert_nothing_left();
 }
 
-/// What a process was about to make when it was killed has no length, and iceoryx2 would wait for it.
+/// An unfinished object of a killed process has length zero, and iceoryx2 would wait for it.
 #[test]
-fn half_made_shared_memory_of_the_dead_is_removed_and_that_of_the_living_is_not() {
+fn unfinished_shared_memory_of_dead_processes_is_removed_and_of_living_ones_is_kept() {
     let run = Run::new();
     let supervisor = run.lockstep(ENDLESS);
     run.wait_for_ticks(3);
@@ -226,17 +226,17 @@ fn the_nodes_of_a_killed_supervisor_end_and_its_name_is_free_again() {
     run.assert_nothing_left();
 }
 
-/// Stops robot 1 in a run of short time-out, lets the others go on for a while, has it taken back,
+/// Stops robot 1 in a run with a short time-out, lets the others continue for a while, lets it rejoin,
 /// and ends the run.
 fn run_with_robot_1_stopped_for_a_while(run: &Run) {
-    // One that is not to be started again is not killed for hanging either.
+    // A node without restarts is not killed for hanging either.
     let supervisor = run.lockstep("--ticks 100000000 --timeout 0.2 --restart robot=never");
     let is_heard = || run.last_world().is_some_and(|(tick, world)| tick > 0 && world.robots[1].range_sent_ns.is_some());
     run.wait_until("robot 1 is heard", is_heard);
     let robot = run.pid_of("robot-1", 1);
     signal(robot, Signal::STOP);
     run.wait_until("the simulator goes on without robot 1", || !is_heard());
-    // Fusion may have heard it at that tick, but at none of the next.
+    // Fusion may have received its range at that tick, but at none of the next.
     let ticks = run.ticks_done();
     run.wait_for_ticks(ticks + 50);
     signal(robot, Signal::CONT);
@@ -265,7 +265,7 @@ fn only_the_stopped_robot_is_left_out() {
     assert!(left_out.iter().all(|line| line.contains("without robot 1,")), "{left_out:#?}");
 }
 
-/// They would write over each other's logs and checkpoints.
+/// Two runs would overwrite each other's logs and checkpoints.
 #[test]
 fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
     let words = "--ticks 40000 --timeout forever";
@@ -288,7 +288,7 @@ fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
     run.assert_nothing_left();
 }
 
-/// It cannot hear that it is to end until it is continued: the next founder of the name sees to that.
+/// It cannot receive the request to end until it is continued: the next founder of the name continues it.
 #[test]
 fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name() {
     let run = Run::new();
@@ -305,7 +305,7 @@ fn a_node_that_was_stopped_when_its_supervisor_was_killed_does_not_keep_the_name
     run.assert_nothing_left();
 }
 
-/// As a build in the middle of a long run does.
+/// A build during a long run does this.
 #[test]
 fn a_run_whose_program_file_is_replaced_goes_on() {
     let words = "--ticks 40000 --timeout forever";
@@ -332,9 +332,9 @@ fn a_run_whose_program_file_is_replaced_goes_on() {
     run.assert_nothing_left();
 }
 
-/// A process stopped in the door of one run keeps nobody from another.
+/// A process that is stopped while it holds the membership lock of one run does not block another run.
 #[test]
-fn the_door_of_one_run_does_not_hold_up_another() {
+fn the_membership_lock_of_one_run_does_not_block_another() {
     let run = Run::new();
     let first = run.lockstep(ENDLESS);
     run.wait_for_ticks(3);

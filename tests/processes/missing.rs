@@ -235,7 +235,7 @@ fn without_fusion_robots_hold_their_course_and_then_stop() {
 }
 
 #[test]
-fn in_real_time_the_dead_are_replaced_and_the_grid_of_ticks_goes_on() {
+fn in_real_time_dead_nodes_are_replaced_and_ticks_stay_on_their_grid() {
     let run = Run::new();
     run.write("fast.toml", "dt_s = 0.02\n");
     let supervisor = run.command("run fast.toml --clock realtime --ticks 400");
@@ -353,7 +353,7 @@ fn a_run_goes_on_with_a_standby_started_by_hand_and_again_without() {
 }
 
 #[test]
-fn status_tells_who_is_silent() {
+fn status_reports_silent_nodes() {
     let run = Run::new();
     let supervisor = start(&run, "--clock realtime --timeout forever");
     run.wait_for_ticks(5);

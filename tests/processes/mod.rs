@@ -94,7 +94,7 @@ fn real_time_counts_what_it_did() {
 }
 
 #[test]
-fn nodes_are_told_apart_by_their_names() {
+fn nodes_have_distinct_names() {
     let run = Run::new();
     let _supervisor = run.command("run --clock realtime --ticks 100000 --robots 2");
     for role in ["sim", "fusion", "robot-0", "robot-1"] {

@@ -51,7 +51,7 @@ fn mounted_and_listed(mounts: &str, list: &str) -> String {
 }
 
 #[test]
-fn too_few_open_files_are_told_before_anything_is_made() {
+fn too_few_open_files_are_reported_before_anything_is_made() {
     for (files, robots) in [(32, 3), (64, 3), (300, 128)] {
         let run = Run::new();
         let outcome = run.command_by(&format!("ulimit -n {files} && exec \"$@\""), &format!("run --robots {robots}"));
@@ -83,7 +83,7 @@ fn a_folder_that_cannot_be_made_is_refused_before_anything_is_made() {
 }
 
 #[test]
-fn standard_output_that_is_full_is_told() {
+fn full_standard_output_is_reported() {
     let run = Run::new();
     for words in ["scenario", "--help", "--version"] {
         assert_refused(&run.start_by("exec \"$@\" > /dev/full", &[words]).finish(), 1, &["standard output"]);
@@ -96,7 +96,7 @@ fn standard_output_that_is_full_is_told() {
 }
 
 #[test]
-fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
+fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_warned() {
     if !may_mount() {
         return;
     }
@@ -119,7 +119,7 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_told() {
 }
 
 #[test]
-fn a_repair_for_which_the_disk_has_no_room_leaves_what_there_was() {
+fn a_repair_without_disk_space_keeps_the_damaged_file() {
     if !may_mount() {
         return;
     }
@@ -177,7 +177,7 @@ fn without_its_folder_a_run_goes_on_until_it_would_need_it() {
 }
 
 #[test]
-fn shared_memory_that_is_too_small_or_missing_is_told() {
+fn shared_memory_that_is_too_small_or_missing_is_reported() {
     if !may_mount() {
         return;
     }
@@ -251,7 +251,7 @@ fn as_nobody(limit: &str) -> String {
 }
 
 #[test]
-fn a_limit_of_processes_is_told_by_name_and_number() {
+fn a_limit_of_processes_is_reported_by_name_and_number() {
     let Some(run) = run_of_nobody() else { return };
     let refused = run.command_by(&as_nobody("--nproc=4"), "run").finish();
     assert_refused(&refused, 1, &["cannot start", "may have 4 processes", "ulimit -u"]);

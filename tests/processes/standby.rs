@@ -1,10 +1,10 @@
-//! Fusions that stand by: who leads, who takes over, and that nobody obeys two.
+//! Standby fusions: leadership, take-over, and that no robot obeys two fusions.
 
 use rustix::process::Signal;
 
 use crate::support::{Run, digest_in_process, is_alive, signal};
 
-/// Waits until the lead has been taken for this time, and the run goes on under it.
+/// Waits until the lead has been taken this many times, and the run continues under it.
 fn wait_for_lead(run: &Run, start: u64) {
     run.pid_of("fusion", start);
     let ticks = run.ticks_done();
@@ -19,7 +19,7 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
     run.wait_for_ticks(50);
     for start in 1..=6 {
         let leader = run.pid_of("fusion", start);
-        // So that somebody else can have the lead before the killed one is started again.
+        // So that another fusion can take the lead before the killed one is restarted.
         run.wait_until("a standby is there", || run.is_held("standby-1") || run.is_held("standby-2"));
         signal(leader, Signal::KILL);
         wait_for_lead(&run, start + 1);
@@ -34,7 +34,7 @@ fn a_killed_fusion_is_succeeded_by_its_standby_and_nothing_changes() {
     run.assert_nothing_left();
 }
 
-/// Stopped at any moment, it is deposed; continued, it commands nobody and stands by.
+/// Stopped at any moment, it is deposed; continued, it commands no robot and becomes a standby.
 #[test]
 fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
     let words = "--ticks 600000 --timeout forever";
@@ -56,7 +56,7 @@ fn a_hung_fusion_is_deposed_and_its_commands_are_not_obeyed() {
     run.assert_nothing_left();
 }
 
-/// In real time robots hold their headings while nobody leads: with a standby for a tick at most each time.
+/// In real time robots keep their headings without a leader: with a standby for one tick at most each time.
 #[test]
 fn in_real_time_a_standby_leaves_no_robot_long_without_a_heading() {
     let run = Run::new();

@@ -1,4 +1,4 @@
-//! Who may join a run: its owner's processes of its own version, and nobody else.
+//! Access to a run: only processes of its owner and of its own version may join.
 
 use std::os::unix::fs::{FileExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -11,10 +11,10 @@ use crate::support::{Outcome, PROGRAM, Run, skipped};
 
 const ENDLESS: &str = "--ticks 100000000 --timeout forever";
 
-/// Another user: any id that is not this one's.
+/// Another user: any id that differs from this user's.
 const NOBODY: [&str; 3] = ["--reuid=65534", "--regid=65534", "--clear-groups"];
 
-/// True if this user may act as another; else says that a test is not run.
+/// True if this user may act as another; otherwise reports that the test is skipped.
 fn may_be_another() -> bool {
     let probe = Command::new("setpriv").args(NOBODY).arg("true").output();
     let may = probe.is_ok_and(|output| output.status.success());
@@ -28,7 +28,7 @@ fn as_nobody(program: &Path, args: &[&str]) -> Output {
     Command::new("setpriv").args(NOBODY).arg(program).args(args).current_dir("/").output().unwrap()
 }
 
-/// What a shell script of nobody's prints, given these arguments.
+/// The output of a shell script that runs as nobody, given these arguments.
 fn told_by_nobody(script: &str, args: &[String]) -> String {
     let mut all = vec!["-c", script, "sh"];
     all.extend(args.iter().map(String::as_str));
@@ -79,7 +79,7 @@ fn another_user_can_neither_look_nor_touch_nor_signal() {
     let signalled = "for pid; do kill -0 $pid 2> /dev/null && echo $pid; kill -9 $pid 2> /dev/null && echo $pid; done";
     assert_eq!(told_by_nobody(signalled, &pids), "");
 
-    // The tool too, from where nobody can start it.
+    // The tool too, started in a folder that nobody can reach.
     let folder = tempfile::tempdir().unwrap();
     open_to_all(folder.path());
     let program = folder.path().join("rangehound");
@@ -114,7 +114,7 @@ fn a_place_that_another_user_holds_is_not_used() {
         let outcome = if ["run", "sim"].contains(&words) {
             run.command(words)
         } else {
-            // Who only joins looks for a run first.
+            // A node that only joins looks for a run first.
             std::fs::write(place.join("run"), "bait").unwrap();
             run.node(words)
         }
@@ -131,7 +131,7 @@ fn assert_one_line(outcome: &Outcome, code: i32, names: &[&str]) {
     assert!(complaints.len() == 1 && names.iter().all(|name| complaints[0].contains(name)), "{outcome:#?}");
 }
 
-/// Makes a description one of the version to come.
+/// Changes a description to one of the next version.
 fn make_future_description(path: &Path) {
     let text = std::fs::read_to_string(path).unwrap();
     let build = |program: &str, protocol| format!("{{\"program\":\"{program}\",\"protocol\":{protocol},");
@@ -140,7 +140,7 @@ fn make_future_description(path: &Path) {
     std::fs::write(path, other).unwrap();
 }
 
-/// Makes a sealed checkpoint, from this place on, one of the version to come.
+/// Changes a sealed checkpoint, from this offset on, to one of the next version.
 fn make_future(path: &Path, offset: u64) {
     let file = std::fs::OpenOptions::new().write(true).open(path).unwrap();
     file.write_all_at(&(PROTOCOL + 1).to_le_bytes(), offset + 8).unwrap();
@@ -220,9 +220,9 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
             change(&out.join("sim.checkpoint"));
             bytes = std::fs::read(out.join("sim.checkpoint")).unwrap();
         });
-        assert_one_line(&outcome, 1, &["sim.checkpoint: ", reason, "sim.checkpoint.refused", "expected a new run"]);
+        assert_one_line(&outcome, 1, &["sim.checkpoint: ", reason, "sim.checkpoint.refused", "start a new run"]);
         assert_eq!(std::fs::read(run.path("out/sim.checkpoint.refused")).unwrap(), bytes);
-        // A second try finds no state and does not start anew over the ticks so far.
+        // A second attempt finds no state, and must not start over and overwrite the ticks so far.
         let ticks = run.ticks_done();
         let again = run.start(&["resume", "out", "--name", &run.name]).finish();
         assert_one_line(&again, 1, &["sim of run", "left no state"]);
@@ -234,7 +234,7 @@ fn a_checkpoint_that_cannot_be_used_is_refused_kept_and_never_half_read() {
 /// A command line that runs the rest in a PID namespace of its own, as in a container.
 const NAMESPACE: &str = "exec unshare --pid --fork --kill-child";
 
-/// Fails where this user may not make PID namespaces: a test that does nothing would say that all is well.
+/// Fails if this user may not create PID namespaces: a skipped test would look like a passed one.
 fn look_for_namespaces() {
     let probe = Command::new("unshare").args(["--pid", "--fork", "true"]).output();
     assert!(probe.is_ok_and(|output| output.status.success()), "needs `unshare --pid`: run this test as root");
@@ -251,7 +251,7 @@ fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
     let robot = run.start_by(&in_container, &named("robot --id 1"));
     run.wait_until("the robot is there", || run.is_held("robot-1") && run.starts("robot-1") == 1);
 
-    // From outside the process behind the number is seen, as the kernel tells it.
+    // Outside the namespace the process with that number is visible to the kernel.
     let status = run.start(&named("status --json")).finish().succeeded();
     let status: serde_json::Value = serde_json::from_str(&status.stdout).unwrap();
     let node = status["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "robot-1").unwrap().clone();
@@ -259,7 +259,7 @@ fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
     let pid = rustix::process::Pid::from_raw(node["pid"].as_i64().unwrap() as i32).unwrap();
     assert_eq!(crate::support::comm(pid), "rh-robot-1");
 
-    // In a third namespace strangers have the first numbers.
+    // In a third namespace foreign processes have the first numbers.
     let script = format!(
         "{NAMESPACE} --mount-proc sh -c 'for i in 1 2 3 4 5 6 7 8; do sleep 100 & done; \"$@\"; code=$?; \
          kill -0 $(seq 2 9) || echo strangers died; exit $code' sh \"$@\""
@@ -282,7 +282,7 @@ fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
     run.assert_nothing_left();
 }
 
-/// Its own number is not the one that `/proc` gives it.
+/// Its own process id differs from the one in `/proc`.
 #[test]
 fn a_run_without_a_proc_of_its_own_gets_to_its_end() {
     look_for_namespaces();

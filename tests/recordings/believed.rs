@@ -1,4 +1,4 @@
-//! What is believed of a recording: the verdict on a track, and what `calibrate` finds.
+//! The credibility of a recording: the verdict on a track, and the findings of `calibrate`.
 
 use std::fmt::Write as _;
 use std::process::Output;
@@ -10,7 +10,7 @@ use crate::support::{PROGRAM, Run};
 
 const ANCHORS: [(&str, f64, f64); 4] = [("A1", 0.0, 0.0), ("B2", 12.0, 0.0), ("C3", 12.0, 9.0), ("4", 0.0, 9.0)];
 
-/// A target in a hall, at a time; it stands if its speed is 0.
+/// The target's position in a hall at a time; it stands still if its speed is 0.
 fn place(time_s: f64, speed: f64) -> (f64, f64) {
     let angle = 0.3 * speed * time_s;
     (6.0 + 3.0 * angle.cos(), 4.5 + 2.5 * (1.3 * angle).sin())
@@ -56,7 +56,7 @@ fn a_good_track_is_sound_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is
     let verdict = &report(&good)["verdict"];
     assert!(good.status.success() && verdict["sound"] == true, "{verdict}");
 
-    // Millimetres under a name that says metres.
+    // Millimetres in a column that is named for metres.
     let in_mm: Vec<String> = ranges
         .lines()
         .enumerate()

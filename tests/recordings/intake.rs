@@ -1,4 +1,4 @@
-//! How a recording gets into a run: read once from wherever it comes, then played from the run's own copy.
+//! Input of a recording into a run: read once from any source, then played from the run's own copy.
 
 use std::fmt::Write as _;
 
@@ -82,7 +82,7 @@ fn a_changed_copy_is_refused_in_one_line() {
     assert!(said.contains("recording.csv: it has changed since the run began"), "{said}");
 }
 
-/// The original may be changed, go on growing, or be gone.
+/// The original may change, grow or disappear.
 #[test]
 fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original() {
     let csv = recording(20_000, usize::MAX);
@@ -113,7 +113,7 @@ fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original(
     }
 }
 
-/// Nobody writes to the pipe: who waits is told for what, and can end it.
+/// No process writes to the pipe: the wait is reported, and can be ended.
 #[test]
 fn a_wait_for_a_pipes_writer_is_told_and_ends_when_asked() {
     for words in ["track fifo --range-std 0.1", "run waits.toml", "sim waits.toml"] {
@@ -131,7 +131,7 @@ fn a_wait_for_a_pipes_writer_is_told_and_ends_when_asked() {
     }
 }
 
-/// In all that people read of its node, and in what programs read beside the node's own name.
+/// In all output for people, and in JSON beside the node's own name.
 #[test]
 fn a_node_of_a_recording_is_shown_with_its_sensors_name() {
     let run = Run::new();

@@ -1,4 +1,4 @@
-//! Recorded ranges: the shipped recording, and real ones where they lie beside the project.
+//! Recorded ranges: the shipped recording, and real ones if they are beside the project.
 
 mod believed;
 mod intake;
@@ -13,7 +13,7 @@ use rangehound_shared::scenario::{
     FilterTable, GateKey, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable,
 };
 
-/// A recording with the noise that is assumed of it.
+/// A recording with its assumed noise.
 struct Case {
     folder: PathBuf,
     accel_psd: f64,
@@ -71,7 +71,7 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Where real recordings lie beside the project; they are not part of it.
+/// Path of real recordings beside the project; they are not part of it.
 fn real(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
     assert!(folder.join("ranges.csv").exists(), "the recording {name} is not at {}", folder.display());

@@ -1,4 +1,4 @@
-//! `report.html`: what a run leaves to be looked at.
+//! `report.html`: the page of a finished run.
 
 use rustix::process::Signal;
 
@@ -6,7 +6,7 @@ use crate::support::{Run, signal};
 
 const LIMIT_BYTES: usize = 1_000_000;
 
-/// The headings of a page, in order, after a check that it is whole and needs no other file.
+/// The headings of a page, in order, after a check that it is complete and needs no other file.
 fn headings(page: &str) -> Vec<&str> {
     assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"), "{page}");
     assert!(page.len() < LIMIT_BYTES, "{} bytes", page.len());
@@ -59,7 +59,7 @@ fn what_is_not_known_has_no_section() {
     let page = run.read("report.html");
     assert_eq!(headings(&page), ["Paths", "Position error", "Trace", "NIS", "Faults"]);
     assert!(page.contains("No node ended before the run did") && page.matches("<svg").count() == 4);
-    // Its planner proves nothing that the trace could be compared with.
+    // Its planner proves no bound for the trace.
     assert!(!page.contains("least by any headings"), "{page}");
     let proven = Run::new();
     proven.lockstep("--in-process --ticks 100 --planner certified").finish().succeeded();

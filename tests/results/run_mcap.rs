@@ -1,5 +1,5 @@
-//! A run in one file: whole for other programs' readers, replayed to the bit whatever happened in the run, and readable up to
-//! where a kill has cut it.
+//! A run in one file: complete for other programs' readers, replayed bit-identically, and readable up to
+//! the place where a kill has cut it.
 
 mod zstd;
 
@@ -19,12 +19,12 @@ use crate::support::{Outcome, Run, is_alive, signal, skipped};
 
 const NODES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
-/// The reader of the format's own makers, and what it needs.
+/// The reader of the format's authors, and its dependencies.
 const PACKAGES: [&str; 5] =
     ["mcap==1.6.0", "mcap-protobuf-support==0.6.0", "protobuf==7.36.2", "lz4==4.4.5", "zstandard==0.25.0"];
 
-/// A Python that has them, made once under the target folder. `None` where there is none, which CI does not take for an
-/// answer.
+/// A Python with these packages, created once below the target folder. `None` without it, which CI treats as a
+/// failure.
 fn python() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("mcap-reader");
     let python = folder.join("bin/python");
@@ -48,7 +48,7 @@ fn replay(run: &Run, words: &str) -> Outcome {
     run.start(&args).finish()
 }
 
-/// Replays a file, which must come out the same, and gives what is told of it.
+/// Replays a file, which must be bit-identical, and returns the replay's JSON.
 #[track_caller]
 fn replayed(run: &Run, file: &str) -> Value {
     let outcome = replay(run, &format!("{file} --json"));
@@ -58,7 +58,7 @@ fn replayed(run: &Run, file: &str) -> Value {
     told
 }
 
-/// The recorder of a run that goes on, not the one of this pid.
+/// The present recorder of a run, not the one with this pid.
 pub(crate) fn recorder(run: &Run, before: Option<Pid>) -> Pid {
     let words = format!("record\0--name\0{}\0", run.name);
     let mut found = None;
@@ -174,7 +174,7 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
     assert!(rejected("replayed") > rejected("recorded"), "{told}");
     let psds = ["recorded", "replayed"].map(|side| told["comparison"][side]["noise_psd"].as_f64());
     assert_eq!(psds, [Some(0.05), Some(0.5)]);
-    // Nobody plans for sensors of a recording.
+    // Sensors of a recording have no planner.
     assert_eq!(told["comparison"]["replayed"]["lower_bound_mean"], Value::Null);
     let refused = replay(&run, "out/run.mcap --planner greedy");
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
@@ -197,7 +197,7 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
         assert_eq!((recorded, replayed != "-"), ("-", bound_is_told), "{changed:#?}");
         assert_eq!(row("noise psd, m^2/s^3"), [psd, "10"], "{changed:#?}");
     }
-    // What is recorded of the logs after the run is the same.
+    // A recording made from the logs after the run is equal.
     let first = std::fs::read(run.path("out/run.mcap")).unwrap();
     let told = run.start(&["record", "out", "--out", "again.mcap", "--json"]).finish().succeeded().stdout;
     let told: Value = serde_json::from_str(&told).unwrap();
@@ -263,7 +263,7 @@ fn a_recording_ends_at_its_limit_and_says_so_and_the_run_goes_on() {
     run.assert_nothing_left();
 }
 
-/// Files that somebody has damaged or mistaken for a recording.
+/// Files that are damaged or that are not recordings.
 #[test]
 fn what_is_no_recording_is_refused_in_one_line() {
     let run = Run::new();
@@ -293,7 +293,7 @@ fn what_is_no_recording_is_refused_in_one_line() {
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
 }
 
-/// Where the file's chunks are: the place of the byte that says what each is.
+/// The chunks of a file: offset of the byte with each record's type.
 fn chunks(bytes: &[u8]) -> Vec<usize> {
     let (mut at, mut found) = (8, Vec::new());
     while let Some(len) = bytes.get(at + 1..at + 9) {
@@ -305,7 +305,7 @@ fn chunks(bytes: &[u8]) -> Vec<usize> {
     found
 }
 
-/// A record of an unknown kind is to be passed over, and one that was a chunk is then, with its ticks.
+/// A record of unknown type is skipped, and so are the ticks of a chunk with a damaged type.
 #[test]
 fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
     let run = Run::new();
@@ -331,12 +331,12 @@ fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
             let numbers = [words[number], words[number + 2], words[number + 4].trim_end_matches(',')];
             let [count, first, last] = numbers.map(|word| word.parse::<u64>().unwrap());
             assert_eq!(count, last - first + 1, "{case}");
-            // The first chunk says what the channels are.
+            // The first chunk defines the channels.
             assert_eq!((first == 0, last == 3000), (at == chunks[0], is_last || at == chunks[0]), "{case}");
             assert!(told.stderr.contains("are missing"), "{case}");
         }
     }
-    // Of what is there, what can be read counts: the logs hold more, and are recorded.
+    // Only readable ticks of the existing file count: the logs hold more, so they are recorded.
     let mut damaged = whole.clone();
     damaged[chunks[1]] = 0x46;
     run.write("out/run.mcap", &damaged);
@@ -349,7 +349,7 @@ fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
 fn every_frame_comes_back_to_the_bit() {
     for file in ["paper.toml", "many_robots.toml", "constant_acceleration.toml", "recording/replay.toml"] {
         let (description, mut all) = frames(file, 12);
-        // What lock step does not have.
+        // Cases that do not occur in lock step.
         let strange = &mut all[7];
         strange.fusion.exchanges[0].heard = None;
         strange.fusion.exchanges[1].heard = Some(Heard {
@@ -386,7 +386,7 @@ fn every_frame_comes_back_to_the_bit() {
         while let Some(frame) = reader.next_frame().unwrap() {
             read.push(frame);
         }
-        // Minus zero is not zero, and no number has two texts.
+        // As text: minus zero differs from zero, and each number has its own text.
         assert_eq!(format!("{read:?}"), format!("{all:?}"), "{file}");
     }
 }

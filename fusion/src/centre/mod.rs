@@ -1,4 +1,4 @@
-//! One tick of the fusion centre, pure: what the robots said in, estimate and commands out.
+//! One tick of the fusion centre, pure: the robots' reports in, estimate and commands out.
 
 use std::borrow::Cow;
 
@@ -18,10 +18,10 @@ use crate::tracking::Tracking;
 use crate::trust::Trust;
 use crate::vector::Vector;
 
-/// Ticks for which a robot that is not heard is believed to go on as commanded and is planned for.
+/// A silent robot is assumed to follow its commands, and is planned for, for this many ticks.
 const SILENCE_TICKS_MAX: u64 = 5;
 
-/// Beyond this, m or m^2, an estimate is no longer one; not reached by anything that moves.
+/// Largest magnitude of a valid estimate, m or m^2: far beyond any real target.
 const BOUND: f64 = 1e18;
 
 /// What became of a report that came after its tick.
@@ -29,15 +29,15 @@ const BOUND: f64 = 1e18;
 pub enum Late {
     /// Its range was fused at its own time.
     Fused,
-    /// Its range was not: it failed the gate, or its robot was distrusted.
+    /// Its range was rejected: it failed the gate, or its robot was distrusted.
     Rejected,
-    /// It holds no range.
+    /// The report has no range.
     NoRange,
-    /// Its tick is not kept any more, or the robot has been heard at it.
+    /// Its tick is no longer stored, or the robot's report of that tick has already arrived.
     Missed,
 }
 
-/// The filter, the planner, and what they carry from tick to tick.
+/// The filter, the planner, and their state between ticks.
 ///
 /// A tick has two halves, so that a caller can publish or time each: [`Self::update`] fuses,
 /// [`Self::plan`] chooses headings. Neither does I/O, knows a clock, or allocates once the buffers
@@ -47,7 +47,7 @@ pub struct Centre {
     recorded: bool,
     dt_s: f64,
     speed_limits_mps: Vec<f64>,
-    /// Standard deviations of the robots' ranges before they have said any, m.
+    /// Standard deviations of the robots' ranges before their first report, m.
     reported_stds_m: Vec<f64>,
     tracking: Tracking,
     /// `None`: late reports are missed.
@@ -68,7 +68,7 @@ pub struct Centre {
     tracker_bytes: Vec<u8>,
 }
 
-/// What [`Centre::restore`] needs: borrowed as it is written, owned as it is read.
+/// State for [`Centre::restore`]: borrowed for writing, owned after reading.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Saved<'a> {
     next_tick: u64,
@@ -85,7 +85,7 @@ pub struct Saved<'a> {
     trust: Cow<'a, Trust>,
 }
 
-/// Where a robot is believed to be.
+/// A robot's last known or predicted position.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Body {
     position_m: Vector,
@@ -94,7 +94,7 @@ struct Body {
     range_std_m: Option<f64>,
 }
 
-/// The estimate is no longer one.
+/// The estimate exceeds all bounds.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("the estimate left all bounds at tick {tick}: the target model is unstable or does not fit the ranges")]
 pub struct Diverged {
@@ -138,7 +138,7 @@ impl Centre {
         })
     }
 
-    /// The same centre, but it keeps its last ticks for what comes late: see [`Self::take_late`].
+    /// The same centre, but it stores its last ticks for late reports: see [`Self::take_late`].
     #[must_use]
     pub fn keeping_the_past(self) -> Self {
         Self { past: Some(Past::default()), ..self }
@@ -150,7 +150,7 @@ impl Centre {
         Self { planner, ..self }
     }
 
-    /// What [`Self::restore`] needs to go on from here, to the bit; but for the ticks kept for late reports.
+    /// State from which [`Self::restore`] continues bit for bit, without the ticks stored for late reports.
     ///
     /// # Errors
     /// If the tracker cannot be encoded.
@@ -173,10 +173,10 @@ impl Centre {
         })
     }
 
-    /// Goes on from what a centre of the same scenario saved.
+    /// Continues from the saved state of a centre of the same scenario.
     ///
     /// # Errors
-    /// If it is not such.
+    /// If the state is invalid or belongs to another scenario.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
         let Saved { bodies, commands, judged, trust, .. } = &restored;
@@ -185,9 +185,9 @@ impl Centre {
                 && [body.position_m.x, body.position_m.y].iter().all(|place| place.abs() <= BOUND)
                 && body.range_std_m.is_none_or(|std_m| std_m > 0.0 && std_m <= BOUND)
         };
-        let is_sound = bodies.iter().flatten().all(is_body)
+        let is_valid = bodies.iter().flatten().all(is_body)
             && commands.iter().all(|command| command.heading_rad.is_finite() && command.speed_mps.is_finite());
-        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] || !is_sound {
+        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] || !is_valid {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
@@ -215,7 +215,7 @@ impl Centre {
     /// Fuses one tick: predicts from the tick before, updates with the ranges (k|k), extends the
     /// digest. Tick 0 has no range: its estimate is the prior.
     ///
-    /// `reports` has an entry for each robot, `None` if it was not heard. `time_s` matters for
+    /// `reports` has an entry for each robot, `None` if it has not reported. `time_s` matters for
     /// recordings, whose steps are as long as their stamps say.
     ///
     /// # Errors
@@ -255,7 +255,7 @@ impl Centre {
         Ok(())
     }
 
-    /// Writes down what a tick starts from, if the past is kept.
+    /// Stores the state before the tick, if past ticks are stored.
     fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Measurement>]) {
         let Some(past) = &mut self.past else { return };
         let mut place = past.place(reports.len(), &self.tracking.trust);
@@ -263,18 +263,18 @@ impl Centre {
         place.reports.copy_from_slice(reports);
         match self.tracking.save_before(&mut place) {
             Ok(()) => past.push(place),
-            // A tracker that cannot be written down has no past; what comes late is missed.
+            // Without the tracker's saved state, late reports cannot be fused: they count as missed.
             Err(_) => past.clear(),
         }
     }
 
-    /// What a robot said at one of the last ticks, if that is kept.
+    /// A robot's report of one of the last ticks, if that tick is stored.
     #[must_use]
     pub fn report_at(&self, tick: u64, id: usize) -> Option<Measurement> {
         self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
     }
 
-    /// What became of a robot's range of one of the last ticks, if that is kept.
+    /// The gate's decision on a robot's range of one of the last ticks, if that tick is stored.
     #[must_use]
     pub fn judged_at(&self, tick: u64, id: usize) -> Option<Judged> {
         self.past.as_ref()?.at(tick)?.judged.get(id).copied()?
@@ -311,11 +311,11 @@ impl Centre {
     }
 
     /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
-    /// were heard lately; the others are told to stand. Sensors of a recording go their own way.
+    /// reported recently; the others are commanded to stop. Sensors of a recording are not commanded.
     ///
-    /// It plans with what will be fused: with the standard deviations that the robots' last messages report, and with
-    /// nothing of robots that are distrusted. Those are turned to where their range would tell most beside the others', were
-    /// it fused, so that they are of use as soon as they are trusted again.
+    /// The plan counts only ranges that will be fused, with the standard deviations of the robots' last messages. A
+    /// distrusted robot does not count. It is still sent to where its range would add most information to the others', so
+    /// that it is useful as soon as it is trusted again.
     pub fn plan(&mut self) -> &[Command] {
         if self.recorded {
             return &self.commands;
@@ -345,7 +345,7 @@ impl Centre {
         for (&id, command) in self.planned.iter().zip(&self.plan.commands) {
             self.commands[id] = *command;
             if let Some(body) = &mut self.bodies[id] {
-                // Where it will be if it obeys; what it says next replaces this.
+                // The position if the robot obeys; its next report replaces it.
                 body.position_m = moved(body.position_m, *command, self.dt_s);
             }
         }
@@ -355,7 +355,7 @@ impl Centre {
         &self.commands
     }
 
-    /// What the last [`Self::plan`] asked the planner.
+    /// The planner's input in the last [`Self::plan`].
     #[must_use]
     pub fn situation(&self) -> &Situation {
         &self.situation
@@ -367,10 +367,14 @@ impl Centre {
         &self.commands
     }
 
-    /// The last tick's exchange with each robot, as it is put down, given what each said at it.
-    pub fn exchanges<'a>(&'a self, tick: u64, said: &'a [Option<Measurement>]) -> impl Iterator<Item = Exchange> + 'a {
-        said.iter().zip(&self.judged).zip(&self.commands).map(move |((said, judged), command)| Exchange {
-            heard: said.map(|measurement| Heard { measurement, taken_at: tick, judged: *judged }),
+    /// The last tick's exchange with each robot, for the record, given the robots' reports.
+    pub fn exchanges<'a>(
+        &'a self,
+        tick: u64,
+        reports: &'a [Option<Measurement>],
+    ) -> impl Iterator<Item = Exchange> + 'a {
+        reports.iter().zip(&self.judged).zip(&self.commands).map(move |((report, judged), command)| Exchange {
+            heard: report.map(|measurement| Heard { measurement, taken_at: tick, judged: *judged }),
             command: *command,
         })
     }
@@ -405,13 +409,13 @@ impl Centre {
         self.tracking.trust.distrusted()
     }
 
-    /// How many times larger than told the standard deviations of ranges are taken: 1 unless most sensors fail together.
+    /// Factor on the reported standard deviations of ranges: 1 unless most sensors fail together.
     #[must_use]
     pub fn noise_scale(&self) -> f64 {
         self.tracking.trust.noise_scale()
     }
 
-    /// The last tick as observers are told it; durations, late ranges and refusals are the caller's to add.
+    /// The last tick's message for observers; the caller adds durations, late ranges and refusals.
     #[must_use]
     pub fn estimate(&self) -> Estimate {
         let (digest, certificate) = (self.digest.to_bits(), self.plan.certificate);

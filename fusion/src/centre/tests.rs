@@ -6,9 +6,9 @@ use crate::planner::range_only::certified::Certified;
 use crate::planner::range_only::{Problem, Solution, Solver as _};
 use rangehound_shared::scenario::{Prior, ScenarioFile};
 
-/// A state that doubles each tick: said as such, long before numbers run out.
+/// A state that doubles each tick is reported long before numbers overflow.
 #[test]
-fn an_estimate_that_leaves_all_bounds_is_told() {
+fn an_estimate_that_leaves_all_bounds_is_reported() {
     let text = "[target]\nmodel = \"custom\"\nstart = [0.0, 0.0]\nphi = [[2.0, 0.0], [0.0, 2.0]]\n\
                 qd = [[1.0, 0.0], [0.0, 1.0]]\n";
     let file = ScenarioFile::parse(text, "test").unwrap();
@@ -40,9 +40,9 @@ fn a_state_that_no_centre_can_have_is_refused() {
     }
 }
 
-/// A robot that falls silent is planned for as if it obeyed, for some ticks, and then told to stand.
+/// A silent robot is planned for as if it obeyed, for some ticks, and then commanded to stop.
 #[test]
-fn a_silent_robot_is_told_to_stand_after_some_ticks() {
+fn a_silent_robot_is_commanded_to_stop_after_some_ticks() {
     let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     let mut centre = Centre::new(&scenario).unwrap();
     let heard = Some(Measurement::new(Pose::at([15.0, 0.0]), None));
@@ -165,7 +165,7 @@ fn a_range_that_is_too_late_or_an_outlier_changes_no_estimate() {
     assert_eq!(after.state(), before);
 }
 
-/// What is heard late of a place is where the robot was; since then it has done as it was told.
+/// A late report has the robot's position of its own tick; since then the robot has followed its commands.
 #[test]
 fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
     let mut centre = of("");
@@ -183,7 +183,7 @@ fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
 }
 
 #[test]
-fn a_robot_whose_ranges_keep_failing_is_distrusted_and_trusted_again_when_it_mends() {
+fn a_robot_whose_ranges_fail_is_distrusted_until_they_pass_again() {
     let team_of_four = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
     let mut centre = of(team_of_four);
     let mut distrusted = Vec::new();
@@ -228,7 +228,7 @@ fn the_plan_takes_the_standard_deviation_that_the_last_message_reported() {
     }
     tick(&mut centre, &reports);
     assert_eq!(lambdas(&centre), [1.0, 1.0 / 16.0, 1.0]);
-    // Who is not heard is planned with what it said last, after a kill too.
+    // A silent robot is planned for with its last report, after a kill too.
     let mut after = of("[prior]\nmean = \"start\"\n");
     after.restore(centre.saved().unwrap()).unwrap();
     let [a, _, c] = team(2);
@@ -268,7 +268,7 @@ fn a_distrusted_robot_is_planned_for_without_information_and_still_led() {
     assert!(centre.estimate().rejected == 1 && centre.estimate().tested == 4);
 }
 
-/// By tick, from 1 on: the trace, and the least that it could have been, of robots that go where they are told. Robot 0 is
+/// By tick, from 1 on: the trace, and the least that it could have been, of robots that follow their commands. Robot 0 is
 /// not heard at the tick that is missed.
 fn traces_m2(planner: &str, missed: u64) -> Vec<(f64, f64)> {
     let mut centre = of(&format!("[prior]\nmean = \"start\"\n[planner]\nname = \"{planner}\"\n"));
@@ -308,13 +308,13 @@ fn a_certified_team_reaches_the_least_trace_unless_a_range_is_missing() {
 }
 
 #[test]
-fn who_proves_nothing_has_no_least_trace() {
+fn a_planner_without_proof_has_no_least_trace() {
     assert!(traces_m2("adaptive", u64::MAX).iter().all(|(_, least_m2)| *least_m2 == 0.0));
 }
 
 /// Three robots of which all read five times as noisy as they say: nobody is blamed, and the estimate keeps to it.
 #[test]
-fn noise_that_all_have_is_nobodys_fault() {
+fn noise_of_all_sensors_distrusts_no_robot() {
     let text = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
     let mut centre = of(text);
     let mut widened = 0;

@@ -1,8 +1,8 @@
-//! Which messages count, pure: robots' messages in, what each is to the present tick out.
+//! Classification of robots' messages, pure: each is for the present tick, late, a repeat, or refused.
 //!
-//! Messages come from processes that may be broken or hostile. What cannot be true is refused and counted by
-//! [`Refusal`]; what was reported before is a repeat; what is of a tick that is over is late. Nothing here grows
-//! with the number of messages, and no robot can hold up a tick by what it reports.
+//! Messages come from processes that may be broken or hostile. An impossible message is refused and counted by
+//! [`Refusal`]. A report that was received before is a repeat; a report of a past tick is late. Memory does not grow
+//! with the number of messages, and no message can delay a tick.
 
 mod timing;
 mod validation;
@@ -20,10 +20,10 @@ use crate::vector::Vector;
 use timing::{Timing, lower_median};
 use validation::Validation;
 
-/// Ticks that are over for which it is known who was heard: bits of a word.
+/// Past ticks for which the robots that reported are known: the bits of a `u64`.
 const HEARD_TICKS: u64 = 64;
 
-/// What came between two estimates besides the present tick's ranges.
+/// Late and refused messages between two estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IntakeCounts {
     /// Ranges of earlier ticks.
@@ -36,52 +36,52 @@ pub struct IntakeCounts {
     pub refused: [u64; Refusal::ALL.len()],
 }
 
-/// What the intake knows beyond the tick that it gathers: part of fusion's checkpoint.
+/// The intake's state beyond the present tick: part of fusion's checkpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IntakeState {
     robots: Vec<RobotState>,
     /// When the last tick began, monotonic ns.
     began_ns: u64,
-    /// What was reported of the last tick, by robot, and since the one before of earlier ones: the last tick's record needs it.
+    /// Reports of the last tick, by robot; the last tick's record needs them and the late ones.
     reports: Vec<Option<Measurement>>,
     late_reports: Vec<LateReport>,
 }
 
-/// A report that came after its tick and was used all the same.
+/// A report that arrived after its tick and was used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LateReport {
     /// Its own tick.
     pub tick: u64,
-    /// Whose it is.
+    /// The robot that sent it.
     pub robot: usize,
-    /// What it reports.
+    /// The measurement.
     pub report: Measurement,
-    /// What became of its range.
+    /// The gate's decision on its range.
     pub judged: Option<Judged>,
 }
 
-/// What an admitted message is to the tick that is being gathered.
+/// The class of an admitted message, relative to the present tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Admitted {
-    /// A report of that tick: for [`Intake::gather`].
+    /// A report of the present tick: for [`Intake::gather`].
     Now(Measurement),
-    /// A report of a tick that is over: for [`Centre::take_late`], and what became of it for [`Intake::gather_late`].
+    /// A report of a past tick: for [`Centre::take_late`], whose outcome is for [`Intake::gather_late`].
     Late(Measurement),
-    /// What was reported before.
+    /// A report that was received before.
     Repeat,
-    /// Of a later tick: the ticks before it are over.
+    /// A report of a later tick: the ticks before it are over.
     Ahead,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct RobotState {
-    /// Ticks in a row at which it said nothing.
+    /// Consecutive ticks without a message.
     misses: u32,
-    /// The ticks at which it was heard: bit i for the i-th before the present one.
+    /// The ticks at which the robot reported: bit i for the i-th before the present one.
     heard: u64,
-    /// The newest tick at which its place was believed, and the place.
+    /// The newest tick whose reported position was accepted, and the position.
     place: (u64, Vector),
-    /// The newest start of the robot's process whose report was taken.
+    /// The newest incarnation of the robot whose report was accepted.
     incarnation: u64,
 }
 
@@ -96,13 +96,13 @@ impl RobotState {
 }
 
 impl IntakeState {
-    /// What was reported of the last tick, by robot.
+    /// Reports of the last tick, by robot.
     #[must_use]
     pub fn reports(&self) -> &[Option<Measurement>] {
         &self.reports
     }
 
-    /// What was reported of earlier ticks since the one before the last.
+    /// Reports of earlier ticks that arrived during the last tick.
     #[must_use]
     pub fn late_reports(&self) -> &[LateReport] {
         &self.late_reports
@@ -110,7 +110,7 @@ impl IntakeState {
 }
 
 impl LateReport {
-    /// As it is recorded, with the first tick whose estimate knows of it.
+    /// The entry for the record; `tick` is the first tick whose estimate includes the report.
     #[must_use]
     pub fn heard_at(&self, tick: u64) -> Heard {
         Heard { measurement: self.report, taken_at: tick, judged: self.judged }
@@ -120,15 +120,15 @@ impl LateReport {
 /// Gathers the reports of the present tick.
 #[derive(Debug)]
 pub struct Intake {
-    /// Misses in a row after which a robot is not waited for until it speaks again.
+    /// Consecutive misses after which a tick does not wait for a robot until it sends a message again.
     misses_max: u32,
     validation: Validation,
     timing: Timing,
     state: IntakeState,
     reports: Vec<Option<Measurement>>,
-    /// Robots that have sent something of this tick, even if it was refused: nobody waits for them.
+    /// Robots that have sent a message of this tick, even a refused one: the tick does not wait for them.
     spoke: Vec<bool>,
-    /// Which time the tick has, as each report says.
+    /// The tick's time according to each report, s.
     times_s: Vec<f64>,
     counts: IntakeCounts,
     late: Vec<LateReport>,
@@ -140,7 +140,7 @@ impl Intake {
     pub fn new(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
         let misses_max = match scenario.clock {
-            // The deadline has cut short a busy robot now and then; a dead one costs all of them latency.
+            // A busy robot may miss a deadline now and then; waiting for a dead one costs all robots latency.
             Clock::Realtime => 3,
             Clock::Lockstep => 1,
         };
@@ -162,19 +162,19 @@ impl Intake {
         }
     }
 
-    /// What [`Self::restore`] needs to go on after the last [`Self::close`].
+    /// State from which [`Self::restore`] continues after the last [`Self::close`].
     #[must_use]
     pub fn state(&self) -> &IntakeState {
         &self.state
     }
 
-    /// Goes on from the state of an intake of the same scenario; false if it is not such. `now_ns` is monotonic.
+    /// Continues from the state of an intake of the same scenario; false if the state does not fit. `now_ns` is monotonic.
     pub fn restore(&mut self, state: IntakeState, now_ns: u64) -> bool {
         let fits = [state.robots.len(), state.reports.len()] == [self.reports.len(); 2];
         if fits {
             self.state = state;
             if self.state.began_ns > now_ns {
-                // The clock of before the machine was started again says nothing.
+                // The computer was restarted, and the monotonic clock with it: the old time has no meaning.
                 self.state.began_ns = 0;
             }
         }
@@ -186,10 +186,10 @@ impl Intake {
         self.counts.refused[refusal as usize] += count;
     }
 
-    /// Judges a message that came at `now_ns`, monotonic. A report is the caller's to deliver.
+    /// Classifies a message that arrived at `now_ns`, monotonic. The caller delivers the report.
     ///
     /// # Errors
-    /// The [`Refusal`] of a message that counts for nothing; it is counted.
+    /// The [`Refusal`] of an invalid message, which is counted.
     pub fn admit(
         &mut self,
         centre: &Centre,
@@ -214,7 +214,7 @@ impl Intake {
         }
         let robot = &mut self.state.robots[id];
         let before = if tick == next { self.reports[id] } else { centre.report_at(tick, id) };
-        // A robot that was started again within the tick measures anew: its first report counts, and it needs its heading.
+        // A robot that restarted within the tick measures again. Its first report counts, and it needs its heading.
         let is_restarted = header.incarnation > robot.incarnation;
         if before.is_some_and(|before| before != report) && !is_restarted {
             return Err(Refusal::Contradiction);
@@ -223,8 +223,7 @@ impl Intake {
         if before.is_some() || tick < next && robot.was_heard_at(next - tick - 1) {
             return Ok(Admitted::Repeat);
         }
-        // A robot that is refused goes on being measured against where it was last believed to be: the longer ago, the
-        // more it may have moved.
+        // Each report is compared with the last accepted position. The older that is, the farther the robot may have moved.
         let place = (tick, report.pose.into());
         if !self.validation.can_reach(id, robot.place, place) {
             return Err(Refusal::Jump);
@@ -239,7 +238,7 @@ impl Intake {
         })
     }
 
-    /// Takes a report of the present tick, from the message that brought it.
+    /// Adds a report of the present tick, with its message.
     pub fn gather(&mut self, header: &Header, range: &Range, report: Measurement, now_ns: u64) {
         let id = range.robot as usize;
         let Some((slot, robot)) = self.reports.get_mut(id).zip(self.state.robots.get_mut(id)) else { return };
@@ -249,7 +248,7 @@ impl Intake {
         self.times_s.push(header.valid_at_s);
     }
 
-    /// Takes note of a report of a tick that is over, and of what became of it.
+    /// Counts a late report and its outcome.
     pub fn gather_late(&mut self, next: u64, late: LateReport, outcome: Late) {
         let age = next.wrapping_sub(late.tick + 1);
         if let Some(robot) = self.state.robots.get_mut(late.robot).filter(|_| age < HEARD_TICKS) {
@@ -265,25 +264,25 @@ impl Intake {
         self.late.push(late);
     }
 
-    /// When the last report of the present tick was sent, as its robot says, monotonic ns; 0 without any.
+    /// When the last report of the present tick was sent, by its robot's stamp, monotonic ns; 0 without any.
     #[must_use]
     pub fn last_range_ns(&self) -> u64 {
         self.timing.last_range_ns()
     }
 
-    /// True if nothing has come of the present tick.
+    /// True if no message of the present tick has arrived.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.timing.is_silent()
     }
 
-    /// When waiting for the rest of the tick ends, monotonic ns, if it ever does.
+    /// The present tick's deadline, monotonic ns, if it has one.
     #[must_use]
     pub fn deadline_ns(&self, next: u64) -> Option<u64> {
         self.timing.deadline_ns(next, self.state.began_ns)
     }
 
-    /// True if the present tick has all it will wait for.
+    /// True if all expected reports of the present tick have arrived, or its deadline has passed.
     #[must_use]
     pub fn is_ready(&self, next: u64, now_ns: u64) -> bool {
         let has_spoken = |(spoke, robot): (&bool, &RobotState)| *spoke || !self.is_waited_for(robot);
@@ -292,7 +291,7 @@ impl Intake {
                 || self.deadline_ns(next).is_some_and(|deadline_ns| deadline_ns <= now_ns))
     }
 
-    /// Time for which this process was suspended is nobody's silence.
+    /// Extends the deadline by the time for which this process was suspended: it is not the robots' silence.
     pub fn extend(&mut self, suspended_ns: u64) {
         self.timing.extend(suspended_ns);
     }
@@ -313,13 +312,13 @@ impl Intake {
         &self.reports
     }
 
-    /// The time of the present tick, s: what most of its reports say.
+    /// The time of the present tick, s: the lower median of its reports' times.
     pub fn time_s(&mut self, centre: &Centre) -> f64 {
         let reported_s = |times_s: &mut [f64]| lower_median(times_s, f64::total_cmp).unwrap_or(centre.time_s());
         self.validation.time_s(centre.next_tick()).unwrap_or_else(|| reported_s(&mut self.times_s))
     }
 
-    /// Ends the present tick, processed at `now_ns`, and returns what came besides since the last one.
+    /// Ends the present tick, processed at `now_ns`, and returns the counts since the last one.
     pub fn close(&mut self, next: u64, now_ns: u64) -> IntakeCounts {
         self.state.began_ns = self.timing.close(next, self.state.began_ns, now_ns);
         for ((robot, report), spoke) in self.state.robots.iter_mut().zip(&self.reports).zip(&mut self.spoke) {

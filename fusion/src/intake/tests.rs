@@ -7,7 +7,7 @@ use rangehound_shared::scenario::ScenarioFile;
 
 const DT_NS: u64 = 100_000_000;
 
-/// A team of three at (15, 0) and its fusion centre; ticks pass as the clock of the test says.
+/// A team of three at (15, 0) and its fusion centre; the test sets the clock.
 struct Team {
     leader: Leader,
     now_ns: u64,
@@ -172,7 +172,7 @@ fn a_jump_is_refused_until_the_robot_can_have_come_there() {
 }
 
 #[test]
-fn in_lock_step_nobody_is_ahead() {
+fn in_lock_step_no_robot_is_ahead() {
     let mut team = Team::new("lockstep");
     team.now_ns += 1_000 * DT_NS;
     for tick in [2, 3, 50, 101, u64::MAX] {
@@ -186,7 +186,7 @@ fn in_lock_step_nobody_is_ahead() {
 }
 
 #[test]
-fn in_real_time_nobody_is_further_ahead_than_the_time_that_went_by() {
+fn in_real_time_no_robot_is_further_ahead_than_the_elapsed_time() {
     let mut team = Team::new("realtime");
     (1..5).for_each(|_| _ = team.tick(&[0, 1, 2]));
     assert_eq!(team.next(), 5);
@@ -225,7 +225,7 @@ fn a_robot_that_is_always_ahead_does_not_drive_fusion_away_from_the_others() {
 }
 
 #[test]
-fn who_only_talks_nonsense_is_not_waited_for() {
+fn a_tick_does_not_wait_for_a_robot_that_sends_only_nonsense() {
     for clock in ["lockstep", "realtime"] {
         let mut team = Team::new(clock);
         for tick in 1..4 {
@@ -273,7 +273,7 @@ fn a_late_range_is_counted_once_and_fused_if_its_tick_is_kept() {
 }
 
 #[test]
-fn a_restored_intake_knows_who_was_heard_and_where() {
+fn a_restored_intake_knows_reports_and_positions() {
     let mut team = Team::new("lockstep");
     team.tick(&[0, 1, 2]);
     let (record, now_ns) = (team.leader.intake.state().clone(), team.now_ns);

@@ -1,4 +1,4 @@
-//! When ticks begin, and how long one is waited for: pure, on stamps that others take.
+//! Starts and deadlines of ticks, pure: from the senders' and the caller's time stamps.
 
 use rangehound_shared::message::{Header, Range};
 use rangehound_shared::protocol::timing::range_deadline_ns;
@@ -16,7 +16,7 @@ pub(super) struct Timing {
     dt_s: f64,
     last_tick: u64,
     robots: usize,
-    /// When the tick began, as each report says.
+    /// The tick's start according to each report.
     began_ns: Vec<u64>,
     first_ns: Option<u64>,
     last_range_ns: u64,
@@ -37,28 +37,28 @@ impl Timing {
         }
     }
 
-    /// Something of the present tick has come.
+    /// Notes a message of the present tick.
     pub(super) fn hear(&mut self, now_ns: u64) {
         self.first_ns.get_or_insert(now_ns);
     }
 
-    /// A report of the present tick has come.
+    /// Notes a report of the present tick.
     pub(super) fn take(&mut self, header: &Header, range: &Range, now_ns: u64) {
         self.began_ns.push(range.tick_began_ns.min(now_ns));
         self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
     }
 
-    /// True if nothing has come of the present tick.
+    /// True if no message of the present tick has arrived.
     pub(super) fn is_silent(&self) -> bool {
         self.first_ns.is_none()
     }
 
-    /// When the last report of the present tick was sent, as its robot says; 0 without any.
+    /// When the last report of the present tick was sent, by its robot's stamp; 0 without any.
     pub(super) fn last_range_ns(&self) -> u64 {
         self.last_range_ns
     }
 
-    /// Time for which this process was suspended is nobody's silence.
+    /// Extends the deadline by the time for which this process was suspended: it is not the robots' silence.
     pub(super) fn extend(&mut self, suspended_ns: u64) {
         self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(suspended_ns));
     }
@@ -76,14 +76,14 @@ impl Timing {
         newest.min(self.last_tick)
     }
 
-    /// When waiting for the rest of the tick ends, if it ever does: tick 0 waits for the whole team.
+    /// The present tick's deadline, if it has one: tick 0 waits for the complete team.
     pub(super) fn deadline_ns(&self, next: u64, last_began_ns: u64) -> Option<u64> {
         let first_ns = self.first_ns?;
         if next == 0 {
             return None;
         }
         match (self.clock, self.timeout) {
-            // A robot that speaks before the tick has begun, or says that it began long ago, shall not cut it short.
+            // A robot that sends too early, or reports too early a start, must not shorten the tick.
             (Clock::Realtime, _) => {
                 let reported_ns = self.began_ns.iter().copied().max().unwrap_or(first_ns);
                 // A tick has begun a step after its first range at the latest, even if the ticks before it began in quick succession,
@@ -96,7 +96,7 @@ impl Timing {
         }
     }
 
-    /// Ends the present tick, processed at `now_ns`; when it began: as most reports say, or a step after the one before.
+    /// Ends the present tick, processed at `now_ns`; returns its start: as most reports have it, or a step after the previous start.
     pub(super) fn close(&mut self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
         let is_majority = 2 * self.began_ns.len() > self.robots;
         let reported_ns = lower_median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);

@@ -37,7 +37,7 @@ pub struct Plan {
     pub certificate: Option<Certificate>,
 }
 
-/// What will be known of the target's position, told by the eigenvalues of its information matrix.
+/// Predicted information about the target's position: the eigenvalues of its information matrix.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Worth {
     /// Their difference, the paper's `|S|`, 1/m^2: of range-only teams the less, the better.

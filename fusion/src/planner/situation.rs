@@ -1,4 +1,4 @@
-//! What a planner is asked.
+//! The planner's input.
 
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::Clearance;
@@ -6,19 +6,19 @@ use rangehound_shared::scenario::Clearance;
 use crate::belief::Belief;
 use crate::vector::Vector;
 
-/// What is known before a step: of the target, of the robots, and of what they keep clear of.
+/// Knowledge before a step: the target, the robots and their clearances.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Situation {
     /// The target when the robots measure next, predicted: with none of those measurements.
     pub belief: Belief,
-    /// How it goes on from there; of the belief's dimension.
+    /// The target's motion model, of the belief's dimension.
     pub motion: MotionModel,
-    /// Who moves and measures.
+    /// The robots that move and measure.
     pub team: Vec<TeamMember>,
-    /// What the robots keep off from, at the end of a step.
+    /// Clearances at the end of a step.
     pub clearance: Clearance,
-    /// A step of the horizon, s: how long the robots move before they measure. How many steps ahead it looks is the
-    /// planner's own affair.
+    /// A step of the horizon, s: how long the robots move before they measure. The planner chooses its
+    /// horizon.
     pub step_s: f64,
 }
 
@@ -29,13 +29,13 @@ pub struct TeamMember {
     pub position_m: Vector,
     /// Its speed limit, m/s.
     pub max_speed_mps: f64,
-    /// What it measures with.
+    /// Its sensor.
     pub sensor: Sensor,
-    /// True if its measurements will be fused. Otherwise it is led to where they would tell most, and counts for nothing.
+    /// True if its measurements will be fused. Otherwise it is sent to where they would add most, and is not counted.
     pub is_fused: bool,
 }
 
-/// What a robot measures with.
+/// A robot's sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Sensor {
     /// The distance to the target.
@@ -46,7 +46,7 @@ pub enum Sensor {
 }
 
 impl Default for Situation {
-    /// Nobody there, and a target that stays where it is.
+    /// No robots, and a target at rest.
     fn default() -> Self {
         Self {
             belief: Belief::default(),

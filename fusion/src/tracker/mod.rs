@@ -90,7 +90,7 @@ pub trait Tracker: std::fmt::Debug + Send {
     fn predict_into(&self, dt_s: f64, belief: &mut Belief);
 }
 
-/// Room for what a tracker says of a tick's readings: no step allocates.
+/// Buffers for a tracker's results on a tick's readings, so that no step allocates.
 fn judged_room() -> Vec<Judged> {
     Vec::with_capacity(ROBOTS_MAX)
 }

@@ -1,6 +1,6 @@
 //! Topics and wake-ups over iceoryx2.
 //!
-//! Each topic is one publish-subscribe service for the whole run, never one for each robot:
+//! Each topic is one publish-subscribe service for the whole run, not one per robot:
 //!
 //! | topic | from -> to | payload |
 //! |---|---|---|
@@ -11,9 +11,9 @@
 //! | `estimate` | fusion -> observers | the estimate |
 //! | `truth` | sim -> observers | the target's true state |
 //!
-//! Data travels on topics; a wake-up ([`Notifier`]) only says "look". Each process waits in one [`Waiter`], for a
-//! limited time, and drains the topics that it is called for, or all of them if nobody called, because wake-ups
-//! coalesce. Observers are never woken: they look when they like.
+//! Data travels on topics; a wake-up ([`Notifier`]) carries no data. Each process waits in one [`Waiter`], for a
+//! limited time, and drains the topics whose events came. After a time-out it drains all topics, because wake-ups
+//! coalesce. Observers are never woken: they poll.
 
 mod senders;
 
@@ -40,21 +40,21 @@ use crate::wait_groups::WaitGroups;
 pub use crate::wait_groups::{Notifier, Waiter};
 use senders::{Senders, Standing};
 
-/// Room on each side of a topic beside the robots: for the one node there, its standbys, observers, and the dead of the past
-/// until they are cleaned. Each message costs a look at every place, taken or not.
+/// Ports on each side of a topic beside the robots': the one node there, its standbys, observers, and dead nodes that are not
+/// cleaned up yet. Each message costs a scan of all ports, used or not.
 const PLACES: usize = 16;
 
-/// Publishers that are gone and whose last samples a subscriber may yet take: 4 kB of its memory for each. What is lost beyond them comes again
-/// with the next repeat.
+/// Publishers that are gone and whose last samples a subscriber can still take: each costs 4 kB of its memory. The next repeat
+/// replaces any further lost samples.
 const EXPIRED: usize = 4;
 
-/// Samples that wait for a subscriber; the newest displace the oldest. Two ticks and their repeats.
+/// Samples queued for a subscriber; the newest displace the oldest. Two ticks and their repeats.
 const BUFFER: usize = 4;
 
-/// Longest sleep of a node: how soon it sees that the run has ended if nobody calls.
+/// Longest sleep of a node: bounds how late it sees the end of the run without an event.
 pub const IDLE: Duration = Duration::from_millis(100);
 
-/// A payload with the topic it travels on.
+/// A payload and its topic.
 pub trait Topic: Copy + std::fmt::Debug + ZeroCopySend + 'static {
     /// Name of the service.
     const NAME: &'static str;
@@ -98,11 +98,11 @@ pub struct BusError {
 
 impl BusError {
     fn new(what: impl Into<String>, reason: impl std::fmt::Debug) -> Self {
-        let said = format!("iceoryx2 says {reason:?}");
-        let reason = if ["Incompatible", "VersionMismatch"].iter().any(|word| said.contains(word)) {
-            format!("made by another version of rangehound: use one version for all nodes of a run ({said})")
+        let text = format!("iceoryx2 says {reason:?}");
+        let reason = if ["Incompatible", "VersionMismatch"].iter().any(|word| text.contains(word)) {
+            format!("made by another version of rangehound: use one version for all nodes of a run ({text})")
         } else {
-            resources::run_out_of().map_or(said.clone(), |lack| format!("{lack} ({said})"))
+            resources::run_out_of().map_or(text.clone(), |lack| format!("{lack} ({text})"))
         };
         Self { what: what.into(), reason }
     }
@@ -130,14 +130,14 @@ impl Bus {
         Ok(bus)
     }
 
-    /// From now on this process speaks for a role that it holds.
+    /// Takes a role: from now on this process sends in its name.
     ///
     /// # Errors
-    /// [`BusError`] if that cannot be told to the others.
+    /// [`BusError`] if the role's file cannot be written.
     pub fn take_role(&self, run: &Rendezvous, role: Role, lease: &RoleLease) -> Result<(), BusError> {
         self.speak_as(lease.incarnation);
-        let told = run.roster().speak_through(role, lease, self.node.id().value());
-        told.map_err(|error| BusError { what: format!("role {role}"), reason: error.to_string() })
+        let registered = run.roster().speak_through(role, lease, self.node.id().value());
+        registered.map_err(|error| BusError { what: format!("role {role}"), reason: error.to_string() })
     }
 
     /// Connects a process, under the name of its role or another, by its [`node`].
@@ -148,12 +148,13 @@ impl Bus {
         let node = node(run, name)?;
         let senders = Rc::new(Senders::new(run.roster().clone(), run.description().scenario.robots.len()));
         let wait_groups_error = |error: BlockError| {
-            let said = error.to_string();
-            // They are made before anybody can join.
-            let is_gone = said.contains("DoesNotExist");
+            let text = error.to_string();
+            // The wait groups are created before any process can join.
+            let is_gone = text.contains("DoesNotExist");
             let out_dir = run.description().out_dir.display();
-            let gone = format!("removed while the run went on: stop it, and go on with `rangehound resume {out_dir}`");
-            BusError { what: "wait_groups".to_owned(), reason: if is_gone { format!("{gone} ({said})") } else { said } }
+            let gone =
+                format!("removed during the run: stop the run, then continue it with `rangehound resume {out_dir}`");
+            BusError { what: "wait_groups".to_owned(), reason: if is_gone { format!("{gone} ({text})") } else { text } }
         };
         let wait_groups = WaitGroups::open(run.shared_memory_prefix()).map_err(wait_groups_error)?;
         let RunDescription { run_id, scenario, .. } = run.description();
@@ -167,19 +168,19 @@ impl Bus {
         })
     }
 
-    /// From now on everything this process sends carries this incarnation of its role.
+    /// Marks all further messages of this process with this incarnation of its role.
     pub fn speak_as(&self, incarnation: u64) {
         self.incarnation.set(incarnation);
     }
 
-    /// Removes what killed nodes of this run left behind, so that their places become free, and returns how many
-    /// it could not. Takes tens of milliseconds for each: for a supervisor, never for a node on the control path.
+    /// Removes what killed nodes of this run left behind, to free their ports. Returns how many nodes could not be cleaned
+    /// up. Takes tens of milliseconds per node: for a supervisor, never for a node on the control path.
     pub fn clean_up_after_the_dead(&self) -> u64 {
         let clean = || self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1)).failed_cleanups;
         if clean() == 0 {
             return 0;
         }
-        // A node killed as it came to or left a service may have a tag of it that iceoryx2 stumbles over each time.
+        // A node killed while it joined or left a service may have a stale tag, which fails its cleanup every time.
         let folder = self.node.config().global.node_dir().to_string();
         let _ = Node::<Service>::list(self.node.config(), |node| {
             if let NodeState::Dead(dead) = node {
@@ -225,7 +226,7 @@ impl Bus {
         Ok(Publisher { port, run_id: self.run_id, incarnation: Rc::clone(&self.incarnation) })
     }
 
-    /// A subscriber to whatever is sent from now on.
+    /// A subscriber to all further messages.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
@@ -245,13 +246,13 @@ impl Bus {
         })
     }
 
-    /// The bed of one sleeper: what this process waits on.
+    /// The waiter of one wait group: this process waits on it.
     #[must_use]
     pub fn waiter_of(&self, group: WaitGroup) -> Waiter {
         Waiter::new(self.wait_groups.clone(), group)
     }
 
-    /// A bell that wakes a sleeper.
+    /// A notifier, which wakes a wait group.
     #[must_use]
     pub fn notifier_of(&self, group: WaitGroup) -> Notifier {
         Notifier::new(self.wait_groups.clone(), group)
@@ -270,7 +271,7 @@ pub fn node<S: iceoryx2::service::Service>(run: &Rendezvous, name: &str) -> Resu
     let file = FilePath::new(config_path.as_bytes()).map_err(|error| config_error(&error))?;
     let global = Config::setup_global_config_from_file(&file).map_err(|error| config_error(&error))?;
     let mut config = global.clone();
-    // Cleaning up after the dead costs 10-55 ms each: never on a control path.
+    // Cleanup after dead nodes costs 10-55 ms each: never on a control path.
     config.global.node.cleanup_dead_nodes_on_creation = false;
     config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = false;
@@ -283,12 +284,12 @@ pub fn node<S: iceoryx2::service::Service>(run: &Rendezvous, name: &str) -> Resu
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create()
         .map_err(|error| node_error(&error))?;
-    // iceoryx2 opens its counter of nodes to all users.
+    // iceoryx2 creates its node counter with permissions for all users.
     run.close_to_others();
     Ok(node)
 }
 
-/// Removes the tags of services and ports in a dead node's folder; how many there were.
+/// Removes the service and port tags in a dead node's folder; returns their number.
 fn remove_tags(folder: &std::path::Path) -> usize {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
     let is_tag = |path: &std::path::PathBuf| {
@@ -306,11 +307,11 @@ pub struct Publisher<T: Topic> {
 }
 
 impl<T: Topic> Publisher<T> {
-    /// Sends one message and returns its stamp, taken just before. A full or dead subscriber loses the oldest
-    /// message; the sender never waits.
+    /// Sends one message and returns its time stamp, taken just before. If a subscriber's queue is full or its process is dead, the
+    /// oldest message is lost; the sender never waits.
     ///
     /// # Errors
-    /// [`BusError`] if iceoryx2 has no memory for it: nothing a repeat would mend.
+    /// [`BusError`] if iceoryx2 has no memory for the message: a repeat would fail too.
     pub fn send(&self, tick: u64, valid_at_s: f64, entries: &[T]) -> Result<u64, BusError> {
         let failed =
             |reason: &dyn std::fmt::Debug| BusError::new(format!("send on {}", T::NAME), format!("{reason:?}"));
@@ -328,7 +329,7 @@ impl<T: Topic> Publisher<T> {
     /// Sends a message of one entry: see [`Self::send`].
     ///
     /// # Errors
-    /// As there.
+    /// See [`Self::send`].
     pub fn send_one(&self, message: &Outgoing<T>) -> Result<(), BusError> {
         self.send(message.tick, message.valid_at_s, std::slice::from_ref(&message.entry)).map(|_| ())
     }
@@ -341,19 +342,19 @@ pub struct Subscriber<T: Topic> {
     run_id: u64,
     senders: Rc<Senders>,
     impostors: Cell<u64>,
-    /// Empty between two drains; kept for its memory.
+    /// Empty between two drains; kept to reuse its memory.
     held: RefCell<Vec<Sample<Service, [T], Header>>>,
 }
 
 impl<T: Topic> Subscriber<T> {
-    /// Hands the waiting messages of this run to `take`, in order of each sender: those whose entries all
-    /// speak for the role that the sender's process holds.
+    /// Passes the queued messages of this run to `take`, in order for each sender. Messages with an entry for a role that the
+    /// sender's process does not hold are dropped.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 cannot reach a publisher.
     pub fn drain(&self, mut take: impl FnMut(&Header, &[T])) -> Result<(), BusError> {
-        // Each publisher's samples are held until the end, so that one that sends faster than they can be taken
-        // comes to its limit and the others are heard: iceoryx2 takes from one publisher while it has any.
+        // All samples are held until the end. A publisher that sends faster than this loop takes then reaches its borrow limit, and
+        // the others get their turn: iceoryx2 takes from one publisher for as long as that has samples.
         let mut held = self.held.borrow_mut();
         held.clear();
         loop {
@@ -375,18 +376,18 @@ impl<T: Topic> Subscriber<T> {
         Ok(())
     }
 
-    /// What the sender is to the role that its message speaks for: the worst of all entries.
+    /// The sender's standing towards the role of its message: the first of its entries that is not [`Standing::Holder`].
     fn standing(&self, sample: &Sample<Service, [T], Header>) -> Standing {
         let node = sample.header().node_id();
         let pid = || Pid::from_raw(node.pid::<Service>().ok()?.value());
         let of_entry = |entry: &T| self.senders.standing(entry.sender(), node.value(), pid);
-        // Where one node publishes, all entries speak for it alike.
+        // If one node publishes, all entries have the same sender role.
         let entries = if T::FROM_ROBOTS { usize::MAX } else { 1 };
         let mut standings = sample.payload().iter().take(entries).map(of_entry);
         standings.find(|standing| *standing != Standing::Holder).unwrap_or(Standing::Holder)
     }
 
-    /// Connects to publishers that have come since, and takes nothing: the newest messages wait.
+    /// Connects to new publishers without taking anything: the newest messages stay queued.
     ///
     /// # Errors
     /// [`BusError`] if iceoryx2 cannot reach a publisher.
@@ -394,7 +395,7 @@ impl<T: Topic> Subscriber<T> {
         self.port.update_connections().map_err(|error| BusError::new(T::NAME, error))
     }
 
-    /// Messages since the last call that came from processes without the role they spoke for.
+    /// Messages since the last call whose sender did not hold their role.
     pub fn take_impostors(&self) -> u64 {
         self.impostors.take()
     }
@@ -405,8 +406,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_another_version_made_is_told_as_such() {
-        let said = BusError::new("topic world", "IncompatibleTypes").to_string();
-        assert!(said.starts_with("topic world: made by another version of rangehound: use one version"), "{said}");
+    fn a_service_of_another_version_is_reported() {
+        let text = BusError::new("topic world", "IncompatibleTypes").to_string();
+        assert!(text.starts_with("topic world: made by another version of rangehound: use one version"), "{text}");
     }
 }

@@ -1,4 +1,4 @@
-//! Whether a message comes from the process that holds the role it speaks for.
+//! Checks whether a message comes from the process that holds its role.
 
 use std::cell::RefCell;
 
@@ -6,22 +6,22 @@ use rustix::process::{Pid, test_kill_process};
 
 use crate::rendezvous::{Role, Roster};
 
-/// Nodes that are known not to hold what they speak for; more are looked up again and again.
+/// Nodes remembered as impostors; further ones are looked up again each time.
 const STRANGERS_MAX: usize = 64;
 
-/// What a sender is to the role that its message speaks for.
+/// A sender's standing towards the role of its message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Standing {
     /// Its process holds the role.
     Holder,
-    /// Its process is gone, and so may be its hold; or that cannot be told.
+    /// Its process has ended, and its lease may have too; or its state is unknown.
     Gone,
     /// Its process lives and does not hold the role.
     Impostor,
 }
 
-/// The node that speaks for each role. Looked up in the roster once a node, so that a stranger that floods a
-/// topic costs a comparison a message.
+/// The node that holds each role. Each node is looked up in the roster once, so that an impostor that floods a
+/// topic costs one comparison per message.
 #[derive(Debug)]
 pub(super) struct Senders {
     roster: Roster,
@@ -30,7 +30,7 @@ pub(super) struct Senders {
 
 #[derive(Debug)]
 struct Known {
-    /// Node id by role; 0 for none.
+    /// Node id by role; 0 if unknown.
     bound: Vec<u128>,
     strangers: Vec<u128>,
 }
@@ -41,7 +41,7 @@ impl Senders {
         Self { roster, known: RefCell::new(known) }
     }
 
-    /// What a node, of the process that has this number where it runs, is to a role.
+    /// The standing of a node towards a role. `pid` gives the node's process id in that process's own namespace.
     pub(super) fn standing(&self, role: Role, node: u128, pid: impl FnOnce() -> Option<Pid>) -> Standing {
         let slot = match role {
             Role::Sim => 0,
@@ -62,9 +62,9 @@ impl Senders {
                 *bound = node;
                 return Standing::Holder;
             }
-            // One in another PID namespace counts for as little, but nobody can tell whether it lives.
+            // A sender in another PID namespace has no more rights, but this process cannot tell whether it lives.
             Ok(false) if pid().is_some_and(|pid| test_kill_process(pid).is_ok()) => {}
-            // What cannot be told now is not held against a sender for ever.
+            // A failed look-up is not remembered: the next message tries again.
             Ok(false) | Err(_) => return Standing::Gone,
         }
         if strangers.len() == STRANGERS_MAX {

@@ -1,4 +1,4 @@
-//! What a run is, as its founder leaves it for all others.
+//! The description of a run: the founder writes it, all other nodes read it.
 
 use std::path::PathBuf;
 
@@ -8,10 +8,10 @@ use rangehound_shared::sealed::{self, SealError};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
-/// What every node of a run must know.
+/// The data that every node of a run needs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunDescription {
-    /// Tells this run from every other, of the same name too.
+    /// Distinguishes this run from all others, also from those of the same name.
     pub run_id: u64,
     /// The experiment.
     pub scenario: Scenario,
@@ -30,10 +30,10 @@ impl RunDescription {
         Self { run_id: xxh3_64(&unique), scenario, out_dir }
     }
 
-    /// The description as text: JSON with the build that wrote it and a checksum, as one line.
+    /// The description as one line of JSON, with the build that wrote it and a checksum.
     ///
     /// # Errors
-    /// [`SealError`], also for a number that JSON does not have: NaN and infinity.
+    /// [`SealError`], also for NaN and infinity, which JSON does not have.
     pub fn seal(&self) -> Result<String, SealError> {
         let text = self.written_by(protocol::PROGRAM)?;
         let read =
@@ -47,13 +47,13 @@ impl RunDescription {
         }
     }
 
-    /// The description that [`Self::seal`] wrote.
+    /// Reads a description that [`Self::seal`] wrote.
     ///
     /// # Errors
-    /// [`SealError`], for what no build of this protocol has sealed.
+    /// [`SealError`] if the text was not sealed by a build of this protocol.
     pub fn open(bytes: &[u8]) -> Result<Self, SealError> {
         if bytes.starts_with(&sealed::MAGIC) {
-            // Protocols up to 4 wrote it as checkpoints are written.
+            // Protocols up to 4 used the format of checkpoints.
             return Err(sealed::open::<()>(bytes).err().unwrap_or(SealError::Malformed));
         }
         let build: OtherBuild = serde_json::from_slice(bytes).map_err(|_| match bytes.starts_with(HEAD) {
@@ -81,10 +81,10 @@ impl RunDescription {
     }
 }
 
-/// How the text begins, in every version.
+/// Start of the text, in every version.
 const HEAD: &[u8] = b"{\"program\":";
 
-/// What the text holds; its checksum is that of [`RunDescription::written_by`].
+/// The fields of the text; the checksum is [`RunDescription::written_by`]'s.
 #[derive(Deserialize)]
 struct Document {
     program: String,
@@ -109,7 +109,7 @@ mod tests {
         let read = RunDescription::open(one.seal().unwrap().as_bytes()).unwrap();
         assert_eq!(read, one);
         assert_eq!(read.scenario.dt_s.to_bits(), (0.1_f64 + 0.2).to_bits());
-        // As an optional number, both would be read as none.
+        // As an optional number, both would be read as absent.
         for none in [f64::NAN, f64::INFINITY] {
             one.scenario.gate_sigma = Some(none);
             assert!(matches!(one.seal(), Err(SealError::Unencodable(_))));
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_was_sealed_opens() {
+    fn only_a_sealed_description_opens() {
         let text = described().seal().unwrap();
         let open = |text: &str| RunDescription::open(text.as_bytes()).unwrap_err();
         for len in 8..text.len() - 1 {

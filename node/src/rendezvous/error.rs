@@ -13,29 +13,29 @@ use crate::system::resources::Shortage;
 /// Why a process cannot take part in a run.
 #[derive(Debug, thiserror::Error)]
 pub enum RendezvousError {
-    /// The name is taken by a run that lives.
-    #[error("run {name} is going on already: choose another --name, or stop it first")]
+    /// A live run has the name.
+    #[error("run {name} is already running: choose another --name, or stop it first")]
     Taken {
         /// The name.
         name: RunName,
     },
-    /// The role is taken by a process that lives.
-    #[error("{role} of run {name} is already there, {holder}")]
+    /// A live process has the role.
+    #[error("{role} of run {name} is already running, {holder}")]
     RoleTaken {
         /// The role.
         role: Role,
         /// The run.
         name: RunName,
-        /// Who holds it, as far as that can be told from here.
+        /// The holder, as far as this process can see it.
         holder: String,
     },
-    /// The system has too little of something.
+    /// The system lacks a resource.
     #[error(transparent)]
     Short(#[from] Shortage),
-    /// The folder belongs to somebody else.
+    /// The folder belongs to another user.
     #[error("{} belongs to another user: choose another --name", .0.display())]
     NotOurs(PathBuf),
-    /// Something else has the name of the folder.
+    /// The path of the folder is taken by something else.
     #[error("{}: expected a folder or nothing, got something else: remove it, or choose another --name", .0.display())]
     NoFolder(PathBuf),
     /// The description of the run cannot be used.
@@ -46,15 +46,15 @@ pub enum RendezvousError {
         /// Why.
         reason: SealError,
     },
-    /// The run is of a build that this one does not understand.
+    /// The run was founded by a build with another protocol.
     #[error("run {name} was founded by {build}: use one version for all its nodes")]
     OtherBuild {
         /// The run.
         name: RunName,
-        /// What founded it.
+        /// The build that founded it.
         build: OtherBuild,
     },
-    /// The wait groups cannot be made.
+    /// The wait groups cannot be created.
     #[error(transparent)]
     WaitGroups(#[from] BlockError),
     /// The system refuses a file operation.
@@ -65,27 +65,27 @@ pub enum RendezvousError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// The role's process is gone, and with it what a new one would need.
-    #[error("{role} of run {name} ended and has left no state to go on from: expected a new run")]
+    /// The role's process has ended, and the state that a successor needs is missing.
+    #[error("{role} of run {name} ended and left no state to resume from: start a new run")]
     StateLost {
         /// The role.
         role: Role,
         /// The run.
         name: RunName,
     },
-    /// Somebody has removed the run's shared memory.
+    /// The run's shared memory was removed from outside.
     #[error(
-        "run {name} has lost its shared memory: {} was removed while it went on, as systemd does at a user's last logout with RemoveIPC=yes: `rangehound resume {}` goes on from its checkpoints", .folder.display(), .out_dir.display()
+        "run {name} has lost its shared memory: {} was removed during the run, as systemd does at a user's last logout with RemoveIPC=yes: `rangehound resume {}` continues from its checkpoints", .folder.display(), .out_dir.display()
     )]
     Removed {
         /// The run.
         name: RunName,
-        /// What has been removed.
+        /// The removed file or folder.
         folder: PathBuf,
         /// Its run folder.
         out_dir: PathBuf,
     },
-    /// A request to end came while waiting for the run.
+    /// A request to end arrived while waiting for the run.
     #[error("ended while waiting for the run")]
     Terminated,
 }

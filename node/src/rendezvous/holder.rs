@@ -1,8 +1,8 @@
-//! The process that holds a lock, as the kernel tells it.
+//! The process that holds a lock, according to the kernel.
 //!
-//! A number in a file is no identity: it may be of another PID namespace (containers that share `/dev/shm`), or have
-//! passed to another process. Here a number is only a hint. What it leads to is opened first (pidfd) and then seen to
-//! hold the lock, so nothing is ever done to a stranger.
+//! A PID in a file does not identify a process: it may be from another PID namespace (containers that share `/dev/shm`), or
+//! have been reused. Here a PID is only a hint. The process is opened first (pidfd) and then checked to
+//! hold the lock, so no unrelated process is ever signalled.
 
 use std::fs::File;
 use std::os::fd::{AsRawFd, OwnedFd};
@@ -10,28 +10,28 @@ use std::os::unix::fs::MetadataExt;
 
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
 
-/// Who holds a role.
+/// The holder of a role.
 #[derive(Debug)]
 pub enum Holder {
     /// No living process.
     Nobody,
-    /// This one.
+    /// A process that this one can reach.
     Here(Process),
-    /// One that cannot be reached from here: of another PID namespace, or `/proc` does not tell.
+    /// A process that this one cannot reach: in another PID namespace, or hidden in `/proc`.
     Elsewhere,
 }
 
-/// A process, held so that it is never mistaken for another that may get its number.
+/// A process, opened by pidfd so that a reused PID is never mistaken for it.
 #[derive(Debug)]
 pub struct Process {
     pid: Pid,
-    /// Its number in the namespace of `/proc`, which need not be this process's.
+    /// Its PID in the namespace of `/proc`, which may differ from this process's namespace.
     proc_pid: i32,
     fd: OwnedFd,
 }
 
 impl Process {
-    /// The living process that holds an exclusive lock on this file. `hint` may be its number.
+    /// The live process that holds an exclusive lock on this file. `hint` may be its PID.
     pub(super) fn holding(file: &File, hint: Option<Pid>) -> Option<Self> {
         let metadata = file.metadata().ok()?;
         let lock = (metadata.dev(), metadata.ino());
@@ -45,7 +45,7 @@ impl Process {
         Some(Self { pid, proc_pid: number_in_proc(&fd)?, fd })
     }
 
-    /// Its number in this process's namespace.
+    /// Its PID in this process's namespace.
     #[must_use]
     pub fn pid(&self) -> Pid {
         self.pid
@@ -59,11 +59,11 @@ impl Process {
         Ok(pidfd_send_signal(&self.fd, signal)?)
     }
 
-    /// A file about it in `/proc`; nothing if it has ended.
+    /// The text of its file in `/proc`; empty if it has ended.
     #[must_use]
-    pub fn told(&self, file: &str) -> String {
+    pub fn proc_text(&self, file: &str) -> String {
         let text = std::fs::read_to_string(format!("/proc/{}/{file}", self.proc_pid)).unwrap_or_default();
-        // Alive after the look: so the number was its own.
+        // It is alive after the read, so the PID was its own.
         if number_in_proc(&self.fd) == Some(self.proc_pid) { text } else { String::new() }
     }
 
@@ -84,19 +84,19 @@ fn is_exclusive_lock(line: &str) -> bool {
     words.next() == Some("lock:") && words.any(|word| word == "FLOCK") && words.any(|word| word == "WRITE")
 }
 
-/// The number that `/proc` gives a process; `None` once it has ended, or if it is not of the namespace of `/proc`.
+/// The PID that `/proc` gives a process; `None` if it has ended or is not in the namespace of `/proc`.
 fn number_in_proc(process: &OwnedFd) -> Option<i32> {
     let info = std::fs::read_to_string(format!("/proc/self/fdinfo/{}", process.as_raw_fd())).ok()?;
     field(&info, "Pid:")?.parse().ok().filter(|number| *number > 0)
 }
 
-/// The numbers, in the namespace of `/proc`, of processes with an exclusive lock on a file of this inode number, which
-/// files of several file systems may have.
+/// PIDs, in the namespace of `/proc`, of processes with an exclusive lock on a file of this inode number. Files on several
+/// file systems may share the number.
 fn locked_by(ino: u64) -> Vec<i32> {
     let locks = std::fs::read_to_string("/proc/locks").unwrap_or_default();
     let numbers = locks.lines().filter_map(|line| {
         let words: Vec<&str> = line.split_whitespace().collect();
-        // Who waits for a lock has an arrow in its line, and is none of these.
+        // Lines of processes that wait for a lock have an arrow and do not match.
         let [_, "FLOCK", _, "WRITE", pid, file, ..] = words[..] else { return None };
         let is_it = file.rsplit_once(':').is_some_and(|(_, inode)| inode.parse() == Ok(ino));
         pid.parse().ok().filter(|pid| is_it && *pid > 0)
@@ -104,7 +104,7 @@ fn locked_by(ino: u64) -> Vec<i32> {
     numbers.collect()
 }
 
-/// The number in this process's namespace of one that `/proc` knows by this number.
+/// Translates a PID of `/proc` into this process's namespace.
 fn number_here(proc_pid: i32) -> Option<Pid> {
     let depth = |process: &str| -> Option<Vec<i32>> {
         let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;

@@ -1,21 +1,21 @@
-//! How the processes of a run find each other, know who lives, and leave nothing behind.
+//! How the processes of a run find each other, detect who lives, and clean up.
 //!
 //! A run is a folder in `/dev/shm`, readable by its owner only:
 //!
 //! | file | what |
 //! |---|---|
-//! | `door` | locked for the moment in which somebody founds, joins or leaves |
-//! | `members` | locked (shared) by every living member: exclusive success means nobody lives |
+//! | `door` | the membership lock: held briefly to found, join or leave the run |
+//! | `members` | locked (shared) by every live member: if an exclusive lock succeeds, the run is dead |
 //! | `run` | the sealed [`RunDescription`] |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
-//! | `<role>.role` | locked by the one process in that role; see [`Roster`] |
-//! | `ending` | there once the supervisor ends the run |
-//! | `live` | port and token of the page that shows the run |
-//! | `finished` | there once the simulator has ended the run |
+//! | `<role>.role` | locked by the process that holds the role; see [`Roster`] |
+//! | `ending` | exists once the supervisor ends the run |
+//! | `live` | port and token of the run's live page |
+//! | `finished` | exists once the simulator has ended the run |
 //!
-//! All locks are the kernel's: a process that dies, however it dies, lets go of them at once. The
-//! last member to leave removes the folder and the shared memory; where the last one was killed, the
-//! next founder of any run does.
+//! All locks are kernel locks: a process that dies, for whatever reason, releases them at once. The
+//! last member to leave removes the folder and the shared memory. If the last member was killed, the
+//! next founder of any run removes them.
 
 mod description;
 mod error;
@@ -49,20 +49,20 @@ use presence::Presence;
 pub use role::Role;
 pub use roster::{RoleLease, Roster, Succession};
 
-/// How often a joiner looks whether its run has been founded.
+/// Poll interval of a joiner that waits for its run to be founded.
 const JOIN_POLL: Duration = Duration::from_millis(20);
 
-/// How long a name is looked at before it is called taken: a killed process has its locks until the kernel has
-/// taken it down.
+/// How long a founder retries before it calls a name taken: a killed process keeps its locks until the kernel has
+/// removed it.
 const DYING: Duration = Duration::from_millis(500);
 
 /// Longest note, bytes.
 const NOTE_LEN_MAX: usize = 1 << 10;
 
-/// The note with port and token of the page that shows the run, so that a page that is started again is found where it was.
+/// The note with port and token of the live page, so that a restarted page keeps its address.
 pub const LIVE_NOTE: &str = "live";
 
-/// The note of a supervisor that ends its run: nobody is started again, and what the run leaves is written.
+/// The note of a supervisor that ends its run: nodes are not restarted any more, and the results are written.
 pub const ENDING_NOTE: &str = "ending";
 
 /// Membership in a run: holds the shared lock while it lives, and leaves on drop.
@@ -77,7 +77,7 @@ pub struct Rendezvous {
 
 impl Rendezvous {
     /// Founds a run under this name and becomes its first member. Leftovers of dead runs, of this
-    /// name or another, are removed; a living run is never touched.
+    /// name or another, are removed; a live run is never touched.
     ///
     /// # Errors
     /// [`RendezvousError::Taken`] if a run of this name lives; others if the system refuses.
@@ -85,7 +85,7 @@ impl Rendezvous {
         Self::found_within(DYING, name, description)
     }
 
-    /// The same, for whom another name would do: nobody's death is waited for.
+    /// As [`Self::found`], but fails at once if the name is taken: for a caller that can use another name.
     ///
     /// # Errors
     /// As [`Self::found`].
@@ -123,8 +123,7 @@ impl Rendezvous {
         Ok(Self::member(place, description, members))
     }
 
-    /// Joins the run of this name, waiting for it to be founded. `waiting` is called once if that is
-    /// not at once.
+    /// Joins the run of this name, waiting for it to be founded. `waiting` is called once if the run does not exist yet.
     ///
     /// # Errors
     /// [`RendezvousError`], [`RendezvousError::Terminated`] among them.
@@ -162,13 +161,13 @@ impl Rendezvous {
         };
         let members = place.open_existing("members")?;
         match members.try_lock() {
-            // Nobody lives: what lies here is a dead run's.
+            // No live member: the files are a dead run's.
             Ok(()) => return Ok(None),
             Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
         }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
-        // A run that has a member is neither removed nor founded anew: others may join while this one reads.
+        // A run with a member is neither removed nor founded anew, so others may join while this process reads.
         drop(door);
         let sealed =
             bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
@@ -184,8 +183,8 @@ impl Rendezvous {
         Self { place, roster, description, presence, members: Some(members) }
     }
 
-    /// Founds the run once more, after somebody has removed its shared memory: what is left of that is removed too, so that
-    /// whoever still holds some of it sees that it is over. Roles are counted on from what they had come to. All
+    /// Founds the run again after its shared memory was removed from outside. Remains of it are removed too, so that
+    /// processes that still use them see that the run is over. Incarnations continue from the old roles. All
     /// nodes must have ended.
     ///
     /// # Errors
@@ -193,7 +192,7 @@ impl Rendezvous {
     pub fn found_again(self, starts: &[(Role, u64)]) -> Result<Self, RendezvousError> {
         let (name, description) = (self.name().clone(), self.description.clone());
         {
-            // Where it cannot be locked, it has been removed.
+            // A failed lock means that it was removed.
             let _door = self.place.enter(false);
             self.place.remove();
         }
@@ -205,7 +204,7 @@ impl Rendezvous {
         Ok(again)
     }
 
-    /// Looks now and then whether the run's shared memory is still there; to be called in each round of a node's loop.
+    /// Checks at intervals that the run's shared memory still exists; call it in each round of a node's loop.
     ///
     /// # Errors
     /// [`RendezvousError::Removed`].
@@ -213,26 +212,26 @@ impl Rendezvous {
         if self.presence.holds() { Ok(()) } else { Err(self.removed()) }
     }
 
-    /// True if somebody has removed the run's shared memory.
+    /// True if the run's shared memory was removed from outside.
     #[must_use]
     pub fn is_removed(&self) -> bool {
         !self.presence.holds_now()
     }
 
-    /// Why a member of a run that was removed cannot go on.
+    /// The error for a member whose run was removed.
     #[must_use]
     pub fn removed(&self) -> RendezvousError {
         let out_dir = self.description.out_dir.clone();
         RendezvousError::Removed { name: self.name().clone(), folder: self.place.dir().to_owned(), out_dir }
     }
 
-    /// A thorough look at the run's shared memory, for a supervisor.
+    /// A thorough check of the run's shared memory, for a supervisor.
     #[must_use]
     pub fn inspection(&self) -> Inspection {
         Inspection::of(&self.place)
     }
 
-    /// Leaves the run and goes on looking: nobody who founds or resumes it waits for this process.
+    /// Leaves the run but keeps observing it: founding or resuming the run does not wait for this process.
     #[must_use]
     pub fn look_on(self) -> Self {
         let mut onlooker = self;
@@ -258,31 +257,31 @@ impl Rendezvous {
         self.place.path("iceoryx2.toml")
     }
 
-    /// How the names of the run's shared memory start.
+    /// Prefix of the names of the run's shared memory.
     #[must_use]
     pub fn shared_memory_prefix(&self) -> &str {
         self.place.prefix()
     }
 
-    /// Removes what a killed process was about to make, so that nobody waits for it to be finished. For
+    /// Removes files that a killed process had not finished creating, so that no process waits for them. For
     /// a supervisor, after each death.
     pub fn remove_half_made(&self) {
         self.place.remove_half_made();
     }
 
-    /// Takes from other users what they may do with shared memory of this run, however it was made.
+    /// Removes the permissions of other users from all shared memory of this run.
     pub fn close_to_others(&self) {
         self.place.close_to_others();
     }
 
-    /// Who holds which role.
+    /// The holders of the roles.
     #[must_use]
     pub fn roster(&self) -> &Roster {
         &self.roster
     }
 
-    /// Refuses the place of a process that ended when it had already put ticks down, or that cannot be known
-    /// because its log is gone: a new one would start from tick 0.
+    /// Refuses to replace a process that ended after it had logged ticks, or whose log is missing: a replacement
+    /// would start from tick 0.
     ///
     /// # Errors
     /// [`RendezvousError::StateLost`].
@@ -298,10 +297,10 @@ impl Rendezvous {
         }
     }
 
-    /// Does something while nobody can be deposed, if this holder has not been. `None` if it has.
+    /// Runs an action while nobody can be deposed. Returns `None` without running it if this holder was deposed before.
     ///
     /// # Errors
-    /// If that cannot be told, as the door cannot be locked: nothing was done.
+    /// If the membership lock cannot be taken: the action was not run.
     pub fn while_current<T>(
         &self,
         lease: &RoleLease,
@@ -311,7 +310,7 @@ impl Rendezvous {
         Ok(lease.is_current().then(action))
     }
 
-    /// Leaves a note for others of this user in the run's folder, which goes with the run.
+    /// Writes a note for other processes of this user to the run's folder. It is removed with the run.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -319,7 +318,7 @@ impl Rendezvous {
         self.place.write(name, text.as_bytes())
     }
 
-    /// A note that was left, if it was.
+    /// The text of a note, if it exists.
     #[must_use]
     pub fn note(&self, name: &str) -> Option<String> {
         String::from_utf8(bounded::read(&self.place.path(name), NOTE_LEN_MAX).ok()?).ok()
@@ -333,8 +332,8 @@ impl Rendezvous {
         self.place.write("finished", b"")
     }
 
-    /// True once the run has ended. Its last member takes its folder along, so to one who only looks on it has ended too
-    /// where there is none; a member without it has lost it.
+    /// True once the run has ended. The last member removes the folder, so for an observer a missing folder also means that the
+    /// run has ended; for a member it means that the run was lost.
     #[must_use]
     pub fn is_finished(&self) -> bool {
         self.place.path("finished").exists() || self.members.is_none() && !self.place.path("run").exists()
@@ -342,11 +341,11 @@ impl Rendezvous {
 }
 
 impl Drop for Rendezvous {
-    /// Leaves; the last one out removes the run. Errors are not told: there is nobody to act on them,
+    /// Leaves the run; the last member removes it. Errors are not reported: no caller could act on them,
     /// and the next founder tries again.
     fn drop(&mut self) {
-        // Where somebody has removed the folder, some of the run's shared memory may be left: behind a door, so that it
-        // is not that of another founder of this name.
+        // If the folder was removed from outside, some of the run's shared memory may remain. The membership lock ensures that
+        // it does not belong to a new founder of this name.
         let is_folder_gone = self.members.is_some() && !self.place.dir().exists();
         let Ok(_door) = self.place.enter(is_folder_gone) else { return };
         self.members = None;
@@ -358,14 +357,14 @@ impl Drop for Rendezvous {
     }
 }
 
-/// Names of this user's runs that have a living member.
+/// Names of this user's runs with a live member.
 #[must_use]
 pub fn living_runs() -> Vec<RunName> {
     run_names()
         .filter(|name| {
             let place = Place::of(name);
-            // Behind the door, so that nobody mistakes this look for a member.
-            // Whoever stands in the door lives.
+            // Holds the membership lock, so that nobody mistakes this check for a member.
+            // A process that holds the membership lock is alive.
             let Ok(door) = place.glance() else { return false };
             door.is_none()
                 || place
@@ -375,17 +374,17 @@ pub fn living_runs() -> Vec<RunName> {
         .collect()
 }
 
-/// What lies in shared memory of the run of this name: nothing once its last member has left.
+/// The shared-memory files of the run of this name: none once its last member has left.
 #[must_use]
 pub fn files_of(name: &RunName) -> Vec<PathBuf> {
     Place::of(name).files()
 }
 
-/// Continues the nodes that were stopped when their supervisor was killed: what the kernel asked of them then,
-/// to end, waits until they run.
+/// Continues the nodes that were suspended when their supervisor was killed: the kernel's request to end
+/// stays pending until they run.
 fn continue_orphans(place: &Place) {
     for process in Roster::of(place).processes() {
-        let (status, command) = (process.told("status"), process.told("cmdline"));
+        let (status, command) = (process.proc_text("status"), process.proc_text("cmdline"));
         let field = |name: &str| status.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
         let mut words = command.split('\0').skip_while(|word| *word != "--end-with").skip(1);
         let is_orphan = words.next().is_some_and(|parent| field("PPid:") != Some(parent));
@@ -395,11 +394,11 @@ fn continue_orphans(place: &Place) {
     }
 }
 
-/// Removes this user's runs of which nobody lives, but for the one that is about to be founded.
+/// Removes this user's dead runs, except the one that is about to be founded.
 fn remove_dead_runs(but: &RunName) {
     for name in run_names().filter(|name| name != but) {
         let place = Place::of(&name);
-        // Somebody in the door will see to it; no other run waits for that.
+        // The process that holds the membership lock will clean up; no other run waits for that.
         let Ok(Some(_door)) = place.glance() else { continue };
         let Ok(members) = place.open_existing("members") else { continue };
         if members.try_lock().is_ok() {

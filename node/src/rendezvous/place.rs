@@ -13,10 +13,10 @@ use xxhash_rust::xxh3::xxh3_64;
 use super::RendezvousError;
 use crate::system::resources::SHARED_MEMORY;
 
-/// How long to wait for whoever stands in the door, and how often to try.
+/// How long to wait for the membership lock, and how often to try.
 const DOOR: Duration = Duration::from_secs(10);
 const DOOR_POLL: Duration = Duration::from_micros(200);
-/// A large team that joins at once would keep the processors busy with trying.
+/// Retry interval for large teams: shorter retries by all members at once would keep the processors busy.
 const DOOR_POLL_MAX: Duration = Duration::from_millis(10);
 
 /// Permissions of a run's folder.
@@ -27,19 +27,19 @@ const MODE: u32 = 0o700;
 pub(super) struct Place {
     pub(super) name: RunName,
     dir: PathBuf,
-    /// Starts the name of every file that iceoryx2 makes for this run.
+    /// Prefix of every file that iceoryx2 creates for this run.
     prefix: String,
 }
 
 impl Place {
     pub(super) fn of(name: &RunName) -> Self {
         let dir = Path::new(SHARED_MEMORY).join(format!("{}{name}", folder_prefix()));
-        // A hash, not the name: the names of sockets are short of room.
+        // A hash, not the name: socket names have little room.
         let prefix = format!("rh{:08x}_", xxh3_64(dir.as_os_str().as_encoded_bytes()) as u32);
         Self { name: name.clone(), dir, prefix }
     }
 
-    /// Starts the name of everything in shared memory that belongs to the run.
+    /// Prefix of everything in shared memory that belongs to the run.
     pub(super) fn prefix(&self) -> &str {
         &self.prefix
     }
@@ -57,7 +57,7 @@ impl Place {
         RendezvousError::Io { path: self.path(file), source }
     }
 
-    /// Locks the door if nobody stands in it.
+    /// Takes the membership lock if it is free.
     pub(super) fn glance(&self) -> Result<Option<File>, RendezvousError> {
         self.look_for_owner()?;
         let door = self.open_existing("door")?;
@@ -68,7 +68,7 @@ impl Place {
         }
     }
 
-    /// Locks the door, which nobody holds for long but one that was stopped in it.
+    /// Takes the membership lock. Only a suspended process holds it for long.
     pub(super) fn enter(&self, create: bool) -> Result<File, RendezvousError> {
         let began = Instant::now();
         let mut poll = DOOR_POLL;
@@ -82,7 +82,7 @@ impl Place {
                 }
             }
             self.look_for_owner()?;
-            // Opened, not made, by those who only look: a dead run's folder must not come back.
+            // Observers open it without creating it: a dead run's folder must not come back.
             let door = match if create { self.open("door") } else { self.open_existing("door") } {
                 Err(RendezvousError::Io { source, .. }) if create && source.kind() == std::io::ErrorKind::NotFound => {
                     continue;
@@ -97,7 +97,7 @@ impl Place {
                     poll = (2 * poll).min(DOOR_POLL_MAX);
                 }
                 Err(TryLockError::WouldBlock) => {
-                    let held = "a process has stood in it for too long, as one that was stopped would";
+                    let held = "a process has held this lock for too long and may be suspended: continue or end it";
                     return Err(self.io_error("door", std::io::Error::new(std::io::ErrorKind::TimedOut, held)));
                 }
                 Err(TryLockError::Error(source)) => return Err(self.io_error("door", source)),
@@ -107,7 +107,7 @@ impl Place {
 
     fn look_for_owner(&self) -> Result<(), RendezvousError> {
         let dir_error = |source| RendezvousError::Io { path: self.dir.clone(), source };
-        // Names there are anybody's to take: a link is not followed, as what lies in the folder is removed.
+        // Any user can create names there. Do not follow a link: the contents of the folder get removed.
         let found = std::fs::symlink_metadata(&self.dir).map_err(dir_error)?;
         if found.uid() != rustix::process::getuid().as_raw() {
             return Err(RendezvousError::NotOurs(self.dir.clone()));
@@ -121,7 +121,7 @@ impl Place {
         Ok(())
     }
 
-    /// The last one out removes the folder, so a lock counts only if the door is still the one that the path names.
+    /// The last member removes the folder, so a lock counts only if the path still names the locked file.
     fn is_named(&self, door: &File) -> bool {
         let inode = |file: std::io::Result<std::fs::Metadata>| file.map(|file| file.ino()).ok();
         let locked = inode(door.metadata());
@@ -143,7 +143,7 @@ impl Place {
         OpenOptions::new().read(true).write(true).open(self.path(file)).map_err(|source| self.io_error(file, source))
     }
 
-    /// Writes a file whole or not at all.
+    /// Writes a file atomically.
     pub(super) fn write(&self, file: &str, bytes: &[u8]) -> Result<(), RendezvousError> {
         let partial = format!("{file}.partial");
         let write = || {
@@ -159,7 +159,7 @@ impl Place {
         format!("[global]\nroot-path = {:?}\nprefix = {:?}\n", self.dir.display().to_string(), self.prefix)
     }
 
-    /// Removes what a dead run of this name left, but for the locks, which the caller holds.
+    /// Removes the files of a dead run of this name, except the locks, which the caller holds.
     pub(super) fn remove_leftovers(&self) {
         for entry in std::fs::read_dir(&self.dir).into_iter().flatten().flatten() {
             let name = entry.file_name();
@@ -175,15 +175,15 @@ impl Place {
         }
     }
 
-    /// Removes the shared memory that a process was about to make when it was killed: a file of this run that
-    /// has no length yet and that nobody holds open. iceoryx2 waits without end for such a file to be
+    /// Removes shared memory that a killed process had not finished creating: files of this run with
+    /// length zero that no process holds open. iceoryx2 would wait without end for such a file to be
     /// finished, if it may open it at all.
     pub(super) fn remove_half_made(&self) {
         for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             let is_ours = entry.file_name().as_encoded_bytes().starts_with(self.prefix.as_bytes());
             if is_ours && entry.metadata().is_ok_and(|file| file.is_file() && file.len() == 0) {
                 let path = entry.path();
-                // Looked at again after the search: whoever was making it may have finished.
+                // Checked again after the search: its creator may have finished it meanwhile.
                 if !is_open_elsewhere(&path) && std::fs::metadata(&path).is_ok_and(|file| file.len() == 0) {
                     let _ = std::fs::remove_file(&path);
                 }
@@ -191,8 +191,8 @@ impl Place {
         }
     }
 
-    /// Takes from group and others what they may do with this run's files in shared memory. Names there are anybody's
-    /// to take: a link is not followed, and what is not this user's is left alone.
+    /// Removes the permissions of group and others from this run's files in shared memory. Any user can create names there, so
+    /// links are not followed and files of other users are not touched.
     pub(super) fn close_to_others(&self) {
         let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
         for path in self.files() {
@@ -200,13 +200,13 @@ impl Place {
             let Ok(metadata) = file.metadata() else { continue };
             let mode = metadata.permissions().mode();
             if metadata.uid() == rustix::process::getuid().as_raw() && mode & 0o077 != 0 {
-                // An error means that it is gone.
+                // An error means that the file is gone.
                 let _ = file.set_permissions(Permissions::from_mode(mode & 0o700));
             }
         }
     }
 
-    /// What lies in shared memory of this run.
+    /// The run's files in shared memory.
     pub(super) fn files(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten().map(|entry| entry.path());
         let is_segment = |path: &Path| {
@@ -215,16 +215,16 @@ impl Place {
         entries.filter(|path| *path == self.dir || is_segment(path)).collect()
     }
 
-    /// Removes the run. The caller holds the door and knows that nobody lives.
+    /// Removes the run. The caller holds the membership lock and knows that no member lives.
     pub(super) fn remove(&self) {
         self.remove_leftovers();
         let _ = std::fs::remove_dir_all(&self.dir);
     }
 }
 
-/// True if another process that this user can see holds the file open. This one only waits for it.
+/// True if another process that this user can see holds the file open. This process itself does not count.
 fn is_open_elsewhere(path: &Path) -> bool {
-    // `/proc` may be of another PID namespace than this process.
+    // `/proc` may belong to another PID namespace than this process.
     let me = std::fs::read_link("/proc/self").unwrap_or_default();
     let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
     let processes = processes.filter(|process| process.file_name() != me.as_os_str());
@@ -233,7 +233,7 @@ fn is_open_elsewhere(path: &Path) -> bool {
     files.into_iter().any(|file| std::fs::read_link(file.path()).is_ok_and(|target| target == path))
 }
 
-/// Starts the names of this user's run folders.
+/// Prefix of this user's run folders.
 fn folder_prefix() -> String {
     format!("rh-{}-", rustix::process::getuid().as_raw())
 }

@@ -1,7 +1,7 @@
-//! Whether a run's files in shared memory are still there.
+//! Checks that a run's files in shared memory still exist.
 //!
-//! Whoever may write to `/dev/shm` can remove them under a run: systemd does at a user's last logout (`RemoveIPC=yes`).
-//! Processes keep what they have open and mapped, but nobody new can join, and no role can be passed on.
+//! Any process that may write to `/dev/shm` can remove them: systemd does at a user's last logout (`RemoveIPC=yes`).
+//! Processes keep their open and mapped files, but no process can join, and no role can be passed on.
 
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -14,22 +14,22 @@ use super::place::Place;
 use crate::system::clock::monotonic_ns;
 use crate::system::resources::SHARED_MEMORY;
 
-/// How often a member looks whether the run is still there.
+/// Interval at which a member checks that the run exists.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Nodes whose open files are examined in one look: the cost of a look has a bound, whatever the team.
+/// Nodes whose open files are examined per check: bounds its cost for any team size.
 const NODES_PER_LOOK: usize = 4;
 
-/// A node that still holds a removed file open after this long needs it: nobody takes so long to close one.
+/// A removed file that a node holds open for this long is still needed: closing never takes that long.
 const SURE: Duration = Duration::from_millis(250);
 
-/// Files that every member needs for as long as the run goes on.
+/// Files that every member needs until the run ends.
 const FOUNDATION: [&str; 4] = ["door", "members", "run", "iceoryx2.toml"];
 
-/// What the kernel puts after the name of a file that has been removed.
+/// Suffix that the kernel appends to the name of a removed file.
 const REMOVED: &str = " (deleted)";
 
-/// A file, and the inode that it had.
+/// A file and its inode when first seen.
 #[derive(Debug)]
 struct Known {
     path: PathBuf,
@@ -50,7 +50,7 @@ fn inode(path: &Path) -> Option<u64> {
     std::fs::metadata(path).map(|file| file.ino()).ok()
 }
 
-/// One member's cheap look: at one file, now and then. No memory is allocated for it.
+/// A member's cheap check of one file, at intervals. Allocates no memory.
 #[derive(Debug)]
 pub(super) struct Presence {
     run: Known,
@@ -62,7 +62,7 @@ impl Presence {
         Self { run: Known::of(place.path("run")), looked_ns: AtomicU64::new(monotonic_ns()) }
     }
 
-    /// False once the run's folder has been removed or replaced, as of the newest look.
+    /// False once the run's folder has been removed or replaced, as of the last check.
     pub(super) fn holds(&self) -> bool {
         let now_ns = monotonic_ns();
         if now_ns.saturating_sub(self.looked_ns.load(Relaxed)) < LOOK.as_nanos() as u64 {
@@ -72,18 +72,18 @@ impl Presence {
         self.holds_now()
     }
 
-    /// The same, looked at now.
+    /// The same, checked now.
     pub(super) fn holds_now(&self) -> bool {
         self.run.is_there()
     }
 }
 
-/// A supervisor's thorough look: at what all have in common, and at what each node holds open in shared memory.
+/// A supervisor's thorough check: of the common files, and of the shared memory that each node holds open.
 #[derive(Debug)]
 pub struct Inspection {
     place: Place,
     common: Vec<Known>,
-    /// Removed files that a node holds open, since when: it may be about to close them.
+    /// Removed files that a node holds open, and since when: it may be about to close them.
     suspects: Vec<(Pid, PathBuf, Instant)>,
     next: usize,
 }
@@ -95,14 +95,14 @@ impl Inspection {
         Self { place: place.clone(), common, suspects: Vec::new(), next: 0 }
     }
 
-    /// A file that somebody else has removed, if there is one that the run cannot do without. Some of the nodes are
-    /// examined at each look; not who cleans up after the dead, and so holds open what is about to go.
+    /// A required file that was removed from outside, if any. Each check examines some of the
+    /// nodes. A node that cleans up after dead ones is not examined: it holds open files that are being removed.
     pub fn removed(&mut self, nodes: &[Pid]) -> Option<PathBuf> {
         if let Some(gone) = self.common.iter().find(|known| !known.is_there()) {
             return Some(gone.path.clone());
         }
         let suspected = self.suspects.first().and_then(|(pid, ..)| nodes.iter().position(|node| node == pid));
-        // Who is suspected is examined again at the next look.
+        // A suspected node is examined again at the next check.
         let first = suspected.unwrap_or(self.next);
         let examined: Vec<Pid> =
             nodes.iter().cycle().skip(first).take(nodes.len().min(NODES_PER_LOOK)).copied().collect();
@@ -120,7 +120,7 @@ impl Inspection {
         sure.map(|(_, path, _)| path.clone())
     }
 
-    /// The same of all nodes, for as long as it takes to be sure.
+    /// The same check of all nodes, repeated until the result is certain.
     pub fn removed_of_any(&mut self, nodes: &[Pid]) -> Option<PathBuf> {
         self.next = 0;
         for _ in 0..=nodes.len() / NODES_PER_LOOK {
@@ -137,7 +137,7 @@ impl Inspection {
         None
     }
 
-    /// The files of this run that a process holds open, that it needs, and that have lost their names.
+    /// The run's files that a process holds open and needs, but that have been removed.
     fn removed_under(&self, pid: Pid) -> impl Iterator<Item = PathBuf> {
         let files = std::fs::read_dir(format!("/proc/{}/fd", pid.as_raw_pid())).into_iter().flatten().flatten();
         files.filter_map(|entry| {
@@ -155,19 +155,19 @@ impl Inspection {
             || path.starts_with(self.place.dir())
     }
 
-    /// False for what legitimately loses its name while a process holds it open.
+    /// False for files that may be removed while a process holds them open.
     fn is_needed(&self, path: &Path, is_writable: impl Fn() -> bool) -> bool {
         let nodes = self.place.path("nodes");
         if path.starts_with(&nodes) {
-            // A node that starts looks at the others, and holds files of the dead open when those are cleaned up.
+            // A starting node inspects the others, and may hold files of dead nodes open while those are cleaned up.
             return !nodes.exists();
         }
         match path.extension().and_then(|extension| extension.to_str()) {
-            // A way from one node to another goes when either does, and a new one is made for whoever comes.
+            // A connection between two nodes is removed when either ends; a new node gets a new one.
             Some("connection" | "partial") => false,
-            // Whoever reads a dead node's messages holds them open for a while: only its writer needs the name.
+            // A reader of a dead node's messages holds them open for a while: only the writer needs the name.
             Some("data") => is_writable(),
-            // Of one who has been deposed: another file has the name.
+            // The file of a deposed holder: a new file has the name.
             Some("role") => !path.exists(),
             _ => true,
         }

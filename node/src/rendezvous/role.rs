@@ -2,23 +2,23 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A role in a run: one living process each.
+/// A role in a run; at most one live process holds it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Role {
     /// Advances the world and keeps the clock.
     Sim,
-    /// Filters and plans.
+    /// Estimates the target and plans the headings.
     Fusion,
-    /// Ready to be fusion, by number from 1.
+    /// Ready to take over as fusion; numbered from 1.
     Standby(usize),
     /// One robot, by id.
     Robot(usize),
-    /// Starts and ends the nodes.
+    /// Starts, restarts and ends the nodes.
     Supervisor,
 }
 
 impl Role {
-    /// The robot's id, of a robot.
+    /// The robot's id, if the role is a robot.
     #[must_use]
     pub fn robot(self) -> Option<usize> {
         if let Self::Robot(id) = self { Some(id) } else { None }
@@ -26,7 +26,7 @@ impl Role {
 
     /// Names this process after the role, so that `ps` and `top` tell the nodes apart.
     pub fn name_process(self) {
-        // The kernel keeps 15 bytes; "rh-robot-255" fits. A process without its name works as well.
+        // The kernel keeps 15 bytes; "rh-robot-1023" fits. A failure is harmless.
         if let Ok(title) = std::ffi::CString::new(format!("rh-{self}")) {
             let _ = rustix::thread::set_name(&title);
         }

@@ -1,11 +1,11 @@
-//! Who holds which role: a locked file each.
+//! The holders of the roles: one locked file for each role.
 //!
-//! The lock says who holds a role, and ends with its process. The file's text counts how often the role has
-//! been taken and names the holder's process; its time of change is the holder's last heartbeat.
+//! The lock shows that a role is held, and ends with the holder's process. The file's text has the number of times that the
+//! role was taken and the holder's PID; its modification time is the holder's last heartbeat.
 //!
-//! A role is passed on in two ways. A holder that ends lets go of the lock, and whoever waits for it has it. A
-//! holder that hangs keeps its lock and is deposed: a new file takes the name of the old one, whose lock
-//! then counts for nothing. Each holder has a greater incarnation than all before it.
+//! A role is passed on in two ways. If the holder ends, it releases the lock and a waiting process gets it. If the
+//! holder hangs, it keeps its lock and is deposed: a new file replaces the old one, whose lock
+//! then has no effect. Each holder has a greater incarnation than all before it.
 
 use std::cell::Cell;
 use std::fs::{File, TryLockError};
@@ -21,10 +21,10 @@ use super::place::Place;
 use super::tenure::Tenure;
 use super::{RendezvousError, Role};
 
-/// How often a holder gives a heartbeat, if it is called or wakes up often enough.
+/// Heartbeat interval of a holder that wakes up often enough.
 const SIGN: Duration = Duration::from_millis(50);
 
-/// Whoever looks whether a role is held has its lock for a moment: not at once taken for a holder.
+/// A process that checks whether a role is held locks its file briefly: retry for this long before reporting a holder.
 const GLANCE: Duration = Duration::from_millis(20);
 
 /// The roles of one run.
@@ -33,13 +33,13 @@ pub struct Roster {
     place: Place,
 }
 
-/// One process's hold on its role.
+/// One process's lease on its role.
 #[derive(Debug)]
 pub struct RoleLease {
     file: File,
-    /// Which holder of the role this is, counted from 1: its fencing token.
+    /// Number of this holder among all of the role, from 1: its fencing token.
     pub incarnation: u64,
-    signed: Cell<Instant>,
+    renewed: Cell<Instant>,
 }
 
 /// A wait for a role to become free.
@@ -53,17 +53,17 @@ impl Roster {
         Self { place: place.clone() }
     }
 
-    /// Takes a role, which nobody else can until this process ends or is deposed.
+    /// Takes a role for this process, until it ends or is deposed.
     ///
     /// # Errors
-    /// [`RendezvousError::RoleTaken`] if a living process has it.
+    /// [`RendezvousError::RoleTaken`] if a live process holds it.
     pub fn take(&self, role: Role) -> Result<RoleLease, RendezvousError> {
         let began = Instant::now();
         loop {
             let file = self.place.open(&file_name(role))?;
             match file.try_lock() {
                 Ok(()) => {
-                    // Behind the door nobody is deposed: what is seen of the file then stays so.
+                    // Under the membership lock nobody can be deposed, so the result of this check stays true.
                     let _door = self.place.enter(false)?;
                     if is_current(&file) {
                         return self.register(role, file);
@@ -76,7 +76,7 @@ impl Roster {
                     let holder = match self.process(role) {
                         Holder::Here(process) => format!("as process {}", process.pid().as_raw_pid()),
                         Holder::Elsewhere => "in another PID namespace (container)".to_owned(),
-                        // It has let go just now.
+                        // The holder has just released it.
                         Holder::Nobody => "about to end".to_owned(),
                     };
                     return Err(RendezvousError::RoleTaken { role, name: self.place.name.clone(), holder });
@@ -86,32 +86,32 @@ impl Roster {
         }
     }
 
-    /// Waits for a role in the background, to have it as soon as the kernel says that its holder is gone.
+    /// Waits for a role in the background, and locks it as soon as its holder ends.
     #[must_use]
     pub fn succeed(&self, role: Role) -> Succession {
         let (send, freed) = mpsc::channel();
         let place = self.place.clone();
-        // Ends with the process if not before: a wait for a lock has no time limit.
+        // The thread ends with the process at the latest: a wait for a lock has no time-out.
         let waited = std::thread::Builder::new().spawn(move || {
             let mut next = place.open(&file_name(role));
             while let Ok(file) = next {
                 if file.lock().is_ok() && is_current(&file) {
-                    // If nobody waits for it any more, the file is closed and the lock is free again.
+                    // If the receiver is gone, the file is closed and the lock is free again.
                     let _ = send.send(file);
                     return;
                 }
-                // Not made anew: who was deposed has left another; where there is none, somebody removes the run.
+                // Not created here: a deposed holder's file has been replaced; a missing file means that the run is being removed.
                 next = place.open_existing(&file_name(role));
             }
         });
         if let Err(error) = waited {
-            log::warn!("cannot wait for the end of who holds {role}, only for its silence: {error}");
+            log::warn!("cannot wait for the holder of {role} to end, only for missing heartbeats: {error}");
         }
         Succession { freed }
     }
 
-    /// Takes a role, within the time, from a holder that ends. `None` also if that holder was deposed meanwhile: the lock
-    /// that was waited for then counts for nothing.
+    /// Takes a role, within the time, from a holder that ends. `None` also if that holder was deposed meanwhile: the awaited
+    /// lock then has no effect.
     ///
     /// # Errors
     /// If the role's file cannot be written.
@@ -134,8 +134,8 @@ impl Roster {
         }
     }
 
-    /// Takes a role from a holder that has given no heartbeat since this one. `None` if it has, or if
-    /// another was faster.
+    /// Takes a role from a holder that has sent no heartbeat since this one. `None` if it has, or if
+    /// another process took the role first.
     ///
     /// # Errors
     /// If the role's file cannot be written.
@@ -150,13 +150,13 @@ impl Roster {
         let mut file = self.place.open(&partial)?;
         file.lock().map_err(io_error)?;
         let incarnation = tenure.next_incarnation();
-        // Signed before it has the name: nobody sees a role that is not counted.
+        // Registered before it gets the name: nobody sees a role without its count.
         write_entry(&mut file, incarnation).map_err(io_error)?;
         std::fs::rename(self.place.path(&partial), self.place.path(&name)).map_err(io_error)?;
         Ok(Some(RoleLease::new(role, file, incarnation)))
     }
 
-    /// Counts a start of the role and puts this process down in its file, whose lock it has. The caller holds the door.
+    /// Counts a start of the role and writes this process to its locked file. The caller holds the membership lock.
     fn register(&self, role: Role, mut file: File) -> Result<RoleLease, RendezvousError> {
         let io_error = |source| self.place.io_error(&file_name(role), source);
         let mut text = String::new();
@@ -167,7 +167,7 @@ impl Roster {
         Ok(RoleLease::new(role, file, incarnation))
     }
 
-    /// Sets how often a role has been taken, in a run that was founded again: each holder has a greater incarnation
+    /// Sets the incarnation count of a role in a run that was founded again, so that each holder has a greater incarnation
     /// than all before it.
     pub(super) fn count_from(&self, role: Role, starts: u64) -> Result<(), RendezvousError> {
         if starts == 0 {
@@ -181,7 +181,7 @@ impl Roster {
         self.read_entry(role).ok()?
     }
 
-    /// `None` for a role that nobody has ever taken.
+    /// `None` if the role was never taken.
     fn read_entry(&self, role: Role) -> std::io::Result<Option<(u64, i32)>> {
         match std::fs::read_to_string(self.place.path(&file_name(role))) {
             Ok(text) => Ok(parse_entry(&text)),
@@ -190,7 +190,7 @@ impl Roster {
         }
     }
 
-    /// The living processes that hold any role and can be reached from here.
+    /// The live processes that hold any role and that this process can reach.
     pub(super) fn processes(&self) -> Vec<Process> {
         let files = std::fs::read_dir(self.place.path("")).into_iter().flatten().flatten().map(|file| file.path());
         let roles = files.filter(|path| path.extension().is_some_and(|extension| extension == "role"));
@@ -202,17 +202,17 @@ impl Roster {
             .collect()
     }
 
-    /// Which file has the role's name: another one after somebody was deposed.
+    /// The identity of the role's file: it changes when a holder is deposed.
     #[must_use]
     pub fn file_of(&self, role: Role) -> Option<u64> {
         std::fs::metadata(self.place.path(&file_name(role))).map(|file| file.ino()).ok()
     }
 
-    /// True if the process that took the role last speaks through this iceoryx2 node: its id is unique, where a process's number
-    /// is another's in another PID namespace.
+    /// True if the last process that took the role uses this iceoryx2 node. The node's id is unique; a PID is not, across
+    /// PID namespaces.
     ///
     /// # Errors
-    /// If that cannot be told now.
+    /// If the file cannot be read now.
     pub fn speaks_through(&self, role: Role, node: u128) -> std::io::Result<bool> {
         let Some((starts, _)) = self.read_entry(role)? else { return Ok(false) };
         match std::fs::read_to_string(self.place.path(&node_file_name(role))) {
@@ -222,7 +222,7 @@ impl Roster {
         }
     }
 
-    /// Tells which node the holder of a role speaks through, before it says anything.
+    /// Registers the iceoryx2 node of a role's holder, before it sends anything.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -230,19 +230,19 @@ impl Roster {
         self.place.write(&node_file_name(role), node_entry(lease.incarnation, node).as_bytes())
     }
 
-    /// How often a role has been taken in this run.
+    /// The number of times that a role has been taken in this run.
     #[must_use]
     pub fn starts(&self, role: Role) -> u64 {
         self.entry(role).map_or(0, |(starts, _)| starts)
     }
 
-    /// The process that took this role last, alive or not.
+    /// PID of the last process that took this role, alive or not.
     #[must_use]
     pub fn last_holder(&self, role: Role) -> Option<Pid> {
         Pid::from_raw(self.entry(role)?.1)
     }
 
-    /// The living process that holds this role, if it can be reached from here.
+    /// The live process that holds this role, if this process can reach it.
     #[must_use]
     pub fn holder(&self, role: Role) -> Option<Pid> {
         match self.process(role) {
@@ -251,10 +251,10 @@ impl Roster {
         }
     }
 
-    /// Who holds this role, as the kernel tells it: never who has the number that stands in the file.
+    /// The holder of this role according to the kernel, never by the PID in the file alone.
     #[must_use]
     pub fn process(&self, role: Role) -> Holder {
-        // Twice: one may have come between two looks.
+        // Twice: a new holder may have come between the two reads.
         for _ in 0..2 {
             let file = File::open(self.place.path(&file_name(role)));
             let process = file.ok().and_then(|file| Process::holding(&file, self.last_holder(role)));
@@ -268,21 +268,21 @@ impl Roster {
         Holder::Elsewhere
     }
 
-    /// True while a living process holds this role.
+    /// True while a live process holds this role.
     #[must_use]
     pub fn is_held(&self, role: Role) -> bool {
         let file = File::open(self.place.path(&file_name(role)));
         file.is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// When the holder of this role last gave a heartbeat: only whether it changes means anything, for
+    /// Time of the last heartbeat of this role's holder. Only a change of it has a meaning, because
     /// the wall clock may jump.
     #[must_use]
     pub fn last_heartbeat(&self, role: Role) -> Option<SystemTime> {
         std::fs::metadata(self.place.path(&file_name(role))).ok()?.modified().ok()
     }
 
-    /// The process that took this role last, and its last heartbeat, of one moment.
+    /// The last process that took this role and its last heartbeat, read together.
     #[must_use]
     pub fn heartbeat_of(&self, role: Role) -> Option<(Pid, SystemTime)> {
         let mut file = File::open(self.place.path(&file_name(role))).ok()?;
@@ -295,20 +295,20 @@ impl Roster {
 impl RoleLease {
     fn new(role: Role, file: File, incarnation: u64) -> Self {
         role.name_process();
-        Self { file, incarnation, signed: Cell::new(Instant::now()) }
+        Self { file, incarnation, renewed: Cell::new(Instant::now()) }
     }
 
-    /// False once another process has taken the role from this one: whatever it does then counts for nothing.
+    /// False once another process has taken the role from this one, whose actions then have no effect.
     #[must_use]
     pub fn is_current(&self) -> bool {
         is_current(&self.file)
     }
 
-    /// Gives a heartbeat now and then; to be called in each round of a node's loop.
+    /// Sends a heartbeat at intervals; call it in each round of a node's loop.
     pub fn renew(&self) {
-        if self.signed.get().elapsed() >= SIGN {
-            self.signed.set(Instant::now());
-            // A failure shows as silence.
+        if self.renewed.get().elapsed() >= SIGN {
+            self.renewed.set(Instant::now());
+            // Observers see a failure as a missing heartbeat.
             let _ = self.file.set_modified(SystemTime::now());
         }
     }
@@ -318,7 +318,7 @@ fn file_name(role: Role) -> String {
     format!("{role}.role")
 }
 
-/// The iceoryx2 node that the holder speaks through.
+/// File with the iceoryx2 node of the holder.
 fn node_file_name(role: Role) -> String {
     format!("{role}.node")
 }
@@ -327,12 +327,12 @@ fn node_entry(incarnation: u64, node: u128) -> String {
     format!("{incarnation} {node:032x}\n")
 }
 
-/// True while the locked file has a name.
+/// True while the locked file still has a name.
 fn is_current(file: &File) -> bool {
     file.metadata().is_ok_and(|file| file.nlink() > 0)
 }
 
-/// Starts of the role and pid of its last holder.
+/// The role's incarnation count and the PID of its last holder.
 fn parse_entry(text: &str) -> Option<(u64, i32)> {
     let (starts, pid) = text.trim().split_once(' ')?;
     Some((starts.parse().ok()?, pid.parse().ok()?))
@@ -344,7 +344,7 @@ fn write_entry(file: &mut File, incarnation: u64) -> std::io::Result<()> {
 
 fn write_entry_of(file: &mut File, incarnation: u64, pid: u32) -> std::io::Result<()> {
     file.rewind()?;
-    // Padded, so that an overwrite never leaves digits of a longer number behind; at once, so that
+    // Padded, so that an overwrite leaves no digits of a longer number; in one write, so that
     // nobody reads half of it.
     file.write_all(format!("{incarnation:010} {pid:010}\n").as_bytes())
 }
@@ -355,7 +355,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_role_is_held_once_and_every_hold_is_counted() {
+    fn one_process_holds_a_role_and_every_lease_is_counted() {
         let run = run("roster-take");
         let roster = run.roster();
         let first = roster.take(Role::Sim).unwrap();
@@ -366,26 +366,26 @@ mod tests {
         assert_eq!(roster.take(Role::Sim).unwrap().incarnation, 2);
     }
 
-    /// A process's number may be another's in another PID namespace: only the node that the holder told of speaks for it.
+    /// A PID may mean another process in another PID namespace: only the registered node speaks for the role.
     #[test]
-    fn a_role_is_spoken_for_through_its_last_holders_node_alone() {
+    fn only_the_last_holders_node_speaks_for_a_role() {
         let run = run("roster-node");
         let roster = run.roster();
         let speaks = |node| roster.speaks_through(Role::Sim, node).unwrap();
         assert!(!speaks(7), "nobody has had the role");
         let first = roster.take(Role::Sim).unwrap();
-        assert!(!speaks(7), "of this process, which has told of none");
+        assert!(!speaks(7), "of this process, which has registered none");
         roster.speak_through(Role::Sim, &first, 7).unwrap();
         assert!(speaks(7) && !speaks(8));
         drop(first);
         let second = roster.take(Role::Sim).unwrap();
-        assert!(!speaks(7), "of a holder before");
+        assert!(!speaks(7), "of an earlier holder");
         roster.speak_through(Role::Sim, &second, 8).unwrap();
         assert!(speaks(8) && !speaks(7));
     }
 
     #[test]
-    fn who_waits_for_a_role_has_it_once_it_is_free() {
+    fn a_waiting_process_gets_a_role_once_it_is_free() {
         let run = run("roster-succeed");
         let roster = run.roster();
         let first = roster.take(Role::Fusion).unwrap();
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn who_gives_no_sign_is_deposed_and_who_does_is_not() {
+    fn only_a_holder_without_heartbeat_is_deposed() {
         let run = run("roster-depose");
         let roster = run.roster();
         let old = roster.take(Role::Fusion).unwrap();
@@ -414,7 +414,7 @@ mod tests {
         assert_eq!((new.incarnation, roster.starts(Role::Fusion)), (2, 2));
         assert_eq!(run.while_current(&new, || 7).unwrap(), Some(7));
         assert_eq!(run.while_current(&old, || 7).unwrap(), None);
-        // Neither its signs nor its end are the role's any more.
+        // Its heartbeats and its end no longer affect the role.
         let silence = roster.last_heartbeat(Role::Fusion);
         std::thread::sleep(2 * SIGN);
         old.renew();
@@ -424,7 +424,7 @@ mod tests {
         assert!(matches!(roster.take(Role::Fusion), Err(RendezvousError::RoleTaken { .. })));
     }
 
-    /// Its lock is had by one that waited while another deposes it: one of the two leads, not both.
+    /// One process waits for a lock while another deposes its holder: only one of the two leads.
     #[test]
     fn a_holder_that_ends_while_it_is_deposed_has_one_successor() {
         let run = run("roster-race");
@@ -433,7 +433,7 @@ mod tests {
         let silence = roster.last_heartbeat(Role::Fusion).unwrap();
         let succession = roster.succeed(Role::Fusion);
         drop(first);
-        // The one that waits has the lock, and has not signed.
+        // The waiting process has the lock, but has not registered.
         while !roster.is_held(Role::Fusion) {
             std::thread::yield_now();
         }
@@ -444,15 +444,15 @@ mod tests {
     }
 
     #[test]
-    fn a_number_that_is_a_strangers_leads_to_nobody() {
+    fn a_foreign_pid_is_never_taken_for_the_holder() {
         let run = run("roster-stranger");
         let roster = run.roster();
         let lease = roster.take(Role::Robot(0)).unwrap();
         let mut stranger = std::process::Command::new("sleep").arg("60").spawn().unwrap();
-        // As a process of another namespace would have put down its number, which is another's here.
+        // As a process of another namespace would have written its PID, which means another process here.
         let path = run.place.path(&file_name(Role::Robot(0)));
         std::fs::write(path, format!("{:010} {:010}\n", 1, stranger.id())).unwrap();
-        assert_eq!(roster.holder(Role::Robot(0)), Some(rustix::process::getpid()), "who has the lock");
+        assert_eq!(roster.holder(Role::Robot(0)), Some(rustix::process::getpid()), "the process with the lock");
         drop(lease);
         assert!(matches!(roster.process(Role::Robot(0)), Holder::Nobody));
         stranger.kill().unwrap();

@@ -12,18 +12,18 @@ use super::writer;
 
 /// Writes each command to a port as `heading_rad,speed_mps`.
 ///
-/// A command that the port does not take at once is not carried out: the drive is taken to go on with the one before.
-/// The first one lost is told in the log.
+/// If the port does not accept a command at once, the command is dropped and the drive keeps the previous one.
+/// The first dropped command is logged.
 #[derive(Debug)]
 pub struct SerialActuator {
     port: File,
     line: Vec<u8>,
     carried_out: Command,
-    has_told: bool,
+    has_warned: bool,
 }
 
 impl SerialActuator {
-    /// The drive on a port, as [`crate::serial`] says where commands go.
+    /// Opens the drive on a port; [`crate::serial`] says where commands go.
     ///
     /// # Errors
     /// The system's, if there is no such port or it cannot be written to.
@@ -32,11 +32,11 @@ impl SerialActuator {
     }
 
     fn new(port: File) -> Self {
-        Self { port, line: Vec::new(), carried_out: Command::default(), has_told: false }
+        Self { port, line: Vec::new(), carried_out: Command::default(), has_warned: false }
     }
 
     fn send(&mut self, command: Command) -> Result<()> {
-        // A port that is ready has room for more than a line, so that the loop never waits for it.
+        // A ready port has room for more than one line, so the loop never waits for it.
         let mut ports = [PollFd::new(&self.port, PollFlags::OUT)];
         if poll(&mut ports, Some(&Timespec::default()))? == 0 {
             return Err(ErrorKind::WouldBlock.into());
@@ -51,9 +51,9 @@ impl Actuator for SerialActuator {
     fn carry_out(&mut self, command: Command) -> Command {
         match self.send(command) {
             Ok(()) => self.carried_out = command,
-            Err(error) if !self.has_told => {
-                log::warn!("port: takes no command ({error}); the drive goes on with the one before");
-                self.has_told = true;
+            Err(error) if !self.has_warned => {
+                log::warn!("port: command dropped ({error}); the drive keeps the previous command");
+                self.has_warned = true;
             }
             Err(_) => {}
         }
@@ -81,14 +81,14 @@ mod tests {
     }
 
     #[test]
-    fn a_port_that_takes_nothing_holds_up_nobody() {
+    fn a_blocked_port_does_not_block_the_robot() {
         let (drive, port) = pipe().unwrap();
         let mut actuator = SerialActuator::new(OwnedFd::from(port).into());
         let commands = (0..100_000).map(|speed| Command { heading_rad: 0.0, speed_mps: f64::from(speed) });
         let lost = commands.filter(|command| actuator.carry_out(*command) != *command).count();
-        assert!(lost > 0 && actuator.has_told);
+        assert!(lost > 0 && actuator.has_warned);
         let last = actuator.carried_out;
-        assert_eq!(actuator.carry_out(Command::default()), last, "it is full");
+        assert_eq!(actuator.carry_out(Command::default()), last, "the port is full");
         drop(drive);
         assert_eq!(actuator.carry_out(Command::default()), last, "nobody reads it");
     }

@@ -1,39 +1,47 @@
-//! Which of the ranges on a port are this robot's.
+//! Selects this robot's ranges from those on a port.
 
 use std::io::{Error, ErrorKind, Result};
 
 use rangehound_shared::radio::{Format, RadioReport};
 
-/// So many reports without the anchor are told of.
+/// Consecutive reports without the anchor that trigger a warning.
 const REPORTS_WITHOUT_MAX: u32 = 20;
 
 /// Most anchors that a message names.
 const NAMES_MAX: usize = 16;
 
-/// What a radio prints, and whose range in it is wanted.
+/// The radio's format, and the anchor and tag to select.
 #[derive(Debug, Clone, Default)]
 pub struct Radio {
-    /// What it prints.
+    /// The format.
     pub format: Format,
-    /// The anchor whose range is this robot's. Only a plain port needs none: it takes lines without a name, and those of
-    /// the first name that it sees.
+    /// The anchor that measures this robot's range. Only a plain port works without it: it takes lines without a name, and those
+    /// with the first name seen.
     pub anchor: Option<String>,
-    /// The tag whose range is this robot's [default: the first that is seen].
+    /// The tag that measures this robot's range [default: the first seen].
     pub tag: Option<String>,
 }
 
 impl Radio {
     pub(super) fn choice(self) -> Result<Choice> {
         if self.format != Format::Plain && self.anchor.is_none() {
-            let why = format!("--format {}: expected --anchor ID, whose range is this robot's", self.format);
+            let why =
+                format!("--format {}: expected --anchor ID, the anchor that measures this robot's range", self.format);
             return Err(Error::new(ErrorKind::InvalidInput, why));
         }
         let is_given = self.anchor.is_some();
-        Ok(Choice { anchor: self.anchor, is_given, tag: self.tag, without: 0, heard: Vec::new(), has_told: [false; 3] })
+        Ok(Choice {
+            anchor: self.anchor,
+            is_given,
+            tag: self.tag,
+            without: 0,
+            heard: Vec::new(),
+            has_warned: [false; 3],
+        })
     }
 }
 
-/// Chooses one range of a report.
+/// Selects one range of a report.
 #[derive(Debug)]
 pub(super) struct Choice {
     anchor: Option<String>,
@@ -41,8 +49,8 @@ pub(super) struct Choice {
     tag: Option<String>,
     without: u32,
     heard: Vec<String>,
-    /// Of a missing anchor, other names, other tags.
-    has_told: [bool; 3],
+    /// Warnings given: of a missing anchor, other names, other tags.
+    has_warned: [bool; 3],
 }
 
 impl Choice {
@@ -51,8 +59,8 @@ impl Choice {
         if let Some(tag) = report.tag {
             let wanted = self.tag.get_or_insert_with(|| tag.to_owned());
             if wanted != tag {
-                if !std::mem::replace(&mut self.has_told[2], true) {
-                    log::warn!("port: takes the ranges of tag {wanted}, not those of {tag}; --tag ID chooses");
+                if !std::mem::replace(&mut self.has_warned[2], true) {
+                    log::warn!("port: takes the ranges of tag {wanted}, not of {tag}; choose with --tag ID");
                 }
                 return None;
             }
@@ -63,14 +71,14 @@ impl Choice {
         let anchor = self.anchor.as_deref().unwrap_or_default();
         let found = report.ranges.iter().find(|range| range.anchor.eq_ignore_ascii_case(anchor));
         if found.is_some() {
-            self.has_told[0] = true;
-        } else if !self.has_told[0] {
+            self.has_warned[0] = true;
+        } else if !self.has_warned[0] {
             self.note_missing(report);
         }
         found.map(|range| range.range_m)
     }
 
-    /// A plain line's range, if it has no name or the first one.
+    /// A plain line's range, if the line has no name or the first name seen.
     fn range_of_first_name_m(&mut self, report: &RadioReport<'_>) -> Option<f64> {
         let range = report.ranges.first()?;
         if range.anchor.is_empty() {
@@ -80,8 +88,8 @@ impl Choice {
         if *first == range.anchor {
             return Some(range.range_m);
         }
-        if !std::mem::replace(&mut self.has_told[1], true) {
-            log::warn!("port: takes the ranges of {first:?}, not those of {:?}; --anchor ID chooses", range.anchor);
+        if !std::mem::replace(&mut self.has_warned[1], true) {
+            log::warn!("port: takes the ranges of {first:?}, not of {:?}; choose with --anchor ID", range.anchor);
         }
         None
     }
@@ -94,10 +102,10 @@ impl Choice {
         }
         self.without += 1;
         if self.without == REPORTS_WITHOUT_MAX {
-            self.has_told[0] = true;
+            self.has_warned[0] = true;
             let anchor = self.anchor.as_deref().unwrap_or_default();
             let heard = if self.heard.is_empty() { "none".to_owned() } else { self.heard.join(", ") };
-            log::warn!("port: anchor {anchor:?} is not among those that are heard: {heard}");
+            log::warn!("port: anchor {anchor:?} is not heard; heard: {heard}");
         }
     }
 }
@@ -138,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_radio_with_several_anchors_needs_to_be_told_which() {
+    fn a_radio_with_several_anchors_needs_an_anchor_id() {
         let error = Radio { format: Format::Dwm1001, ..Radio::default() }.choice().unwrap_err();
         assert!(error.to_string().contains("--anchor ID"), "{error}");
     }

@@ -1,13 +1,13 @@
-//! A radio and a drive on serial ports, or on what stands in for them.
+//! A radio and a drive on serial ports, FIFOs, files or standard streams.
 //!
-//! The radio prints ranges in one of the formats of [`rangehound_shared::radio`]; one anchor's range is this robot's. The
-//! drive is told a command a line: `heading_rad,speed_mps`.
+//! The radio prints ranges in one of the formats of [`rangehound_shared::radio`]; the ranges of one anchor are this robot's. The
+//! drive gets one command per line: `heading_rad,speed_mps`.
 //!
-//! A port is a path. A device (`/dev/ttyUSB0`, a pseudo-terminal) takes commands as well as it gives ranges; anything
-//! else (a FIFO, a file) and `-`, standard input, give ranges only, and the commands go to standard output. A device is
-//! taken as it is set up, for example by `stty -F /dev/ttyUSB0 115200 raw -echo clocal`.
+//! A port is a path. A device (`/dev/ttyUSB0`, a pseudo-terminal) gives ranges and takes commands. Anything
+//! else (a FIFO, a file) and `-`, standard input, gives ranges only, and the commands go to standard output. The settings of a
+//! device are not changed; set it up first, for example with `stty -F /dev/ttyUSB0 115200 raw -echo clocal`.
 //!
-//! `node/examples/serial_range.rs` makes a robot of the two.
+//! `node/examples/serial_range.rs` builds a robot from the two.
 
 mod actuator;
 mod choice;
@@ -25,10 +25,10 @@ pub use actuator::SerialActuator;
 pub use choice::Radio;
 pub use sensor::SerialSensor;
 
-/// The path that stands for standard input and output.
+/// The path for standard input and output.
 const STANDARD: &str = "-";
 
-/// Where ranges come from. Opening a FIFO takes until somebody writes to it.
+/// Opens the source of ranges. Opening a FIFO blocks until a writer opens it.
 fn reader(port: &Path) -> Result<File> {
     if port == Path::new(STANDARD) {
         return Ok(stdin().as_fd().try_clone_to_owned()?.into());
@@ -36,7 +36,7 @@ fn reader(port: &Path) -> Result<File> {
     options().read(true).open(port)
 }
 
-/// Where commands go.
+/// Opens the destination of commands.
 fn writer(port: &Path) -> Result<File> {
     if port != Path::new(STANDARD) && port.metadata()?.file_type().is_char_device() {
         return options().write(true).open(port);
@@ -44,7 +44,7 @@ fn writer(port: &Path) -> Result<File> {
     Ok(stdout().as_fd().try_clone_to_owned()?.into())
 }
 
-/// A port does not become the terminal whose hang-up ends this process.
+/// The port must not become the controlling terminal, whose hang-up would end this process.
 fn options() -> OpenOptions {
     let mut options = OpenOptions::new();
     options.custom_flags(OFlags::NOCTTY.bits().cast_signed());

@@ -1,4 +1,4 @@
-//! A range sensor on a port, read in a thread of its own.
+//! A range sensor on a port, read in its own thread.
 
 use std::io::{ErrorKind, Read, Result};
 use std::path::Path;
@@ -14,10 +14,10 @@ use rangehound_shared::scenario::Calibration;
 use super::choice::Choice;
 use super::{Radio, reader};
 
-/// The newest range that came over a port.
+/// The newest range received on a port.
 ///
 /// Refused lines are counted; the log says so of the first, the tenth, the hundredth and so on, and of the end of the
-/// stream, after which there is no range any more. The thread that reads ends with the stream or the process.
+/// stream, after which there are no more ranges. The reading thread ends with the stream or the process.
 #[derive(Debug)]
 pub struct SerialSensor {
     newest: Newest,
@@ -25,16 +25,16 @@ pub struct SerialSensor {
     age_max: Duration,
 }
 
-/// The newest range that has not been given yet, m, and when it came.
+/// The newest unread range, m, and its time of arrival.
 type Newest = Arc<Mutex<Option<(f64, Instant)>>>;
 
 impl SerialSensor {
-    /// The sensor on a port, whose ranges are calibrated, have this standard deviation, m, and count for as long as
-    /// `age_max`. A FIFO that nobody writes to yet is waited for by the thread.
+    /// Opens the sensor on a port. Its ranges are calibrated, have this standard deviation, m, and expire after
+    /// `age_max`. If the port is a FIFO without a writer, the thread waits for one.
     ///
     /// # Errors
-    /// The system's, if there is no such port or no thread can be started; invalid input if the radio reports several
-    /// anchors and none of them is chosen.
+    /// The system's, if the port does not exist or no thread can be started; invalid input if the radio reports several
+    /// anchors and none is selected.
     pub fn open(port: &Path, radio: Radio, calibration: Calibration, std_m: f64, age_max: Duration) -> Result<Self> {
         if port != Path::new(super::STANDARD) {
             port.metadata()?;
@@ -91,12 +91,12 @@ impl Listener {
         let read = stream.and_then(|stream| self.read(stream));
         let why = read.map_or_else(|error| format!(" ({error})"), |()| String::new());
         let Counts { reports, refused, .. } = self.parser.counts();
-        log::warn!("port: ended{why} after {reports} reports and {refused} refused; there is no range any more");
+        log::warn!("port: ended{why} after {reports} reports and {refused} refused; no more ranges");
     }
 
     fn read(&mut self, mut stream: impl Read) -> Result<()> {
         let mut bytes = [0; 1024];
-        let mut told = 1;
+        let mut warn_at = 1;
         loop {
             let len = match stream.read(&mut bytes) {
                 Ok(0) => return Ok(()),
@@ -117,16 +117,18 @@ impl Listener {
             });
             let Counts { reports, refused, .. } = parser.counts();
             if let Some(refusal) = first_refusal
-                && refused >= told
+                && refused >= warn_at
             {
-                if told == 1 {
+                if warn_at == 1 {
                     let sample = self.sample;
-                    log::warn!("port: expected {sample}; others are passed over and counted (the first: {refusal})");
+                    log::warn!(
+                        "port: expected {sample}; refused lines or frames are skipped and counted (the first: {refusal})"
+                    );
                 } else {
                     log::warn!("port: {refused} lines or frames refused, {reports} taken");
                 }
-                while told <= refused {
-                    told *= 10;
+                while warn_at <= refused {
+                    warn_at *= 10;
                 }
             }
         }
@@ -147,7 +149,7 @@ mod tests {
         (radio, SerialSensor::start(move || Ok(stream), Radio::default(), calibration, 0.1, age_max).unwrap())
     }
 
-    /// The next range that the thread has read.
+    /// The next range read by the thread.
     fn next(sensor: &mut SerialSensor) -> f64 {
         let began = Instant::now();
         loop {

@@ -1,4 +1,4 @@
-//! Reading what others wrote without taking more memory than what is expected there can need.
+//! Reads files of other programs within a memory limit.
 
 use std::fs::File;
 use std::io::{Error, ErrorKind, Read, Result};
@@ -7,7 +7,7 @@ use std::path::Path;
 /// The bytes of a file of at most `len_max` bytes.
 ///
 /// # Errors
-/// If it cannot be read or is longer, as a device without end is.
+/// If the file cannot be read or is longer, as an endless device is.
 pub fn read(path: &Path, len_max: usize) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(len_max as u64 + 1).read_to_end(&mut bytes)?;
@@ -23,12 +23,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_no_end_is_refused() {
+    fn an_endless_file_is_refused() {
         assert!(read(Path::new("/dev/zero"), 1_000).is_err());
     }
 
     #[test]
-    fn what_is_as_long_as_it_may_be_is_read() {
+    fn a_file_of_maximum_length_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         std::fs::write(&path, [7; 10]).unwrap();

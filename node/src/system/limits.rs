@@ -1,19 +1,19 @@
-//! Which limit of the system a refusal is about: with its number, and what to do.
+//! Names the system limit behind a refusal: its value, and how to raise it.
 //!
-//! The system itself says no more than "Resource temporarily unavailable" or "Cannot allocate memory".
+//! The system itself only says "Resource temporarily unavailable" or "Cannot allocate memory".
 
 use std::path::{Path, PathBuf};
 
 use rustix::io::Errno;
 use rustix::process::{Resource, getrlimit, getuid};
 
-/// So close to its limit a count is taken to have reached it: it may have changed since the refusal.
+/// Margin within which a count is taken to have reached its limit: it may have changed since the refusal.
 const NEAR: u64 = 2;
 
 const PROC: &str = "/proc";
 const CGROUPS: &str = "/sys/fs/cgroup";
 
-/// What the system has refused, as far as it can be told from its error.
+/// Explains a refusal of the system, as far as its error allows.
 #[must_use]
 pub fn explain(error: &std::io::Error) -> Option<String> {
     match Errno::from_io_error(error)? {
@@ -25,7 +25,9 @@ pub fn explain(error: &std::io::Error) -> Option<String> {
         Errno::NFILE => {
             let limit = number(&Path::new(PROC).join("sys/fs/file-max"));
             let limit = limit.map_or(String::new(), |limit| format!(" {limit}"));
-            Some(format!("all processes together have the{limit} files open that /proc/sys/fs/file-max allows"))
+            Some(format!(
+                "all processes together have reached the limit of{limit} open files (/proc/sys/fs/file-max): raise it, or end other programs"
+            ))
         }
         Errno::NOMEM => Some(match getrlimit(Resource::As).current {
             Some(bytes) => format!("a process may have {} kB of memory: raise the limit, with ulimit -v", bytes >> 10),
@@ -35,7 +37,7 @@ pub fn explain(error: &std::io::Error) -> Option<String> {
     }
 }
 
-/// Which limit of processes and threads has been reached.
+/// Names the limit of processes and threads that was reached.
 fn processes() -> String {
     let of_user = if getuid().is_root() { None } else { getrlimit(Resource::Nproc).current };
     let of_cgroup = cgroup_limits().min_by_key(|(_, limit, used)| limit.saturating_sub(*used));
@@ -72,7 +74,7 @@ fn processes() -> String {
     format!("a limit of processes and threads has been reached ({}): raise it, or take fewer robots", limits.join(", "))
 }
 
-/// The file, its limit, and what is used of it, of each control group that this process is in.
+/// The limit file, limit and usage of each control group of this process.
 fn cgroup_limits() -> impl Iterator<Item = (PathBuf, u64, u64)> {
     let groups = std::fs::read_to_string(Path::new(PROC).join("self/cgroup")).unwrap_or_default();
     let mut found = Vec::new();
@@ -84,7 +86,7 @@ fn cgroup_limits() -> impl Iterator<Item = (PathBuf, u64, u64)> {
             "pids" => Path::new(CGROUPS).join("pids"),
             _ => continue,
         };
-        // In a container the path may be the host's: then its own group is at the root.
+        // In a container the path may be the host's: its own group is then at the root.
         let own = root.join(path.trim_start_matches('/'));
         found.extend(own.ancestors().take_while(|group| group.starts_with(&root)).map(Path::to_owned));
     }
@@ -107,7 +109,7 @@ fn threads_of_user() -> u64 {
     threads.sum()
 }
 
-/// Threads of all processes that there are.
+/// Threads of all processes.
 fn threads_of_system() -> Option<u64> {
     let load = std::fs::read_to_string(Path::new(PROC).join("loadavg")).ok()?;
     load.split(' ').nth(3)?.split_once('/')?.1.parse().ok()
@@ -122,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_a_limit_refuses_is_explained_and_with_a_number() {
+    fn the_explanation_of_a_refusal_names_the_limit() {
         let explained = |errno: Errno| explain(&errno.into());
         for (errno, word) in [(Errno::AGAIN, "processes"), (Errno::MFILE, "ulimit -n"), (Errno::NFILE, "file-max")] {
             let text = explained(errno).unwrap();
@@ -141,7 +143,7 @@ mod tests {
             for _ in 0..20 {
                 scope.spawn(|| wait.lock().map(|wait| wait.recv()).is_ok());
             }
-            // This process alone has as many; others come and go.
+            // This process alone has as many; others start and end meanwhile.
             assert!(threads_of_user() > 20 && threads_of_system().unwrap() > 20);
             drop(release);
         });

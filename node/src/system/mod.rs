@@ -1,9 +1,9 @@
-//! The operating system, as nodes and tool need it.
+//! Access to the operating system, for nodes and the tool.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`bounded`] | reading no more of a file than it may have |
-//! | [`limits`], [`resources`] | which limit of the system a refusal is about, and whether there is enough |
+//! | [`bounded`] | reading files within a memory limit |
+//! | [`limits`], [`resources`] | the limit behind a refusal, and whether there are enough resources |
 //! | [`clock`], [`signal`] | monotonic time, requests to end |
 
 pub mod bounded;

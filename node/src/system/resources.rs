@@ -1,4 +1,4 @@
-//! What a run needs of the system, looked at before it starts, so that a lack is told by name.
+//! Checks the resources of a run before it starts, so that an error names the missing one.
 
 use std::fs::File;
 use std::path::Path;
@@ -9,62 +9,60 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 /// Where shared memory lives.
 pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
 
-/// Open files that fusion and simulator take in a run of no robots, and more for each robot, measured, with room for
-/// the dead until they are cleaned up after.
+/// Open files of fusion and the simulator in a run without robots, and the increase per robot: measured, with a margin for
+/// dead nodes that are not cleaned up yet.
 const FILES: u64 = 48;
 const FILES_PER_ROBOT: u64 = 6;
 
-/// Shared memory of a run of no robots, bytes and files, and more for each robot, with the same room.
+/// Shared memory of a run without robots, bytes and files, and the increase per robot, with the same margin.
 const MEMORY: u64 = 512 << 10;
 const MEMORY_PER_ROBOT: u64 = 64 << 10;
 const MEMORY_FILES: u64 = 128;
 const MEMORY_FILES_PER_ROBOT: u64 = 32;
 
-/// What there is too little of.
+/// A resource that is short.
 #[derive(Debug, thiserror::Error)]
 pub enum Shortage {
     /// Of open files.
-    #[error(
-        "expected room for {needed} open files for {robots} robots, got a limit of {limit}: raise it, with ulimit -n {needed}"
-    )]
+    #[error("{robots} robots need {needed} open files, but the limit is {limit}: raise it, with ulimit -n {needed}")]
     Files {
         /// Robots of the run.
         robots: usize,
-        /// What they need.
+        /// How many they need.
         needed: u64,
         /// What the system allows at most.
         limit: u64,
     },
     /// Of shared memory.
     #[error(
-        "{SHARED_MEMORY}: expected {needed} {what} free for {robots} robots, got {free}: make room there, or take fewer robots"
+        "{SHARED_MEMORY}: {robots} robots need {needed} {what} free, but {free} are: make room there, or take fewer robots"
     )]
     Memory {
         /// Robots of the run.
         robots: usize,
-        /// What they need.
+        /// How much they need.
         needed: u64,
-        /// Of what.
+        /// The unit: kB or files.
         what: &'static str,
-        /// What there is.
+        /// How much is free.
         free: u64,
     },
-    /// Of a place for shared memory.
+    /// No usable folder for shared memory.
     #[error("{SHARED_MEMORY}: expected a folder that can be written, where processes share memory: {0}")]
     NoSharedMemory(std::io::Error),
 }
 
-/// Provides for a process of a run: raises its limit of open files as far as it needs and may.
+/// Raises this process's limit of open files as far as a run needs and the system allows.
 ///
 /// # Errors
-/// [`Shortage::Files`] if that is not far enough.
+/// [`Shortage::Files`] if the limit stays too low.
 pub fn provide_files(robots: usize) -> Result<(), Shortage> {
     let needed = FILES + FILES_PER_ROBOT * robots as u64;
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current.is_none_or(|current| current >= needed) {
         return Ok(());
     }
-    // Twice the need: the supervisor's nodes inherit it, and dead ones leave files open for a while.
+    // Twice the need: the supervisor's nodes inherit it, and dead nodes leave files open for a while.
     let wanted = maximum.map_or(2 * needed, |maximum| maximum.min(2 * needed));
     let limit = match setrlimit(Resource::Nofile, Rlimit { current: Some(wanted), maximum }) {
         Ok(()) => wanted,
@@ -73,7 +71,7 @@ pub fn provide_files(robots: usize) -> Result<(), Shortage> {
     if limit < needed { Err(Shortage::Files { robots, needed, limit }) } else { Ok(()) }
 }
 
-/// Looks whether processes can meet.
+/// Checks that shared memory is available.
 ///
 /// # Errors
 /// [`Shortage::NoSharedMemory`].
@@ -83,7 +81,7 @@ pub fn look_for_shared_memory() -> Result<(), Shortage> {
     usable.map_err(|error| Shortage::NoSharedMemory(error.into()))
 }
 
-/// Looks whether there is shared memory for a run. A page that cannot be had later ends the process that touches it.
+/// Checks that there is enough shared memory for a run. A later lack of it kills the process that touches the missing page.
 ///
 /// # Errors
 /// [`Shortage`].
@@ -96,14 +94,14 @@ pub fn look_for_memory(robots: usize) -> Result<(), Shortage> {
         return Err(Shortage::Memory { robots, needed: needed >> 10, what: "kB", free: free >> 10 });
     }
     let (needed, free) = (MEMORY_FILES + MEMORY_FILES_PER_ROBOT * count, space.f_favail);
-    // No files in all: of a kind that does not count them.
+    // A file system that does not count files reports zero.
     if space.f_files > 0 && free < needed {
         return Err(Shortage::Memory { robots, needed, what: "files", free });
     }
     Ok(())
 }
 
-/// After a failure whose reason iceoryx2 does not tell: what the system has run out of, if anything.
+/// Names the resource that has run out, if any, after a failure that iceoryx2 does not explain.
 #[must_use]
 pub fn run_out_of() -> Option<&'static str> {
     let files: std::io::Result<Vec<File>> = (0..8).map(|_| File::open("/dev/null")).collect();

@@ -1,17 +1,17 @@
-//! Requests to end: SIGINT, SIGTERM and SIGHUP as a flag that loops look at.
+//! Requests to end: SIGINT, SIGTERM and SIGHUP set a flag that loops check.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
-/// Set once SIGINT, SIGTERM or SIGHUP has arrived; cheap to copy and to ask.
+/// Set once SIGINT, SIGTERM or SIGHUP has arrived; cheap to copy and to check.
 #[derive(Debug, Clone)]
 pub struct Termination(Arc<AtomicBool>);
 
 impl Termination {
-    /// Starts to listen for SIGINT and SIGTERM in place of their default action, and for SIGHUP, which comes when the
-    /// terminal is closed, unless it is ignored, as `nohup` has it.
+    /// Handles SIGINT and SIGTERM instead of their default action. Handles SIGHUP, sent when the
+    /// terminal closes, unless it is ignored, as under `nohup`.
     ///
     /// # Errors
     /// The system's, if it refuses to register a handler.
@@ -23,25 +23,25 @@ impl Termination {
         if !is_ignored(SIGHUP) {
             signal_hook::flag::register(SIGHUP, Arc::clone(&flag))?;
         }
-        // Beyond the user's limit on the size of files a write shall fail, as on a full disk, and not kill.
+        // A write beyond the user's file size limit must fail, as on a full disk, and not kill the process.
         signal_hook::flag::register(SIGXFSZ, Arc::default())?;
         Ok(Self(flag))
     }
 
-    /// True once somebody has asked this process to end.
+    /// True once this process has been asked to end.
     #[must_use]
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// True if this process ignores a signal, which it may have inherited.
+/// True if this process ignores a signal; it may have inherited that.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     ignores(&status, signal)
 }
 
-/// The same, told by the text of `/proc/PID/status`.
+/// The same, from the text of `/proc/PID/status`.
 fn ignores(status: &str, signal: i32) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_ignored_signal_is_told_by_its_bit() {
+    fn the_mask_shows_ignored_signals() {
         let status = "Name:\ta\nSigIgn:\t0000000000000001\nSigCgt:\t0000000000004002\n";
         assert!(ignores(status, SIGHUP) && !ignores(status, SIGINT) && !ignores("", SIGHUP));
     }

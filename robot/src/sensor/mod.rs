@@ -9,10 +9,10 @@ use rangehound_shared::scenario::{Calibration, Scenario, Source};
 pub use recorded::RecordedSensor;
 pub use simulated::SimulatedSensor;
 
-/// What a robot measures its range to the target with.
+/// A robot's range sensor.
 ///
 /// [`measure`](Self::measure) is on the control path: fusion waits for the range while it works. A sensor
-/// that takes its time is read in a thread of its own, as `SerialSensor` in `rangehound-node` does.
+/// that is slow is read in a thread of its own, as `SerialSensor` in `rangehound-node` does.
 pub trait RangeSensor {
     /// Standard deviation of the range measured last, or of the next if there was none, m. Fusion takes it for what
     /// is left after calibration, independent from tick to tick.
@@ -27,8 +27,8 @@ pub trait RangeSensor {
     fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64>;
 }
 
-/// What a robot says at a tick: the sensor's range, if there is one, and its standard deviation, m. What is known at
-/// tick 0 is the prior: no sensor is asked.
+/// A robot's report of a tick: the sensor's range, if there is one, and its standard deviation, m. At tick 0 the prior
+/// holds, and the sensor is not read.
 pub fn measure<S: RangeSensor + ?Sized>(sensor: &mut S, tick: u64, entry: &WorldEntry) -> (Option<f64>, f64) {
     let range_m = if tick > 0 { sensor.measure(tick, entry) } else { None };
     (range_m, sensor.std_m())
@@ -45,9 +45,9 @@ pub fn calibrated_m(measured_m: f64, calibration: Calibration) -> f64 {
 #[derive(Debug, Clone)]
 #[allow(clippy::large_enum_variant, reason = "one for each robot, and nearly always the large one")]
 pub enum Sensor {
-    /// Of a simulated target.
+    /// The sensor of a simulated target.
     Simulated(SimulatedSensor),
-    /// Of a recording.
+    /// The sensor of a recording.
     Recorded(RecordedSensor),
 }
 

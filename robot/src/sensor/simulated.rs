@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filter_can_be_told_another_noise_than_the_true_one() {
+    fn the_filter_can_assume_another_noise_than_the_true_one() {
         let told = |text: &str| {
             let file = ScenarioFile::parse(text, "test").unwrap();
             let mut sensor = SimulatedSensor::new(&Scenario::from_file(&file, "test").unwrap(), 0).unwrap();

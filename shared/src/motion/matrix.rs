@@ -1,9 +1,9 @@
-//! Square matrices as they stand in scenario files: checked row by row, kept row-major.
+//! Square matrices of scenario files: checked row by row, stored row-major.
 
 use nalgebra::{DMatrix, SMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-/// A dense matrix of run-time size, row-major: what a scenario holds before the state dimension
+/// A dense matrix of run-time size, row-major: used in a scenario, before the state dimension
 /// becomes part of a type.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Matrix {
@@ -13,8 +13,8 @@ pub struct Matrix {
 }
 
 impl Matrix {
-    /// The matrix with these rows, or `None` if they are of different lengths, absent, or hold a
-    /// value that is not finite.
+    /// The matrix with these rows, or `None` if there are no rows, their lengths differ, or a
+    /// value is not finite.
     #[must_use]
     pub fn from_rows(rows: &[Vec<f64>]) -> Option<Self> {
         let columns = rows.first()?.len();
@@ -42,13 +42,13 @@ impl Matrix {
         (self.rows, self.columns)
     }
 
-    /// True if it is n x n of finite numbers, as every matrix made here is of its size.
+    /// True if it is n x n of finite numbers. Every matrix made here has a consistent size.
     pub(crate) fn is_complete(&self, n: usize) -> bool {
         (self.rows, self.columns, self.values.len()) == (n, n, n.saturating_mul(n))
             && self.values.iter().all(|value| value.is_finite())
     }
 
-    /// As a matrix of fixed size; entries outside this matrix are zero.
+    /// Converts to a matrix of fixed size; entries outside this matrix are zero.
     #[must_use]
     pub fn to_static<const R: usize, const C: usize>(&self) -> SMatrix<f64, R, C> {
         SMatrix::from_fn(|i, j| if i < self.rows && j < self.columns { self.values[i * self.columns + j] } else { 0.0 })

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::STATE_DIM_MAX;
 use crate::motion::matrix::Matrix;
 
-/// How the target is taken to move: sets the dimension of its state, `Phi`, and the process noise.
+/// The target's motion model: sets the dimension of its state, `Phi`, and the process noise.
 ///
 /// The built-in models are chains of integrators driven by white noise of a continuous-time
 /// spectral density, discretised exactly for any time step.
@@ -41,7 +41,7 @@ pub struct Transition<const N: usize> {
 }
 
 impl MotionModel {
-    /// True if its dimensions go together and are among those that there is code for.
+    /// True if its dimensions are consistent and supported.
     pub(crate) fn is_complete(&self) -> bool {
         match self {
             Self::IntegratorChain { order, noise_psd } => (1..=3).contains(order) && noise_psd.is_finite(),

@@ -1,9 +1,9 @@
-//! What nodes agree on beside the messages: the one number that says whether two builds understand each other, who can be
-//! woken ([`wake`]), and the deadlines of a real-time tick ([`timing`]).
+//! The agreements of nodes besides the messages: the protocol number of compatible builds, the wait groups
+//! ([`wake`]), and the deadlines of a real-time tick ([`timing`]).
 //!
-//! The number stands in every sealed file: a run's description, which all nodes open before they touch its shared
-//! memory, and the checkpoints. It changes with whatever one process writes and another reads: the messages, the
-//! run's description, and what the nodes save. For the messages and the description a test notices by itself: `node/tests/protocol.rs`.
+//! Every sealed file has the number: a run's description, which all nodes open before they touch its shared
+//! memory, and the checkpoints. Raise the number when data changes that one process writes and another reads: messages, the
+//! run's description, or checkpoints. A test detects changes of messages and the description: `node/tests/protocol.rs`.
 
 pub mod timing;
 pub mod wake;
@@ -11,15 +11,15 @@ pub mod wake;
 /// Version of the messages, the run's description and the checkpoints.
 pub const PROTOCOL: u32 = 5;
 
-/// Version of this program, for people.
+/// Version of this program, for display.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");
 
-/// A file of another build.
+/// The build that wrote a file.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Deserialize, thiserror::Error)]
 #[error("rangehound {program} (protocol {protocol}); this is {PROGRAM} (protocol {PROTOCOL})")]
 pub struct OtherBuild {
-    /// Its program's version.
+    /// The program's version.
     pub program: String,
-    /// Its protocol.
+    /// The program's protocol.
     pub protocol: u32,
 }

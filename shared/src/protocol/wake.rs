@@ -1,6 +1,6 @@
-//! Who can be woken, and why: what roles ask for, without the means.
+//! Wait groups and events: the wake-ups that roles ask for, without their implementation.
 
-/// Who can be woken.
+/// A group of processes that can be woken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WaitGroup {
     /// The simulator.
@@ -11,44 +11,44 @@ pub enum WaitGroup {
     Robots,
 }
 
-/// Why somebody is woken.
+/// The reason for a wake-up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Event {
-    /// There is something on the topic `world`.
+    /// A message on the topic `world`.
     World,
-    /// On `range`.
+    /// A message on `range`.
     Range,
-    /// On `heading`.
+    /// A message on `heading`.
     Heading,
-    /// On `drive`.
+    /// A message on `drive`.
     Drive,
-    /// A node has just started and needs the present tick.
+    /// A node has just started and needs the current tick.
     Hello,
     /// The run has ended.
     Finished,
 }
 
-/// How many kinds of calls there are.
+/// Number of kinds of events.
 pub const EVENTS: usize = 6;
 
-/// What a wait returned: the calls that came, none if time ran out.
+/// The result of a wait: the events that came, none after a time-out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Events([bool; EVENTS]);
 
 impl Events {
-    /// The calls that came, in the order of [`Event`].
+    /// The events that came, in the order of [`Event`].
     #[must_use]
     pub fn new(came: [bool; EVENTS]) -> Self {
         Self(came)
     }
 
-    /// True if this call was among them.
+    /// True if this event came.
     #[must_use]
     pub fn has(self, event: Event) -> bool {
         self.0[event as usize]
     }
 
-    /// True if nobody called: what there is to see has been seen, unless a call was lost in a kill.
+    /// True if no event came: then all messages have been seen, unless a kill lost an event.
     #[must_use]
     pub fn is_empty(self) -> bool {
         self == Self::default()
@@ -58,30 +58,30 @@ impl Events {
 /// A wake-up that a role asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Notification {
-    /// Who is woken.
+    /// The group to wake.
     pub to: WaitGroup,
-    /// Why.
+    /// The reason.
     pub event: Event,
-    /// On what condition.
+    /// The condition.
     pub when: When,
 }
 
-/// On what condition somebody is woken.
+/// The condition of a wake-up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum When {
-    /// On none.
+    /// Always.
     Always,
-    /// If this is the last answer to a tick that they wait for; or the first, if that is asked for.
+    /// If this is the last expected answer to a tick; or the first, if that is asked for.
     LastAnswer {
-        /// The tick that is answered.
+        /// The answered tick.
         tick: u64,
-        /// The first wakes too.
+        /// The first answer wakes too.
         or_first: bool,
     },
 }
 
 impl Notification {
-    /// A wake-up on no condition.
+    /// An unconditional wake-up.
     #[must_use]
     pub fn always(to: WaitGroup, event: Event) -> Self {
         Self { to, event, when: When::Always }
@@ -94,27 +94,27 @@ impl Notification {
     }
 }
 
-/// Bits of an answers' word that count.
+/// Bits of an answer word that hold the count.
 const COUNT_BITS: u32 = 16;
 
-/// The answers to the newest tick that a sleeper was sent, in one word, so that processes count them without a lock.
+/// The answers to the newest tick in a wait group, in one word, so that processes count them without a lock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Answers(u64);
 
 impl Answers {
-    /// The answers in a word, as [`Self::to_bits`] gave it.
+    /// The answers from the word of [`Self::to_bits`].
     #[must_use]
     pub fn from_bits(bits: u64) -> Self {
         Self(bits)
     }
 
-    /// Their word: the tick's number, from 1, above; their count in the lowest bits.
+    /// The word: the tick's number, from 1, in the upper bits; the count in the lowest bits.
     #[must_use]
     pub fn to_bits(self) -> u64 {
         self.0
     }
 
-    /// With an answer to a tick; `None` if that tick is over, since another is answered.
+    /// Adds an answer to a tick; `None` if that tick is over, because a newer one is being answered.
     #[must_use]
     pub fn with(self, tick: u64) -> Option<Self> {
         let number = tick + 1;
@@ -125,8 +125,8 @@ impl Answers {
         }
     }
 
-    /// True if the last of these calls a sleeper that waits for so many: it is the last, or the first if that is asked for. One too
-    /// many calls again: a robot that was started again has answered twice.
+    /// True if the last of these answers wakes a wait group that expects this many: it is the last, or the first if that is asked for.
+    /// Extra answers wake again: a restarted robot may answer twice.
     #[must_use]
     pub fn event(self, expected: u64, or_first: bool) -> bool {
         let count = self.0 & ((1 << COUNT_BITS) - 1);
@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_answer_to_the_newest_tick_calls() {
+    fn the_last_answer_to_the_newest_tick_signals() {
         let mut answers = Answers::default();
         let mut event = |tick, expected, or_first| match answers.with(tick) {
             Some(counted) => {

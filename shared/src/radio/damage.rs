@@ -1,4 +1,4 @@
-//! Lines that lost something on their way: what is taken of them is what the radio measured, or nothing.
+//! Damaged lines: a line is read as the radio measured it, or refused.
 
 use proptest::prelude::*;
 
@@ -19,7 +19,7 @@ const MAUWB: [&str; 2] = [
 ];
 const SOUND: [(Format, [&str; 2]); 3] = [(Format::Dwm1001, LEC), (Format::Dwm1001, LES), (Format::Mauwb, MAUWB)];
 
-/// Anchor, its position and its range, as the parser gives them after a sound line.
+/// Anchor, its position and its range, as parsed from a valid line.
 type Reading = (String, Option<[u64; 3]>, u64);
 
 fn read(format: Format, line: &str) -> Result<Vec<Reading>, Refusal> {
@@ -35,7 +35,7 @@ fn read(format: Format, line: &str) -> Result<Vec<Reading>, Refusal> {
     }))
 }
 
-/// Whether what is taken of a line, if anything, is among what was sent.
+/// True if everything read from a line was sent.
 fn is_true(format: Format, sent: &[&str], line: &str) -> bool {
     let sent: Vec<Reading> = sent.iter().flat_map(|line| read(format, line).unwrap()).collect();
     read(format, line).map_or(true, |taken| taken.iter().all(|reading| sent.contains(reading)))
@@ -49,7 +49,7 @@ fn a_line_that_is_cut_anywhere_is_refused_or_true() {
         for at in 0..line.len() {
             assert!(is_true(format, &lines, &line[..at]), "{}", &line[..at]);
             assert!(is_true(format, &lines, &line[at..]), "{}", &line[at..]);
-            // The line's end was lost: the next one goes on where it was cut, from its beginning.
+            // The line end was lost: the start of the next line follows directly.
             let glued = format!("{}{}", &line[..at], lines[1]);
             assert!(is_true(format, &lines, &glued), "{glued}");
         }
@@ -69,7 +69,7 @@ fn no_line_is_true_as_another_format() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// Fields are lost, doubled, or come from two lines in turn.
+    /// Fields are lost, doubled, or mixed from two lines.
     #[test]
     fn lines_that_are_interleaved_or_have_gaps_are_refused_or_true(
         which in 0..SOUND.len(), cuts in proptest::collection::vec((any::<prop::sample::Index>(), any::<bool>()), 1..6),
@@ -84,7 +84,7 @@ proptest! {
             mixed.extend(fields[line][piece].iter().copied());
             from[line] = to;
         }
-        // The comma stays at the end: without it, a field that came twice is a range like any other.
+        // The comma stays at the end: without it, a doubled field looks like a normal range.
         prop_assert!(is_true(format, &lines, &mixed), "{mixed}");
     }
 }

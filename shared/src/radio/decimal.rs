@@ -1,4 +1,4 @@
-//! Numbers of a fixed form, so that a cut one is told from a whole one.
+//! Numbers of a fixed form, so that a truncated number is detected.
 
 use super::Refusal;
 
@@ -33,7 +33,7 @@ impl Decimals {
     }
 }
 
-/// Reads a whole number without sign or leading zeros.
+/// Reads an integer without sign or leading zeros.
 pub(super) fn whole(text: &str) -> Result<u32, Refusal> {
     if !is_complete(text) {
         return Err(Refusal::Malformed);

@@ -5,9 +5,9 @@
 //! 022E[7.94,8.03,0.00]=3.44 15BA[0.00,8.03,0.00]=6.71 le_us=2576 est[6.95,5.37,-1.97,52]
 //! ```
 //!
-//! `DIST` is followed by the number of anchors and label, id, x, y, z and range (m) of each; `POS` and `est` are the
-//! radio's own estimate with its quality in percent, and may be missing. The shell's prompt and what was typed at it are
-//! passed over.
+//! `DIST` is followed by the number of anchors and label, id, x, y, z and range (m) of each. `POS` and `est` are the
+//! radio's own estimate with its quality in percent, and are optional. The shell's prompt and its echo of typed commands are
+//! skipped.
 
 use super::decimal::{Decimals, whole};
 use super::{RANGE_MAX_M, RadioRange, Refusal, add};
@@ -18,13 +18,13 @@ const ANCHORS_MAX: u32 = 16;
 /// The shell's prompt.
 const PROMPT: &str = "dwm>";
 
-/// What the shell echoes when it is typed in.
+/// Commands that the shell echoes.
 const COMMANDS: [&str; 6] = ["lec", "les", "lep", "quit", "si", "reset"];
 
-/// How the lines begin with which the shell greets.
+/// Starts of the shell's greeting lines.
 const GREETING: [&str; 5] = ["DWM1001", "Copyright", "License", "Compiled", "Help"];
 
-/// Reads a line into `ranges`; `false` if it is none that could have ranges.
+/// Reads a line into `ranges`; `false` if it is not a report.
 pub(super) fn read(line: &str, ranges: &mut Vec<RadioRange>) -> Result<bool, Refusal> {
     let mut line = line.trim();
     while let Some(rest) = line.strip_prefix(PROMPT) {
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_damaged_is_refused() {
+    fn damaged_lines_are_refused() {
         let bad = [
             "DIST,4,AN0,022E,7.94,8.03,0.00,3.44",
             "DIST,1,AN0,022E,7.94,8.03,0.00,3.44,AN1,15BA,0.00,0.00,0.00,8.31",

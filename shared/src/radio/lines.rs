@@ -1,11 +1,11 @@
-//! Lines of a stream that comes in pieces; of a line that is too long nothing is kept.
+//! Splits a stream that arrives in pieces into lines; an overlong line is dropped.
 
 use super::Refusal;
 
-/// Longest line, bytes, without its end: sixteen anchors with everything that is printed of them.
+/// Longest line, bytes, without its end: sixteen anchors with all optional fields.
 pub const LINE_LEN_MAX: usize = 1024;
 
-/// Splits a stream into lines, which end with CR, LF or both. Blank lines are left out.
+/// Splits a stream into lines, which end with CR, LF or both. Skips blank lines.
 #[derive(Debug, Default)]
 pub(super) struct Lines {
     line: Vec<u8>,
@@ -13,7 +13,7 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    /// Takes the next bytes and gives each line that they end, without its end.
+    /// Takes the next bytes and passes on each line that they complete, without its end.
     pub(super) fn push(&mut self, mut bytes: &[u8], mut take: impl FnMut(Result<&str, Refusal>)) {
         while let Some(at) = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r')) {
             self.keep(&bytes[..at]);
@@ -28,7 +28,7 @@ impl Lines {
         self.keep(bytes);
     }
 
-    /// Whether there is half a line, which nothing will end any more.
+    /// True if an unfinished line remains.
     pub(super) fn has_rest(&self) -> bool {
         self.is_too_long || !self.line.trim_ascii().is_empty()
     }
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_as_long_as_it_may_be_is_whole_and_a_longer_one_refused_once() {
+    fn a_line_of_maximum_length_is_complete_and_a_longer_one_is_refused_once() {
         let long = [b'x'; LINE_LEN_MAX + 1];
         assert_eq!(lines(&[&long[1..], b"\n"]).0, [Ok("x".repeat(LINE_LEN_MAX))]);
         assert_eq!(lines(&[&long, &long, b"\nnext\n"]).0, [Err(Refusal::TooLong), Ok("next".to_owned())]);

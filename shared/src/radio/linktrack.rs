@@ -1,16 +1,16 @@
 //! Frames of a LinkTrack, `NodeFrame3`, little-endian.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
 //! | 0..2 | `55 05` |
-//! | 2..4 | length of the frame, all of it |
-//! | 4, 5 | role and id of the radio that speaks |
+//! | 2..4 | length of the complete frame |
+//! | 4, 5 | role and id of the sending radio |
 //! | 6..10, 10..14 | its own time, the system's time |
 //! | 14..18 | reserved |
 //! | 18..20 | supply voltage, mV |
 //! | 20 | number of nodes |
-//! | 7 each | role, id, range (int24, mm), strength of first path and of all, dBm / -2 |
-//! | last | sum of all before, modulo 256 |
+//! | 7 each | role, id, range (int24, mm), first-path and total signal strength, dBm / -2 |
+//! | last | sum of all bytes before, modulo 256 |
 
 use super::{RadioRange, Refusal, add};
 
@@ -21,24 +21,24 @@ const NODE_LEN: usize = 7;
 /// Most nodes of a frame: the count is a byte.
 const FRAME_LEN_MAX: usize = HEADER_LEN + 255 * NODE_LEN + 1;
 
-/// What a frame says beside its ranges.
+/// The fields of a frame besides its ranges.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Head {
     pub(super) id: u8,
     pub(super) local_time: u32,
 }
 
-/// Finds frames in a stream, with memory for one of them.
+/// Finds frames in a stream; buffers one frame.
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     bytes: Vec<u8>,
 }
 
 impl Frames {
-    /// Takes the next bytes, and gives each frame that they end.
+    /// Takes the next bytes, and passes on each frame that they complete.
     ///
-    /// After a wrong checksum the search for a start goes on one byte further: what looked like a frame may have had the
-    /// next one within it. Bytes between frames are passed over.
+    /// After a wrong checksum the search for a start continues one byte later: the next frame may start within the
+    /// bytes of the false one. Bytes between frames are skipped.
     pub(super) fn push(
         &mut self,
         mut bytes: &[u8],
@@ -64,7 +64,7 @@ impl Frames {
                 };
                 ranges.clear();
                 match read(&rest[..len], ranges) {
-                    // Its sum is right, so it is a frame, whatever is wrong in it.
+                    // The checksum is right, so it is a frame even if its contents are invalid.
                     Err(Refusal::Checksum) => {
                         take(Err(Refusal::Checksum), ranges);
                         at += 1;
@@ -84,14 +84,14 @@ impl Frames {
     }
 }
 
-/// Where a frame may begin.
+/// Finds the next possible start of a frame.
 fn start(bytes: &[u8]) -> usize {
     let found = bytes.windows(2).position(|pair| pair == START);
     let is_half = bytes.last() == Some(&START[0]);
     found.unwrap_or(bytes.len() - usize::from(is_half))
 }
 
-/// The length of the frame that begins here, when it is known.
+/// The length of the frame that starts here, if known.
 fn frame_len(bytes: &[u8]) -> Result<Option<usize>, Refusal> {
     if bytes.len() < 4 {
         return Ok(None);
@@ -105,7 +105,7 @@ fn frame_len(bytes: &[u8]) -> Result<Option<usize>, Refusal> {
     if len == HEADER_LEN + usize::from(*count) * NODE_LEN + 1 { Ok(Some(len)) } else { Err(Refusal::Malformed) }
 }
 
-/// Reads a frame of the length that it says.
+/// Reads a frame of the stated length.
 fn read(frame: &[u8], ranges: &mut Vec<RadioRange>) -> Result<Head, Refusal> {
     let (sum, summed) = frame.split_last().ok_or(Refusal::Malformed)?;
     if summed.iter().fold(0_u8, |sum, byte| sum.wrapping_add(*byte)) != *sum {
@@ -126,7 +126,7 @@ fn read(frame: &[u8], ranges: &mut Vec<RadioRange>) -> Result<Head, Refusal> {
     Ok(Head { id: summed[5], local_time })
 }
 
-/// A frame as the radio sends it, for tests of what reads it.
+/// A frame as the radio sends it, for tests of its readers.
 #[cfg(test)]
 pub(super) fn frame(id: u8, local_time: u32, nodes: &[(u8, i32)]) -> Vec<u8> {
     let mut frame = START.to_vec();
@@ -169,7 +169,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_read_exactly() {
-        // Written out by hand: tag 5 hears anchor 3 at 4.321 m (0x0010E1) and 4 at -0.001 m.
+        // Built by hand: tag 5 hears anchor 3 at 4.321 m (0x0010E1) and 4 at -0.001 m.
         let mut bytes = vec![
             0x55, 0x05, 36, 0, 2, 5, 0x10, 0x27, 0, 0, 0x11, 0x27, 0, 0, 0, 0, 0, 0, 0x56, 0x13, 2, 1, 3, 0xE1, 0x10,
             0x00, 161, 158, 1, 4, 0xFF, 0xFF, 0xFF, 170, 165,

@@ -1,7 +1,7 @@
 //! A log of a radio's port as rows of time, anchor and range.
 //!
-//! A log of text has a time stamp before each line, or the user says the rate at which the radio reports. A LinkTrack says its
-//! own time. A log is read once from its beginning, in memory for one line and the rows.
+//! A text log has a time stamp before each line, or the user gives the radio's report rate. A LinkTrack log has
+//! the radio's own time. A log is read once from its start; memory holds one line and the rows.
 
 use std::io::BufRead;
 
@@ -11,80 +11,80 @@ use super::parser::Text;
 use super::stamp::{DAY_S, Stamp, split};
 use super::{Format, LogRow, RadioRange, Refusal, StampUnit};
 
-/// Most rows, as of any recording.
+/// Most rows, as in any recording.
 const ROWS_MAX: usize = 10_000_000;
 
-/// So many reports in a row that go back in time are a clock that was set or started again.
+/// Consecutive reports that go back in time and count as a clock that was set or restarted.
 const BACK_MAX: u32 = 8;
 
-/// Numbers from here on are milliseconds, microseconds, nanoseconds since 1970: as seconds they are beyond the year 5000.
+/// Numbers from here on are milliseconds, microseconds or nanoseconds since 1970: as seconds they are beyond the year 5000.
 const SINCE_1970: [(f64, StampUnit); 3] =
     [(1e17, StampUnit::Nanoseconds), (1e14, StampUnit::Microseconds), (1e11, StampUnit::Milliseconds)];
 
-/// One report in so many may name another tag: it is a damaged one.
+/// One report in this many may name another tag: it counts as damaged.
 const OTHER_TAGS_MAX: u64 = 100;
 
-/// A gap that is usual between two frames of a LinkTrack, if its clock counts milliseconds, is not longer, s.
+/// Longest usual gap between two frames of a LinkTrack whose clock counts milliseconds, s.
 const FRAME_GAP_MAX_S: f64 = 3.0;
 
 /// How a log is read.
 #[derive(Debug, Clone, Default)]
 pub struct LogOptions {
-    /// Reports a second of a log without time stamps.
+    /// Reports per second of a log without time stamps.
     pub rate_hz: Option<f64>,
-    /// Unit of time stamps that are whole numbers, or of a LinkTrack's clock [default: ms].
+    /// Unit of integer time stamps, or of a LinkTrack's clock [default: ms].
     pub stamp_unit: Option<StampUnit>,
-    /// The tag whose ranges are wanted, where a log has several: the target (`--target`).
+    /// The tag to read from a log of several tags: the target (`--target`).
     pub tag: Option<String>,
 }
 
-/// What was found in a log beside its rows.
+/// Statistics of a log besides its rows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct LogSummary {
-    /// Lines or frames that were taken.
+    /// Accepted lines or frames.
     pub reports: u64,
-    /// Ranges in them.
+    /// Ranges in the accepted lines or frames.
     pub rows: u64,
-    /// Lines or frames that were refused: damaged, interleaved, without a stamp.
+    /// Refused lines or frames: damaged, interleaved, without a stamp.
     pub refused: u64,
-    /// The first of them: its number among all lines or frames, from 1, and why.
+    /// The first refusal: its number among all lines or frames, from 1, and the reason.
     pub first_refused: Option<(u64, Refusal)>,
-    /// Reports that were left out because their time is before that of the one before them.
+    /// Reports left out because their time is before the previous report's.
     pub back_in_time: u64,
-    /// Reports of tags that were not asked for.
+    /// Reports left out because they are of other tags.
     pub other_tags: u64,
 }
 
-/// Why there are no rows. Displays as one line without the file's name.
+/// Why a log gives no rows. Displays as one line without the file's name.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The log could not be read.
     #[error("expected a log that can be read: {0}")]
     Unreadable(#[from] std::io::Error),
-    /// There is nothing in it.
+    /// The log has no reports.
     #[error("expected {}, got none (refused: {refused}); is --format {format} right?", .format.sample())]
     NoRanges {
-        /// As what it was read.
+        /// The format that it was read as.
         format: Format,
-        /// Lines or frames that were refused.
+        /// Refused lines or frames.
         refused: u64,
     },
-    /// Nothing says when.
+    /// The log has no times, and no rate is given.
     #[error(
         "no line has a time stamp: log with one before each line (1699999999.123 DIST,... or 2023-11-14T22:13:19.123Z \
          DIST,...), or give the reports a second: --rate HZ"
     )]
     NoTime,
-    /// There is a time and a rate.
+    /// The log has times, and a rate is given too.
     #[error("the log has times of its own: leave out --rate")]
     TwoTimes,
-    /// A rate that is none.
+    /// The rate is invalid.
     #[error("--rate: expected a number from 0.001 to 100000 Hz, got {0}")]
     Rate(f64),
-    /// Numbers of unknown unit.
+    /// The unit of the time stamps is unknown.
     #[error("cannot tell the unit of the time stamps (the first is {0}): give it, --stamp-unit s, ms, us or ns")]
     StampUnit(f64),
-    /// A LinkTrack's clock that does not look like milliseconds.
+    /// The LinkTrack's clock does not seem to count milliseconds.
     #[error(
         "the frames would be {0:.1} s apart if the radio's clock counted ms: give its unit, --stamp-unit us, or \
          --stamp-unit ms if that is so"
@@ -103,20 +103,20 @@ pub enum LogError {
     /// Ranges to more than one target.
     #[error("the log has ranges of several tags ({}): choose one by --target ID", .0.join(", "))]
     Tags(Vec<String>),
-    /// The tag that was asked for is not there.
+    /// The requested tag is not in the log.
     #[error("--target {wanted}: no such tag in the log{}", if .found.is_empty() { String::new() } else { format!("; it has {}", .found.join(", ")) })]
     NoSuchTag {
-        /// What was asked for.
+        /// The requested tag.
         wanted: String,
-        /// What is there.
+        /// The tags in the log.
         found: Vec<String>,
     },
-    /// It is too long.
+    /// The log is too long.
     #[error("expected at most {ROWS_MAX} ranges")]
     TooLong,
 }
 
-/// Reads a whole log.
+/// Reads a complete log.
 ///
 /// # Errors
 /// [`LogError`], if the log has no ranges of one target at known times.
@@ -130,7 +130,7 @@ pub fn read_log(
     Ok((rows, summary))
 }
 
-/// Reads a whole log, row by row, in order of time. If it fails in the end, what was given is worth nothing.
+/// Reads a log row by row, in order of time. After an error, discard the rows passed on before.
 ///
 /// # Errors
 /// As [`read_log`].
@@ -200,13 +200,13 @@ struct Log<'a, F> {
     take: F,
     summary: LogSummary,
     clock: Clock,
-    /// The first tag, whose ranges are taken unless another is asked for, and a few others for messages.
+    /// The first tag, whose ranges are read unless another is requested, and a few others for messages.
     tags: Vec<String>,
-    /// Reports that have no time.
+    /// Reports without a time.
     unstamped: u64,
 }
 
-/// What is known of the log's time.
+/// The state of the log's clock.
 #[derive(Default)]
 struct Clock {
     unit: Option<StampUnit>,
@@ -216,7 +216,7 @@ struct Clock {
     back: u32,
     wraps: u32,
     last_ticks: u32,
-    /// Gaps between the first frames, s, and how many.
+    /// Sum of the gaps between the first frames, s, and their number.
     gaps: (f64, u32),
 }
 
@@ -331,7 +331,7 @@ impl<'a, F: FnMut(LogRow)> Log<'a, F> {
 }
 
 impl Clock {
-    /// The time of a stamp, s; `None` if it is of another kind than the first.
+    /// The time of a stamp, s; `None` if its kind differs from the first stamp's.
     fn stamped_s(&mut self, stamp: Stamp, unit: Option<StampUnit>) -> Result<Option<f64>, LogError> {
         let kind = std::mem::discriminant(&stamp);
         if *self.kind.get_or_insert(kind) != kind {
@@ -355,7 +355,7 @@ impl Clock {
         }))
     }
 
-    /// The time of a counter of 32 bits, s.
+    /// The time of a 32-bit counter, s.
     fn ticked_s(&mut self, ticks: u32, unit: StampUnit) -> f64 {
         const QUARTER: u32 = 1 << 30;
         if self.last_ticks >= 3 * QUARTER && ticks < QUARTER {
@@ -372,7 +372,7 @@ impl Clock {
     }
 }
 
-/// The unit of a number, where it can be told: those with a fraction are seconds, the largest count from 1970.
+/// The unit of a number, if it can be inferred: numbers with a fraction are seconds, the largest count from 1970.
 fn unit_of(value: f64, has_fraction: bool) -> Option<StampUnit> {
     let large = SINCE_1970.iter().find(|(least, _)| value >= *least).map(|(_, unit)| *unit);
     large.or(has_fraction.then_some(StampUnit::Seconds))
@@ -464,7 +464,7 @@ mod tests {
         let (rows, summary) = read(Format::Mauwb, text.as_bytes(), &tag("1")).unwrap();
         assert_eq!((rows.len(), rows[0].range_m, rows[0].anchor.as_str(), summary.other_tags), (1, 0.93, "3", 2));
         assert!(complaint(Format::Mauwb, text.as_bytes(), &tag("7")).contains("no such tag in the log; it has 0, 1"));
-        // One in two hundred is no second tag, but damage.
+        // One report in two hundred is damage, not a second tag.
         let text: String = (0..200).map(|number| line(if number == 100 { 8 } else { 0 }, 1000 + number)).collect();
         let (rows, summary) = read(Format::Mauwb, text.as_bytes(), &LogOptions::default()).unwrap();
         assert_eq!((rows.len(), summary.other_tags), (199, 1));

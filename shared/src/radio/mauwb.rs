@@ -1,20 +1,20 @@
-//! What a MaUWB prints of each round of ranging.
+//! The output of a MaUWB for each round of ranging.
 //!
 //! ```text
 //! AT+RANGE=tid:0,mask:01,seq:65,range:(92,0,0,0,0,0,0,0),ancid:(0,-1,-1,-1,-1,-1,-1,-1)
 //! AT+RANGE=tid:1,mask:04,seq:63,range:(0,0,30,0,0,0,0,0),rssi:(0.00,0.00,-77.93,0.00,0.00,0.00,0.00,0.00)
 //! ```
 //!
-//! Ranges are in cm, 0 for an anchor that was not heard. `ancid` gives the anchors' ids, -1 for none; firmware without it
-//! lists the anchors in order, from 0. Some print blanks after commas and colons, some both `rssi` and `ancid`.
+//! Ranges are in cm, 0 for an anchor that was not heard. `ancid` gives the anchors' ids, -1 for none; firmware without `ancid`
+//! lists the anchors in order, from 0. Some versions print blanks after commas and colons, some print both `rssi` and `ancid`.
 
 use super::decimal::whole;
 use super::{RANGE_MAX_M, RadioRange, Refusal, add};
 
-/// What the parser remembers from line to line.
+/// State of the parser between lines.
 #[derive(Debug, Default, Clone, Copy)]
 pub(super) struct Memory {
-    /// Lines of this radio have anchors' ids: one without them has lost its end, and says nothing of whose ranges these are.
+    /// This radio prints anchor ids: a line without them is truncated, and its ranges have no known anchor.
     has_ids: bool,
 }
 
@@ -23,7 +23,7 @@ const START: &str = "AT+RANGE=";
 /// Most anchors of a line.
 const SLOTS_MAX: usize = 16;
 
-/// Reads a line into `ranges` and the tag's id into `tag`; `false` if it is another answer of the radio.
+/// Reads a line into `ranges` and the tag's id into `tag`; `false` if it is not a report.
 pub(super) fn read(
     line: &str,
     memory: &mut Memory,
@@ -32,7 +32,7 @@ pub(super) fn read(
 ) -> Result<bool, Refusal> {
     let line = line.trim();
     let Some(rest) = line.strip_prefix(START) else {
-        // `OK`, `AT+VERSION?` and other talk.
+        // `OK`, `AT+VERSION?` and other answers.
         let is_talk = line == "OK" || (line.starts_with("AT+") && !line.contains("range") && !line.contains("RANGE"));
         return if is_talk { Ok(false) } else { Err(Refusal::Malformed) };
     };
@@ -83,7 +83,7 @@ struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    /// The field `name:value,`, which is there.
+    /// Reads the required field `name:value,`.
     fn value(&mut self, name: &str) -> Result<&'a str, Refusal> {
         let rest = self.after(name).ok_or(Refusal::Malformed)?;
         let (value, rest) = rest.split_once(',').ok_or(Refusal::Malformed)?;
@@ -91,13 +91,13 @@ impl<'a> Fields<'a> {
         Ok(value.trim_end())
     }
 
-    /// What is in the brackets of `name:(...)`, if that comes next.
+    /// The text in the brackets of `name:(...)`, if that field comes next.
     fn list(&mut self, name: &str) -> Result<Option<&'a str>, Refusal> {
         let Some(rest) = self.after(name) else { return Ok(None) };
         let (list, rest) = rest.strip_prefix('(').and_then(|rest| rest.split_once(')')).ok_or(Refusal::Malformed)?;
         let rest = rest.trim_start();
         self.rest = match rest.strip_prefix(',') {
-            // A comma announces another field.
+            // A comma must be followed by another field.
             Some(next) if !next.trim_start().is_empty() => next.trim_start(),
             None if rest.is_empty() => rest,
             _ => return Err(Refusal::Malformed),
@@ -110,7 +110,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// A signal strength, with sign and point or without.
+/// A signal strength, with optional sign and point.
 fn signed(text: &str) -> Result<f64, Refusal> {
     let text = text.trim();
     let is_number = text.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit() || byte == b'.');
@@ -151,13 +151,13 @@ mod tests {
         assert_eq!(parse(blanks).unwrap(), said("3", &[("4", 2.32), ("9", 4.01), ("12", 5.18)]));
         let nobody = "AT+RANGE=tid:0,mask:00,seq:66,range:(0,0),ancid:(-1,-1)";
         assert_eq!(parse(nobody).unwrap(), said("0", &[]));
-        // The range of a slot without an anchor is nobody's.
+        // The range of a slot without an anchor is dropped.
         assert_eq!(parse("AT+RANGE=tid:0,mask:01,seq:1,range:(5,6),ancid:(-1,1)").unwrap(), said("0", &[("1", 0.06)]));
         assert_eq!(read("OK", &mut Memory::default(), &mut String::new(), &mut Vec::new()), Ok(false));
     }
 
     #[test]
-    fn what_is_damaged_is_refused() {
+    fn damaged_lines_are_refused() {
         let bad = [
             "AT+RANGE=tid:0,mask:01,seq:65,range:(92,0),ancid:(0,-1,-1)",
             "AT+RANGE=tid:0,mask:01,seq:65,range:(92,0)",

@@ -1,4 +1,4 @@
-//! What ranging radios print, read strictly: a line or frame is taken whole, or refused and counted, never misread.
+//! Strict readers of ranging radios' output: a line or frame is accepted completely, or refused and counted, never misread.
 //!
 //! | format | radio | one report |
 //! |---|---|---|
@@ -7,8 +7,8 @@
 //! | [`Format::Linktrack`] | Nooploop LinkTrack, `NodeFrame3` | a binary frame with several nodes, mm |
 //! | [`Format::Mauwb`] | Makerfabs MaUWB, `AT+RANGE=` | a line with up to 16 anchors, cm |
 //!
-//! [`Parser`] takes bytes as they come from a port, [`log`] a whole log of a port. A range of 0 is how these radios
-//! report an anchor that was not heard; it is left out.
+//! [`Parser`] reads bytes from a port, [`log`] a complete log of a port. These radios report an anchor that was not heard as a
+//! range of 0; such ranges are left out.
 
 #[cfg(test)]
 mod damage;
@@ -32,10 +32,10 @@ pub use stamp::{StampUnit, UnknownUnit};
 /// Largest range that one of these radios can report, m; an `int24` of mm ends at 8388 m.
 const RANGE_MAX_M: f64 = 10_000.0;
 
-/// What a radio prints.
+/// The output format of a radio.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Format {
-    /// A range a line, with or without the sensor's name before it.
+    /// One range per line, with or without the sensor's name before it.
     #[default]
     Plain,
     /// The shell of a DWM1001, `lec` or `les`.
@@ -61,7 +61,7 @@ impl Format {
         }
     }
 
-    /// What a report of it looks like, for messages.
+    /// A sample report of this format, for messages.
     #[must_use]
     pub const fn sample(self) -> &'static str {
         match self {
@@ -87,7 +87,7 @@ impl FromStr for Format {
     }
 }
 
-/// The name of no format.
+/// The text is not the name of a format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("expected plain, dwm1001, linktrack or mauwb")]
 pub struct UnknownFormat;
@@ -97,7 +97,7 @@ pub struct UnknownFormat;
 pub struct RadioRange {
     /// The anchor's id as the radio prints it; empty for a plain line without a name.
     pub anchor: String,
-    /// Where the radio says that the anchor is, m.
+    /// The anchor's position as the radio prints it, m.
     pub anchor_position_m: Option<[f64; 3]>,
     /// The range, m, greater than 0.
     pub range_m: f64,
@@ -108,11 +108,11 @@ pub struct RadioRange {
 /// One range of a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogRow {
-    /// When, s, on whatever clock the log has.
+    /// Time, s, on the log's own clock.
     pub time_s: f64,
     /// The anchor's id as the radio prints it.
     pub anchor: String,
-    /// Where the radio says that the anchor is, m.
+    /// The anchor's position as the radio prints it, m.
     pub position_m: Option<[f64; 3]>,
     /// The range, m.
     pub range_m: f64,
@@ -127,7 +127,7 @@ pub enum Refusal {
     /// It is not text.
     #[error("not text")]
     NotText,
-    /// It ended with the stream.
+    /// The stream ended within it.
     #[error("cut off by the end of the stream")]
     Cut,
     /// It does not follow the format.
@@ -141,7 +141,7 @@ pub enum Refusal {
     Checksum,
 }
 
-/// Adds a range, or leaves it out if the anchor was not heard.
+/// Adds a range, unless the anchor was not heard.
 fn add(ranges: &mut Vec<RadioRange>, range: RadioRange) -> Result<(), Refusal> {
     if ranges.iter().any(|known| known.anchor.eq_ignore_ascii_case(&range.anchor)) {
         return Err(Refusal::AnchorTwice);

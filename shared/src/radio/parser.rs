@@ -1,4 +1,4 @@
-//! One type for all formats, fed with bytes as they come.
+//! One parser type for all formats; it takes bytes in pieces of any size.
 
 use super::lines::Lines;
 use super::linktrack::Frames;
@@ -7,26 +7,26 @@ use super::{Format, RadioRange, Refusal, dwm1001, mauwb, plain};
 /// One line or frame of a radio.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RadioReport<'a> {
-    /// Who measured, where the radio says it: the tag's id.
+    /// The tag that measured, if the radio prints tag ids.
     pub tag: Option<&'a str>,
     /// The radio's own clock, in its own units.
     pub device_time: Option<u32>,
-    /// What was heard, each anchor once; empty if none was.
+    /// The heard anchors, each once; empty if none was heard.
     pub ranges: &'a [RadioRange],
 }
 
-/// What has come so far.
+/// Counts since the start of the stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
-    /// Lines or frames that were taken.
+    /// Accepted lines or frames.
     pub reports: u64,
-    /// Ranges in them.
+    /// Ranges in the accepted lines or frames.
     pub ranges: u64,
-    /// Lines or frames that were refused.
+    /// Refused lines or frames.
     pub refused: u64,
 }
 
-/// Reads a radio's bytes, in pieces of any size, with memory for one line or frame.
+/// Reads a radio's bytes, in pieces of any size; buffers one line or frame.
 #[derive(Debug)]
 pub struct Parser {
     source: Source,
@@ -40,14 +40,14 @@ enum Source {
 }
 
 impl Parser {
-    /// A parser of a stream that went on before anybody listened: its first line may be the end of one, and is passed
-    /// over. A frame is whole or none.
+    /// A parser of a stream that is already running: its first line may be incomplete and is
+    /// skipped. Frames need no such rule.
     #[must_use]
     pub fn listening(format: Format) -> Self {
         Self::begun(format, true)
     }
 
-    /// A parser of a stream that begins where a line does.
+    /// A parser of a stream that starts at the start of a line.
     #[must_use]
     pub fn new(format: Format) -> Self {
         Self::begun(format, false)
@@ -63,13 +63,13 @@ impl Parser {
         Self { source, counts: Counts::default() }
     }
 
-    /// What has come so far.
+    /// Counts since the start of the stream.
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Takes the next bytes, and gives each report that they end, or why it was refused.
+    /// Takes the next bytes, and passes on each completed report, or the reason of its refusal.
     pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Result<RadioReport<'_>, Refusal>)) {
         let counts = &mut self.counts;
         let mut take = |report: Result<RadioReport<'_>, Refusal>| {
@@ -104,7 +104,7 @@ impl Parser {
         }
     }
 
-    /// Ends the stream: what has no end is refused.
+    /// Ends the stream: an unfinished line or frame is refused.
     pub fn finish(&mut self) -> Result<(), Refusal> {
         let has_rest = match &self.source {
             Source::Text { lines, .. } => lines.has_rest(),
@@ -137,7 +137,7 @@ impl Text {
         Self { format, memory: mauwb::Memory::default(), tag: String::new(), ranges: Vec::new() }
     }
 
-    /// Reads a line; `None` if it is none that could have ranges.
+    /// Reads a line; `None` if it is not a report.
     pub(super) fn read(&mut self, line: &str) -> Result<Option<RadioReport<'_>>, Refusal> {
         let Self { format, memory, tag, ranges } = self;
         ranges.clear();
@@ -146,7 +146,7 @@ impl Text {
             Format::Plain => plain::read(line, ranges),
             Format::Dwm1001 => dwm1001::read(line, ranges),
             Format::Mauwb => mauwb::read(line, memory, tag, ranges),
-            // Has no lines.
+            // A binary format has no lines.
             Format::Linktrack => Err(Refusal::Malformed),
         }?;
         ranges.retain(|range| range.range_m > 0.0);
@@ -161,7 +161,7 @@ mod tests {
 
     fn ranges(parser: &mut Parser, text: &[u8]) -> Vec<Option<Vec<f64>>> {
         let mut all = Vec::new();
-        // Few bytes at a time, as they come from a port.
+        // Few bytes at a time, as from a port.
         for chunk in text.chunks(3) {
             parser.push(chunk, |report| {
                 all.push(report.ok().map(|report| report.ranges.iter().map(|range| range.range_m).collect()));
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_heard_is_no_range() {
+    fn an_unheard_anchor_gives_no_range() {
         let mut parser = Parser::new(Format::Plain);
         assert_eq!(ranges(&mut parser, b"0\n0.00\nA,1\nx\n12."), [Some(vec![]), Some(vec![]), Some(vec![1.0]), None]);
         assert_eq!(parser.finish(), Err(Refusal::Cut));

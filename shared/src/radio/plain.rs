@@ -1,12 +1,12 @@
-//! A range a line: `12.34`, or `A,12.34` after the sensor's name. m.
+//! One range per line, m: `12.34`, or `A,12.34` with the sensor's name first.
 
 use super::decimal::is_digits;
 use super::{RadioRange, Refusal};
 
 /// Reads a line into `ranges`.
 ///
-/// Two numbers are a name and a range only if the name is whole and the range has a point: `12,34` may be 12.34 with a
-/// decimal comma. A third field is refused: nothing says which of them is the range.
+/// Two numbers are a name and a range only if the name is an integer and the range has a point: `12,34` may be 12.34 with a
+/// decimal comma. A third field is refused, because it is unclear which field is the range.
 pub(super) fn read(line: &str, ranges: &mut Vec<RadioRange>) -> Result<bool, Refusal> {
     let (name, number) = match line.split_once(',') {
         None => ("", line.trim()),
@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_be_something_else_is_refused() {
+    fn ambiguous_lines_are_refused() {
         let bad = [
             "x",
             "A,",

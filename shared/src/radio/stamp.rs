@@ -1,6 +1,6 @@
 //! Time stamps that loggers write before each line.
 //!
-//! | stamp | who writes it |
+//! | stamp | writer |
 //! |---|---|
 //! | `1699999999.123 LINE` | `ts %.s`, most scripts |
 //! | `1699999999123 LINE` | scripts, by ms, us or ns since 1970 |
@@ -59,29 +59,29 @@ impl FromStr for StampUnit {
 #[error("expected s, ms, us or ns")]
 pub struct UnknownUnit;
 
-/// A stamp before a line.
+/// The stamp of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Stamp {
-    /// A number of some unit.
+    /// A number of unknown unit.
     Number { value: f64, has_fraction: bool },
     /// A date and time, s since 1970.
     Date(f64),
-    /// A time of some day, s since midnight.
+    /// A time of an unknown day, s since midnight.
     Clock(f64),
 }
 
 /// Length of a day, s.
 pub(super) const DAY_S: f64 = 86_400.0;
 
-/// Splits a line into its stamp and the rest. A comma after a stamp parts it from the rest only where `commas` says so: a
-/// plain line has a comma of its own.
+/// Splits a line into its stamp and the rest. A comma separates the two only if `commas` is set: a
+/// plain line has its own comma.
 pub(super) fn split(line: &str, commas: bool) -> Option<(Stamp, &str)> {
     let line = line.trim_start();
     let (stamp, rest) = match line.strip_prefix('[') {
         Some(inner) => {
             let (inner, rest) = inner.split_once(']')?;
             let (stamp, after) = read(inner.trim())?;
-            // Some write the time since the line before it, too.
+            // Some loggers also write the time since the previous line.
             if !after.is_empty() && !after.starts_with(' ') {
                 return None;
             }
@@ -89,7 +89,7 @@ pub(super) fn split(line: &str, commas: bool) -> Option<(Stamp, &str)> {
         }
         None => {
             let (stamp, rest) = read(line)?;
-            // What goes on with a digit after a colon is a clock that is none.
+            // A clock time that continues with a digit after a colon is invalid.
             let is_colon = rest.strip_prefix(':').is_some_and(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()));
             let is_parted = is_colon
                 || rest.starts_with([' ', '\t', '|'])
@@ -107,7 +107,7 @@ pub(super) fn split(line: &str, commas: bool) -> Option<(Stamp, &str)> {
     (!rest.is_empty()).then_some((stamp, rest))
 }
 
-/// Reads the stamp that a text begins with.
+/// Reads the stamp at the start of a text.
 fn read(text: &str) -> Option<(Stamp, &str)> {
     date(text).or_else(|| clock(text).map(|(time_s, rest)| (Stamp::Clock(time_s), rest))).or_else(|| number(text))
 }
@@ -124,7 +124,7 @@ fn number(text: &str) -> Option<(Stamp, &str)> {
     Some((Stamp::Number { value, has_fraction: number_len > whole.len() }, rest))
 }
 
-/// `2023-11-14T22:13:19.123+01:00`; without a zone it is taken for UTC, as only differences count.
+/// `2023-11-14T22:13:19.123+01:00`. Without a zone it counts as UTC, because only differences matter.
 fn date(text: &str) -> Option<(Stamp, &str)> {
     let (year, rest) = digits(text, 4..=4)?;
     let (month, rest) = digits(rest.strip_prefix('-')?, 2..=2)?;
@@ -169,7 +169,7 @@ fn zone(text: &str) -> Option<(f64, &str)> {
     Some((if text.starts_with('-') { -offset_s } else { offset_s }, rest))
 }
 
-/// Splits off the digits that a text begins with.
+/// Splits off the digits at the start of a text.
 fn digits(text: &str, lens: std::ops::RangeInclusive<usize>) -> Option<(&str, &str)> {
     let len = text.bytes().take_while(u8::is_ascii_digit).count();
     lens.contains(&len).then(|| text.split_at(len))
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_radio_prints_is_no_stamp() {
+    fn radio_output_is_not_taken_for_a_stamp() {
         for line in
             ["DIST,0", "022E[7.94,8.03,0.00]=3.44", "15BA[0.00,0.00,0.00]=8.31", "1200[7.94,8.03,0.00]=3.44", "12.34"]
         {

@@ -11,14 +11,14 @@ const RECORD_LEN: usize = 16 + 8 + 8 * (STATE_DIM_MAX + STATE_DIM_MAX * STATE_DI
 /// A hash chain over (tick, state, covariance), bit for bit, in tick order.
 ///
 /// `d_k = xxh3_128(d_{k-1} | k | x_k | P_k)`, little-endian, `d_{-1} = 0`. Two runs with equal digests
-/// went through the same estimates to the last bit (up to the hash's collisions, which no accident
-/// produces). The chain needs no more state than its value, so it survives in a checkpoint.
+/// have bit-identical estimates (up to accidental hash collisions, which are negligible).
+/// The chain's only state is its value, so it is part of a checkpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Digest(u128);
 
 impl Digest {
-    /// Appends the estimate of one tick. `state` and `covariance` (row-major or column-major, as it
-    /// is symmetric) beyond the largest state dimension are a caller's error and are left out.
+    /// Appends the estimate of one tick. Elements of `state` and `covariance` (row-major or column-major, as it
+    /// is symmetric) beyond the largest state dimension are ignored; passing them is a caller's error.
     pub fn append(&mut self, tick: u64, state: &[f64], covariance: &[f64]) {
         let mut record = [0_u8; RECORD_LEN];
         record[..16].copy_from_slice(&self.0.to_le_bytes());
@@ -37,7 +37,7 @@ impl Digest {
         self.0
     }
 
-    /// The digest in the words of a message, the lower one first.
+    /// The digest in the words of a message, the lower word first.
     #[must_use]
     pub fn from_words([low, high]: [u64; 2]) -> Self {
         Self(u128::from(high) << 64 | u128::from(low))

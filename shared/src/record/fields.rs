@@ -1,41 +1,41 @@
-//! Records of fixed width: one list of a record's fields serves to describe, write and read it.
+//! Fixed-width records: one list of a record's fields describes, writes and reads it.
 
-/// What is put down of a tick, in a fixed number of words.
+/// The data recorded of a tick, in a fixed number of words.
 pub trait Record {
-    /// Goes over its fields, in their order. Vectors keep their length.
+    /// Visits its fields in order. Vectors keep their length.
     fn fields(&mut self, fields: &mut impl Fields);
 }
 
-/// What is done with each field of a [`Record`].
+/// An operation on each field of a [`Record`].
 pub trait Fields: Sized {
-    /// A whole number: a count, an id, a stamp.
+    /// An integer: a count, an id, a stamp.
     fn whole(&mut self, name: &str, value: &mut u64);
 
-    /// A number.
+    /// A floating-point number.
     fn number(&mut self, name: &str, value: &mut f64);
 
-    /// Whole numbers in a row.
+    /// Consecutive integers.
     fn wholes(&mut self, name: &str, values: &mut [u64]) {
         values.iter_mut().for_each(|value| self.whole(name, value));
     }
 
-    /// Numbers in a row.
+    /// Consecutive floating-point numbers.
     fn numbers(&mut self, name: &str, values: &mut [f64]) {
         values.iter_mut().for_each(|value| self.number(name, value));
     }
 
-    /// The same fields for each of some items.
+    /// The same fields for each of several items.
     fn each<T>(&mut self, _name: &str, items: &mut [T], mut fields_of: impl FnMut(&mut T, &mut Self)) {
         items.iter_mut().for_each(|item| fields_of(item, self));
     }
 }
 
-/// Puts a record's words after what is there, little-endian.
+/// Appends a record's words, little-endian.
 pub fn put(record: &mut impl Record, bytes: &mut Vec<u8>) {
     record.fields(&mut Put(bytes));
 }
 
-/// Takes a record from the words that [`put`] wrote of one with the same description; words that are missing are zero.
+/// Reads a record from the words that [`put`] wrote of one with the same description; missing words are zero.
 pub fn take(record: &mut impl Record, bytes: &[u8]) {
     record.fields(&mut Take(bytes.as_chunks().0.iter()));
 }

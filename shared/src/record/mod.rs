@@ -1,4 +1,4 @@
-//! What fusion and simulator put down of each tick.
+//! The records that fusion and the simulator write of each tick.
 
 pub mod digest;
 mod fields;
@@ -14,60 +14,60 @@ pub use fields::{Fields, Record, describe, put, take};
 /// Fusion's record of one tick.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FusionRecord {
-    /// Time that the estimate is valid for, s.
+    /// Time at which the estimate is valid, s.
     pub time_s: f64,
-    /// The estimate and its tallies.
+    /// The estimate and its counts.
     pub estimate: Estimate,
-    /// What it heard of each robot, and told it.
+    /// Its exchange with each robot.
     pub exchanges: Vec<Exchange>,
 }
 
-/// Fusion's part with one robot at one tick.
+/// Fusion's exchange with one robot at one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Exchange {
-    /// What it took from the robot's message of this tick, if one came in time to be used.
+    /// The data used from the robot's message of this tick, if one came in time.
     pub heard: Option<Heard>,
-    /// What it told the robot.
+    /// The command to the robot.
     pub command: Command,
 }
 
-/// What fusion took from a robot's message.
+/// The data that fusion used from a robot's message.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Heard {
-    /// What it measured, and where.
+    /// The measurement and the sensor's place.
     pub measurement: Measurement,
-    /// The first tick whose estimate knows of it: the message's own, or a later one if it came late.
+    /// The first tick whose estimate uses it: the message's own, or a later one if it came late.
     pub taken_at: u64,
-    /// What fusion did with the range; `None` without one, and at tick 0.
+    /// Fusion's decision on the range; `None` without a range, and at tick 0.
     pub judged: Option<Judged>,
 }
 
-/// What fusion did with a range, and how well the range agreed with what was predicted of it.
+/// Fusion's decision on a range, and the range's agreement with its prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
-    /// What was done with it.
+    /// The decision.
     pub used: RangeUse,
-    /// Its own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` where nothing was known that
-    /// could predict it.
+    /// The range's own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` if nothing
+    /// predicted the range.
     pub normalised_square: Option<f64>,
 }
 
-/// What fusion did with a range.
+/// Fusion's decision on a range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RangeUse {
-    /// It was fused.
+    /// The range was fused.
     Fused,
-    /// It failed the gate.
+    /// The range failed the gate.
     Rejected,
-    /// Its robot was distrusted.
+    /// The robot was distrusted.
     Distrusted,
 }
 
 impl RangeUse {
-    /// All of them.
+    /// All decisions.
     pub const ALL: [Self; 3] = [Self::Fused, Self::Rejected, Self::Distrusted];
 
-    /// What it is called in recordings.
+    /// Name of the decision in recordings.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -78,12 +78,12 @@ impl RangeUse {
     }
 }
 
-/// The simulator's words of one tick.
+/// The simulator's record of one tick.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WorldRecord {
     /// Time of the tick, s.
     pub time_s: f64,
-    /// When the tick was over, monotonic ns.
+    /// End of the tick, monotonic ns.
     pub ended_ns: u64,
     /// The target's true state; empty for a recording.
     pub truth: Vec<f64>,
@@ -94,46 +94,46 @@ pub struct WorldRecord {
 /// One robot's part in one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RobotRecord {
-    /// Where it was.
+    /// Place of the robot.
     pub pose: Pose,
-    /// What the world told its sensor, m, if anything: the true range, or a recorded one.
+    /// Range that the world gave its sensor, m, if any: the true range, or a recorded one.
     pub range_m: Option<f64>,
     /// When it published its range, monotonic ns, if its sensor had one.
     pub range_sent_ns: Option<u64>,
-    /// When it held the tick's heading, monotonic ns, if it did.
+    /// When it received the tick's heading, monotonic ns, if it did.
     pub heading_held_ns: Option<u64>,
-    /// What it drove by.
+    /// Origin of the heading that it drove.
     pub heading: Heading,
-    /// What it drove; standing if it did not answer.
+    /// Its motion; standing still if it did not answer.
     pub driven: Command,
-    /// Headings that it refused, since the tick before.
+    /// Headings that it refused since the last tick.
     pub headings_refused: u64,
 }
 
 impl RobotRecord {
-    /// From publishing the range to holding the heading computed from it, ns; `None` without either.
+    /// From publishing the range to receiving the heading computed from it, ns; `None` if either is missing.
     #[must_use]
     pub fn latency_ns(&self) -> Option<u64> {
         self.heading_held_ns?.checked_sub(self.range_sent_ns?)
     }
 }
 
-/// What a robot drove by in one tick.
+/// Origin of the heading that a robot drove in one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Heading {
-    /// Nothing is known: it did not answer.
+    /// Unknown: it did not answer.
     #[default]
     Unknown,
     /// This tick's heading.
     Fresh,
-    /// This tick's heading, which came when it was overdue.
+    /// This tick's heading, received after its deadline.
     Late,
-    /// None for this tick: it held the last one, or stood.
+    /// No heading of this tick: it kept the last one, or stood still.
     None,
 }
 
 impl Heading {
-    /// All of them.
+    /// All origins.
     pub const ALL: [Self; 4] = [Self::Unknown, Self::Fresh, Self::Late, Self::None];
 
     fn of(drive: Option<Drive>) -> Self {
@@ -147,14 +147,14 @@ impl Heading {
 }
 
 impl FusionRecord {
-    /// A record with room for what there is to say of a run of this scenario.
+    /// A record sized for a run of this scenario.
     #[must_use]
     pub fn of(scenario: &Scenario) -> Self {
         let estimate = Estimate { state_dim: scenario.motion.state_dim() as u64, ..Estimate::default() };
         Self { time_s: 0.0, estimate, exchanges: vec![Exchange::default(); scenario.robots.len()] }
     }
 
-    /// Puts a tick in the place of what was there. As many exchanges are kept as there were.
+    /// Replaces the contents by those of a tick. The number of exchanges stays the same.
     pub fn set(&mut self, time_s: f64, estimate: &Estimate, exchanges: impl Iterator<Item = Exchange>) {
         (self.time_s, self.estimate) = (time_s, *estimate);
         self.exchanges.iter_mut().zip(exchanges).for_each(|(slot, exchange)| *slot = exchange);
@@ -200,7 +200,7 @@ impl Exchange {
         let Heard { mut measurement, taken_at, judged } = self.heard.unwrap_or_default();
         let mut taken = self.heard.map_or(0, |_| taken_at + 1);
         let mut used = judged.map_or(0, |judged| judged.used as u64 + 1);
-        // A range that nothing predicted has no square.
+        // A range without a prediction has no normalised innovation.
         let mut square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
         pose_fields(&mut measurement.pose, fields);
         fields.whole("has_range", &mut measurement.has_range);
@@ -226,7 +226,7 @@ fn pose_fields(pose: &mut Pose, fields: &mut impl Fields) {
 }
 
 impl WorldRecord {
-    /// A record with room for what there is to say of a run of this scenario.
+    /// A record sized for a run of this scenario.
     #[must_use]
     pub fn of(scenario: &Scenario) -> Self {
         let truth_dim = match scenario.source {
@@ -237,7 +237,7 @@ impl WorldRecord {
         Self { time_s: 0.0, ended_ns: 0, truth: vec![0.0; truth_dim], robots }
     }
 
-    /// Puts a tick in the place of what was there. As many numbers and robots are kept as there were.
+    /// Replaces the contents by those of a tick. The numbers of states and robots stay the same.
     pub fn set(&mut self, time_s: f64, ended_ns: u64, truth: &[f64], world: &[WorldEntry], drives: &[Option<Drive>]) {
         (self.time_s, self.ended_ns) = (time_s, ended_ns);
         self.truth.iter_mut().zip(truth).for_each(|(slot, value)| *slot = *value);
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fusion_puts_down_comes_back_from_its_words() {
+    fn fusions_record_is_decoded_from_its_words() {
         let mut estimate = Estimate {
             state_dim: 2,
             nis: 1.5,
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_simulator_puts_down_comes_back_from_its_words() {
+    fn the_simulators_record_is_decoded_from_its_words() {
         let driven = Command { heading_rad: 0.5, speed_mps: 1.5 };
         let silent = RobotRecord { pose: Pose { height_m: 3.0, ..Pose::at([1.0, 2.0]) }, ..RobotRecord::default() };
         let heading = Heading::Late;

@@ -1,4 +1,4 @@
-//! Where sensors stand, from a file of its own.
+//! Places of sensors, from an anchors file.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -11,34 +11,34 @@ use super::table::{Row, Table};
 use super::{RecordingError, SensorName};
 use crate::ROBOTS_MAX;
 
-/// Most anchors of a site: a log may be of a part of them.
+/// Most anchors of a site: a log may cover only some of them.
 const ANCHORS_MAX: usize = 64 * ROBOTS_MAX;
 
 /// Largest coordinate, m: as in recordings.
 const COORDINATE_MAX_M: f64 = 1e8;
 
-/// The anchors of a site: `sensor_id,x_m,y_m[,z_m]`, in any of the forms that a recording may have.
+/// The anchors of a site: `sensor_id,x_m,y_m[,z_m]`, in any table form that a recording may have.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Anchors {
     file: PathBuf,
     by_name: BTreeMap<SensorName, Anchor>,
 }
 
-/// Where one anchor stands.
+/// Place of one anchor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anchor {
     /// Its place, m.
     pub position_m: [f64; 2],
-    /// Its height, m; `None` where the file has none.
+    /// Its height, m; `None` if the file has no heights.
     pub height_m: Option<f64>,
 }
 
 impl Anchors {
-    /// Parses an anchors file; `path` names it in errors. Of the columns told, it takes `x`, `y` and `z`, and `sensor` if
-    /// it has that one.
+    /// Parses an anchors file; `path` names it in errors. Of the user's columns, it uses `x`, `y` and `z`, and `sensor` if
+    /// the file has that column.
     ///
     /// # Errors
-    /// [`RecordingError`] for the first thing that is wrong.
+    /// [`RecordingError`] for the first fault.
     pub fn parse(input: impl Read, path: &Path, columns: &ColumnMap) -> Result<Self, RecordingError> {
         let knows = |name: &str| Kind::Anchors.knows(name) || columns.names(name);
         let mut table = Table::open(input, path, None, &knows)?;
@@ -80,7 +80,7 @@ impl Anchors {
         Ok(Self { file: path.to_owned(), by_name })
     }
 
-    /// Where an anchor stands.
+    /// Place of an anchor.
     #[must_use]
     pub fn get(&self, name: &SensorName) -> Option<Anchor> {
         self.by_name.get(name).copied()
@@ -91,7 +91,7 @@ impl Anchors {
         self.by_name.iter()
     }
 
-    /// The file that they were read from.
+    /// Path of the anchors file.
     #[must_use]
     pub fn file(&self) -> &Path {
         &self.file

@@ -1,11 +1,11 @@
-//! What tells a recording from every other.
+//! The identity of a recording.
 
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
 use super::{RecordedRange, Recording};
 
-/// Number of ranges and hash of all that a recording says, to the last bit: of its content, not of the file's spelling.
+/// Number of ranges and a hash of the contents of a recording, to the last bit; independent of the file's format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordingDigest {
     ranges: u64,

@@ -3,23 +3,23 @@
 use std::path::{Path, PathBuf};
 
 /// Why a recording, an anchors file or a true track was refused. Displays as one line with file, row, column, what was
-/// expected and, where it is known, what to do.
+/// expected and, if known, what to do.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {problem}", .file.display())]
 pub struct RecordingError {
     /// The file.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub problem: Box<Problem>,
 }
 
-/// What is wrong with a log.
+/// A fault of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum Problem {
     /// The file could not be opened or read.
     #[error("expected a table that can be read: {0}")]
     Unreadable(String),
-    /// The header does not say which column is what.
+    /// The roles of the header's columns are unclear.
     #[error("row 0 (line {line}, the header): {text}")]
     Header {
         /// The line of the file, counted from 1.
@@ -34,33 +34,33 @@ pub enum Problem {
         row: u64,
         /// The line of the file, counted from 1.
         line: u64,
-        /// What is wrong with it.
+        /// The fault of the row.
         complaint: Complaint,
     },
-    /// So many rows are wrong that it is the file that is wrong.
+    /// So many rows are faulty that the file itself is.
     #[error("{first}; {bad} of {rows} rows are bad")]
     MostRowsBad {
-        /// The first of them.
+        /// The first faulty row.
         first: String,
-        /// How many they are.
+        /// Number of faulty rows.
         bad: u64,
-        /// How many rows there are.
+        /// Number of rows.
         rows: u64,
     },
-    /// The file as a whole is wrong.
+    /// A fault of the file itself.
     #[error("{0}")]
     File(String),
 }
 
-/// What is wrong with a field of a row.
+/// A fault of a row's field.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{column}: expected {expected}, got {got}")]
 pub struct Complaint {
     /// The column's name.
     pub column: String,
-    /// What it takes.
+    /// The expected value.
     pub expected: String,
-    /// What stood there.
+    /// The value found.
     pub got: String,
 }
 
@@ -86,19 +86,19 @@ impl RecordingError {
     }
 }
 
-/// A text of a file, short and on one line: a damaged file may have anything in it.
+/// A text from a file, short and on one line: a damaged file may contain anything.
 pub(super) fn shown(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(40).collect()
 }
 
-/// A text of a file in quotes, short and on one line.
+/// A text from a file in quotes, short and on one line.
 pub(super) fn quoted(text: &str) -> String {
     let short: String = text.chars().take(40).collect();
-    // Escapes may make a character ten.
+    // Escapes may turn one character into ten.
     format!("{short:?}").chars().take(100).collect()
 }
 
-/// The first of some texts, in quotes.
+/// The first of several texts, in quotes.
 pub(super) fn listed<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     const SHOWN: usize = 8;
     let mut texts = texts.into_iter();

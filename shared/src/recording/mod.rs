@@ -1,19 +1,19 @@
-//! Recorded ranges: tables as loggers write them, checked while they are read, once, from start to end.
+//! Recorded ranges: tables from loggers, checked in a single pass.
 //!
-//! A file goes through these, each of which knows nothing of those above it:
+//! A file passes through these parts; each depends only on those before it:
 //!
-//! | part | what it does |
+//! | part | task |
 //! |---|---|
-//! | `lines` | lines of at most so many bytes; byte order marks |
+//! | `lines` | lines of limited length; byte order marks |
 //! | `dialect` | comments, fields, quotes, decimal marks |
-//! | `table` | finds header and separator, gives rows as long as the header |
-//! | `names`, `columns`, `unit`, `layout` | which column is what and in which unit, by name or by `--columns` |
+//! | `table` | finds header and separator, returns rows as long as the header |
+//! | `names`, `columns`, `unit`, `layout` | role and unit of each column, by name or by `--columns` |
 //! | `anchors`, `wide`, `track` | places of sensors, columns for each anchor, true tracks |
-//! | `rows` | rows to ranges: what is refused, what is passed over and counted |
+//! | `rows` | rows to ranges: faults that refuse the file, and faults that skip the row |
 //! | `port` | logs of a radio's port, by [`crate::radio`] |
 //! | `gathering` | ranges to a [`Recording`]: order, repeats, instants |
-//! | `checks` | units that cannot be |
-//! | `digest`, `summary`, `write` | what tells a recording from all others, what the reader found, CSV again |
+//! | `checks` | implausible units |
+//! | `digest`, `summary`, `write` | identity of a recording, the reader's findings, CSV output |
 
 mod anchors;
 mod columns;
@@ -52,9 +52,9 @@ pub struct Recording {
 /// One sensor of a recording. Its index in [`Recording::sensors`] is its robot's id in the run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
-    /// What the file calls it.
+    /// Its name in the file.
     pub name: SensorName,
-    /// Where it was at its first range, m.
+    /// Its place at its first range, m.
     pub first_position_m: [f64; 2],
 }
 
@@ -63,11 +63,11 @@ pub struct Sensor {
 pub struct RecordedRange {
     /// Index of the sensor.
     pub sensor: usize,
-    /// Where the sensor was, m.
+    /// Place of the sensor, m.
     pub position_m: [f64; 2],
-    /// Its height in the recording's frame, m; `None` if the recording has none.
+    /// Height of the sensor in the recording's frame, m; `None` if the recording has no heights.
     pub height_m: Option<f64>,
-    /// What it measured, m.
+    /// The measured range, m.
     pub range_m: f64,
 }
 
@@ -81,8 +81,8 @@ impl Recording {
     /// Reads and checks a log from a reader, which may be a pipe; `path` names it in errors.
     ///
     /// # Errors
-    /// [`RecordingError`] for the first thing that is wrong with the file. A row that is bad by itself is passed over
-    /// and counted, unless most are, or the options are strict.
+    /// [`RecordingError`] for the first fault of the file. A faulty row is skipped
+    /// and counted, unless most rows are faulty or the options are strict.
     pub fn parse(input: impl Read, path: &Path, options: &ReadOptions) -> Result<(Self, ReadSummary), RecordingError> {
         match options.port {
             Some(port) => port::read(input, path, port, options),
@@ -98,13 +98,13 @@ impl Recording {
         write::write_csv(self, out)
     }
 
-    /// Tells this recording from every other, by all that it says.
+    /// The identity of this recording, from all its contents.
     #[must_use]
     pub fn digest(&self) -> RecordingDigest {
         digest::digest(self)
     }
 
-    /// Whether any range has its sensor's height.
+    /// True if any range has its sensor's height.
     #[must_use]
     pub fn has_heights(&self) -> bool {
         self.readings.iter().any(|reading| reading.height_m.is_some())
@@ -122,7 +122,7 @@ impl Recording {
         self.instants.len()
     }
 
-    /// Never true: a recording has one range at least.
+    /// Never true: a recording has at least one range.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.instants.is_empty()

@@ -1,4 +1,4 @@
-//! What a recording calls a sensor.
+//! Names of sensors in recordings.
 
 use std::cmp::Ordering;
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 /// Longest name, bytes: a UUID, a MAC address, or a topic of a bag.
 const LEN_MAX: usize = 64;
 
-/// The name of a sensor: any text of one line, kept as the file has it.
+/// The name of a sensor: any text of one line, kept as in the file.
 ///
-/// Names order as people count: whole numbers first, by value, then all others by their text. A sensor's place in
+/// Names sort naturally: integers first, by value, then all others by their text. A sensor's position in
 /// this order is its robot's id in the run.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct SensorName(Arc<str>);
 
-/// Why a text is no name.
+/// The text is not a valid name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a name of 1 to {LEN_MAX} bytes without control characters")]
 pub struct SensorNameError;
@@ -72,7 +72,7 @@ impl Serialize for SensorName {
     }
 }
 
-/// A scenario may write a name as text or as a whole number.
+/// A scenario may write a name as text or as an integer.
 impl<'de> Deserialize<'de> for SensorName {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]

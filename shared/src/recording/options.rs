@@ -1,22 +1,22 @@
-//! How a recording is to be read.
+//! Options for reading a recording.
 
 use super::anchors::Anchors;
 use super::columns::ColumnMap;
 use super::port::PortLog;
 
-/// What the user says of a recording's form. The default finds everything in the file itself.
+/// The user's options for a recording. By default everything is found in the file itself.
 ///
-/// The run folder's copy, which [`Recording::write_csv`](super::Recording::write_csv) writes, is read by the default.
+/// The default reads the run folder's copy, which [`Recording::write_csv`](super::Recording::write_csv) writes.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReadOptions {
-    /// Refuse the file at its first bad row, rather than pass the row over and count it (`--strict`).
+    /// Refuse the file at its first faulty row, instead of skipping and counting such rows (`--strict`).
     pub strict: bool,
-    /// Which column is what, and in which unit (`--columns`).
+    /// Role and unit of each column (`--columns`).
     pub columns: ColumnMap,
-    /// Where the sensors stand, for logs that do not say (`--anchors`). They go before positions in the log itself.
+    /// Places of the sensors, for logs without them (`--anchors`). They take precedence over positions in the log.
     pub anchors: Option<Anchors>,
-    /// The one target to read, of a log of several (`--target`).
+    /// The target to read, if a log has several (`--target`).
     pub target: Option<String>,
-    /// The log is one of a radio's port rather than a table (`--format`).
+    /// The file is a log of a radio's port, not a table (`--format`).
     pub port: Option<PortLog>,
 }

@@ -9,18 +9,18 @@ use super::{ReadOptions, ReadSummary, RecordedRange, Recording, RecordingError, 
 use crate::radio::log::{LogOptions, LogSummary, for_each_row};
 use crate::radio::{Format, LogRow, StampUnit};
 
-/// Which radio printed a log of its port, and what the log does not say of time.
+/// The radio's format, and the options for its times.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PortLog {
-    /// What the radio prints (`--format`).
+    /// The format of the radio (`--format`).
     pub format: Format,
-    /// Reports a second, where they have no stamps (`--rate`).
+    /// Reports per second, if they have no stamps (`--rate`).
     pub rate_hz: Option<f64>,
-    /// The unit of stamps that are whole numbers, or of the radio's clock (`--stamp-unit`).
+    /// The unit of integer stamps, or of the radio's clock (`--stamp-unit`).
     pub stamp_unit: Option<StampUnit>,
 }
 
-/// Reads a log of a radio's port from start to end.
+/// Reads a log of a radio's port in a single pass.
 pub(super) fn read<R: Read>(
     input: R,
     path: &Path,
@@ -64,7 +64,7 @@ pub(super) fn read<R: Read>(
     Ok((recording, summary))
 }
 
-/// Takes one range in, or says why the log is refused.
+/// Adds one range, or returns why the log is refused.
 fn take(row: LogRow, gathering: &mut Gathering<'_>, unplaced: &mut Vec<SensorName>) -> Result<(), String> {
     let LogRow { time_s, anchor, position_m, range_m } = row;
     let refuse = |refusal| match refusal {

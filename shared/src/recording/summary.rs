@@ -1,40 +1,40 @@
-//! What was read of a recording, and what was not.
+//! The reader's findings in a recording.
 
 use serde::{Deserialize, Serialize};
 
 use super::SensorName;
 
-/// What a reader found in a recording beside its ranges.
+/// A reader's findings besides the ranges.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ReadSummary {
     /// Ranges in the recording.
     pub rows: u64,
-    /// Rows that could not be used: empty, without a number where one belongs, with a negative range.
+    /// Unusable rows: empty, with a text instead of a number, or with a negative range.
     pub bad_rows: u64,
-    /// What was wrong with the first of them: its line, its column, what stood there.
+    /// The first fault: its line, its column, and the value found.
     pub first_bad_row: Option<String>,
-    /// Rows equal to an earlier one in stamp, sensor, position and range. They say nothing new and are left out.
+    /// Rows equal to an earlier one in stamp, sensor, position and range. They add no information and are left out.
     pub repeats: u64,
-    /// Ranges of exactly 0 (in a wide log also -1), which loggers write where nothing was heard. They are left out.
+    /// Ranges of exactly 0 (in a wide log also -1), which loggers write if nothing was heard. They are left out.
     pub not_heard: u64,
-    /// Rows of other targets than the one that was asked for.
+    /// Rows of other targets than the requested one.
     pub other_targets: u64,
     /// Columns that were not read.
     pub ignored_columns: Vec<String>,
-    /// Anchors of the anchors file of which the log has no range.
+    /// Anchors of the anchors file without a range in the log.
     pub silent_anchors: Vec<SensorName>,
     /// How the file was read, in one line: separator, decimal mark, columns and their units.
     pub read_as: String,
-    /// Why the file may say something else than it seems to.
+    /// Reasons to doubt the interpretation of the file.
     pub doubts: Vec<Doubt>,
 }
 
 /// A reason to distrust a recording that could be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doubt {
-    /// What kind of reason it is.
+    /// Kind of the reason.
     pub kind: DoubtKind,
-    /// A sentence for the user: what was found, what it is likely to mean, what to type if so.
+    /// A sentence for the user: the finding, its likely cause, and the option to type in that case.
     pub text: String,
 }
 
@@ -46,12 +46,12 @@ pub enum DoubtKind {
     RangesFarBeyondSensors,
     /// Ranges are far shorter than the sensors' distances allow: positions or ranges are in another unit.
     RangesFarBelowSensors,
-    /// Stamps step by so much that they are in another unit.
+    /// Stamps have steps so large that they are in another unit.
     TimesInAnotherUnit,
 }
 
 impl ReadSummary {
-    /// What the user should know, a line for each fact; empty where every row was read.
+    /// Messages for the user, one line for each fact; empty if every row was read.
     #[must_use]
     pub fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();

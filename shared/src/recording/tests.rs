@@ -1,4 +1,4 @@
-//! Logs as people have them.
+//! Logs in the forms that users have.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use super::*;
 
 const HEADER: &str = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n";
 
-/// The recording that all forms below are of.
+/// The recording that all forms below contain.
 const PLAIN: &str = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n\
                      0.1,A,0,0,2.957\n0.1,B,10,0,8.391\n0.2,A,0,0,3.05\n0.3,B,10,0,8.25\n";
 
@@ -42,7 +42,7 @@ fn complaint(text: impl AsRef<[u8]>, options: &ReadOptions) -> String {
     complaint
 }
 
-/// What stands in a header's message to type, as options.
+/// The options to type, from a header's message.
 fn typed(complaint: &str) -> String {
     let words = complaint.split("--columns ").nth(1).unwrap();
     let words = words
@@ -137,7 +137,7 @@ fn units_that_cannot_be_told_are_asked_for_with_the_line_to_type() {
         for name in names {
             assert!(complaint.contains(name), "{complaint}");
         }
-        // And what is to be typed is right.
+        // The suggested option must be right too.
         let (recording, _) = read(&text, &told(&typed(&complaint))).unwrap();
         assert_eq!(recording, plain, "{complaint}");
     }
@@ -173,7 +173,7 @@ fn a_first_row_of_values_is_no_header_though_it_holds_the_numbers_of_columns() {
     for (rows, first_range_m) in
         [("1,2,3\n2,2,4\n", 3.0), ("0.1,3,2.957\n0.2,3,3\n", 2.957), ("# 1,2,3\n0.5,2,7\n", 7.0)]
     {
-        // With places by number in the log, and from a file of anchors, which has a header.
+        // Places are given by number in the log, and by an anchors file with a header.
         let with_places: String = rows.lines().map(|row| format!("{row},0,0\n")).collect();
         let options = told("time=1:s,sensor=2,range=3:m,x=4:m,y=5:m");
         let anchors = anchored("x_m,sensor_id,y_m\n0,2,0\n9,3,0\n", "time=1:s,sensor=2,range=3:m");
@@ -202,7 +202,7 @@ fn rivals_for_a_column_are_asked_about() {
     let (recording, summary) = read(text, &told("range=slant_distance_m")).unwrap();
     assert_eq!(recording.instant(0).unwrap().1[0].range_m, 2.0);
     assert_eq!(summary.ignored_columns, ["distance_m"]);
-    // Our own name is surer than any other.
+    // The own name fits best.
     let own = text.replace("slant_distance_m", "range_m");
     assert_eq!(read(own, &strict()).unwrap().0.instant(0).unwrap().1[0].range_m, 2.0);
 }
@@ -232,7 +232,7 @@ fn anchors_place_the_sensors_of_a_log() {
     let missing = complaint(&log, &anchored("sensor_id,x_m,y_m\nA,0,0\n", ""));
     assert!(missing.contains("expected every sensor in anchors.csv, without a row there: \"B\""), "{missing}");
     assert!(complaint(&log, &ReadOptions::default()).contains("or give the sensors' places by --anchors FILE"));
-    // Where both have places, the anchors file is right: it was given for that.
+    // If both have places, the anchors file takes precedence.
     let (recording, summary) = read(PLAIN, &anchored(&ANCHORS.replace("10,0", "10,5"), "")).unwrap();
     assert_eq!(recording.sensors()[1].first_position_m, [10.0, 5.0]);
     assert_eq!(summary.ignored_columns, ["sensor_x_m", "sensor_y_m"]);
@@ -277,7 +277,7 @@ fn wide_logs_have_a_column_for_each_anchor() {
     let (recording, summary) = read(mm, &anchored(ANCHORS, "")).unwrap();
     assert_eq!(recording, plain);
     assert_eq!(summary.ignored_columns, ["rssi_A"]);
-    // Numbers for names.
+    // Sensor names are numbers.
     let numbered = "time_s,1,2\n0.1,2.5,3\n";
     let complaint = complaint(numbered, &anchored("sensor_id,x_m,y_m\n1,0,0\n2,9,0\n", ""));
     assert!(complaint.contains("--columns 'range=*:m'"), "{complaint}");
@@ -354,7 +354,7 @@ fn a_row_longer_than_its_header_is_never_misread() {
             "{complaint}"
         );
     }
-    // One such row among good ones, too: nobody knows what the others mean then.
+    // One such row refuses the file even among valid rows: the meaning of the others is unknown then.
     let late = complaint(format!("{HEADER}0,A,0,0,1\n0.1,Smith, John,0,0,1\n"), &ReadOptions::default());
     assert!(
         late.contains("row 2 (line 3): row: expected 5 fields as in the header, got 6; the columns have shifted"),
@@ -379,7 +379,7 @@ fn repeated_rows_are_dropped_and_counted() {
 }
 
 #[test]
-fn a_range_of_zero_says_that_nothing_was_heard() {
+fn a_range_of_zero_means_not_heard() {
     let (recording, summary) = parse("0,A,0,0,1\n0,B,9,0,0\n1,A,0,0,0.0\n").unwrap();
     assert_eq!(
         (recording.readings.len(), recording.sensors().len(), summary.not_heard, summary.bad_rows),
@@ -395,7 +395,7 @@ fn rows_are_in_order_of_time() {
 }
 
 #[test]
-fn one_sensor_is_a_recording_and_1025_are_none() {
+fn a_recording_has_1_to_1024_sensors() {
     assert_eq!(parse("0,A,0,0,1\n1,A,0,0,1\n").unwrap().0.sensors().len(), 1);
     let rows: String = (0..1025).map(|id| format!("{HEADER}0,{id},0,0,1\n").split_off(HEADER.len())).collect();
     let complaint = complaint(format!("{HEADER}{rows}"), &ReadOptions::default());
@@ -500,7 +500,7 @@ fn tracks_are_read_as_recordings_are() {
     assert!(refused("time_s,x_m,y_m\n1,1,2\n").contains("two rows"));
 }
 
-/// Text as it may stand in a sensor's name.
+/// Text that a sensor's name may contain.
 fn name() -> impl Strategy<Value = String> {
     proptest::collection::vec(
         prop_oneof![
@@ -528,7 +528,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_written_is_read_back_to_the_last_bit(
+    fn a_written_recording_is_read_back_to_the_last_bit(
         rows in proptest::collection::vec(
             (prop_oneof![Just(0.0), 0.0..1e-3_f64, 0.0..10.0_f64], 0_usize..6, -9.0..9.0_f64,
              prop_oneof![Just(None), (-9.0..9.0_f64).prop_map(Some)],

@@ -1,4 +1,4 @@
-//! Tracks from elsewhere, such as the true one: `time_s,x_m,y_m` in any of the forms that a recording may have.
+//! Tracks from other sources, such as the true one: `time_s,x_m,y_m` in any table form that a recording may have.
 
 use std::io::Read;
 use std::path::Path;
@@ -17,13 +17,13 @@ const ROWS_MAX: usize = 10_000_000;
 /// Largest number.
 const NUMBER_MAX: f64 = 1e11;
 
-/// A place and when the target was there, s and m.
+/// The target's place at a time, s and m.
 pub type TrackPoint = (f64, [f64; 2]);
 
 /// Parses a track, in order of time; `path` names it in errors.
 ///
 /// # Errors
-/// [`RecordingError`] for the first thing that is wrong.
+/// [`RecordingError`] for the first fault.
 pub fn parse_track(input: impl Read, path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
     let map = ColumnMap::default();
     let mut table = Table::open(input, path, None, &|name| Kind::Track.knows(name))?;

@@ -1,4 +1,4 @@
-//! A recording as CSV in our own form, which is read back the same to the last bit.
+//! Writes a recording as CSV in rangehound's own form, which reads back to the last bit.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -6,7 +6,7 @@ use std::io::Write;
 
 use super::{RecordedRange, Recording, SensorName};
 
-/// Bytes that are written at once.
+/// Bytes per write.
 const CHUNK: usize = 1 << 16;
 
 /// Writes a recording.
@@ -14,13 +14,13 @@ pub(super) fn write_csv(recording: &Recording, mut out: impl Write) -> std::io::
     let has_heights = recording.has_heights();
     let height = if has_heights { "sensor_z_m," } else { "" };
     let mut text = format!("time_s,sensor_id,sensor_x_m,sensor_y_m,{height}range_m\n");
-    // Few sensors move, and formatting numbers is what takes the time.
+    // Few sensors move, and most of the time goes into formatting numbers.
     let mut places: Vec<PlaceText> = recording.sensors.iter().map(|sensor| PlaceText::new(&sensor.name)).collect();
     let mut time = String::new();
     for index in 0..recording.len() {
         let Some((time_s, readings)) = recording.instant(index) else { break };
         time.clear();
-        // Shortest decimals that read back, and never an exponent. Text in memory takes all that is written.
+        // Shortest decimals that read back, never with an exponent. A write to a string cannot fail.
         let _ = write!(time, "{time_s},");
         for reading in readings {
             text.push_str(&time);
@@ -36,7 +36,7 @@ pub(super) fn write_csv(recording: &Recording, mut out: impl Write) -> std::io::
     out.flush()
 }
 
-/// The fields that say which sensor and where, as they were written last.
+/// The last written fields of sensor and place.
 struct PlaceText {
     name: String,
     written: Option<([f64; 2], Option<f64>)>,
@@ -64,7 +64,7 @@ impl PlaceText {
     }
 }
 
-/// A name as a field, in quotes where it needs them.
+/// A name as a field, quoted if necessary.
 fn as_field(name: &str) -> Cow<'_, str> {
     if name.contains(['"', ',']) { format!("\"{}\"", name.replace('"', "\"\"")).into() } else { name.into() }
 }

@@ -1,8 +1,8 @@
-//! Bounds on what people and programs give: they keep every later product and quotient finite.
+//! Bounds on inputs: they keep all later products and quotients finite.
 
 use std::ops::RangeInclusive;
 
-/// A coordinate of a place, m.
+/// A coordinate, m.
 pub const COORDINATE: RangeInclusive<f64> = -1e8..=1e8;
 /// An entry of a target's state.
 pub const STATE: RangeInclusive<f64> = -1e8..=1e8;
@@ -14,7 +14,7 @@ pub const SPEED_MPS: RangeInclusive<f64> = 0.0..=1e5;
 pub const STD_M: RangeInclusive<f64> = 1e-4..=1e5;
 /// Spectral density of a target's noise.
 pub const NOISE_PSD: RangeInclusive<f64> = 0.0..=1e9;
-/// What a gate lets through, in standard deviations of an innovation.
+/// A gate, in standard deviations of an innovation.
 pub const GATE_SIGMA: RangeInclusive<f64> = 1.0..=1e6;
 /// A variance.
 pub const VARIANCE: RangeInclusive<f64> = 1e-9..=1e12;
@@ -28,7 +28,7 @@ pub const PATIENCE_S: RangeInclusive<f64> = 1e-3..=1e6;
 pub const BIAS_M: RangeInclusive<f64> = -1e5..=1e5;
 /// Scale error of a range sensor.
 pub const SCALE: RangeInclusive<f64> = -0.9..=10.0;
-/// A distance to keep, m or standard deviations.
+/// A clearance, m or standard deviations.
 pub const CLEARANCE: RangeInclusive<f64> = 0.0..=1e6;
 /// Most time steps of a run.
 pub const TICKS_MAX: u64 = 1_000_000_000;

@@ -1,4 +1,4 @@
-//! Values of the keys that a scenario leaves out: the paper's experiment.
+//! Defaults of a scenario's keys: the paper's experiment.
 
 /// Scenario name.
 pub const NAME: &str = "paper";
@@ -34,7 +34,7 @@ pub const SPEED_MPS: f64 = 10.0;
 pub const RANGE_STD_M: f64 = 1.0;
 /// Planner.
 pub const PLANNER: &str = "certified";
-/// Node budget of the certified planner: far more than any but contrived problems need.
+/// Node budget of the certified planner: far more than all but contrived problems need.
 pub const NODES: u64 = 2_000;
 /// Iterations of the relaxations.
 pub const ITERATIONS: u64 = 20;
@@ -43,16 +43,16 @@ pub const ALPHA: f64 = 0.5;
 /// Step of the grid search, rad.
 pub const GRID_STEP_RAD: f64 = std::f64::consts::PI / 200.0;
 /// Least distance of robots to the predicted target, in square roots of its predicted position trace,
-/// where no distance is given. With 3, about 1 run in 10 000 gets lost or nearly so and spoils the errors of all; with more than
-/// 3.5, robots flee from a target that is badly known at first, and the team takes longer to know it.
+/// if no distance is given. With 3, about 1 run in 10 000 loses or nearly loses the target and spoils the errors of all. With more than
+/// 3.5, robots avoid a target that is poorly known at first, and the team takes longer to locate it.
 pub const STAND_OFF_SIGMA: f64 = 3.5;
 /// Standard deviation of a recorded range, m.
 pub const RECORDED_RANGE_STD_M: f64 = 0.2;
 /// Spectral density of the target's acceleration in a recording, m^2/s^3.
 pub const RECORDED_ACCEL_PSD: f64 = 0.5;
-/// Gate of a recording, and what robots are distrusted by where there is none: standard deviations of the innovation.
+/// Gate of a recording, and threshold of distrust if there is no gate: standard deviations of the innovation.
 pub const RECORDED_GATE_SIGMA: f64 = 4.0;
-/// Standard deviation of a start that is given without one, m: a tape measure and a careful hand.
+/// Standard deviation of a start that is given without one, m: a careful tape measurement.
 pub const RECORDED_START_STD_M: f64 = 0.5;
-/// The target's velocity at a known start is what its noise drives up in this time, s.
+/// The target's velocity at a known start has the variance that its noise builds up in this time, s.
 pub const RECORDED_START_S: f64 = 10.0;

@@ -1,4 +1,4 @@
-//! What is wrong with a scenario, in one line.
+//! Faults of a scenario, as one line.
 
 /// Why a scenario was refused. Displays as one line that names the file, the key and what was
 /// expected there.
@@ -16,26 +16,26 @@ pub enum ScenarioError {
         /// What was found and what was expected.
         problem: String,
     },
-    /// A value that makes no sense.
+    /// An invalid value.
     #[error("{file}: {key}: expected {expected}, got {got}")]
     Senseless {
         /// The file.
         file: String,
         /// Dotted path of the key.
         key: String,
-        /// What the key takes.
+        /// The expected value.
         expected: String,
-        /// What stood there.
+        /// The value found.
         got: String,
     },
-    /// A value that says, by itself, why it makes no sense.
+    /// An invalid value with its own explanation.
     #[error("{file}: {key}: {problem}")]
     Unfit {
         /// The file.
         file: String,
         /// Dotted path of the key.
         key: String,
-        /// What was expected and what came.
+        /// What was expected and what was given.
         problem: String,
     },
     /// The recording that the scenario names is unusable.

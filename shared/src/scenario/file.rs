@@ -1,4 +1,4 @@
-//! The scenario file as it is written: TOML with every key optional.
+//! The scenario file: TOML with every key optional.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use crate::recording::SensorName;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioFile {
-    /// Name of the scenario; names the run folder.
+    /// Name of the scenario and of the run folder.
     pub name: Option<String>,
     /// Time steps of the run.
     pub ticks: Option<u64>,
@@ -21,19 +21,19 @@ pub struct ScenarioFile {
     /// Silence after which a robot is left out, s, or `"forever"`.
     #[serde(alias = "patience_s")]
     pub timeout_s: Option<TimeoutKey>,
-    /// How the target moves.
+    /// The target's motion.
     pub target: Option<TargetTable>,
-    /// What fusion knows before the first range.
+    /// Fusion's knowledge before the first range.
     pub prior: Option<PriorTable>,
-    /// The team, when its robots are alike.
+    /// The team, if its robots are alike.
     pub robots: Option<RobotsTable>,
     /// The team, robot by robot.
     pub robot: Option<Vec<RobotTable>>,
-    /// How headings are chosen.
+    /// The choice of headings.
     pub planner: Option<PlannerTable>,
-    /// Which ranges the filter lets in, and what it is told.
+    /// The filter's gate and its assumed noise.
     pub filter: Option<FilterTable>,
-    /// Recorded ranges in place of the simulation.
+    /// Recorded ranges instead of a simulation.
     pub recording: Option<RecordingTable>,
 }
 
@@ -93,7 +93,7 @@ pub enum CovarianceKey {
     Scalar(f64),
     /// A variance for each state.
     Diagonal(Vec<f64>),
-    /// The whole matrix by rows.
+    /// The complete matrix by rows.
     Rows(Vec<Vec<f64>>),
 }
 
@@ -103,9 +103,9 @@ pub enum CovarianceKey {
 pub struct RobotsTable {
     /// Number of robots.
     pub count: Option<u64>,
-    /// Where they start, `[x, y]` in m.
+    /// Start of the robots, `[x, y]` in m.
     pub start_m: Option<[f64; 2]>,
-    /// Radius of a ring round the start on which they are spread evenly, m; 0: all on one point.
+    /// Radius of a circle around the start on which they are evenly spread, m; 0: all at one point.
     pub ring_radius_m: Option<f64>,
     /// Speed limit, m/s.
     pub speed_mps: Option<f64>,
@@ -117,9 +117,9 @@ pub struct RobotsTable {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotTable {
-    /// Id, 0 to the number of robots - 1; its place in the list if absent.
+    /// Id, 0 to the number of robots - 1; default: its position in the list.
     pub id: Option<u64>,
-    /// Where it starts, `[x, y]` in m.
+    /// Start, `[x, y]` in m.
     pub start_m: Option<[f64; 2]>,
     /// Speed limit, m/s.
     pub speed_mps: Option<f64>,
@@ -143,7 +143,7 @@ pub struct PlannerTable {
     pub step_rad: Option<f64>,
     /// Least distance of robots to the predicted target, m.
     pub stand_off_m: Option<f64>,
-    /// The same as a multiple of the square root of the predicted position trace; the larger counts.
+    /// The same as a multiple of the square root of the predicted position trace; the larger distance counts.
     pub stand_off_sigma: Option<f64>,
     /// Least distance of robots to each other, m.
     pub separation_m: Option<f64>,
@@ -155,11 +155,11 @@ pub struct PlannerTable {
 pub struct FilterTable {
     /// A range is rejected when its innovation is more than this many standard deviations; `"none"` fuses all.
     pub gate_sigma: Option<GateKey>,
-    /// Whether a robot whose ranges keep failing is distrusted; where there is a gate unless told otherwise.
+    /// Whether a robot whose ranges keep failing is distrusted; default: true if there is a gate.
     pub distrust: Option<bool>,
-    /// Spectral density of the target's noise as the filter takes it; the target's own unless told otherwise.
+    /// Spectral density of the target's noise that the filter assumes; default: the target's own.
     pub noise_psd: Option<f64>,
-    /// Standard deviation of a range as robots tell it to the filter, m; their own unless told otherwise.
+    /// Standard deviation of a range that robots report to the filter, m; default: the robots' own.
     pub range_std_m: Option<f64>,
 }
 
@@ -191,25 +191,25 @@ impl std::str::FromStr for GateKey {
 pub struct RecordingTable {
     /// The ranges: a file, relative to the scenario file, a pipe, or `-` for standard input.
     pub ranges: Option<String>,
-    /// Which column is what, and in which unit: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
+    /// Role and unit of each column: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
     pub columns: Option<String>,
-    /// Where the sensors stand, relative to the scenario file: `sensor_id,x_m,y_m[,z_m]`.
+    /// Places of the sensors, a file relative to the scenario file: `sensor_id,x_m,y_m[,z_m]`.
     pub anchors: Option<String>,
-    /// The one target to read, of a log of several.
+    /// The target to read, if a log has several.
     pub target: Option<String>,
-    /// What the radio prints, if the file is a log of its port.
+    /// The radio's format, if the file is a log of its port.
     pub format: Option<String>,
-    /// Reports a second of such a log, if it has no stamps.
+    /// Reports per second of such a log, if it has no stamps.
     pub rate_hz: Option<f64>,
     /// The unit of such a log's stamps: `"s"`, `"ms"`, `"us"` or `"ns"`.
     pub stamp_unit: Option<String>,
-    /// Refuse the file at its first bad row.
+    /// Refuse the file at its first faulty row.
     pub strict: Option<bool>,
-    /// Height of the target in the recording's frame, m: ranges are then slant ones.
+    /// Height of the target in the recording's frame, m: ranges are then slant ranges.
     pub target_height_m: Option<f64>,
-    /// Where the target is at the first range, `[x, y]` in m, if that is known.
+    /// Place of the target at the first range, `[x, y]` in m, if known.
     pub start_m: Option<[f64; 2]>,
-    /// Standard deviation of each coordinate of that, m.
+    /// Standard deviation of each coordinate of this place, m.
     pub start_std_m: Option<f64>,
     /// Standard deviation of a range, m.
     pub range_std_m: Option<f64>,
@@ -225,7 +225,7 @@ pub struct RecordingTable {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorTable {
-    /// What the recording calls the sensor: text, or a whole number.
+    /// Name of the sensor in the recording: text or integer.
     pub id: SensorName,
     /// Its range standard deviation, m.
     pub range_std_m: Option<f64>,
@@ -236,7 +236,7 @@ pub struct SensorTable {
 }
 
 impl SensorTable {
-    /// A sensor that does not differ from the rest yet.
+    /// A sensor without differences from the rest.
     #[must_use]
     pub fn new(id: SensorName) -> Self {
         Self { id, range_std_m: None, bias_m: None, scale: None }

@@ -1,7 +1,7 @@
 //! The scenario: one experiment, checked once, then trusted everywhere.
 //!
-//! [`ScenarioFile`] is what a person writes; [`Scenario`] is what the nodes use, with every value
-//! within bounds that keep all later arithmetic finite. Nothing downstream checks again.
+//! [`ScenarioFile`] is the user's file; [`Scenario`] is what the nodes use. All its values
+//! are within bounds that keep later arithmetic finite. No later code checks again.
 
 pub mod bounds;
 pub mod defaults;
@@ -27,7 +27,7 @@ use crate::motion::matrix::Matrix;
 /// A validated experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scenario {
-    /// Name, for people.
+    /// Name, for display.
     pub name: String,
     /// Time steps after tick 0.
     pub ticks: u64,
@@ -35,52 +35,52 @@ pub struct Scenario {
     pub dt_s: f64,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// What starts the next tick.
+    /// The condition for the next tick.
     pub clock: Clock,
-    /// How long a silent robot is waited for.
+    /// How long to wait for a silent robot.
     pub timeout: Timeout,
-    /// How the target moves.
+    /// The target's motion model.
     pub motion: MotionModel,
-    /// How the filter takes the target to move: as it does, unless the scenario gives the filter another noise.
+    /// The motion model of the filter: the target's own, unless the scenario gives the filter another noise.
     pub filter_motion: MotionModel,
-    /// Where the ranges come from.
+    /// The source of the ranges.
     pub source: Source,
-    /// What fusion knows before the first range.
+    /// Fusion's knowledge before the first range.
     pub prior: Prior,
     /// The team, by id.
     pub robots: Vec<RobotSpec>,
-    /// How headings are chosen.
+    /// The planner.
     pub planner: PlannerSpec,
-    /// What robots keep clear of.
+    /// The clearances that robots keep.
     pub clearance: Clearance,
     /// Gate on a single range: rejected when its innovation is more than this many of its standard
     /// deviations, that is when its chi-square statistic (one degree of freedom) is above the
     /// square. `None`: every range is fused, as in the paper.
     pub gate_sigma: Option<f64>,
-    /// Whether the ranges of a robot that keeps failing are tested only; against the default gate where there is none.
+    /// Whether a robot whose ranges keep failing is distrusted: its ranges are only tested, against the default gate if there is none.
     pub distrust: bool,
 }
 
-/// What starts the next tick.
+/// The condition for the next tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Clock {
-    /// Every dt of wall time, whatever is missing.
+    /// Every dt of wall time, even if messages are missing.
     Realtime,
-    /// As soon as all have answered.
+    /// As soon as all robots have answered.
     Lockstep,
 }
 
-/// How long a silent robot is waited for in lock step.
+/// How long to wait for a silent robot in lock step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Timeout {
-    /// It is left out after this silence, until it speaks again.
+    /// The robot is left out after this silence, until it sends again.
     After(Duration),
-    /// It is never left out.
+    /// The robot is never left out.
     Forever,
 }
 
-/// Where the ranges come from.
+/// The source of the ranges.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Source {
     /// A simulated target.
@@ -92,7 +92,7 @@ pub enum Source {
     Recorded(RecordedRanges),
 }
 
-/// What fusion knows before the first range.
+/// Fusion's knowledge before the first range.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Prior {
     /// N(mean, covariance).
@@ -102,22 +102,22 @@ pub enum Prior {
         /// P_0|0.
         covariance: Matrix,
     },
-    /// Nothing: the first ranges tell.
+    /// No prior: the first ranges initialise the filter.
     FromRanges,
 }
 
 /// One robot (or recorded sensor).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RobotSpec {
-    /// What people call it: its id, or its sensor's id in the recording.
+    /// Name for display: its id, or its sensor's id in the recording.
     pub label: String,
-    /// Where it starts, m.
+    /// Start, m.
     pub start_m: [f64; 2],
     /// Speed limit, m/s.
     pub speed_mps: f64,
     /// Standard deviation of its range after calibration, m.
     pub range_std_m: f64,
-    /// The same as the robot tells it to the filter, m: the true one, unless the scenario gives the filter another.
+    /// The same as reported to the filter, m: the true one, unless the scenario gives the filter another.
     pub reported_std_m: f64,
     /// Its sensor's systematic error.
     pub calibration: Calibration,
@@ -132,7 +132,7 @@ pub struct Calibration {
     pub scale: f64,
 }
 
-/// How headings are chosen.
+/// The planner.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum PlannerSpec {
     /// The global optimum, with a certificate.
@@ -157,7 +157,7 @@ pub enum PlannerSpec {
         /// Step, rad.
         step_rad: f64,
     },
-    /// Each robot by itself, its teammates counted where they stand.
+    /// Each robot by itself, with its teammates at their current places.
     Greedy,
     /// Straight to the predicted target.
     Pursue,
@@ -165,12 +165,12 @@ pub enum PlannerSpec {
     Random,
 }
 
-/// What robots keep clear of; zeros keep clear of nothing, as in the paper.
+/// The clearances that robots keep; zero means none, as in the paper.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Clearance {
     /// Least distance to the predicted target, m.
     pub stand_off_m: f64,
-    /// The same as a multiple of the square root of the predicted position trace; the larger counts.
+    /// The same as a multiple of the square root of the predicted position trace; the larger distance counts.
     pub stand_off_sigma: f64,
     /// Least distance of robots to each other, m.
     pub separation_m: f64,
@@ -180,7 +180,7 @@ pub struct Clearance {
 pub const PLANNERS: [&str; 7] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random"];
 
 impl PlannerSpec {
-    /// The name by which scenario and command line know it.
+    /// The name in scenarios and on the command line.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -196,7 +196,7 @@ impl PlannerSpec {
 }
 
 impl Clock {
-    /// The name by which scenario and command line know it.
+    /// The name in scenarios and on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -206,19 +206,19 @@ impl Clock {
     }
 }
 
-/// What people call a robot, or the sensor of a recording.
+/// The displayed name of a robot, or of a recording's sensor.
 #[must_use]
 pub fn name_of(robot: usize, sensor: Option<&str>) -> String {
     sensor.map_or_else(|| format!("robot {robot}"), |sensor| format!("sensor {}", printable(sensor)))
 }
 
-/// A node's name with its sensor's beside, if it has one: `robot-0 (2938)`.
+/// A node's name with its sensor's name, if it has one: `robot-0 (2938)`.
 #[must_use]
 pub fn title_of(node: &str, sensor: Option<&str>) -> String {
     sensor.map_or_else(|| node.to_owned(), |sensor| format!("{node} ({})", printable(sensor)))
 }
 
-/// A name as it can stand in a line of text: what would move the cursor or turn the direction of writing is escaped.
+/// A name that is safe in a line of text: characters that move the cursor or change the writing direction are escaped.
 #[must_use]
 pub fn printable(name: &str) -> String {
     let is_unseen = |c: char| {
@@ -234,21 +234,21 @@ pub fn printable(name: &str) -> String {
 }
 
 impl Scenario {
-    /// What people call a robot: `robot 0`, or `sensor NAME` by its name in the recording.
+    /// The displayed name of a robot: `robot 0`, or `sensor NAME` by its name in the recording.
     #[must_use]
     pub fn name_of(&self, id: usize) -> String {
         name_of(id, self.sensor_of(id))
     }
 
-    /// A robot's name in the recording, as the user has it; `None` in a simulated run.
+    /// A robot's name in the recording, as in the file; `None` in a simulated run.
     #[must_use]
     pub fn sensor_of(&self, id: usize) -> Option<&str> {
         let robot = self.robots.get(id)?;
         matches!(self.source, Source::Recorded(_)).then_some(&robot.label)
     }
 
-    /// True if all sizes go together and numbers that others divide by or clamp to are in their bounds: of a
-    /// scenario from a file of another hand, that nothing that works with it will panic.
+    /// True if all sizes are consistent and all divisors and clamps are within their bounds. Code that uses a
+    /// scenario from an untrusted file then does not panic.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         let n = self.motion.state_dim();

@@ -1,4 +1,4 @@
-//! A recording as the source of a run's ranges: what the user says of it, and what binds a run to what was read.
+//! A recording as the source of a run's ranges: the user's options, and the link from a run to the data read.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -12,24 +12,24 @@ use crate::recording::{ColumnMap, PortLog, ReadOptions, ReadSummary, Recording, 
 /// The run folder's copy of the recording.
 pub const COPY: &str = "recording.csv";
 
-/// Recorded ranges as the source of a run. The user's file is read once, when the scenario is made; the nodes read the
-/// copy in the run folder, and only if it still is what was read.
+/// Recorded ranges as the source of a run. The user's file is read once, when the scenario is made. The nodes read the
+/// copy in the run folder, and only if it has not changed since.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordedRanges {
-    /// Tells what was read from anything else.
+    /// The identity of the data read.
     pub digest: RecordingDigest,
-    /// What the reader found beside the ranges.
+    /// The reader's findings besides the ranges.
     pub summary: ReadSummary,
     /// True if a sensor's height in the recording is not 0.
     pub has_heights: bool,
-    /// Height of the target in the recording's frame, m; `None` if ranges are taken as level.
+    /// Height of the target in the recording's frame, m; `None` if ranges count as level.
     pub target_height_m: Option<f64>,
-    /// What was read, in the process that read it.
+    /// The recording, in the process that read it.
     #[serde(skip)]
     pub(crate) read: AlreadyRead,
 }
 
-/// A recording that need not be read again. It is not part of what a scenario says.
+/// A cached recording. It is not part of a scenario's contents.
 #[derive(Clone, Default)]
 pub(crate) struct AlreadyRead(Option<Arc<Recording>>);
 
@@ -54,23 +54,23 @@ impl RecordedRanges {
         Self { digest, summary, has_heights, target_height_m, read: AlreadyRead(Some(Arc::new(recording))) }
     }
 
-    /// What was read, if it was this process that read it and has not let go of it.
+    /// The recording, if this process has read it and not released it.
     #[must_use]
     pub fn already_read(&self) -> Option<Arc<Recording>> {
         self.read.0.clone()
     }
 
-    /// Lets go of what was read.
+    /// Releases the recording.
     pub fn forget(&mut self) {
         self.read.0 = None;
     }
 }
 
 impl RecordingTable {
-    /// How the recording is to be read, but for its anchors, which lie in another file. `file` names the scenario in errors.
+    /// The options for reading the recording, without its anchors, which are in another file. `file` names the scenario in errors.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong.
+    /// [`ScenarioError`] for the first fault.
     pub fn read_options(&self, file: &str) -> Result<ReadOptions, ScenarioError> {
         let refuse = |key: &str, problem: String| ScenarioError::Unfit {
             file: file.to_owned(),
@@ -105,26 +105,26 @@ impl RecordingTable {
         })
     }
 
-    /// Where the recording is; `-` is standard input.
+    /// Path of the recording; `-` is standard input.
     #[must_use]
     pub fn ranges_path(&self, folder: &Path) -> Option<PathBuf> {
         let ranges = self.ranges.as_deref()?;
         Some(if ranges == "-" { PathBuf::from(ranges) } else { folder.join(ranges) })
     }
 
-    /// Where the anchors' file is, if there is one.
+    /// Path of the anchors file, if any.
     #[must_use]
     pub fn anchors_path(&self, folder: &Path) -> Option<PathBuf> {
         self.anchors.as_ref().map(|anchors| folder.join(anchors))
     }
 
-    /// Files that are read beside the scenario itself.
+    /// Files that are read besides the scenario itself.
     pub fn inputs(&self, folder: &Path) -> impl Iterator<Item = PathBuf> {
         let ranges = self.ranges_path(folder).filter(|path| path != Path::new("-"));
         ranges.into_iter().chain(self.anchors_path(folder))
     }
 
-    /// The table for the run folder's copy of the recording: what was said of the original's form is done with.
+    /// The table for the run folder's copy of the recording, without the options for the original's form.
     #[must_use]
     pub fn of_copy(self) -> Self {
         Self {

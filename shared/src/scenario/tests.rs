@@ -1,4 +1,4 @@
-//! What is written is read, and what is read is checked.
+//! A written scenario reads back, and a read scenario is validated.
 
 use proptest::prelude::*;
 
@@ -74,7 +74,7 @@ proptest! {
         prop_assert_eq!(ScenarioFile::parse(&text, "test").unwrap(), file);
     }
 
-    /// Whatever stands in a file, it is a scenario or one line that says what was expected.
+    /// Any file is a scenario, or gives one line that says what was expected.
     #[test]
     fn every_file_is_accepted_or_refused_in_one_line(file in file()) {
         if let Err(error) = Scenario::from_file(&file, "test") {
@@ -89,7 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn what_a_node_is_told_is_what_was_checked(file in file()) {
+    fn a_node_reads_the_validated_scenario(file in file()) {
         if let Ok(scenario) = Scenario::from_file(&file, "test") {
             let text = serde_json::to_string(&scenario).unwrap();
             prop_assert_eq!(serde_json::from_str::<Scenario>(&text).unwrap(), scenario);
@@ -97,9 +97,9 @@ proptest! {
     }
 }
 
-/// But for the planner: the paper's experiment has the paper's.
+/// `paper.toml` equals the defaults, except for the planner and the clearances.
 #[test]
-fn the_default_file_says_what_an_empty_one_means() {
+fn the_papers_scenario_has_the_defaults_except_for_planner_and_clearance() {
     let text = include_str!("../../../scenarios/paper.toml");
     let of = |file: &ScenarioFile| Scenario::from_file(file, "test").unwrap();
     let (paper, empty) = (of(&ScenarioFile::parse(text, "paper.toml").unwrap()), of(&ScenarioFile::default()));

@@ -1,4 +1,4 @@
-//! States in files that must be whole, the checkpoints of nodes: bincode under a magic number, the build's version and a checksum.
+//! Complete states in files, such as checkpoints: bincode under a magic number, the build's version and a checksum.
 
 pub mod slots;
 
@@ -11,25 +11,25 @@ use crate::protocol::{OtherBuild, PROGRAM, PROTOCOL};
 /// First bytes of every sealed file.
 pub const MAGIC: [u8; 8] = *b"rhsealed";
 
-/// Room for the program's version, padded with zeros.
+/// Bytes for the program's version, padded with zeros.
 pub const PROGRAM_LEN: usize = 16;
 
 const CHECKSUM_LEN: usize = 8;
 
-/// Magic, protocol, program, checksum over all: the same in all versions, so that each can name every other.
+/// Magic, protocol, program, checksum over all: the same in all versions, so that each can name any other.
 const HEADER_LEN: usize = 8 + 4 + PROGRAM_LEN + CHECKSUM_LEN;
 
 /// Longest sealed file.
 pub const FILE_LEN_MAX: usize = HEADER_LEN + VALUE_LEN_MAX;
 
-/// Most bytes a sealed value may take: bounds what a damaged length can make the reader allocate.
+/// Most bytes of a sealed value: bounds the memory that a damaged length can make the reader allocate.
 const VALUE_LEN_MAX: usize = 1 << 24;
 
-/// Why a value cannot be sealed, or a sealed one not be opened.
+/// Why a value cannot be sealed, or a sealed value cannot be opened.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub enum SealError {
     /// Too short or without the magic number.
-    #[error("not a file of rangehound's")]
+    #[error("not a rangehound file")]
     Foreign,
     /// From a build with another protocol.
     #[error("written by {0}")]
@@ -37,14 +37,14 @@ pub enum SealError {
     /// The checksum does not match.
     #[error("damaged: its checksum does not match")]
     Damaged,
-    /// Whole, but not a value of the expected kind.
+    /// Undamaged, but not a value of the expected kind.
     #[error("holds no value of the expected kind")]
     Malformed,
-    /// A value that takes more bytes than a reader would take.
+    /// The value is larger than readers accept.
     #[error("a value of {0} bytes, expected at most {VALUE_LEN_MAX}")]
     TooLarge(usize),
-    /// A value that cannot be written down.
-    #[error("cannot be written down: {0}")]
+    /// The value cannot be encoded.
+    #[error("cannot be encoded: {0}")]
     Unencodable(String),
 }
 
@@ -62,7 +62,7 @@ pub fn seal(value: &impl Serialize) -> Result<Vec<u8>, SealError> {
     Ok(bytes)
 }
 
-/// [`seal`] to the end of a buffer, which it grows only if it must.
+/// Appends [`seal`] to a buffer, which grows only if it must.
 ///
 /// # Errors
 /// [`SealError::Unencodable`], [`SealError::TooLarge`].
@@ -79,7 +79,7 @@ pub fn seal_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), Seal
     Ok(())
 }
 
-/// Over everything but itself.
+/// The checksum over everything except itself.
 fn checksum(head: &[u8], body: &[u8]) -> u64 {
     let mut hash = Xxh3::new();
     hash.update(head);
@@ -87,7 +87,7 @@ fn checksum(head: &[u8], body: &[u8]) -> u64 {
     hash.digest()
 }
 
-/// A value's bytes without magic, version and checksum, to the end of a buffer: a part of what will be
+/// Appends a value's bytes without magic, version and checksum: a part of what will be
 /// sealed.
 ///
 /// # Errors
@@ -96,17 +96,17 @@ pub fn encode_into(value: &impl Serialize, bytes: &mut Vec<u8>) -> Result<(), Se
     let start = bytes.len();
     bincode::serde::encode_into_std_write(value, bytes, config())
         .map_err(|error| SealError::Unencodable(error.to_string()))?;
-    // The limit of the configuration is looked at only by who decodes.
+    // Only decoders check the limit of the configuration.
     match bytes.len() - start {
         len if len > VALUE_LEN_MAX => Err(SealError::TooLarge(len)),
         _ => Ok(()),
     }
 }
 
-/// The value that [`encode_into`] wrote.
+/// Decodes a value that [`encode_into`] wrote.
 ///
 /// # Errors
-/// [`SealError::Malformed`] if these are not its bytes.
+/// [`SealError::Malformed`] if the bytes are not such a value.
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
     match bincode::serde::decode_from_slice(bytes, config()) {
         Ok((value, used)) if used == bytes.len() => Ok(value),
@@ -114,7 +114,7 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SealError> {
     }
 }
 
-/// The value in sealed bytes.
+/// Opens a sealed value.
 ///
 /// # Errors
 /// [`SealError`], for bytes that [`seal`] of this version did not write for such a value.
@@ -141,7 +141,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_was_sealed_opens(value: (u64, Vec<f32>, String)) {
+        fn a_sealed_value_opens(value: (u64, Vec<f32>, String)) {
             prop_assert_eq!(open(&seal(&value).unwrap()), Ok(value));
         }
 
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_sealed_is_told_with_its_cause() {
+    fn an_unsealable_value_is_reported_with_its_cause() {
         let large = vec![0_u8; VALUE_LEN_MAX];
         assert!(matches!(seal(&large), Err(SealError::TooLarge(len)) if len > VALUE_LEN_MAX));
         struct Broken;

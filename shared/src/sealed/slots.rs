@@ -1,4 +1,4 @@
-//! Two places that a node's state is written to in turns, pure: the newest whole one counts.
+//! Two slots to which a node's state is written alternately, pure: the newest valid one counts.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -8,28 +8,28 @@ use crate::sealed::{self, SealError};
 /// Bytes before the sealed state: its length.
 pub const LEN_BYTES: usize = 4;
 
-/// What a slot holds.
+/// The contents of a slot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Slot<T> {
     run_id: u64,
-    /// Counts the states that were written, from 1.
+    /// Number of the state, counted from 1.
     pub sequence: u64,
     /// The state.
     pub state: T,
 }
 
-/// Why no state can be used although something was written.
+/// Why no state can be used although a slot was written.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unusable {
-    /// It is another run's.
+    /// The state is another run's.
     #[error("of another run")]
     OtherRun,
-    /// It is not whole, or of another build or kind.
+    /// The state is damaged, or of another build or kind.
     #[error(transparent)]
     Sealed(#[from] SealError),
 }
 
-/// What is written to the slots: which of the two is next, and its bytes.
+/// Writer of the slots: chooses the next slot and makes its bytes.
 #[derive(Debug, Default)]
 pub struct Turns {
     run_id: u64,
@@ -38,13 +38,13 @@ pub struct Turns {
 }
 
 impl Turns {
-    /// The turns of a run after the state of this number; 0 if there is none.
+    /// A writer for a run after the state of this number; 0 if there is none.
     #[must_use]
     pub fn after(run_id: u64, sequence: u64) -> Self {
         Self { run_id, sequence, bytes: Vec::new() }
     }
 
-    /// Makes the bytes of the next state: [`Self::bytes`]. Allocates nothing once it has made as many.
+    /// Makes the bytes of the next state: [`Self::bytes`]. Allocates nothing unless the state is larger than all before.
     ///
     /// # Errors
     /// [`SealError`] if it cannot be encoded, or is too large for any reader.
@@ -58,25 +58,25 @@ impl Turns {
         Ok(())
     }
 
-    /// What [`Self::encode`] made.
+    /// The bytes made by [`Self::encode`].
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// The slot that the next state is written to: not the one that has the newest.
+    /// The slot for the next state: not the one with the newest state.
     #[must_use]
     pub fn next_slot(&self) -> usize {
         slot_of(self.sequence + 1)
     }
 
-    /// The slot that has the newest state, if there is one.
+    /// The slot with the newest state, if any.
     #[must_use]
     pub fn newest_slot(&self) -> usize {
         slot_of(self.sequence)
     }
 
-    /// The next state has been written wholly.
+    /// Marks the next state as completely written.
     pub fn written(&mut self) {
         self.sequence += 1;
     }
@@ -86,10 +86,10 @@ fn slot_of(sequence: u64) -> usize {
     (sequence % 2) as usize
 }
 
-/// The newest state of a run in two slots, `None` if nothing was written to either.
+/// The newest state of a run in two slots, `None` if neither was written.
 ///
 /// # Errors
-/// [`Unusable`] if something was, but holds no state of this run.
+/// [`Unusable`] if a slot was written, but none holds a state of this run.
 pub fn newest<T: DeserializeOwned>(slots: [Option<&[u8]>; 2], run_id: u64) -> Result<Option<Slot<T>>, Unusable> {
     let (mut newest, mut unusable) = (None::<Slot<T>>, None);
     for bytes in slots.into_iter().flatten() {

@@ -81,7 +81,7 @@ impl LatencyArgs {
             ticks: self.ticks,
             clock: Some(clock),
             planner: self.planner.clone(),
-            // In lock step nobody is left out: each wait is a sample.
+            // In lock step no robot is skipped: each wait is a sample.
             timeout: (clock == Clock::Lockstep).then(|| TimeoutKey::Word("forever".to_owned())),
             ..ExperimentArgs::default()
         };

@@ -1,4 +1,4 @@
-//! Output folders: which folder results may go to, and which files in it may be replaced.
+//! Output folders: the folders that results may go to, and the files in them that may be replaced.
 //!
 //! A folder that rangehound writes results to has a mark in it, the file `.rangehound`. It lists each file that rangehound
 //! has made there, by inode, time of birth, and, once it is finished, length and time of change. Only a file that is still
@@ -24,10 +24,10 @@ pub use ledger::{MARK, is_ours, note_finished, note_growing};
 /// Numbered names end before this.
 pub const NUMBERS_END: u32 = 10_000;
 
-/// Why a folder cannot be had.
+/// Why a folder cannot be used.
 #[derive(Debug)]
 pub enum Refusal {
-    /// Another process writes to it, or it holds what is not rangehound's: another folder would do.
+    /// Another process writes to it, or it holds files that rangehound has not made: another folder may work.
     Taken(String),
     /// It cannot be written, or an input lies in it.
     Unusable(String),
@@ -139,7 +139,7 @@ pub fn seal(folder: &Path) {
 }
 
 /// Removes what rangehound has made in a folder, and the folder if nothing else is in it. A folder without a mark is
-/// left alone.
+/// not changed.
 pub fn remove(folder: &Path) {
     if !ledger::is_marked(folder) {
         return;
@@ -153,7 +153,7 @@ pub fn remove(folder: &Path) {
             let _ = std::fs::remove_file(path);
         }
     }
-    // Neither goes if something is left in it.
+    // A folder that is not empty stays.
     let _ = std::fs::remove_dir(folder.join(LOGS));
     if entries(folder).all(|name| name == MARK) {
         let _ = std::fs::remove_file(folder.join(MARK));
@@ -202,7 +202,7 @@ impl Claim {
         Ok(())
     }
 
-    /// Makes the empty log in which a node will put down its ticks.
+    /// Makes the empty log in which a node will record its ticks.
     ///
     /// # Errors
     /// [`Refusal`] if the system refuses.
@@ -215,7 +215,7 @@ impl Claim {
     fn results(&self) -> Vec<PathBuf> {
         let results = entries(&self.path).filter(|name| self.kind.writes(name)).map(|name| self.path.join(name));
         let logs = self.path.join(LOGS);
-        // What nobody knows as ours is a stranger's, and in nobody's way unless it has a node's name.
+        // A file that is not listed belongs to the user. It is in the way only if it has a node's name.
         let is_log = |path: &PathBuf| {
             let node = path.file_stem().and_then(|stem| stem.to_str()).map(str::parse::<Role>);
             is_ours(path) || path.extension().is_some_and(|ending| ending == "log") && matches!(node, Some(Ok(_)))
@@ -281,7 +281,7 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
             "expected a folder of its own, a run goes on in {}: choose another, or stop that run",
             folder.display()
         ))),
-        // A file system without locks has room for runs all the same.
+        // Runs also work on a file system without locks.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
     }
 }
@@ -289,7 +289,7 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
 /// Locks the folder of a run that is over while it is recorded.
 ///
 /// # Errors
-/// [`Failure::Input`] if a run goes on in it.
+/// [`Failure::Input`] if a living run uses it.
 pub fn lock_finished(folder: &Path) -> Result<File, Failure> {
     lock(folder).map_err(|_| {
         Failure::input(format!(

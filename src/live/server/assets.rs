@@ -1,12 +1,12 @@
-//! The files of the page, built into the program: it needs no net and no folder.
+//! The files of the page, built into the program: no network or folder is needed.
 
-/// The page. `{token}` in it is where the others are.
+/// The page. `{token}` in it is the folder of the other files.
 pub(super) const PAGE: &str = include_str!("page/index.html");
 
-/// What somebody without the token sees; a page that had it asks again with it.
+/// The page for a request without the token; a browser that has the token sends the request again with it.
 pub(super) const REFUSED: &str = include_str!("page/refused.html");
 
-/// Its script, for whom there is nothing to hide.
+/// The script of that page; it needs no token.
 pub(super) const REFUSED_SCRIPT: &str = include_str!("page/refused.js");
 
 pub(super) const SCRIPT: &str = "text/javascript; charset=utf-8";

@@ -1,9 +1,9 @@
-//! Who may look and act: this user on this machine, from the page itself.
+//! Access control: only this user on this machine, from the page itself.
 //!
 //! | against | rule |
 //! |---|---|
 //! | other machines | bound to 127.0.0.1 |
-//! | other users of this machine | a random token, which only the terminal and the run's own folder hold |
+//! | other users of this machine | a random token, stored only in the run folder and shown only on the terminal |
 //! | names that are made to lead here (DNS rebinding) | `Host` is 127.0.0.1 or localhost with this port |
 //! | other pages in the same browser | `Origin`, where there is one, is this page's; actions need the token in a header, which no form can set |
 
@@ -22,7 +22,7 @@ use super::shared::Shared;
 /// Header of the token of an action.
 const TOKEN_HEADER: &str = "x-rangehound-token";
 
-/// With every answer: nothing is kept, nothing is loaded from elsewhere or shown in another page's frame.
+/// Headers of every answer: no caching, no content from elsewhere, no display in another page's frame.
 const ANSWER_HEADERS: [(HeaderName, &str); 7] = [
     (header::CACHE_CONTROL, "no-store"),
     (header::CONTENT_SECURITY_POLICY, POLICY),
@@ -54,7 +54,7 @@ pub(super) fn is_from_here(headers: &HeaderMap, port: u16) -> bool {
         && origin.is_none_or(|origin| is_ours(origin, "http://"))
 }
 
-/// What to do for whom [`is_from_here`] refuses: most come through a tunnel from another port.
+/// Advice for a request that [`is_from_here`] refuses: most come through a tunnel from another port.
 pub(super) fn where_from_here(port: u16) -> String {
     format!(
         "This page is for this machine only, at http://127.0.0.1:{port}/ or http://localhost:{port}/. Through a tunnel, take the \
@@ -63,7 +63,7 @@ pub(super) fn where_from_here(port: u16) -> String {
     )
 }
 
-/// Lets in whom [`is_from_here`] lets in, and puts the headers of every answer.
+/// Admits requests that pass [`is_from_here`], and sets the headers of every answer.
 pub(super) async fn guard(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
     let answer = if is_from_here(request.headers(), shared.port) {
         next.run(request).await
@@ -73,7 +73,7 @@ pub(super) async fn guard(State(shared): State<Arc<Shared>>, request: Request, n
     (ANSWER_HEADERS, answer).into_response()
 }
 
-/// Who may look: has the token in the address.
+/// A viewer: the token is in the address.
 pub(super) struct MayLook(pub(super) Arc<Shared>);
 
 impl FromRequestParts<Arc<Shared>> for MayLook {
@@ -86,7 +86,7 @@ impl FromRequestParts<Arc<Shared>> for MayLook {
     }
 }
 
-/// Who may act: has the token in a header.
+/// A client that may act: the token is in a header.
 pub(super) struct MayAct(pub(super) Arc<Shared>);
 
 impl FromRequestParts<Arc<Shared>> for MayAct {
@@ -100,7 +100,7 @@ impl FromRequestParts<Arc<Shared>> for MayAct {
 
 type Refusal = (StatusCode, Html<&'static str>);
 
-/// The answer to somebody without the token.
+/// The answer to a request without the token.
 pub(super) fn refuse() -> Refusal {
     (StatusCode::FORBIDDEN, Html(assets::REFUSED))
 }

@@ -28,13 +28,13 @@ use super::scene::Scene;
 /// Connections at once: a browser opens six, and one for each page's stream.
 const CONNECTIONS_MAX: usize = 64;
 
-/// How long a request may take to come, and its answer to be taken.
+/// Time-out of a request and its answer.
 const REQUEST: Duration = Duration::from_secs(10);
 
 /// Longest head of a request, bytes.
 const HEAD_MAX: usize = 16 << 10;
 
-/// How long viewers have to take the end of a run.
+/// Time for viewers to receive the end of a run.
 const FAREWELL: Duration = Duration::from_secs(2);
 
 /// The page of one run while it is served.
@@ -89,12 +89,12 @@ impl Server {
         self.change.send_modify(|count| *count += 1);
     }
 
-    /// Changes what is told with the next picture.
+    /// Changes the message of the next picture.
     pub(super) fn keep(&self, change: impl FnOnce(&mut Scene)) {
         change(&mut self.shared.scene());
     }
 
-    /// Tells all viewers that nothing more comes, and gives them time to hear it.
+    /// Reports the end to all viewers, and gives them time to receive it.
     pub(super) fn end(&self, reason: &str) {
         self.update(|scene| scene.end(reason));
         let began = Instant::now();
@@ -108,7 +108,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         drop(self.end.take());
         if let Some(thread) = self.thread.take() {
-            // A panic there has been told already.
+            // A panic of that thread has already been reported.
             let _ = thread.join();
         }
     }
@@ -119,12 +119,12 @@ async fn accept(listener: TcpListener, router: Router) {
     let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of files: others may end.
+            // Out of file descriptors: other connections may end.
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
-            // Not waited for: what does not fit into the socket's empty buffer is not said.
+            // This must not block: text beyond the socket's empty buffer is dropped.
             let _ =
                 stream.try_write(b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
             continue;
@@ -151,7 +151,7 @@ async fn serve(stream: tokio::net::TcpStream, router: Router) {
         .keep_alive(false)
         .serve_connection(TokioIo::new(stream), service);
     tokio::select! {
-        // What went wrong on a connection is its other end's to know.
+        // Errors of a connection concern only its client.
         _ = connection => {}
         () = life.is_over() => {}
     }

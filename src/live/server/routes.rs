@@ -1,4 +1,4 @@
-//! What is answered to which request.
+//! Requests and their answers.
 //!
 //! | request | answer | token |
 //! |---|---|---|
@@ -48,7 +48,7 @@ async fn file(
     State(shared): State<Arc<Shared>>,
     path: Result<Path<(String, String)>, PathRejection>,
 ) -> Result<Response, impl IntoResponse> {
-    // Whether something is there is not told to who may not see it.
+    // A client without the token must not learn which files exist.
     let Some(Path((_, file))) = path.ok().filter(|Path((token, _))| shared.token.is(token)) else {
         return Err(refuse());
     };
@@ -58,7 +58,7 @@ async fn file(
     })
 }
 
-/// What is to be done to whom.
+/// An action and its node.
 #[derive(Deserialize)]
 struct Asked {
     action: String,
@@ -81,7 +81,7 @@ async fn act(MayAct(shared): MayAct, Path(Asked { action, node }): Path<Asked>) 
     }
 }
 
-/// Where nothing is, or not for this method.
+/// The answer for an unknown path or method.
 async fn other(method: Method) -> Response {
     match method {
         Method::GET => refuse().into_response(),

@@ -1,4 +1,4 @@
-//! What all requests for a page share.
+//! State that all requests for a page share.
 
 use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,7 +10,7 @@ use tokio::sync::watch;
 use super::token::Token;
 use crate::live::scene::Scene;
 
-/// What requests are answered from.
+/// The data for answers.
 pub(super) struct Shared {
     pub(super) scene: Mutex<Scene>,
     /// Counts the scene's changes.
@@ -27,7 +27,7 @@ pub(super) struct Shared {
 
 impl Shared {
     pub(super) fn scene(&self) -> MutexGuard<'_, Scene> {
-        // A scene has no state in between that a panic could leave behind.
+        // A panic cannot leave a scene in an inconsistent state.
         self.scene.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

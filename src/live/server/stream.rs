@@ -1,7 +1,7 @@
-//! A viewer's stream of events: always the newest, whatever it has missed.
+//! A viewer's stream of events: always the newest state, even after missed events.
 //!
-//! What a viewer is sent is made when it has taken what came before. So one that reads slowly sees fewer pictures, and
-//! one that does not read at all costs two of them in memory until its time is up.
+//! An event is made when the viewer has received the one before. A slow viewer sees fewer pictures. A viewer that does not
+//! read costs the memory of two pictures until its time-out.
 
 use std::convert::Infallible;
 use std::sync::atomic::Ordering;
@@ -24,17 +24,17 @@ use crate::live::scene::Seen;
 /// Viewers at once.
 const STREAMS_MAX: usize = 16;
 
-/// A viewer that takes nothing for this long is let go.
+/// A viewer that receives nothing for this long is disconnected.
 const STALLED: Duration = Duration::from_secs(30);
 
-/// Without news something is sent all the same: a viewer that is gone is noticed.
+/// Interval of keep-alive events: they detect a viewer that is gone.
 const QUIET: Duration = Duration::from_secs(5);
 
-/// One of the viewers that there may be, for as long as it is one.
+/// A viewer's slot, freed when dropped.
 pub(super) struct Place(Arc<Shared>);
 
 impl Place {
-    /// `None` if there are as many as there may be.
+    /// `None` if all slots are in use.
     fn take(shared: &Arc<Shared>) -> Option<Self> {
         let place = |taken: usize| (taken < STREAMS_MAX).then_some(taken + 1);
         shared.streams.fetch_update(Ordering::Relaxed, Ordering::Relaxed, place).ok()?;
@@ -48,7 +48,7 @@ impl Drop for Place {
     }
 }
 
-/// Until when a connection may last; streams put it off.
+/// Deadline of a connection; streams extend it.
 pub(super) struct Life {
     end: watch::Sender<Instant>,
     /// Given back when the connection has ended, with all that was to be sent.
@@ -89,13 +89,13 @@ pub(super) async fn open(MayLook(shared): MayLook, Extension(life): Extension<Ar
     ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
 }
 
-/// Who is sent what is new.
+/// A viewer and its state.
 struct Viewer {
     shared: Arc<Shared>,
     life: Arc<Life>,
     changes: watch::Receiver<u64>,
     seen: Seen,
-    /// Not before this is anything sent.
+    /// The earliest time of the next event.
     due: Instant,
 }
 

@@ -1,4 +1,4 @@
-//! The token of a page: who has it may look and act.
+//! The token of a page: it permits viewing and acting.
 
 /// 128 random bits, as text.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -8,7 +8,7 @@ impl Token {
     /// A new one, from the system.
     pub(in crate::live) fn new() -> std::io::Result<Self> {
         let mut bytes = [0; 16];
-        // Up to 256 bytes come whole or not at all.
+        // Up to 256 bytes are returned completely or not at all.
         let filled = rustix::rand::getrandom(&mut bytes[..], rustix::rand::GetRandomFlags::empty())?;
         if filled != bytes.len() {
             return Err(std::io::Error::other("the system has given too few random bytes"));
@@ -21,7 +21,7 @@ impl Token {
         (text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| Self(text.to_owned()))
     }
 
-    /// Compares in a time that does not tell how much of it is right.
+    /// Compares in constant time.
     pub(in crate::live) fn is(&self, text: &str) -> bool {
         let pairs = self.0.bytes().zip(text.bytes());
         text.len() == self.0.len() && pairs.fold(0, |different, (ours, given)| different | (ours ^ given)) == 0
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_token_is_new_each_time_and_only_the_whole_of_it_counts() {
+    fn a_token_is_new_each_time_and_must_match_completely() {
         let (token, other) = (Token::new().unwrap(), Token::new().unwrap());
         let text = token.to_string();
         assert!(text.len() == 32 && token != other && token.is(&text) && !other.is(&text));

@@ -1,4 +1,4 @@
-//! Who failed when, on the run's time line.
+//! Failures of nodes and robots on the run's time line.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -12,10 +12,10 @@ use crate::draw::chart::{self, COLOURS, Drawn, ESTIMATE, KeyEntry};
 use crate::results::curves::{Bucket, Curves};
 use crate::results::report::{Distrust, Incident, NodeSummary, Report};
 
-/// Nodes that have a row of their own.
+/// Most nodes that have their own row.
 const NODES_MAX: usize = 24;
 
-/// Lines of the table.
+/// Most rows of the table.
 const LINES_MAX: usize = 50;
 
 /// Height of a row, px.
@@ -24,10 +24,10 @@ const ROW: u32 = 50;
 /// Height of axis and margins, px.
 const FRAME: u32 = 110;
 
-/// Marks that can be told apart along a row.
+/// Most marks that can be distinguished along a row.
 const PLACES: f64 = 500.0;
 
-/// What the logs tell of robots: its name, and how many there were of it.
+/// A kind of trouble in the logs: its name, and the number of robots concerned.
 type Trouble = (&'static str, fn(&Bucket) -> u64);
 
 const TROUBLES: [Trouble; 4] = [
@@ -37,7 +37,7 @@ const TROUBLES: [Trouble; 4] = [
     ("without heading", |stretch| stretch.without_heading),
 ];
 
-/// All that went wrong, as far as logs and supervisor know.
+/// All failures that the logs and the supervisor recorded.
 pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Section> {
     let nodes: Vec<&NodeSummary> = report.nodes.iter().filter(|node| has_failed(node)).collect();
     let count = |of: fn(&Bucket) -> u64| curves.stretches.iter().map(of).fold(0, u64::saturating_add);
@@ -83,7 +83,7 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
     Ok(Section { heading: "Faults", text, picture, below: table(report, curves, &nodes) })
 }
 
-/// True if more became of it than one start.
+/// True if anything happened to the node after its first start.
 fn has_failed(node: &NodeSummary) -> bool {
     node.starts > 1 || node.kills + node.exits > 0
 }
@@ -105,18 +105,18 @@ fn key(has_troubles: bool, nodes: &[&NodeSummary]) -> Vec<KeyEntry> {
     troubles.into_iter().chain(incidents).collect()
 }
 
-/// What happened to a node after its first start.
+/// Incidents of a node after its first start.
 fn incidents(node: &NodeSummary) -> impl Iterator<Item = (u64, Incident)> {
     node.incidents.iter().copied().skip(1)
 }
 
-/// Black for all of the team; opaque, as stretches meet in one column of pixels.
+/// Black for the whole team; opaque, because neighbouring buckets meet in one column of pixels.
 fn grey(part: f64) -> RGBColor {
     let shade = (200.0 * (1.0 - part.min(1.0))) as u8;
     RGBColor(shade, shade, shade)
 }
 
-/// A stretch is as dark as the part of the team that is concerned.
+/// The darkness of a bucket is the part of the team that is concerned.
 fn draw_troubles(
     chart: &mut chart::Plane<'_, '_>,
     curves: &Curves,
@@ -133,7 +133,7 @@ fn draw_troubles(
     Ok(())
 }
 
-/// Ends above, starts below: in a fast run they are at one time.
+/// Ends are drawn above, starts below: in a fast run they coincide.
 fn draw_incidents(chart: &mut chart::Plane<'_, '_>, curves: &Curves, node: &NodeSummary, top: f64) -> Drawn {
     let span_s = curves.span_s();
     let mut drawn = BTreeSet::new();
@@ -156,7 +156,7 @@ fn draw_incidents(chart: &mut chart::Plane<'_, '_>, curves: &Curves, node: &Node
     Ok(())
 }
 
-/// The first of all incidents, in words.
+/// The first incidents, as a table.
 fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> Markup {
     let mut incidents: Vec<(u64, Incident, String)> = nodes
         .iter()

@@ -1,9 +1,9 @@
-//! `report.html`: the report of a run to look at, in one file that needs no other and no net.
+//! `report.html`: the report of a run as one page that needs no other file and no network.
 //!
 //! | module | what |
 //! |---|---|
 //! | `sections` | the pictures, each under its heading |
-//! | `faults` | who failed when, on the run's time line |
+//! | `faults` | failures on the run's time line |
 
 mod faults;
 mod sections;
@@ -18,7 +18,7 @@ use crate::results::curves::Curves;
 use crate::results::report::Report;
 use crate::results::report::verdict::Verdict;
 
-/// Width of all pictures, px: labels can be read on a phone.
+/// Width of all pictures, px: labels are legible on a phone.
 const WIDTH: u32 = 1_000;
 
 const STYLE: &str = include_str!("style.css");
@@ -26,11 +26,11 @@ const STYLE: &str = include_str!("style.css");
 /// A picture under its heading.
 struct Section {
     heading: &'static str,
-    /// What the picture shows.
+    /// Explanation of the picture.
     text: String,
     /// An `<svg>` element; empty where there is nothing to draw.
     picture: String,
-    /// What follows the picture.
+    /// Content below the picture.
     below: Markup,
 }
 
@@ -78,7 +78,7 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
     Ok(page.into_string())
 }
 
-/// Whether the result can be believed, before all figures.
+/// Whether the result is credible, above all figures.
 fn verdict(verdict: &Verdict) -> Markup {
     let Verdict { sound, summary, reasons, notes } = verdict;
     let (class, word) = if *sound { ("sound", "Sound") } else { ("unsound", "Not sound") };
@@ -92,7 +92,7 @@ fn verdict(verdict: &Verdict) -> Markup {
     }
 }
 
-/// What the run was and what it came to.
+/// The key figures of the run.
 fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     let Report { position_trace_m2: trace, latency_us: latency, .. } = report;
     let mut figures = vec![
@@ -125,7 +125,7 @@ mod tests {
     use crate::results::report::{Accumulator, Background};
 
     #[test]
-    fn names_are_text_whatever_they_hold() {
+    fn names_are_escaped() {
         let mut scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
         scenario.name = "<script>".to_owned();
         let report = Accumulator::new().unwrap().report(&scenario, Background::default(), Vec::new());

@@ -1,4 +1,4 @@
-//! The pictures of the page, each under its heading: drawn by what draws all others.
+//! The pictures of the page, each below its heading, drawn with the same functions as all other pictures.
 
 use std::fmt::Write;
 
@@ -16,7 +16,7 @@ use crate::statistics::{Ascending, Interval, chi_square_mean_bounds};
 
 const HEIGHT: u32 = 600;
 
-/// All sections that there are data for.
+/// All sections for which there are data.
 pub(super) fn of(report: &Report, curves: &Curves) -> anyhow::Result<Vec<Section>> {
     let mut sections = Vec::new();
     if curves.has_length() {
@@ -43,7 +43,7 @@ fn paths(curves: &Curves) -> anyhow::Result<Section> {
     let size = curves.paths.whole_size(WIDTH);
     let picture = chart::draw_to_string(size, |area| curves.paths.draw_whole(area))?;
     let mut text = "The field from above, with 3 sigma ellipses of the estimate. Marks are where all ended.".to_owned();
-    // On a large field no ellipse is large enough to be seen.
+    // On a large field the ellipse is too small to see, so the text gives its half axes.
     let last = curves.paths.estimates_m.last().zip(curves.paths.covariances_m2.last());
     if let Some((centre_m, covariance_m2)) = last {
         let [one_m, other_m] = Ellipse::new(*centre_m, covariance_m2, 3.0).half_m();
@@ -53,7 +53,7 @@ fn paths(curves: &Curves) -> anyhow::Result<Section> {
     Ok(section("Paths", text, picture))
 }
 
-/// The error in x and in y, each on what the filter believes of it; `None` where no truth is known.
+/// The errors in x and y beside the filter's standard deviations; `None` if the truth is unknown.
 fn errors(curves: &Curves) -> anyhow::Result<Option<Section>> {
     if curves.errors_m().next().is_none() {
         return Ok(None);
@@ -92,7 +92,7 @@ fn error_of_axis(curves: &Curves, axis: usize, label: &str, is_named: bool) -> O
     OverTime { label: label.to_owned(), bands: vec![band(3.0, 0.15), band(1.0, 0.25)], lines: vec![error] }
 }
 
-/// Where the axes of the errors end.
+/// The limit of the error axes.
 fn error_limit_m(curves: &Curves) -> f64 {
     let deviations = curves.paths.covariances_m2.iter().flat_map(|p| [p[(0, 0)], p[(1, 1)]]);
     let deviations = deviations.map(|variance| 3.0 * variance.max(0.0).sqrt());
@@ -100,20 +100,20 @@ fn error_limit_m(curves: &Curves) -> f64 {
     limit(&deviations.chain(errors).collect())
 }
 
-/// Where an axis ends that shows these extents: a poor start or a short loss must not hide the rest.
+/// The limit of an axis for these extents: a poor start or a short loss must not hide the rest.
 fn limit(extents: &Ascending) -> f64 {
     (1.05 * extents.quantile(1.0)).min(2.0 * extents.quantile(0.95)).max(1e-6)
 }
 
 fn trace(curves: &Curves) -> anyhow::Result<Section> {
-    // The bound on the tick after the last is of nothing.
+    // The bound of the last tick refers to a tick that is not in the run.
     let end_s = curves.span_s().end;
     let least_m2: Vec<(f64, f64)> =
         curves.least_traces_m2.iter().copied().filter(|(time_s, _)| *time_s <= end_s).collect();
     let is_proven = !least_m2.is_empty();
     let name = |name: &str| is_proven.then(|| name.to_owned());
     let trace = Line { name: name("trace"), style: ESTIMATE.stroke_width(3), points: curves.traces_m2().collect() };
-    // Thin and on top: mostly the trace lies on it.
+    // Thin and on top: the trace mostly coincides with it.
     let least =
         is_proven.then(|| Line { name: name("least by any headings"), style: BLACK.stroke_width(1), points: least_m2 });
     let lines = [trace].into_iter().chain(least).collect();
@@ -129,7 +129,7 @@ fn trace(curves: &Curves) -> anyhow::Result<Section> {
     Ok(section("Trace", text, picture))
 }
 
-/// Innovations against what the filter believes of them; `None` if no range was fused.
+/// Innovations beside the filter's own covariance; `None` if no range was fused.
 fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let fused: Vec<&Bucket> =
         curves.stretches.iter().filter(|stretch| stretch.fused > 0 && stretch.nis.abs() <= DRAWABLE_MAX).collect();
@@ -142,7 +142,7 @@ fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let points: Vec<(f64, f64)> = fused.iter().map(point).collect();
     let bounds: Vec<(f64, f64, f64)> = fused.iter().map(band).collect();
     let values = points.iter().map(|(_, nis)| *nis).chain(bounds.iter().flat_map(|(_, low, high)| [*low, *high]));
-    // From the ideal to both sides: over many ticks what is consistent lies close to it.
+    // Symmetric about the ideal: the mean over many ticks of a consistent filter is close to it.
     let limit = limit(&values.map(|nis| (nis - 1.0).abs()).collect());
     let limits = (1.0 - limit).max(0.0)..1.0 + limit;
     let span_s = curves.span_s();

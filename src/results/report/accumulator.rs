@@ -1,4 +1,4 @@
-//! Adding up a run tick by tick.
+//! Sums up a run tick by tick.
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
@@ -18,10 +18,10 @@ use crate::results::hops::Hops;
 use crate::results::percentiles;
 use crate::statistics::{Mean, Samples, median};
 
-/// Most that one range counts in the NIS by which a result is judged: the square of a usual gate.
+/// Largest contribution of one range to the NIS that the verdict uses: the square of a usual gate.
 const SQUARE_CAP: f64 = 16.0;
 
-/// Adds up a run tick by tick.
+/// Sums up a run tick by tick.
 #[derive(Debug)]
 pub struct Accumulator {
     ticks: u64,
@@ -61,7 +61,7 @@ impl Sensor {
 }
 
 impl Accumulator {
-    /// Nothing yet.
+    /// An empty accumulator.
     ///
     /// # Errors
     /// If the histogram cannot be made.
@@ -112,7 +112,7 @@ impl Accumulator {
         }
     }
 
-    /// Begins and ends the times of distrust.
+    /// Starts and ends the intervals of distrust.
     fn add_distrust(&mut self, tick: u64, distrusted: RobotSet) {
         let mut begun = distrusted;
         for open in self.distrusted.iter_mut().filter(|distrust| distrust.to_tick.is_none()) {
@@ -145,8 +145,8 @@ impl Accumulator {
         }
     }
 
-    /// Adds a tick's ranges that fusion has, but of which the simulator has not put down that they were published: it was
-    /// told too late, or ended before the tick did.
+    /// Adds the ranges of a tick that fusion has but the simulator did not log as published: the message reached the
+    /// simulator too late, or the simulator ended before the tick did.
     pub fn add_untold(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
@@ -155,7 +155,7 @@ impl Accumulator {
         }
     }
 
-    /// Adds what became of a tick's ranges, sensor by sensor.
+    /// Adds the outcome of a tick's ranges for each sensor.
     pub fn add_sensors(&mut self, exchanges: &[Exchange]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             if self.sensors.len() <= robot {
@@ -175,14 +175,14 @@ impl Accumulator {
         }
     }
 
-    /// Adds the robots' ways through one tick, of which fusion and simulator know half each.
+    /// Adds the robots' hops of one tick; fusion and simulator each know half of the stamps.
     pub fn add_hops(&mut self, stages: &Stages, robots: &[RobotRecord]) {
         for robot in robots {
             self.hops.add(stages, robot);
         }
     }
 
-    /// What a verdict weighs.
+    /// The evidence for the verdict.
     fn evidence(&self, scenario: &Scenario, background: Background) -> Evidence {
         let sensors: Vec<SensorEvidence> = scenario
             .robots
@@ -194,7 +194,7 @@ impl Accumulator {
                 fused: sensor.counts[RangeUse::Fused as usize],
             })
             .collect();
-        // A faulty sensor says nothing about the others' result.
+        // A faulty sensor does not count against the result of the others.
         let of_others = |nis: fn(&Sensor) -> Mean| {
             let others = sensors.iter().zip(&self.sensors).filter(|(evidence, _)| !evidence.is_faulty());
             let mean: Mean = others.map(|(_, sensor)| nis(sensor)).sum();
@@ -275,7 +275,7 @@ impl Accumulator {
     }
 }
 
-/// What is known of a run from elsewhere than its logs.
+/// Facts about a run that its logs do not hold.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Background {
     /// The true track that the user gave.
@@ -310,7 +310,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_came_late_was_not_missing_after_all() {
+    fn a_late_range_no_longer_counts_as_missing() {
         let mut totals = Accumulator::new().unwrap();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
         totals.add_estimate(1, &tick(1, 2), None);
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fusion_has_was_published_whether_or_not_the_simulator_was_told() {
+    fn a_range_that_fusion_has_counts_as_published_without_a_record_of_the_simulator() {
         let exchange = |range_m| Exchange {
             heard: Some(Heard { measurement: Measurement::new(Pose::default(), range_m), taken_at: 1, judged: None }),
             command: Command::default(),
@@ -334,13 +334,13 @@ mod tests {
         totals.add_world(1, &robots);
         totals.add_untold(&heard, &robots);
         assert_eq!(totals.ranges.published, 3);
-        // The tick under way when a run is ended: the simulator has not put it down.
+        // The tick in progress at the end of a run: the simulator has not logged it.
         totals.add_untold(&heard, &[]);
         assert_eq!(totals.ranges.published, 5);
     }
 
     #[test]
-    fn each_sensor_is_told_what_became_of_its_ranges() {
+    fn each_sensor_has_the_outcome_of_its_ranges() {
         let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
             heard: Some(Heard {
                 measurement: Measurement::new(Pose::default(), judged.map(|_| (1.0, 1.0))),
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_are_told_by_cause() {
+    fn refusals_are_counted_by_cause() {
         let mut totals = Accumulator::new().unwrap();
         let estimate = Estimate { refused: [1, 2, 3, 4, 5, 6], ..Estimate::default() };
         totals.add_estimate(1, &estimate, None);

@@ -1,21 +1,21 @@
-//! How far a normalised error may be from 1 by chance, when its samples follow each other in time.
+//! The band of chance of a normalised error whose samples are correlated in time.
 
 use serde::Serialize;
 
 use crate::statistics::{Interval, chi_square_mean_bounds, mean};
 
-/// Most batches; when there are more, two neighbours become one.
+/// Most batches; beyond it, two neighbours are merged.
 const BATCHES_MAX: usize = 64;
 
-/// Batches whose means are compared: few, so that each is longer than a filter's memory.
+/// Number of batches whose means are compared: few, so that each is longer than a filter's memory.
 const COMPARED: usize = 16;
 
-/// The mean of normalised squares in order of time (NIS or NEES, each per degree of freedom), and the number of
-/// independent samples that it is worth.
+/// The mean of normalised squares in order of time (NIS or NEES, each per degree of freedom), and the effective number
+/// of independent samples.
 ///
-/// Errors of one tick and the next are nearly the same error, so a band for as many samples as there are ticks would
-/// be far too narrow. The variance of means over batches of consecutive ticks (batch means, Conway 1963) tells how
-/// many independent samples the series is worth. Memory is bounded: batches grow with the series.
+/// The errors of two successive ticks are almost equal, so a band for as many samples as there are ticks would
+/// be far too narrow. The variance of means over batches of consecutive ticks (batch means, Conway 1963) gives the
+/// effective number of independent samples. Memory is bounded: batches grow with the series.
 #[derive(Debug, Clone, Default)]
 pub struct Consistency {
     batches: Vec<Batch>,
@@ -39,9 +39,9 @@ struct Batch {
 pub struct ConsistencySummary {
     /// Mean per degree of freedom: 1 for a consistent filter.
     pub mean: f64,
-    /// Where it lies with 95 % for a consistent filter, for the time that was covered.
+    /// The 95 % band of a consistent filter, for the ticks that were covered.
     pub band_95: Interval,
-    /// Independent samples that the series is worth.
+    /// Effective number of independent samples.
     pub independent_samples: f64,
 }
 
@@ -53,7 +53,7 @@ impl ConsistencySummary {
         Self { mean, band_95: chi_square_mean_bounds(1, dof as usize), independent_samples }
     }
 
-    /// True if the filter is too sure of itself by more than chance explains and by more than rounding of its noise:
+    /// True if the filter is overconfident by more than chance and rounding of its noise explain:
     /// the errors are at least 1.4 times as large as it believes.
     #[must_use]
     pub fn is_overconfident(&self) -> bool {
@@ -86,7 +86,7 @@ impl Consistency {
         }
     }
 
-    /// Makes one batch of each two.
+    /// Merges each pair of batches.
     fn halve(&mut self) {
         self.batch_len = 2 * self.batch_len.max(1);
         let pairs = self.batches.chunks(2).map(|pair| {
@@ -99,13 +99,13 @@ impl Consistency {
         self.batches = pairs.collect();
     }
 
-    /// The mean; `None` of nothing.
+    /// The mean; `None` if empty.
     #[must_use]
     pub fn mean(&self) -> Option<f64> {
         (self.dof > 0.0).then(|| self.sum / self.dof)
     }
 
-    /// The mean and its band; `None` of nothing.
+    /// The mean and its band; `None` if empty.
     #[must_use]
     pub fn summary(&self) -> Option<ConsistencySummary> {
         self.mean().map(|mean| {
@@ -120,7 +120,7 @@ impl Consistency {
         let ticks = self.ticks as f64;
         let together = self.batches.len() / COMPARED;
         if together < 2 {
-            // Too short to tell: a cautious guess for a filter with a memory of some ticks.
+            // The series is too short: a cautious guess for a filter with a memory of some ticks.
             return (ticks / 8.0).max(1.0);
         }
         let means = || {
@@ -145,7 +145,7 @@ mod tests {
 
     use super::*;
 
-    /// Errors of which each keeps `memory` of the one before.
+    /// A series of errors, each with a part `memory` of its predecessor.
     fn errors(memory: f64, sigma: f64, ticks: usize, seed: u64) -> ConsistencySummary {
         let mut draws = Draws::new(seed, Stream::RangeNoise { robot: 0 });
         let mut consistency = Consistency::default();
@@ -163,7 +163,7 @@ mod tests {
     fn independent_samples_count_fully_and_correlated_ones_do_not() {
         let free = errors(0.0, 1.0, 4_000, 1);
         assert!(free.independent_samples > 1_500.0, "{free:?}");
-        // The squares of such errors have a correlation of 0.95^2 from tick to tick: worth n / 19.
+        // The squares of these errors have a correlation of 0.95^2 from tick to tick: n / 19 effective samples.
         let bound = errors(0.95, 1.0, 4_000, 2);
         assert!((70.0..700.0).contains(&bound.independent_samples), "{bound:?}");
     }

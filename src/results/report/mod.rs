@@ -3,9 +3,9 @@
 //! | module | what |
 //! |---|---|
 //! | `summary` | the figures: the keys of `report.json` |
-//! | `accumulator` | adding them up tick by tick |
+//! | `accumulator` | sums over the ticks |
 //! | `consistency` | how far NIS and ANEES may be from 1 by chance |
-//! | `verdict` | whether the result can be believed, and why not |
+//! | `verdict` | whether the result is credible, and the reasons |
 //! | `truth` | a true track to compare with |
 //! | `print` | the report on the terminal |
 
@@ -50,7 +50,7 @@ pub fn from_logs(
     Ok(builder.finish(&description.scenario, nodes))
 }
 
-/// Adds up the report of a run tick by tick; `truth` is the target's true track where the run knows none.
+/// Sums up the report of a run tick by tick; `truth` is the target's true track if the run does not know it.
 #[derive(Debug)]
 pub struct ReportBuilder<'a> {
     totals: Accumulator,
@@ -62,7 +62,7 @@ impl<'a> ReportBuilder<'a> {
     /// A report before its first tick.
     ///
     /// # Errors
-    /// If there is no memory for its histograms.
+    /// If the histograms cannot be allocated.
     pub fn new(truth: Option<&'a Truth>) -> anyhow::Result<Self> {
         Ok(Self { totals: Accumulator::new()?, truth, overlap: truth.map(Overlap::of) })
     }
@@ -102,7 +102,7 @@ impl<'a> ReportBuilder<'a> {
     }
 }
 
-/// How a true track overlaps a run.
+/// Overlap of a true track with a run.
 #[derive(Debug)]
 struct Overlap {
     evidence: TruthEvidence,

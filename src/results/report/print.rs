@@ -9,10 +9,10 @@ use super::{
 use crate::results::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
 
-/// Share of a sensor's ranges that were not fused above which it is told.
+/// Share of a sensor's ranges that were not fused, above which the sensor is printed.
 const DOUBTFUL_SHARE: f64 = 0.1;
 
-/// Times of distrust that are told one by one in print; the file has all.
+/// Most intervals of distrust that are printed; the file has all.
 const DISTRUST_LINES_MAX: usize = 5;
 
 impl std::fmt::Display for Report {
@@ -26,7 +26,7 @@ impl std::fmt::Display for Report {
             writeln!(f, "{}", field("position error", format_args!("{rmse_m:.3} m RMS")))?;
         }
         let ratio = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{value:.2}"));
-        // Of all ranges too, where not all were fused.
+        // Also of all ranges, if some were not fused.
         let all = if self.ranges.rejected > 0 {
             format!(" ({} with the rejected)", ratio(self.nis_all_mean))
         } else {
@@ -72,11 +72,11 @@ impl std::fmt::Display for HeadingSummary {
     }
 }
 
-/// Sensors that are told one by one in print; the file has all.
+/// Most sensors that are printed; the file has all.
 const SENSOR_LINES_MAX: usize = 5;
 
 impl Report {
-    /// The sensors of which most was not fused, if there are any, and whether the gate was widened.
+    /// The sensors that lost most of their ranges, if any, and whether the gate was widened.
     fn fmt_doubtful_sensors(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let lost = |sensor: &SensorSummary| sensor.rejected + sensor.distrusted;
         let mut doubtful: Vec<&SensorSummary> =
@@ -95,7 +95,7 @@ impl Report {
         Ok(())
     }
 
-    /// What was refused and who was distrusted, if anything was.
+    /// Refused messages and distrusted robots, if any.
     fn fmt_doubtful_messages(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { refused, distrusted, .. } = self;
         if *refused != RefusalSummary::default() {

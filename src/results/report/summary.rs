@@ -1,4 +1,4 @@
-//! What a run came to: the keys of `report.json`.
+//! The summary of a run: the keys of `report.json`.
 
 use rangehound_node::rendezvous::Role;
 use rangehound_shared::message::Estimate;
@@ -12,7 +12,7 @@ use crate::results::hops::HopSummary;
 use crate::results::percentiles::Point;
 use crate::statistics::Samples;
 
-/// What a run came to; its fields are the keys of `report.json`.
+/// The summary of a run; its fields are the keys of `report.json`.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
     /// Name of the scenario.
@@ -33,42 +33,42 @@ pub struct Report {
     pub ticks_per_s: f64,
     /// Hash over (tick, state, covariance) bits of all ticks.
     pub digest: String,
-    /// Root mean square of the position error, m; null where no truth is known.
+    /// Root mean square of the position error, m; null if the truth is unknown.
     pub position_rmse_m: Option<f64>,
     /// Position error squared over its covariance, averaged over the ticks, per degree of freedom:
-    /// 1 for a consistent filter; null where no truth is known.
+    /// 1 for a consistent filter; null if the truth is unknown.
     pub anees: Option<f64>,
     /// Innovation squared over its covariance, averaged over the ticks, per range: 1 for a consistent
     /// filter; null if no range was fused.
     pub nis_mean: Option<f64>,
-    /// The same over all ranges, whether they were fused or not: far above 1 where good ranges are thrown away.
+    /// The same over all ranges, fused or not: far above 1 if valid ranges are rejected.
     pub nis_all_mean: Option<f64>,
-    /// Ticks after which ranges were taken to be noisier than told, because most sensors failed together.
+    /// Ticks after which the assumed range noise was increased, because most sensors failed the gate together.
     pub gate_widened: u64,
     /// Trace of the position covariance.
     pub position_trace_m2: TraceSummary,
-    /// What became of the ranges.
+    /// The outcome of the ranges.
     pub ranges: RangeSummary,
-    /// What became of each sensor's, in the order of the robots' ids.
+    /// The outcome of each sensor's ranges, in the order of the robots' ids.
     pub sensors: Vec<SensorSummary>,
     /// Range messages that fusion refused, by cause.
     pub refused: RefusalSummary,
-    /// What was read of the recording, and what was not; null for a simulated run.
+    /// The used and the skipped parts of the recording; null for a simulated run.
     pub recording: Option<ReadSummary>,
-    /// When robots were distrusted.
+    /// Intervals in which robots were distrusted.
     pub distrusted: Vec<Distrust>,
-    /// What the robots drove by.
+    /// The headings that the robots followed.
     pub headings: HeadingSummary,
     /// From publishing a range to holding the heading computed from it.
     pub latency_us: LatencySummary,
     /// The same as a curve.
     #[serde(skip)]
     pub percentiles: Vec<Point>,
-    /// Where that time went.
+    /// The hops of that time.
     pub hops_us: HopSummary,
     /// The processes.
     pub nodes: Vec<NodeSummary>,
-    /// Whether the result can be believed.
+    /// Whether the result is credible.
     pub verdict: Verdict,
 }
 
@@ -81,11 +81,11 @@ pub struct TraceSummary {
     pub median: f64,
 }
 
-/// What became of the ranges. At each tick at which a robot has one it is fused, rejected or missing: their sum is robots
+/// The outcome of the ranges. A robot's range of a tick is fused, rejected or missing: their sum is robots
 /// times ticks where every robot has a range at every tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
-    /// Published by robots, as fusion has it or as they told the simulator by the end of the tick.
+    /// Published by robots, as logged by fusion or reported to the simulator by the end of the tick.
     pub published: u64,
     /// Fused, in time or late.
     pub fused: u64,
@@ -95,16 +95,16 @@ pub struct RangeSummary {
     pub late: u64,
     /// Of the late ones, fused at their own time.
     pub fused_late: u64,
-    /// Robots not heard, or too late, summed over the ticks.
+    /// Ranges missing or too late, summed over the ticks.
     pub missing: u64,
 }
 
-/// What became of one sensor's ranges, in time or late: fused, rejected and distrusted add up to all.
+/// The outcome of one sensor's ranges, in time or late: fused, rejected and distrusted add up to all.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct SensorSummary {
     /// The sensor's name in the recording, or its robot's id.
     pub name: String,
-    /// Ranges that fusion heard and judged.
+    /// Ranges that fusion received and tested.
     pub ranges: u64,
     /// Fused.
     pub fused: u64,
@@ -112,8 +112,8 @@ pub struct SensorSummary {
     pub rejected: u64,
     /// Not fused because the robot was distrusted, whether or not they passed the gate.
     pub distrusted: u64,
-    /// Each range's own innovation squared over its variance, averaged over all that anything predicted: 1 for a sensor
-    /// that is as it is said to be.
+    /// Each range's squared innovation over its variance, averaged over all ranges with a prediction: 1 if the sensor is
+    /// as accurate as specified.
     pub nis_mean: Option<f64>,
 }
 
@@ -122,15 +122,15 @@ pub struct SensorSummary {
 pub struct RefusalSummary {
     /// Its sender does not hold the role.
     pub impostor: u64,
-    /// Of no robot of the team.
+    /// The id is of no robot of the team.
     pub out_of_range: u64,
-    /// Numbers without sense.
+    /// Invalid numbers.
     pub malformed: u64,
-    /// Of a tick that cannot have begun.
+    /// The tick cannot have begun.
     pub future: u64,
-    /// Not what was said before.
+    /// Contradicts an earlier message.
     pub contradiction: u64,
-    /// Where the robot cannot have come.
+    /// The robot cannot have reached this position.
     pub jump: u64,
 }
 
@@ -139,7 +139,7 @@ pub struct RefusalSummary {
 pub struct Distrust {
     /// The robot.
     pub robot: usize,
-    /// What its sensor is called: its name in the recording, or the robot's id.
+    /// The sensor's name in the recording, or the robot's id.
     pub sensor: String,
     /// The tick after whose range it was distrusted.
     pub from_tick: u64,
@@ -147,16 +147,16 @@ pub struct Distrust {
     pub to_tick: Option<u64>,
 }
 
-/// What the robots drove by, summed over robots and ticks; where a robot did not answer, nothing is known.
+/// The headings that the robots followed, summed over robots and ticks; ticks without the robot's answer do not count.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct HeadingSummary {
     /// The tick's heading.
     pub fresh: u64,
     /// The tick's heading, when it was overdue.
     pub late: u64,
-    /// None for the tick: they held the last one, or stood.
+    /// No heading for the tick: the robot kept its last one, or stood still.
     pub none: u64,
-    /// Headings that they refused, of a fusion that led no more or of a stranger.
+    /// Refused headings: from a deposed fusion or a stranger.
     pub refused: u64,
 }
 
@@ -172,7 +172,7 @@ impl HeadingSummary {
     }
 }
 
-/// Counts more; what a damaged log holds may be any number.
+/// Adds without overflow; a damaged log may hold any number.
 fn count(sum: &mut u64, more: u64) {
     *sum = sum.saturating_add(more);
 }
@@ -219,33 +219,33 @@ pub struct NodeSummary {
     pub sensor: Option<String>,
     /// How often it was started.
     pub starts: u64,
-    /// How often it was ended by a signal.
+    /// How often a signal ended it.
     pub kills: u64,
     /// How often it ended by itself before the run did.
     pub exits: u64,
-    /// How often it was killed because it sent no heartbeat: among the kills too.
+    /// How often it was killed because it sent no heartbeat; included in the kills.
     pub hangs: u64,
-    /// What happened to it when, monotonic ns, in order, as far as its supervisor knows.
+    /// Its incidents, monotonic ns, in order, as far as its supervisor knows.
     #[serde(skip)]
     pub incidents: Vec<(u64, Incident)>,
 }
 
 impl NodeSummary {
-    /// A process that was started so often, and of which no more is known.
+    /// A process with this number of starts and no other incidents.
     #[must_use]
     pub fn new(role: Role, scenario: &Scenario, starts: u64) -> Self {
         let sensor = role.robot().and_then(|id| scenario.sensor_of(id)).map(str::to_owned);
         Self { name: role.to_string(), sensor, starts, kills: 0, exits: 0, hangs: 0, incidents: Vec::new() }
     }
 
-    /// Its name for people: `robot-0 (2938)`.
+    /// Its display name: `robot-0 (2938)`.
     #[must_use]
     pub fn title(&self) -> String {
         title_of(&self.name, self.sensor.as_deref())
     }
 }
 
-/// What happens to a process.
+/// An incident of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Incident {
     /// It sent no heartbeat for too long; it is killed next.
@@ -275,7 +275,7 @@ impl std::fmt::Display for Incident {
 }
 
 impl RangeSummary {
-    /// Adds a tick's, as fusion has put it down.
+    /// Adds a tick as logged by fusion.
     pub fn add(&mut self, estimate: &Estimate) {
         let in_time_and_late = [
             (&mut self.fused, estimate.fused, estimate.fused_late),
@@ -287,7 +287,7 @@ impl RangeSummary {
         }
         count(&mut self.late, estimate.late);
         count(&mut self.fused_late, estimate.fused_late);
-        // What came late was missing when its own tick was told of.
+        // A late range was counted as missing at its own tick.
         count(&mut self.missing, estimate.missing);
         self.missing = self.missing.saturating_sub(estimate.fused_late).saturating_sub(estimate.rejected_late);
     }

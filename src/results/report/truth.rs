@@ -1,4 +1,4 @@
-//! A true track, which the tracker never saw.
+//! A true track, which the tracker never reads.
 
 use std::io::Read;
 use std::path::Path;
@@ -9,7 +9,7 @@ use rangehound_shared::recording::{TrackPoint, parse_track};
 use crate::failure::Failure;
 use crate::files::input;
 
-/// A true track: positions by time, from a file that the tracker never saw.
+/// A true track: positions by time, from a file that the tracker never reads.
 #[derive(Debug, Clone)]
 pub struct Truth(Vec<(f64, Vector2<f64>)>);
 
@@ -24,7 +24,7 @@ impl Truth {
     /// Reads a true track, `time_s,x_m,y_m` in any of the forms that a recording may have, in order of time.
     ///
     /// # Errors
-    /// [`Failure::Input`] with file and row of the first thing that is wrong.
+    /// [`Failure::Input`] with file and row of the first error.
     pub fn read(path: &Path) -> Result<Self, Failure> {
         Ok(input::track(path).map_err(Failure::input)?.into())
     }
@@ -32,7 +32,7 @@ impl Truth {
     /// Parses a true track from a reader.
     ///
     /// # Errors
-    /// What is wrong first, in one line.
+    /// The first error, in one line.
     pub fn parse(input: impl Read) -> Result<Self, String> {
         let track = parse_track(input, Path::new("the true track")).map_err(|problem| problem.to_string())?;
         Ok(track.into())

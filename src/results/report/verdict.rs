@@ -1,32 +1,32 @@
-//! Whether a run's result can be believed, pure: figures in, a verdict with its reasons out.
+//! Whether a run's result is credible: a pure function from figures to a verdict with its reasons.
 
 use serde::Serialize;
 
 use super::consistency::ConsistencySummary;
 use crate::terminal::{BAD, DOUBTFUL, GOOD, prose_in};
 
-/// Share of a sensor's ranges that are not fused, from which on the sensor is taken for faulty.
+/// Share of a sensor's ranges that are not fused, above which the sensor counts as faulty.
 const FAULTY_SHARE: f64 = 0.5;
 
 /// Fewest ranges by which a sensor is judged.
 const JUDGED_RANGES_MIN: u64 = 8;
 
-/// Share of the ranges of sensors that are not faulty which a sound filter may reject.
+/// Share of the ranges of sensors without fault that a valid filter may reject.
 const REJECTED_SHARE_MAX: f64 = 0.2;
 
-/// Standard deviation of the position over a typical range, above which the target has not been found.
+/// Standard deviation of the position over a typical range, above which the target is not located.
 const VAGUE_SHARE: f64 = 0.3;
 
 /// Share of the ticks with widened noise, above which the model is wrong.
 const WIDENED_SHARE_MAX: f64 = 0.2;
 
-/// Share of the run that a true track must cover: less is told.
+/// Share of the run that a true track must cover; below it a note is added.
 const TRUTH_SHARE_MIN: f64 = 0.5;
 
-/// Most reasons that are told.
+/// Most reasons in a verdict.
 const REASONS_MAX: usize = 2;
 
-/// What is known of a run's result.
+/// The evidence about a run's result.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Evidence {
     /// Each sensor's ranges.
@@ -35,7 +35,7 @@ pub struct Evidence {
     pub nis: Option<ConsistencySummary>,
     /// NIS of all ranges of sensors that are not faulty.
     pub nis_all: Option<ConsistencySummary>,
-    /// The same with each range's part capped, so that a few outliers, which the gate keeps out, do not rule it.
+    /// The same with each range's contribution limited, so that a few rejected outliers do not dominate it.
     pub nis_capped: Option<ConsistencySummary>,
     /// Normalised position error squared; `None` without truth.
     pub anees: Option<ConsistencySummary>,
@@ -49,14 +49,14 @@ pub struct Evidence {
     pub widened_share: f64,
     /// Standard deviation that is assumed of a range, m: the median of the sensors'.
     pub range_std_m: f64,
-    /// What is known of a recording; `None` for a simulated run.
+    /// Facts about a recording; `None` for a simulated run.
     pub recording: Option<RecordingEvidence>,
 }
 
-/// What became of a sensor's ranges.
+/// The outcome of a sensor's ranges.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SensorEvidence {
-    /// What people call the sensor.
+    /// The sensor's display name.
     pub name: String,
     /// Ranges that fusion has.
     pub ranges: u64,
@@ -67,7 +67,7 @@ pub struct SensorEvidence {
 /// A true track beside the run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct TruthEvidence {
-    /// Share of the ticks at which it tells the position.
+    /// Share of the ticks at which it gives a position.
     pub covered_share: f64,
     /// First and last time of the track, s.
     pub span_s: [f64; 2],
@@ -75,25 +75,25 @@ pub struct TruthEvidence {
     pub run_span_s: [f64; 2],
 }
 
-/// What is known of a recording.
+/// Facts about a recording.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RecordingEvidence {
-    /// Why the file may say something else than it seems to, as its reader tells.
+    /// Doubts of the reader about the file's meaning, for example its units.
     pub doubts: Vec<String>,
     /// True if the sensors have heights, and the target has none: ranges are taken as level.
     pub has_unused_heights: bool,
 }
 
-/// Whether a result can be believed.
+/// Whether a result is credible.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Verdict {
-    /// True if nothing speaks against it.
+    /// True if no evidence contradicts it.
     pub sound: bool,
-    /// What was seen, in one line.
+    /// The evidence, in one line.
     pub summary: String,
-    /// Likely reasons, if it is not sound: one or two.
+    /// Likely reasons if the result is invalid: one or two.
     pub reasons: Vec<String>,
-    /// What the reader should know all the same.
+    /// Further remarks.
     pub notes: Vec<String>,
 }
 
@@ -110,7 +110,7 @@ impl SensorEvidence {
 }
 
 impl Verdict {
-    /// Weighs the evidence.
+    /// Judges the evidence.
     #[must_use]
     pub fn of(evidence: &Evidence) -> Self {
         let symptoms = Symptoms::of(evidence);
@@ -121,7 +121,7 @@ impl Verdict {
     }
 }
 
-/// What speaks against a result.
+/// Evidence against a result.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Symptoms {
     nothing_fused: bool,
@@ -332,7 +332,7 @@ mod tests {
         SensorEvidence { name: name.to_owned(), ranges, fused }
     }
 
-    /// A recording of three sensors in a hall that nothing speaks against.
+    /// A valid recording of three sensors in a hall.
     fn good() -> Evidence {
         Evidence {
             sensors: ["A", "B", "C"].map(|name| sensor(name, 100, 99)).into(),
@@ -349,7 +349,7 @@ mod tests {
         }
     }
 
-    /// The reasons of an unsound verdict.
+    /// The reasons of an invalid result.
     fn reasons(evidence: &Evidence) -> String {
         let verdict = Verdict::of(evidence);
         assert!(!verdict.sound && (1..=REASONS_MAX).contains(&verdict.reasons.len()), "{verdict:?}");
@@ -357,27 +357,27 @@ mod tests {
     }
 
     #[test]
-    fn nothing_speaks_against_a_good_result() {
+    fn a_good_result_is_valid() {
         let verdict = Verdict::of(&good());
         assert!(verdict.sound && verdict.reasons.is_empty() && verdict.notes.is_empty(), "{verdict:?}");
         assert!(verdict.summary.contains("297 of 300 ranges fused"), "{verdict:?}");
     }
 
     #[test]
-    fn one_faulty_sensor_is_named_and_does_not_make_the_rest_unsound() {
+    fn one_faulty_sensor_is_named_and_does_not_make_the_rest_invalid() {
         let mut evidence = good();
         evidence.sensors[1] = sensor("2938", 100, 20);
         let verdict = Verdict::of(&evidence);
         assert!(verdict.sound && verdict.notes[0].contains("sensor 2938 was left out: 80 %"), "{verdict:?}");
         let dragged = Evidence { nis_capped: figure(4.0), ..evidence.clone() };
         assert!(reasons(&dragged).contains("sensor 2938 contradicts the others: 20 of its 100"));
-        // Two of three: then nobody can tell which.
+        // With two of three faulty sensors, the faulty ones cannot be identified.
         evidence.sensors[0] = sensor("A", 100, 30);
         assert!(reasons(&evidence).contains("rangehound calibrate"));
     }
 
     #[test]
-    fn what_the_reader_doubts_comes_first() {
+    fn doubts_of_the_reader_come_first() {
         let doubts =
             vec!["the ranges are in millimetres".to_owned(), "the stamps too".to_owned(), "and more".to_owned()];
         let recording = Some(RecordingEvidence { doubts, ..RecordingEvidence::default() });
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn a_true_track_on_another_clock_is_told() {
+    fn a_true_track_on_another_clock_is_reported() {
         let truth = TruthEvidence { covered_share: 0.0, span_s: [1.7e9, 1.7e9 + 9.0], run_span_s: [0.1, 10.0] };
         let evidence = Evidence { truth: Some(truth), anees: None, ..good() };
         assert!(reasons(&evidence).contains("does not overlap"));
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn misfits_are_told_by_what_they_look_like() {
+    fn misfits_have_reasons_that_match_their_pattern() {
         let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..good() };
         assert!(reasons(&misfit).contains("--range-std 0.30"));
         let heights = || RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn who_cannot_tell_says_so() {
+    fn an_ambiguous_position_is_reported() {
         let two = vec![sensor("A", 100, 100), sensor("B", 100, 100)];
         assert!(reasons(&Evidence { sensors: two, position_std_m: 6.0, ..good() }).contains("mirror image"));
         assert!(reasons(&Evidence { position_std_m: 6.0, ..good() }).contains("on a line"));
@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cautious_filter_is_sound_and_told_so() {
+    fn a_cautious_filter_is_valid_and_noted() {
         let verdict = Verdict::of(&Evidence { nis_all: figure(0.09), ..good() });
         assert!(verdict.sound && verdict.notes[0].contains("--range-std 0.03"), "{verdict:?}");
     }

@@ -1,4 +1,4 @@
-//! How many ticks a recording holds: as its end says of one just made, and by reading it all of any other.
+//! The number of ticks in a recording: from the summary of a file just made, or by reading any other file to its end.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -10,18 +10,18 @@ use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryRead
 use super::messages::TOPICS;
 use super::read::{ESTIMATE, FrameReader, Missing};
 
-/// What lies under the name that a recording is to have.
+/// The kind of file that already has the recording's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Found {
-    /// Nothing.
+    /// No file.
     Nothing,
-    /// A recording of the same run, with so many ticks.
+    /// A recording of the same run, with its number of ticks.
     Same(u64),
-    /// Anything else.
+    /// Any other file.
     Foreign,
 }
 
-/// Looks what lies under a name, beside a recording of the run of this id.
+/// Examines the file at a path, for a recording of the run with this id.
 #[must_use]
 pub fn look(path: &Path, run_id: u64) -> Found {
     match path.symlink_metadata() {
@@ -34,7 +34,7 @@ pub fn look(path: &Path, run_id: u64) -> Found {
     if !reader.description().is_ok_and(|description| description.run_id == run_id) {
         return Found::Foreign;
     }
-    // What its end says is not what can be read, where it is damaged.
+    // In a damaged file, the summary may count more ticks than can be read.
     let (mut ticks, mut next) = (0, 0);
     let tell = |missing: Missing| log::warn!("{}: {missing}: the file is damaged, or has holes", path.display());
     while let Ok(Some(frame)) = reader.next_frame() {
@@ -49,7 +49,7 @@ pub fn look(path: &Path, run_id: u64) -> Found {
     Found::Same(ticks)
 }
 
-/// The number of ticks by what the end of the file says; `None` if it has no end.
+/// The number of ticks according to the summary; `None` without a summary.
 #[must_use]
 pub fn ticks_told(mut file: &File) -> Option<u64> {
     let options = SummaryReaderOptions::default().with_file_size(file.metadata().ok()?.len());

@@ -1,4 +1,4 @@
-//! A run's file on disk: under a name that says that it is not finished, until it is.
+//! A run's file on disk. Its name marks it as unfinished until it is finished.
 
 use std::fs::{File, Metadata, TryLockError};
 use std::io::ErrorKind;
@@ -21,37 +21,37 @@ use crate::files::layout::SCENARIO;
 use crate::files::out_folder;
 use crate::results::frame::Frame;
 
-/// Longest scenario file that is put in.
+/// Longest scenario file that is attached.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 
-/// How long a killed process may have its lock, and how often it is looked at.
+/// How long to wait for the lock of a killed process, and the interval between attempts.
 const DYING: Duration = Duration::from_millis(500);
 const POLL: Duration = Duration::from_millis(20);
 
-/// The file in the making.
+/// The unfinished file.
 pub struct RunFile {
     path: PathBuf,
     partial: PathBuf,
     run_id: u64,
-    /// What a killed recorder of the same run had made, put aside until there is more.
+    /// An unfinished recording of the same run by a killed recorder, set aside until the new file holds more.
     leftover: Option<PathBuf>,
     /// Ticks written.
     taken: u64,
     writer: FrameWriter<File>,
 }
 
-/// What the user must mend if a file cannot be made.
+/// The error for a file that cannot be created.
 pub fn unusable(error: anyhow::Error) -> Failure {
     Failure::input(format!("expected a file that can be written: {error:#}"))
 }
 
-/// The name of a file that is not finished.
+/// The name of an unfinished file.
 #[must_use]
 pub fn partial(path: &Path) -> PathBuf {
     with_ending(path, PARTIAL)
 }
 
-/// There is a fuller recording of the run already.
+/// A recording with more ticks of the run exists already.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: it holds {there} ticks of the run, what is left of the logs only {made}: it is kept as it is", .path.display())]
 pub struct Poorer {
@@ -61,19 +61,19 @@ pub struct Poorer {
 }
 
 impl RunFile {
-    /// Begins the file of a run, with the scenario file of its folder if there is one.
+    /// Creates the file of a run, with the scenario file of its folder if there is one.
     ///
     /// # Errors
-    /// If it cannot be made.
+    /// If it cannot be created.
     pub fn begin(path: &Path, description: &RunDescription, bytes_max: u64) -> anyhow::Result<Self> {
         let scenario = bounded::read(&description.out_dir.join(SCENARIO), SCENARIO_LEN_MAX).ok();
         Self::begin_as(&partial(path), path, description, scenario.as_deref(), bytes_max)
     }
 
-    /// Begins the file of a run under this name until it is finished, with this scenario.
+    /// Creates the file of a run with this scenario; it gets its final name when it is finished.
     ///
     /// # Errors
-    /// If it cannot be made, another process is making it, or what has one of the names is no recording of this run.
+    /// If it cannot be created, another process is writing it, or a file with one of its names is not a recording of this run.
     pub fn begin_as(
         partial: &Path,
         path: &Path,
@@ -104,7 +104,7 @@ impl RunFile {
         Ok(written)
     }
 
-    /// Ends the chunk in the making if it is a second old.
+    /// Ends the current chunk if it is a second old.
     ///
     /// # Errors
     /// If the system refuses.
@@ -112,10 +112,10 @@ impl RunFile {
         self.writer.flush_if_due().map_err(|error| named(&self.partial, of(error)))
     }
 
-    /// Writes index and summary, and gives the file its name, unless a fuller one has it.
+    /// Writes index and summary, then gives the file its final name unless a recording with more ticks has that name.
     ///
     /// # Errors
-    /// [`Poorer`]; others if the system refuses, or the file does not hold what was written to it.
+    /// [`Poorer`]; also if the system refuses, or the file does not hold all that was written to it.
     pub fn finish(self) -> anyhow::Result<()> {
         let Self { path, partial, run_id, leftover, taken, writer } = self;
         let file = writer.finish().map_err(|error| named(&partial, of(error)))?;
@@ -140,7 +140,7 @@ impl RunFile {
             .with_context(|| path.display().to_string())?;
         let is_fuller = |leftover: &Path| {
             let len = |file: std::io::Result<Metadata>| file.map_or(0, |file| file.len());
-            // Mostly its length tells that without reading it.
+            // The length alone usually shows this, without reading the file.
             len(std::fs::metadata(leftover)) > len(file.metadata())
                 && matches!(look(leftover, run_id), Found::Same(ticks) if ticks > taken)
         };
@@ -155,7 +155,7 @@ impl RunFile {
         Ok(())
     }
 
-    /// Takes the file away: there is nothing in it.
+    /// Removes the file, which holds no tick.
     pub fn discard(self) {
         drop(self.writer);
         let _ = std::fs::remove_file(&self.partial);
@@ -163,8 +163,8 @@ impl RunFile {
     }
 }
 
-/// Makes the file under its first name, locked: one process at a time writes it. What a kill has left there of the same
-/// run is put aside, and its name returned.
+/// Creates the file under its unfinished name and locks it, so that only one process writes it. An unfinished recording
+/// of the same run by a killed process is set aside; its name is returned.
 fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> {
     let named = || partial.display().to_string();
     let began = Instant::now();
@@ -193,7 +193,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
                     named()
                 );
             }
-            // A file system without locks has room for recordings all the same.
+            // On a file system without locks, recording works all the same.
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
         if !is_named(&file, partial) {
@@ -210,7 +210,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
         atomic_file::rename_to_free(partial, &aside).with_context(named)?;
         out_folder::note_growing(&aside).with_context(named)?;
         let made = File::options().read(true).write(true).create_new(true).open(partial).with_context(named)?;
-        // The new one is locked before the old one is let go.
+        // The new file is locked before the old lock is released.
         let locked = made.try_lock();
         if matches!(locked, Err(TryLockError::WouldBlock)) {
             bail!("{}: another process is writing it", named());
@@ -220,7 +220,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
     }
 }
 
-/// Gives what a kill has left its name again.
+/// Restores the name of a recording that was set aside.
 fn give_back(leftover: Option<&Path>, partial: &Path) {
     if let Some(leftover) = leftover {
         let _ = atomic_file::rename_to_free(leftover, partial).and_then(|()| out_folder::note_growing(partial));
@@ -233,7 +233,7 @@ fn is_named(file: &File, path: &Path) -> bool {
     of_file.is_some() && of_file == identity(path.symlink_metadata())
 }
 
-/// What lies behind the library's word: it says that there was an error of the system, and not which.
+/// The cause of an error: the library reports that the system failed, but not how.
 fn of(error: McapError) -> anyhow::Error {
     match error {
         McapError::Io(error) => error.into(),

@@ -1,7 +1,7 @@
 //! The typed messages of the six topics.
 //!
-//! Units stand in the names; stamps (`_ns` but for `log_time`) are of the monotonic clock of the machine that ran. Those of
-//! ranges and headings of a run in one process only say that there was one.
+//! Names contain the units. Stamps (`_ns` except `log_time`) are of the recording machine's monotonic clock. In a run in
+//! one process, the stamps of ranges and headings only show that the message existed.
 
 use prost::DecodeError;
 
@@ -19,7 +19,7 @@ macro_rules! messages {
 }
 
 messages! {
-    /// Topic `/world`: where all are, from the simulator to the robots.
+    /// Topic `/world`: all positions, from the simulator to the robots.
     World {
         /// The tick.
         tick: u64 as uint64,
@@ -27,7 +27,7 @@ messages! {
         time_s: f64 as double,
         /// The robots, by id.
         robots: Vec<Place> as repeated message,
-        /// When the tick was over.
+        /// End of the tick.
         ended_ns: u64 as uint64,
     }
 
@@ -37,45 +37,45 @@ messages! {
         x_m: f64 as double,
         /// North.
         y_m: f64 as double,
-        /// What its sensor is told: the true range, or a recorded one.
+        /// Input of its sensor: the true range, or a recorded one.
         range_m: Option<f64> as optional double,
         /// Height of its sensor above the plane in which the target moves.
         height_m: f64 as double,
-        /// Covariance of its position, of x, of x and y, of y; absent where the position is exact.
+        /// Covariance of its position: x, x and y, y; absent if the position is exact.
         position_covariance_m2: Vec<f64> as repeated double,
     }
 
-    /// Topic `/range`: a robot's word to fusion.
+    /// Topic `/range`: a robot's message to fusion.
     Range {
         /// The tick.
         tick: u64 as uint64,
         /// Its time.
         time_s: f64 as double,
-        /// Whose it is.
+        /// The robot.
         robot: u64 as uint64,
-        /// Where the robot was: east.
+        /// Position of the robot: east.
         x_m: f64 as double,
         /// North.
         y_m: f64 as double,
-        /// What it measured, if its sensor had a range and fusion used the message.
+        /// The measured range, if the sensor had one and fusion used the message.
         range_m: Option<f64> as optional double,
-        /// Standard deviation of that.
+        /// Its standard deviation.
         range_std_m: Option<f64> as optional double,
-        /// The first tick whose estimate knows of it: a later one if it came late; none if fusion never used it.
+        /// The first tick whose estimate includes it: a later tick if it came late; none if fusion never used it.
         taken_at_tick: Option<u64> as optional uint64,
-        /// When it was published, as far as the simulator was told.
+        /// Time of publication, if the simulator received it.
         sent_ns: Option<u64> as optional uint64,
         /// Height of the sensor above the plane in which the target moves: the range is the slant one.
         height_m: f64 as double,
-        /// What fusion did with it: `fused`, `rejected` by the gate, or not fused as its robot is `distrusted`.
+        /// What fusion did with it: `fused`, `rejected` by the gate, or `distrusted` (not fused because the robot is distrusted).
         used: Option<String> as optional string,
-        /// Its own innovation squared over its variance, of one degree of freedom, if anything predicted it.
+        /// Its squared innovation over its variance, of one degree of freedom, if there was a prediction.
         normalised_square: Option<f64> as optional double,
-        /// Covariance of the sensor's position, of x, of x and y, of y; absent where the position is exact.
+        /// Covariance of the sensor's position: x, x and y, y; absent if the position is exact.
         position_covariance_m2: Vec<f64> as repeated double,
     }
 
-    /// Topic `/heading`: fusion's word to all robots.
+    /// Topic `/heading`: fusion's message to all robots.
     Heading {
         /// The tick.
         tick: u64 as uint64,
@@ -83,11 +83,11 @@ messages! {
         time_s: f64 as double,
         /// One for each robot, by id.
         commands: Vec<CommandTo> as repeated message,
-        /// When it was sent.
+        /// Time of sending.
         sent_ns: u64 as uint64,
     }
 
-    /// What one robot is told.
+    /// The command to one robot.
     CommandTo {
         /// Anticlockwise from east.
         heading_rad: f64 as double,
@@ -95,51 +95,51 @@ messages! {
         speed_mps: f64 as double,
     }
 
-    /// Topic `/drive`: what a robot does, to the simulator.
+    /// Topic `/drive`: a robot's action, to the simulator.
     Drive {
         /// The tick.
         tick: u64 as uint64,
         /// Its time.
         time_s: f64 as double,
-        /// Which robot.
+        /// The robot.
         robot: u64 as uint64,
         /// Anticlockwise from east.
         heading_rad: f64 as double,
         /// Its speed.
         speed_mps: f64 as double,
-        /// What it drove by: `fresh`, `late`, `none` or `unknown`, as in the report.
+        /// The heading that it followed: `fresh`, `late`, `none` or `unknown`, as in the report.
         heading: String as string,
-        /// When it had published its range.
+        /// When it published its range.
         range_sent_ns: Option<u64> as optional uint64,
-        /// When it held the heading.
+        /// When it received the heading.
         heading_held_ns: Option<u64> as optional uint64,
-        /// Headings it refused since the tick before.
+        /// Headings that it refused since the tick before.
         headings_refused: u64 as uint64,
     }
 
-    /// Topic `/estimate`: what fusion knows after the tick.
+    /// Topic `/estimate`: fusion's estimate after the tick.
     Estimate {
         /// The tick.
         tick: u64 as uint64,
         /// Its time.
         time_s: f64 as double,
-        /// Position first: m, then m/s and so on, as the target model has it.
+        /// Position first: m, then m/s and so on, according to the target model.
         state: Vec<f64> as repeated double,
-        /// Of the state, row by row.
+        /// Covariance of the state, row by row.
         covariance: Vec<f64> as repeated double,
         /// Normalised innovation squared, of `fused` degrees of freedom.
         nis: f64 as double,
         /// Ranges fused.
         fused: u64 as uint64,
-        /// Ranges that failed the gate, or whose robot is distrusted.
+        /// Ranges that failed the gate, or of a distrusted robot.
         rejected: u64 as uint64,
-        /// Robots not heard.
+        /// Robots whose range was missing.
         missing: u64 as uint64,
         /// Ranges of earlier ticks since the last estimate.
         late: u64 as uint64,
-        /// Of those, fused at their own time.
+        /// Of those, the ranges fused at their own time.
         fused_late: u64 as uint64,
-        /// Of those, rejected at their own time.
+        /// Of those, the ranges rejected at their own time.
         rejected_late: u64 as uint64,
         /// Messages refused since the last estimate.
         refused: Option<Refused> as optional message,
@@ -147,21 +147,21 @@ messages! {
         distrusted: Vec<u64> as repeated uint64,
         /// The planner's `|S|`, 1/m^2.
         objective: f64 as double,
-        /// Lower bound on it; minus infinity from planners that prove none.
+        /// Lower bound of `|S|`; minus infinity from planners that prove none.
         lower_bound: f64 as double,
-        /// When fusion came how far.
+        /// Times of fusion's stages.
         stages: Option<Stages> as optional message,
-        /// Rolling hash over all estimates up to this one: after the last, the report's.
+        /// Rolling hash over all estimates up to this one; after the last tick it equals the report's.
         digest: String as string,
         /// Normalised innovation squared of all ranges of the tick, fused or not, of `tested` degrees of freedom.
         nis_all: f64 as double,
         /// Ranges in it.
         tested: u64 as uint64,
-        /// How many times larger than told ranges' standard deviations are taken from the next on: more than 1 while most
-        /// sensors fail together.
+        /// Factor by which the assumed standard deviations of ranges are increased from the next tick on: above 1 while most
+        /// sensors fail the gate together.
         noise_scale: f64 as double,
-        /// No headings of this tick lead to a lesser trace of the position covariance at the next, m^2; 0 from planners that
-        /// prove nothing.
+        /// Lower bound, m^2, of the trace of the position covariance at the next tick for any headings of this tick; 0 from
+        /// planners that prove none.
         least_trace_m2: f64 as double,
     }
 
@@ -169,23 +169,23 @@ messages! {
     Refused {
         /// Its sender does not hold the role.
         impostor: u64 as uint64,
-        /// Of no robot of the team.
+        /// The id is of no robot of the team.
         out_of_range: u64 as uint64,
-        /// Numbers without sense.
+        /// Invalid numbers.
         malformed: u64 as uint64,
-        /// Of a tick that cannot have begun.
+        /// The tick cannot have begun.
         future: u64 as uint64,
-        /// Not what was said before.
+        /// Contradicts an earlier message.
         contradiction: u64 as uint64,
-        /// Where the robot cannot have come.
+        /// The robot cannot have reached this position.
         jump: u64 as uint64,
     }
 
-    /// When fusion came to each stage of the tick.
+    /// Times at which fusion reached each stage of the tick.
     Stages {
         /// The last range was sent.
         last_range_ns: u64 as uint64,
-        /// Fusion had all that it waited for.
+        /// Fusion had received all that it waited for.
         began_ns: u64 as uint64,
         /// The ranges were fused.
         filtered_ns: u64 as uint64,
@@ -197,7 +197,7 @@ messages! {
         sent_ns: u64 as uint64,
     }
 
-    /// Topic `/truth`: where the target is, which fusion and robots never see.
+    /// Topic `/truth`: the target's true state, which fusion and robots never receive.
     Truth {
         /// The tick.
         tick: u64 as uint64,
@@ -223,16 +223,16 @@ pub enum OnTopic {
 /// The topics, in the order of [`OnTopic`].
 pub const TOPICS: [&str; 6] = ["/world", "/range", "/heading", "/drive", "/estimate", "/truth"];
 
-/// Puts a message's bytes after what is there.
+/// Appends a message's bytes.
 ///
 /// # Errors
-/// If they cannot be put there.
+/// If they cannot be appended.
 pub fn encode(message: &impl foxglove::Encode, out: &mut Vec<u8>) -> std::io::Result<()> {
     message.encode(out).map_err(|error| std::io::Error::other(error.to_string()))
 }
 
 impl OnTopic {
-    /// Place of its topic in [`TOPICS`].
+    /// Index of its topic in [`TOPICS`].
     #[must_use]
     pub fn topic(&self) -> usize {
         match self {
@@ -245,7 +245,7 @@ impl OnTopic {
         }
     }
 
-    /// When it was published, monotonic ns, if that is known.
+    /// Time of publication, monotonic ns, if known.
     #[must_use]
     pub fn sent_ns(&self) -> Option<u64> {
         let stamp = match self {
@@ -254,14 +254,14 @@ impl OnTopic {
             Self::Estimate(estimate) => estimate.stages.as_ref()?.sent_ns,
             Self::World(_) | Self::Drive(_) | Self::Truth(_) => return None,
         };
-        // A run in one process has stamps of no clock.
+        // In a run in one process, stamps are not clock times.
         (1..u64::MAX).contains(&stamp).then_some(stamp)
     }
 
-    /// Puts its bytes after what is there: every field, for the sign of a zero counts too.
+    /// Appends its bytes with every field, because the sign of a zero matters too.
     ///
     /// # Errors
-    /// If they cannot be put there.
+    /// If they cannot be appended.
     pub fn encode(&self, out: &mut Vec<u8>) -> std::io::Result<()> {
         match self {
             Self::World(message) => encode(message, out),
@@ -273,7 +273,7 @@ impl OnTopic {
         }
     }
 
-    /// The message that these bytes are, on the topic with this place in [`TOPICS`].
+    /// Decodes a message of the topic with this index in [`TOPICS`].
     ///
     /// # Errors
     /// [`DecodeError`].

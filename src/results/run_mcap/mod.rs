@@ -3,11 +3,11 @@
 //! | module | what |
 //! |---|---|
 //! | [`messages`] | the typed messages of the six topics |
-//! | [`topics`] | what travelled, message by message, from and to a [`Frame`](crate::results::frame::Frame) |
-//! | [`scene`] | the same as people see it, in the well-known messages of Foxglove |
+//! | [`topics`] | conversion between messages and a [`Frame`](crate::results::frame::Frame) |
+//! | [`scene`] | the same run drawn in the well-known messages of Foxglove |
 //! | [`write`](mod@write), [`file`](mod@file) | frames into a file |
-//! | [`count`] | how many ticks a file holds |
-//! | [`read`] | frames out of a file, which may be damaged or somebody else's |
+//! | [`count`] | the number of ticks in a file |
+//! | [`read`] | frames out of a file, which may be damaged or foreign |
 
 pub mod count;
 pub mod file;
@@ -18,5 +18,5 @@ pub mod topics;
 pub mod write;
 mod zstd;
 
-/// Marks files as ours: the MCAP profile, and the name of the metadata record.
+/// Marks the files of this program: the MCAP profile, and the name of the metadata record.
 pub const PROFILE: &str = "rangehound";

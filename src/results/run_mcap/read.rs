@@ -1,5 +1,5 @@
-//! Frames out of an MCAP file, in order of their ticks. The file may be cut, damaged or somebody else's; whatever it claims,
-//! no more of it is held than a chunk.
+//! Frames out of an MCAP file, in order of their ticks. The file may be cut short, damaged or foreign. Whatever lengths it
+//! claims, at most one chunk is held in memory.
 
 use std::io::Read;
 
@@ -17,48 +17,48 @@ use super::zstd::ZstdDecoder;
 use crate::files::layout::{DESCRIPTION, SCENARIO};
 use crate::results::frame::Frame;
 
-/// Longest record, compressed or not: a dozen times what the recorder writes, as other tools have longer chunks.
+/// Longest record, compressed or not: twelve times what the recorder writes, because other tools write longer chunks.
 const RECORD_LEN_MAX: usize = 6 << 20;
 
-/// Longest message of a tick: far above that of the largest team, and short enough for what it takes decoded.
+/// Longest message of a tick: far above that of the largest team, yet small when decoded.
 const MESSAGE_LEN_MAX: usize = 1 << 17;
 
-/// The topic of which each tick has one message: its place in [`TOPICS`].
+/// The topic that has exactly one message for each tick: its index in [`TOPICS`].
 pub(super) const ESTIMATE: usize = 4;
 
-/// Most bytes taken at once, whatever a record's length claims.
+/// Most bytes read at once, whatever length a record claims.
 const READ_LEN_MAX: usize = 1 << 16;
 
-/// Why there is no frame.
+/// The reason why there is no frame.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] std::io::Error),
-    /// It is cut in the middle, as by a kill.
-    #[error("it is cut short {}", what_is_left(*.after))]
+    /// The file is cut short, as by a kill.
+    #[error("it is cut short {}", cut_position(*.after))]
     Cut {
-        /// The last tick that is whole.
+        /// The last complete tick.
         after: Option<u64>,
     },
-    /// It is no MCAP file, or is damaged.
-    #[error("{reason} (after {})", behind(*.after))]
+    /// It is not an MCAP file, or it is damaged.
+    #[error("{reason} (after {})", position_after(*.after))]
     Damaged {
-        /// What is wrong.
+        /// The error.
         reason: String,
-        /// The last tick that is whole.
+        /// The last complete tick.
         after: Option<u64>,
     },
-    /// It is an MCAP file, but not of a run.
+    /// It is an MCAP file, but not one of a run.
     #[error("holds no run: expected a run.mcap that rangehound recorded")]
     Foreign,
-    /// What the run is, cannot be read.
+    /// The description of the run cannot be read.
     #[error("what it says of its run cannot be used: {0}")]
     Description(#[from] SealError),
-    /// Its messages are no tick of a run.
+    /// The messages do not form a tick of a run.
     #[error(transparent)]
     Senseless(#[from] Senseless),
-    /// A tick stands where it should not.
+    /// A tick is out of order.
     #[error("tick {tick} stands after tick {after}: expected ticks in order")]
     Disordered {
         /// The tick.
@@ -68,19 +68,19 @@ pub enum ReadError {
     },
 }
 
-/// Ticks that are not in a recording.
+/// Ticks that are missing in a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Missing {
-    /// The first of them.
+    /// The first missing tick.
     pub first: u64,
-    /// The last.
+    /// The last missing tick.
     pub last: u64,
-    /// How many they are.
+    /// Number of missing ticks.
     pub number: u64,
 }
 
 impl Missing {
-    /// The ticks between two that are there.
+    /// The missing ticks between two ticks.
     #[must_use]
     pub fn between(first: u64, next: u64) -> Self {
         Self { first, last: next.saturating_sub(1), number: next.saturating_sub(first) }
@@ -97,7 +97,7 @@ impl std::fmt::Display for Missing {
     }
 }
 
-fn what_is_left(after: Option<u64>) -> String {
+fn cut_position(after: Option<u64>) -> String {
     match after {
         Some(tick) => format!("after tick {tick}"),
         None => "before its first tick: it holds nothing; `rangehound record DIR` makes one of a run folder's logs"
@@ -105,11 +105,11 @@ fn what_is_left(after: Option<u64>) -> String {
     }
 }
 
-fn behind(tick: Option<u64>) -> String {
+fn position_after(tick: Option<u64>) -> String {
     tick.map_or("its beginning".to_owned(), |tick| format!("tick {tick}"))
 }
 
-/// Reads a run's file from its beginning to its end, once.
+/// Reads a run's file once, from its beginning to its end.
 pub struct FrameReader<R> {
     input: R,
     mcap: LinearReader,
@@ -117,30 +117,30 @@ pub struct FrameReader<R> {
     bytes_read: u64,
 }
 
-/// What a file has said so far.
+/// The state of reading.
 #[derive(Default)]
 struct Run {
     description: Option<RunDescription>,
     scenario_text: Option<Vec<u8>>,
-    /// Of the channels that are ours: id, and place in [`TOPICS`].
+    /// The known channels: id, and index in [`TOPICS`].
     channels: Vec<(u16, usize)>,
     gathering: Option<(u64, Gathering)>,
-    /// The last tick that is whole.
+    /// The last complete tick.
     last: Option<u64>,
-    /// Ticks that were read, those between them that were not, and what the file's end says of their number, if it says it.
+    /// Number of ticks read, number of ticks missing between them, and the number of ticks in the file's summary, if any.
     count: u64,
     skipped: u64,
     told: Option<u64>,
-    /// What comes now is index and summary.
+    /// True if the data are over: index and summary follow.
     is_data_over: bool,
     is_over: bool,
 }
 
 impl<R: Read> FrameReader<R> {
-    /// Reads what the run is.
+    /// Reads the description of the run.
     ///
     /// # Errors
-    /// If it is no run's file.
+    /// If the file is not a recording of a run.
     pub fn open(input: R) -> Result<Self, ReadError> {
         let options =
             LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(RECORD_LEN_MAX);
@@ -157,22 +157,22 @@ impl<R: Read> FrameReader<R> {
         Ok(reader)
     }
 
-    /// What the run is; its folder is where it was.
+    /// The run's description; its folder is the original one.
     ///
     /// # Errors
-    /// None once the reader has been opened.
+    /// None once the reader is open.
     pub fn description(&self) -> Result<&RunDescription, ReadError> {
         self.run.description.as_ref().ok_or(ReadError::Foreign)
     }
 
-    /// The text of its scenario file, if that is in the file.
+    /// The text of the scenario file, if the file holds it.
     #[must_use]
     pub fn scenario_text(&self) -> Option<&[u8]> {
         self.run.scenario_text.as_deref()
     }
 
-    /// Ticks after the last one that the file's own count has and that cannot be read, once it has been read to its end. A
-    /// chunk whose kind is damaged is no chunk any more, and is passed over like any record of an unknown kind.
+    /// Ticks after the last one that the file's own count includes but that cannot be read, known at the end of the file. A
+    /// chunk with a damaged record type is skipped like any record of an unknown type.
     #[must_use]
     pub fn missing_at_end(&self) -> Option<Missing> {
         let Run { last, count, skipped, told, .. } = &self.run;
@@ -181,7 +181,7 @@ impl<R: Read> FrameReader<R> {
         Some(Missing { first, last: first.saturating_add(number - 1), number })
     }
 
-    /// Bytes of the file that have been read.
+    /// Number of bytes read.
     #[must_use]
     pub fn bytes_read(&self) -> u64 {
         self.bytes_read
@@ -190,7 +190,7 @@ impl<R: Read> FrameReader<R> {
     /// The next tick; `None` at the end.
     ///
     /// # Errors
-    /// [`ReadError`]; after one there is no frame more.
+    /// [`ReadError`]; after an error there are no further frames.
     pub fn next_frame(&mut self) -> Result<Option<Frame>, ReadError> {
         while !self.run.is_over {
             match self.step() {
@@ -205,12 +205,12 @@ impl<R: Read> FrameReader<R> {
         Ok(None)
     }
 
-    /// Reads on by a record or a piece of one.
+    /// Reads the next record or a piece of it.
     fn step(&mut self) -> Result<Option<Frame>, ReadError> {
         let Self { input, mcap, run, bytes_read } = self;
         match mcap.next_event() {
             None => run.end(),
-            // Of index and summary no tick depends.
+            // No tick depends on index and summary.
             Some(Err(_)) if run.is_data_over => run.end(),
             Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
                 let count = read(input, mcap.insert(wanted.min(READ_LEN_MAX)))?;
@@ -271,7 +271,7 @@ impl Run {
                 self.told = of_channel(ESTIMATE).and_then(|id| count_of(id, data));
                 Ok(None)
             }
-            // The record that ended the data was none.
+            // The record that ended the data was not valid.
             op::MESSAGE if self.is_data_over => Err(self.damaged("messages stand after the end of the data")),
             op::MESSAGE => {
                 let (channel, data) = record.message().ok_or_else(|| self.damaged("a message makes no sense"))?;
@@ -301,7 +301,7 @@ impl Run {
                     (self.last, self.count) = (Some(before), self.count + 1);
                     whole = Some(frame);
                 }
-                // The rest of it stood in a chunk that is missing.
+                // The other messages of the tick were in a missing chunk.
                 Err(Senseless::Lacking { .. }) => self.skipped += 1,
                 Err(error) => return Err(error.into()),
             }
@@ -324,8 +324,8 @@ impl Run {
     }
 }
 
-/// How many messages of a channel a file's statistics tell of: after seven counts and two times they have pairs of channel
-/// and count.
+/// The number of messages of a channel in a file's statistics. Seven counts and two times come first, then pairs of
+/// channel and count.
 fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
     let (pairs, _) = statistics.get(8 + 2 + 4 * 4 + 8 + 8 + 4..)?.as_chunks::<10>();
     let of_channel = pairs.iter().find(|pair| pair[..2] == channel.to_le_bytes());
@@ -335,7 +335,7 @@ fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
     }))
 }
 
-/// The fields of a record one after the other. The library's own parser takes as much memory as a damaged length says.
+/// Reads the fields of a record in order. The library's own parser allocates as much memory as a damaged length claims.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {
@@ -370,7 +370,7 @@ impl<'a> Fields<'a> {
         Some((id, self.string()?))
     }
 
-    /// Id of its channel, and data.
+    /// Channel id and data.
     fn message(mut self) -> Option<(u16, &'a [u8])> {
         let channel = self.u16()?;
         self.take(4 + 8 + 8)?;

@@ -1,6 +1,6 @@
-//! A run as people see it, in well-known messages: who stands where, where each was told to go, what was measured.
+//! A run drawn in well-known messages: positions, commanded headings and measured ranges.
 //!
-//! Foxglove draws the scene; Rerun does not, but draws poses and point clouds, so the main things are in those too.
+//! Foxglove draws the scene. Rerun draws only poses and point clouds, so the main objects are sent as those too.
 
 use std::f64::consts::TAU;
 
@@ -19,52 +19,52 @@ use crate::draw::ellipse::Ellipse;
 use crate::results::frame::Frame;
 use crate::results::report::position_covariance;
 
-/// The frame that all coordinates are of.
+/// The coordinate frame of all objects.
 const FRAME: &str = "field";
 
-/// How long the way that somebody has gone stays visible, s.
+/// How long a trail stays visible, s.
 const TRAIL_S: i32 = 5;
 
-/// Scenes a second of the run's time, at the most.
+/// Most scenes per second of the run's time.
 const SCENES_PER_S: f64 = 10.0;
 
-/// Points of all range circles of a scene together, and the most and least of one. Who looks at more circles sees none.
+/// Most points of all range circles of a scene together, and the limits for one circle. Larger teams have no circles.
 const CIRCLES_POINTS: usize = 128;
 const CIRCLE_POINTS_MAX: usize = 36;
 const CIRCLE_POINTS_MIN: usize = 12;
 
-/// Sensors that are named, and the size of their names, px.
+/// Most sensors with name labels, and the size of the labels, px.
 const NAMES_MAX: usize = 16;
 const FONT_PX: f64 = 14.0;
 
 /// Points of the ellipse in the point cloud.
 const ELLIPSE_POINTS: u32 = 32;
 
-/// Size of a thing, as a share of the longest range at the beginning.
+/// Size of an object, as a share of the longest range of the first scene.
 const SIZE_SHARE: f64 = 0.03;
 
-/// As the report's own pictures have it.
+/// As in the report's own pictures.
 const SIGMAS: f64 = 3.0;
 
-/// As opaque as the ellipse is, and as range circles are: what is behind stays in sight.
+/// Opacity of the ellipse and of range circles: objects behind them stay visible.
 const ELLIPSE_OPACITY: f64 = 0.25;
 const CIRCLE_OPACITY: f64 = 0.4;
 
 /// Draws a run's scenes, tick by tick.
 #[derive(Debug, Default)]
 pub struct Scene {
-    /// Size of a thing, m; 0 until a range tells how far all are from each other.
+    /// Size of an object, m; 0 until the first range gives the scale of the scene.
     size_m: f64,
     next_s: f64,
-    /// Where all were in the scene before: target, estimate, robots.
+    /// Positions in the previous scene: target, estimate, robots.
     before: Vec<Option<[f64; 2]>>,
 }
 
 impl Scene {
-    /// The scene of a frame, unless the last one is too fresh.
+    /// The scene of a frame, unless the previous scene is too recent.
     pub fn update(&mut self, scenario: &Scenario, frame: &Frame, time_ns: u64) -> Option<SceneUpdate> {
         let time_s = time_ns as f64 * 1e-9;
-        // Half a nanosecond of rounding shall not cost a scene.
+        // A rounding error of half a nanosecond must not suppress a scene.
         if time_s + 1e-6 < self.next_s {
             return None;
         }
@@ -126,7 +126,7 @@ impl Scene {
     }
 }
 
-/// Where the robots stand, and where they were told to go.
+/// The robots' positions and commanded headings.
 #[must_use]
 pub fn robot_poses(frame: &Frame, time_ns: u64) -> PosesInFrame {
     let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges);
@@ -134,13 +134,13 @@ pub fn robot_poses(frame: &Frame, time_ns: u64) -> PosesInFrame {
     PosesInFrame { timestamp: Some(timestamp(time_ns)), frame_id: FRAME.to_owned(), poses }
 }
 
-/// The target, if anybody knows where it is.
+/// The target, if its position is known.
 #[must_use]
 pub fn target_cloud(frame: &Frame, time_ns: u64) -> Option<PointCloud> {
     target_of(frame).map(|place| cloud([place], time_ns))
 }
 
-/// The estimate, and round it where its ellipse runs.
+/// The estimate, and the points of its ellipse.
 #[must_use]
 pub fn estimate_cloud(frame: &Frame, time_ns: u64) -> PointCloud {
     let round = ellipse_of(frame).outline_m(ELLIPSE_POINTS).skip(1);
@@ -190,13 +190,13 @@ fn opaque(colour: RGBColor) -> Color {
     with_opacity(colour, 1.0)
 }
 
-/// A colour of the report's pictures.
+/// A colour of the report's pictures with an opacity.
 fn with_opacity(RGBColor(r, g, b): RGBColor, a: f64) -> Color {
     let [r, g, b] = [r, g, b].map(|part| f64::from(part) / 255.0);
     Color { r, g, b, a }
 }
 
-/// Rounded to what a viewer shows: numbers with few bits take little room.
+/// Rounded to what a viewer can show: numbers with few bits compress well.
 fn rounded(value_m: f64) -> f64 {
     f64::from(value_m as f32)
 }
@@ -227,7 +227,7 @@ fn ellipsoid(frame: &Frame) -> SpherePrimitive {
 }
 
 fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: Color) -> ArrowPrimitive {
-    // Who is told to stand has a head only.
+    // A robot that is commanded to stand still has an arrowhead only.
     let shaft_length = if speed_mps > 0.0 { 1.5 * size_m } else { 0.0 };
     ArrowPrimitive {
         pose: Some(pose(place_m, heading_rad)),
@@ -239,7 +239,7 @@ fn arrow(place_m: [f64; 2], heading_rad: f64, speed_mps: f64, size_m: f64, of: C
     }
 }
 
-/// What the user calls the sensors, beside them; nothing where there are too many to be told apart.
+/// The sensors' display names beside them; none if there are too many sensors.
 fn names(scenario: &Scenario, frame: &Frame, size_m: f64) -> Vec<TextPrimitive> {
     if scenario.robots.len() > NAMES_MAX {
         return Vec::new();
@@ -265,7 +265,7 @@ fn circle([x_m, y_m]: [f64; 2], radius_m: f64, points: usize, of: RGBColor) -> L
     line(LineType::LineLoop, points.collect(), with_opacity(of, CIRCLE_OPACITY))
 }
 
-/// From where all were to where they are.
+/// Lines from the previous positions to the present ones.
 fn trail(before: &[Option<[f64; 2]>], now: &[Option<[f64; 2]>]) -> LinePrimitive {
     let steps = before.iter().zip(now).filter_map(|(before, now)| Some([(*before)?, (*now)?]));
     let points = steps.flatten().map(|[x_m, y_m]| Point3 { x: rounded(x_m), y: rounded(y_m), z: 0.0 });

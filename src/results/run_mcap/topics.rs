@@ -23,7 +23,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     let (tick, time_s) = (*tick, *time_s);
     let places = world.robots.iter().map(|robot| {
         let Pose { x_m, y_m, height_m, covariance_m2 } = robot.pose;
-        Place { x_m, y_m, range_m: robot.range_m, height_m, position_covariance_m2: told(covariance_m2) }
+        Place { x_m, y_m, range_m: robot.range_m, height_m, position_covariance_m2: covariance_field(covariance_m2) }
     });
     let world_message = World { tick, time_s: world.time_s, robots: places.collect(), ended_ns: world.ended_ns };
     let ranges = exchanges.iter().zip(&world.robots).zip(0..).filter_map(move |((exchange, body), robot)| {
@@ -49,7 +49,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 height_m,
                 used: judged.map(|judged| judged.used.name().to_owned()),
                 normalised_square: judged.and_then(|judged| judged.normalised_square),
-                position_covariance_m2: told(covariance_m2),
+                position_covariance_m2: covariance_field(covariance_m2),
             })
         })
     });
@@ -281,13 +281,13 @@ fn name_of(heading: Followed) -> &'static str {
 }
 
 /// A covariance as a message has it: empty where it is zero.
-fn told(covariance_m2: [f64; 3]) -> Vec<f64> {
+fn covariance_field(covariance_m2: [f64; 3]) -> Vec<f64> {
     if covariance_m2 == [0.0; 3] { Vec::new() } else { covariance_m2.to_vec() }
 }
 
 /// The covariance of a message; `None` if it is invalid.
-fn covariance_of(told: &[f64]) -> Option<[f64; 3]> {
-    let covariance_m2 = if told.is_empty() { [0.0; 3] } else { told.try_into().ok()? };
+fn covariance_of(field: &[f64]) -> Option<[f64; 3]> {
+    let covariance_m2 = if field.is_empty() { [0.0; 3] } else { field.try_into().ok()? };
     covariance_m2.into_iter().all(is_near).then_some(covariance_m2)
 }
 

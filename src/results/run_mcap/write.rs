@@ -21,21 +21,21 @@ use super::topics::messages_of;
 use crate::files::layout::{DESCRIPTION, SCENARIO};
 use crate::results::frame::Frame;
 
-/// A chunk is written once it has so many bytes before compression.
+/// A chunk is written once it has this many bytes before compression.
 const CHUNK_LEN: u64 = 1 << 19;
 
-/// What is in the making reaches the file after this long: all that a kill costs.
+/// A chunk is written after this time at the latest: a kill loses no more.
 const FLUSH: Duration = Duration::from_secs(1);
 
 /// The channels that viewers draw.
 const VIEWS: [&str; 4] = ["/scene", "/scene/robots", "/scene/target", "/scene/estimate"];
 
-/// What became of a frame.
+/// The outcome of writing a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Written {
-    /// It is in the file, or will be within a second.
+    /// The frame is in the file, or will be within a second.
     Taken,
-    /// The file has its size: neither this one nor a later one is in it.
+    /// The file has its maximum size: it takes neither this frame nor later ones.
     Full,
 }
 
@@ -48,17 +48,17 @@ pub struct FrameWriter<W: Write + Seek> {
     scene: Scene,
     bytes_max: u64,
     bytes_written: Rc<Cell<u64>>,
-    /// Time of the first frame, s: the file's zero.
+    /// Time of the first frame, s; the file's time starts there.
     first_s: Option<f64>,
     last_ns: u64,
-    /// The newest stamp of a sender, by topic.
+    /// The newest stamp of each topic's sender.
     stamps_ns: [Option<u64>; TOPICS.len()],
     flushed: Instant,
     bytes: Vec<u8>,
 }
 
 impl<W: Write + Seek> FrameWriter<W> {
-    /// Begins a file: what the run is comes first, so that a file cut short still says it.
+    /// Creates a file. The run's description comes first, so that a file cut short still has it.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -73,14 +73,14 @@ impl<W: Write + Seek> FrameWriter<W> {
             .profile(PROFILE)
             .compression(Some(Compression::Lz4))
             .chunk_size(Some(CHUNK_LEN))
-            // A chunk is in the file as a whole or not at all.
+            // A chunk is either complete in the file or absent.
             .disable_seeking(true);
         let mut mcap = options.create(Counting { out, bytes_written: Rc::clone(&bytes_written) })?;
         mcap.write_metadata(&Metadata { name: PROFILE.to_owned(), metadata: words_about(description) })?;
         if let Some(text) = scenario {
             attach(&mut mcap, SCENARIO, "application/toml", text)?;
         }
-        // Whoever reads this one has read all that there is about the run.
+        // This record is the last one about the run itself.
         attach(&mut mcap, DESCRIPTION, "application/json", description.seal()?.as_bytes())?;
         let topics = [
             channel::<World, _>(&mut mcap, TOPICS[0])?,
@@ -122,13 +122,13 @@ impl<W: Write + Seek> FrameWriter<W> {
         }
         let time_s = frame.fusion.time_s;
         let since_first_s = time_s - *self.first_s.get_or_insert(time_s);
-        // Playback is in the run's time, which never goes back.
+        // Playback uses the run's time, which never decreases.
         let time_ns = ((since_first_s * 1e9).round() as u64).max(self.last_ns);
         self.last_ns = time_ns;
         for message in messages_of(frame) {
             self.bytes.clear();
             message.encode(&mut self.bytes)?;
-            // Where one is not known, as after a kill, the topic stays in its clock all the same.
+            // An unknown stamp, as after a kill, is replaced so that the topic stays in its clock.
             let stamp_ns = &mut self.stamps_ns[message.topic()];
             *stamp_ns = message.sent_ns().or(*stamp_ns);
             let (channel, publish_ns) = (self.topics[message.topic()], stamp_ns.unwrap_or(time_ns));
@@ -146,7 +146,7 @@ impl<W: Write + Seek> FrameWriter<W> {
         Ok(Written::Taken)
     }
 
-    /// Ends the chunk in the making if it is a second old.
+    /// Ends the current chunk if it is a second old.
     ///
     /// # Errors
     /// If the system refuses.
@@ -173,7 +173,7 @@ impl<W: Write + Seek> FrameWriter<W> {
         self.put(self.views[view], tick, time_ns, time_ns)
     }
 
-    /// Puts the bytes at hand on a channel.
+    /// Writes the current bytes to a channel.
     fn put(&mut self, channel_id: u16, tick: u64, log_time: u64, publish_time: u64) -> Result<(), McapError> {
         let header = MessageHeader { channel_id, sequence: tick as u32, log_time, publish_time };
         self.mcap.write_to_known_channel(&header, &self.bytes)
@@ -183,7 +183,7 @@ impl<W: Write + Seek> FrameWriter<W> {
 fn channel<M: Encode, W: Write + Seek>(mcap: &mut mcap::Writer<W>, topic: &str) -> Result<u16, McapError> {
     let schema = match M::get_schema() {
         Some(schema) => mcap.add_schema(&schema.name, &schema.encoding, &schema.data)?,
-        // As the format writes it that there is none.
+        // The format's encoding of "no schema".
         None => 0,
     };
     mcap.add_channel(schema, topic, &M::get_message_encoding(), &BTreeMap::new())
@@ -204,7 +204,7 @@ fn attach<W: Write + Seek>(
     })
 }
 
-/// What people may want to know of a run before they open it.
+/// Facts about a run that are readable without opening it.
 fn words_about(description: &RunDescription) -> BTreeMap<String, String> {
     let RunDescription { run_id, scenario, .. } = description;
     let words = [
@@ -223,7 +223,7 @@ fn words_about(description: &RunDescription) -> BTreeMap<String, String> {
     words.map(|(key, value)| (key.to_owned(), value)).into()
 }
 
-/// Counts what is written, where others may look.
+/// Counts the written bytes; other threads may read the count.
 struct Counting<W> {
     out: W,
     bytes_written: Rc<Cell<u64>>,

@@ -1,4 +1,4 @@
-//! Chunks that other tools have compressed with zstd, such as `mcap` and `ros2 bag`. Our own are of lz4.
+//! Chunks that other tools, such as `mcap` and `ros2 bag`, have compressed with zstd. Our own chunks use lz4.
 
 use std::io::Read;
 
@@ -7,11 +7,11 @@ use mcap::{McapError, McapResult};
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
-/// Largest window that is taken: what the format's standard asks every decoder to take, and a bound for the memory that a
-/// damaged or hostile file can have.
+/// Largest accepted window: the standard asks every decoder to accept this much. It bounds the memory that a damaged or
+/// hostile file can use.
 const WINDOW_MAX: u64 = 8 << 20;
 
-/// Longest header of a frame, bytes.
+/// Longest frame header, bytes.
 const FRAME_HEADER_MAX: usize = 18;
 
 /// A block's header, its longest body, and a frame's checksum, bytes.
@@ -19,16 +19,16 @@ const BLOCK_HEADER: usize = 3;
 const BLOCK_MAX: usize = 128 << 10;
 const CHECKSUM: usize = 4;
 
-/// Bit of a frame's descriptor, the byte after its magic number: a checksum follows its last block.
+/// Bit of the frame descriptor, the byte after the magic number: a checksum follows the last block.
 const HAS_CHECKSUM: u8 = 1 << 2;
 const DESCRIPTOR: usize = 4;
 
-/// Decompresses a block at a time, so that few compressed bytes cannot become many at once.
+/// Decompresses one block at a time, so that a few compressed bytes cannot expand to many at once.
 pub(super) struct ZstdDecoder {
     frame: FrameDecoder,
     is_in_frame: bool,
     has_checksum: bool,
-    /// Bytes left of a frame that is no data.
+    /// Remaining bytes of a skippable frame.
     to_skip: usize,
 }
 
@@ -39,7 +39,7 @@ impl ZstdDecoder {
         Self { frame, is_in_frame: false, has_checksum: false, to_skip: 0 }
     }
 
-    /// Takes what stands between two frames' blocks; how many bytes, and whether there may be more.
+    /// Reads a frame's header; returns the number of bytes used, and whether there may be more.
     fn begin_frame(&mut self, input: &[u8]) -> McapResult<Option<usize>> {
         if self.to_skip > 0 {
             let skipped = self.to_skip.min(input.len());
@@ -55,7 +55,7 @@ impl ZstdDecoder {
             Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
                 self.to_skip = length as usize;
             }
-            // It may be cut where the bytes that have been read end.
+            // The header may be cut at the end of the bytes read so far.
             Err(FrameDecoderError::ReadFrameHeaderError(error))
                 if input.len() < FRAME_HEADER_MAX && !matches!(error, ReadFrameHeaderError::BadMagicNumber(_)) =>
             {
@@ -66,7 +66,7 @@ impl ZstdDecoder {
         Ok(Some(input.len() - rest.len()))
     }
 
-    /// Decodes the next block, if it is whole; how many bytes it took.
+    /// Decodes the next block if it is complete; returns the number of bytes used.
     fn decode_block(&mut self, input: &[u8]) -> McapResult<Option<usize>> {
         let Some(header) = input.first_chunk::<BLOCK_HEADER>() else { return Ok(None) };
         let header = u32::from_le_bytes([header[0], header[1], header[2], 0]);
@@ -82,7 +82,7 @@ impl ZstdDecoder {
         Ok(Some(len))
     }
 
-    /// Ends a frame of which all has been handed out.
+    /// Ends a frame once all of its data have been returned.
     fn end_frame(&mut self) -> McapResult<()> {
         self.is_in_frame = false;
         let expected = self.frame.get_checksum_from_data();

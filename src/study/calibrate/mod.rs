@@ -4,8 +4,8 @@
 //! |---|---|
 //! | [`model`] | readings by knots of the path, and the models of systematic error |
 //! | [`smoother`] | path and errors at once, robustly |
-//! | [`search`] | from ranges alone to all models' fits |
-//! | [`verdict`] | which model is believed, and what the data cannot tell |
+//! | [`search`] | from ranges alone to the fits of all models |
+//! | [`verdict`] | selection of a model, and what the data cannot determine |
 //! | [`regression`] | errors against a known track |
 //! | `text` | `calibration.toml` |
 //! | [`picture`] | residuals over range |
@@ -39,13 +39,13 @@ use crate::terminal;
 use model::{Measured, Model, Problem, Reading};
 use verdict::Findings;
 
-/// Where the findings go unless told otherwise.
+/// Default folder of the findings.
 const OUT: &str = "runs/calibrate";
 
 /// `rangehound calibrate`.
 ///
 /// # Errors
-/// [`Failure`]; also if nothing could be told.
+/// [`Failure`]; also if nothing could be determined.
 pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path>, json: bool) -> Result<(), Failure> {
     let (recording, summary) = input::recording_of(table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
     if table.target_height_m.is_some() && !recording.has_heights() {
@@ -191,7 +191,7 @@ fn report(findings: &Findings, names: &[String], ranges: &str, out: &Path, found
     text
 }
 
-/// The same for `track` as flags, with one noise for all.
+/// The same as flags of `track`, with one noise for all sensors.
 fn flags(findings: &Findings, names: &[String]) -> String {
     let mut stds: Vec<f64> = findings.sensors.iter().filter_map(|s| s.range_std_m.map(|m| m.value)).collect();
     let mut text = median(&mut stds).map_or(String::new(), |std| format!("--range-std {std:.4}"));

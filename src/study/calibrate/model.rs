@@ -1,4 +1,4 @@
-//! What is estimated: the readings by knots of the target's path, and which error each model gives a sensor.
+//! The estimation problem: readings by knots of the target's path, and the errors that each model gives a sensor.
 
 use crate::statistics::median;
 
@@ -12,7 +12,7 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// So many times as much.
+    /// The value times this factor.
     #[must_use]
     pub fn scaled(self, by: f64) -> Self {
         Self { value: self.value * by, half_width: self.half_width * by }
@@ -30,7 +30,7 @@ pub struct Reading {
     pub position_m: [f64; 2],
     /// Height of the sensor above the target, m.
     pub height_m: f64,
-    /// What it measured, m.
+    /// The measured range, m.
     pub range_m: f64,
 }
 
@@ -41,7 +41,7 @@ impl Reading {
         (place_m[0] - self.position_m[0]).hypot(place_m[1] - self.position_m[1]).hypot(self.height_m)
     }
 
-    /// Distance on the plane that the range means, m.
+    /// Distance in the plane that corresponds to the range, m.
     #[must_use]
     pub fn level_range_m(&self) -> f64 {
         (self.range_m.powi(2) - self.height_m.powi(2)).max(0.0).sqrt()
@@ -68,13 +68,13 @@ pub struct Problem {
     pub observations: Vec<Observation>,
     /// Number of sensors.
     pub sensors: usize,
-    /// Size of the scene, m: the largest distance that matters.
+    /// Size of the scene, m: the largest relevant distance.
     pub span_m: f64,
     /// Readings that were left out to keep the problem small.
     pub thinned: usize,
 }
 
-/// Most knots of a path; more are thinned out evenly.
+/// Most knots of a path; with more, readings are thinned evenly.
 pub const KNOTS_MAX: usize = 5_000;
 
 impl Problem {

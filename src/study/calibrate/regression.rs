@@ -53,7 +53,7 @@ struct Line {
     std_m: f64,
 }
 
-/// A line, or a level, under Student noise; and what is left.
+/// A line, or a constant, under Student noise; and the residuals.
 fn fit(pairs: &Pairs, sloped: bool) -> (Line, Vec<f64>) {
     let mut level: Vec<f64> = pairs.iter().map(|pair| pair.1).collect();
     let middle = median(&mut level).unwrap_or(0.0);

@@ -6,21 +6,21 @@ use super::model::{Measured, Model, Problem, Reading};
 use super::smoother::{FitParameters, Solution, settle, update_sigmas};
 use crate::statistics::{Z_95, median};
 
-/// What one model makes of the data.
+/// The fit of one model.
 #[derive(Debug, Clone)]
 pub struct Fit {
     /// The model.
     pub model: Model,
     /// Its estimate.
     pub estimate: FitParameters,
-    /// How likely it is, and how sure.
+    /// Its evidence and uncertainty.
     pub solution: Solution,
     /// Standard deviation of the logarithm of the manoeuvring noise.
     pub log_psd_std: f64,
 }
 
 impl Fit {
-    /// The manoeuvring noise, m^2/s^3, where so many successive residuals tell as much as one.
+    /// The manoeuvring noise, m^2/s^3, if this number of successive residuals is worth one independent residual.
     #[must_use]
     pub fn accel_psd(&self, time: f64) -> Measured {
         let value = self.estimate.accel_psd;
@@ -28,7 +28,7 @@ impl Fit {
     }
 }
 
-/// A path from the ranges alone: at each knot the place that most of the ranges around it agree on.
+/// A path from the ranges alone: at each knot the position on which most of the nearby ranges agree.
 fn rough_path(problem: &Problem) -> Vec<Vector4<f64>> {
     let all = &problem.observations;
     let around = (2 * problem.sensors).clamp(6, 24);
@@ -68,7 +68,7 @@ fn miss(reading: &Reading, place: [f64; 2]) -> f64 {
     (reading.range_m - reading.distance_m(place)).abs()
 }
 
-/// Where two circles cross, or come nearest.
+/// The intersections of two circles, or their points of closest approach.
 fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
     let (dx, dy) = (b.position_m[0] - a.position_m[0], b.position_m[1] - a.position_m[1]);
     let apart = dx.hypot(dy);
@@ -85,7 +85,7 @@ fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
     [at(1.0), at(-1.0)]
 }
 
-/// Fits one model from an estimate: noise and manoeuvring noise by turns, until the evidence stays.
+/// Fits one model from an estimate: noise and manoeuvring noise alternate until the evidence converges.
 fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<Fit> {
     let errors = model.prior_stds(problem.sensors, problem.span_m).len();
     estimate.errors = vec![0.0; errors];
@@ -133,7 +133,7 @@ fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<F
 /// Step of the logarithm of the manoeuvring noise that shows the evidence's curvature.
 const LOG_PSD_STEP: f64 = 0.5;
 
-/// An estimate to begin with, from a path.
+/// An initial estimate from a path.
 fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
     let mut left: Vec<f64> = problem
         .observations
@@ -146,12 +146,12 @@ fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
     let sigma = (2.0 * median(&mut left).unwrap_or(1.0)).max(1e-4 * problem.span_m);
     let mut gaps: Vec<f64> = problem.knots_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let dt = median(&mut gaps).unwrap_or(1.0).max(1e-6);
-    // A target that crosses its scene within some thousand ranges, and turns as it likes.
+    // The target crosses its scene within about a thousand ranges, and turns freely.
     let accel_psd = (problem.span_m / (200.0 * dt)).powi(2) / (50.0 * dt);
     FitParameters { states, errors: Vec::new(), sigmas_m: vec![sigma; problem.sensors], accel_psd }
 }
 
-/// All models that can be fitted, the most likely first; `tell` hears how many are done.
+/// All models that can be fitted, the most likely first; `tell` receives the number of finished models.
 pub fn search(problem: &Problem, mut tell: impl FnMut(usize)) -> Vec<Fit> {
     let mut start = start(problem, rough_path(problem));
     let mut fits: Vec<Fit> = Vec::new();

@@ -1,4 +1,4 @@
-//! The target's whole path and the sensors' errors at once: a robust Gauss-Newton step over a chain of blocks with a border.
+//! The target's complete path and the sensors' errors at once: a robust Gauss-Newton step over a chain of blocks with a border.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix4, Vector4};
 
@@ -9,13 +9,13 @@ pub const FREEDOM: f64 = 4.0;
 
 const STEPS_MAX: usize = 30;
 
-/// What a residual counts, which is a multiple of the noise's scale.
+/// The cost of a residual, given as a multiple of the noise's scale.
 #[must_use]
 pub fn student_weight(ratio: f64) -> f64 {
     (FREEDOM + 1.0) / (FREEDOM + ratio * ratio)
 }
 
-/// What a fit estimates: the path, and the errors and noise of the sensors.
+/// The parameters of a fit: the path, and the errors and noise of the sensors.
 #[derive(Debug, Clone)]
 pub struct FitParameters {
     /// `[x y vx vy]` at each knot.
@@ -28,16 +28,16 @@ pub struct FitParameters {
     pub accel_psd: f64,
 }
 
-/// What a solution tells beside the estimate.
+/// The results of a solution beside the estimate.
 #[derive(Debug, Clone)]
 pub struct Solution {
     /// Negative logarithm of the evidence (Laplace), up to a constant of the data.
     pub unlikelihood: f64,
-    /// Its part without the errors' prior: of all paths, with the errors as estimated.
+    /// The same without the errors' prior: of all paths, with the errors as estimated.
     pub misfit: f64,
-    /// What the data say of the errors, without their prior: an inverse covariance.
+    /// The information of the data about the errors, without their prior: an inverse covariance.
     pub information: DMatrix<f64>,
-    /// What is left of each range, m.
+    /// Residual of each range, m.
     pub residuals_m: Vec<f64>,
     /// Variance that the path adds to each residual, m^2.
     pub path_variances_m2: Vec<f64>,
@@ -72,7 +72,7 @@ fn slope_of([ux, uy]: [f64; 2], scale: f64, after_s: f64) -> Vector4<f64> {
     Vector4::new(gx, gy, gx * after_s, gy * after_s)
 }
 
-/// Summed in order: `Vector4::dot` sums in pairs, and figures would differ in their last digits.
+/// Summed in order: `Vector4::dot` sums in pairs, which would change the last digits of the figures.
 fn dot(a: &Vector4<f64>, b: &Vector4<f64>) -> f64 {
     a.component_mul(b).sum()
 }
@@ -149,7 +149,7 @@ fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds:
             u[(b, b)] -= dt * c + v;
         }
     }
-    // A very weak prior, so that no direction is quite free.
+    // A very weak prior, so that no direction is completely free.
     let tiny = Matrix4::from_diagonal_element(1e-8 / (problem.span_m * problem.span_m));
     n.diagonal.iter_mut().for_each(|diagonal| *diagonal += tiny);
     for (index, observation) in problem.observations.iter().enumerate() {
@@ -197,7 +197,7 @@ fn solve(n: &Normal) -> Option<Solved> {
     let (knots, errors) = (n.diagonal.len(), n.corner.nrows());
     let mut path_log_det = 0.0;
     let mut inverse_pivots: Vec<Matrix4<f64>> = Vec::with_capacity(knots);
-    // Column 0 is the pull, the rest the border.
+    // Column 0 is the gradient, the rest is the border.
     let mut columns: Vec<Vec<Vector4<f64>>> =
         (0..knots).map(|k| std::iter::once(n.pull[k]).chain(n.border[k].iter().copied()).collect()).collect();
     for k in 0..knots {
@@ -211,7 +211,7 @@ fn solve(n: &Normal) -> Option<Solved> {
                 *column -= carried * before;
             }
         }
-        // Of the two triangles, which rounding has made differ, the upper one counts.
+        // Rounding makes the two triangles differ; the upper one is used.
         let factored = Cholesky::new(pivot.transpose())?;
         path_log_det += 2.0 * factored.l_dirty().diagonal().map(f64::ln).sum();
         inverse_pivots.push(factored.inverse().transpose());
@@ -249,7 +249,7 @@ fn solve(n: &Normal) -> Option<Solved> {
     Some(Solved { step, errors_step, path_log_det, errors_log_det, inverse_pivots, gains, schur, covariance })
 }
 
-/// Improves an estimate until it stays; `None` where the numbers break down.
+/// Improves an estimate until it converges; `None` if the numbers become singular.
 pub fn settle(problem: &Problem, model: Model, estimate: &mut FitParameters) -> Option<Solution> {
     let prior_stds = model.prior_stds(problem.sensors, problem.span_m);
     let mut now = cost(problem, model, estimate, &prior_stds);
@@ -321,7 +321,7 @@ fn path_covariances(n: &Normal, solved: &Solved) -> Vec<Matrix4<f64>> {
     all
 }
 
-/// Each sensor's noise from what is left, as the expectation-maximisation step of a Student distribution.
+/// Each sensor's noise from the residuals, as in the expectation-maximisation step of a Student distribution.
 pub fn update_sigmas(problem: &Problem, solution: &Solution, sigmas_m: &mut [f64], least_m: f64) {
     let mut sums = vec![(0.0, 0.0); sigmas_m.len()];
     let left = solution.residuals_m.iter().zip(&solution.path_variances_m2);
@@ -332,7 +332,7 @@ pub fn update_sigmas(problem: &Problem, solution: &Solution, sigmas_m: &mut [f64
         sums[sensor].0 += weight * square;
         sums[sensor].1 += 1.0;
     }
-    // Half of it is the noise of all: else two sensors may be given none, and explain the whole path alone.
+    // Half of it is the noise of all sensors: otherwise two sensors may get no noise and determine the complete path alone.
     let all = sums.iter().fold((0.0, 0.0), |all, one| (all.0 + one.0, all.1 + one.1));
     let usual = all.0 / f64::max(all.1, 1.0);
     for (sigma, (sum, count)) in sigmas_m.iter_mut().zip(sums) {

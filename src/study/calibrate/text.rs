@@ -1,4 +1,4 @@
-//! What was found, as `calibration.toml`.
+//! The findings as `calibration.toml`.
 
 use std::fmt::Write as _;
 

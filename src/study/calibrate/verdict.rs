@@ -1,4 +1,4 @@
-//! Which model is believed, and what the data cannot tell.
+//! Selection of a model, and what the data cannot determine.
 
 use nalgebra::{Cholesky, DMatrix};
 
@@ -7,10 +7,10 @@ use super::search::Fit;
 use super::smoother::{FREEDOM, prior_cost, student_weight};
 use crate::statistics::{Z_95, mean};
 
-/// Fewest ranges that are worth a calibration.
+/// Fewest ranges for a calibration.
 const READINGS_MIN: usize = 60;
 
-/// What was found for one sensor; `None` is what could not be told.
+/// The findings for one sensor; `None` where the data do not determine a value.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct SensorErrors {
     /// Bias, m.
@@ -30,12 +30,12 @@ pub struct Findings {
     pub sensors: Vec<SensorErrors>,
     /// Spectral density of the acceleration, m^2/s^3.
     pub accel_psd: Option<Measured>,
-    /// What the data cannot tell, and why.
+    /// What the data cannot determine, and why.
     pub untold: Vec<String>,
 }
 
 impl Findings {
-    /// Findings of data that tell nothing.
+    /// The findings if the data determine nothing.
     #[must_use]
     pub fn nothing(counts: &[usize], why: &str) -> Self {
         let none = |&ranges: &usize| SensorErrors { bias_m: None, scale: None, range_std_m: None, ranges };
@@ -43,7 +43,7 @@ impl Findings {
     }
 }
 
-/// Why the ranges alone cannot tell, before anything is fitted.
+/// Why the ranges alone cannot determine anything, before any fit.
 #[must_use]
 pub(super) fn obstacle(readings: &[Reading], sensors: usize) -> Option<String> {
     if readings.len() < READINGS_MIN {
@@ -79,8 +79,8 @@ fn line_spread(points: impl Iterator<Item = [f64; 2]> + Clone) -> (f64, f64) {
     ((middle + half).max(0.0).sqrt(), (middle - half).max(0.0).sqrt())
 }
 
-/// How many successive residuals of a sensor tell as much as one: their correlation time, in ranges; as one sees it who
-/// remembers so many of them.
+/// The correlation time of a sensor's residuals, in ranges: this number of successive residuals is worth one independent
+/// residual. It is seen with a memory of the given number of ranges.
 #[must_use]
 pub(super) fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
@@ -108,12 +108,12 @@ pub(super) fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
 fn memory(problem: &Problem, fit: &Fit) -> f64 {
     let duration_s = problem.knots_s.last().zip(problem.knots_s.first()).map_or(0.0, |(last, first)| last - first);
     let weight: f64 = problem.observations.iter().map(|o| fit.estimate.sigmas_m[o.reading.sensor].powi(-2)).sum();
-    // A range tells of one axis of two.
+    // A range informs about one axis of two.
     let time_s = std::f64::consts::SQRT_2 * (2.0 * duration_s / weight / fit.estimate.accel_psd).powf(0.25);
     time_s * problem.observations.len() as f64 / (problem.sensors as f64 * duration_s.max(1e-9))
 }
 
-/// Residuals by sensor, in order of time, with the weights that they had in the fit: an outlier says little.
+/// Residuals by sensor, in order of time, with the weights of the fit: an outlier counts little.
 fn by_sensor(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let mut all = vec![Vec::new(); problem.sensors];
     for (observation, left) in problem.observations.iter().zip(&fit.solution.residuals_m) {
@@ -123,7 +123,7 @@ fn by_sensor(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     all
 }
 
-/// Judges the fits: the best one whose errors are all told, or why there is none.
+/// Judges the fits: selects the best one whose errors are all determined, or gives the reason why there is none.
 #[must_use]
 pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
     let counts: Vec<usize> = (0..problem.sensors)
@@ -138,7 +138,7 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
         let why = "bias and scale: the target stands still, so they cannot be told from its position; let it move \
                    through the scene, or give --truth";
         let mut findings = Findings::nothing(&counts, why);
-        // Whatever the bias, the spread of the ranges about it is the noise.
+        // Whatever the bias is, the spread of the ranges about it is the noise.
         set_noise(&mut findings, best, problem, 1.0);
         return (findings, None);
     }
@@ -164,9 +164,9 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
         errors.scale = averaged(&judged, |model| model.scale_index(sensor, problem.sensors));
     }
     set_noise(&mut findings, fit, problem, time);
-    // Errors that last cannot be averaged away, and the tracker takes each range's error to be new. With more variance of
-    // noise and of manoeuvres alike it follows as fast, and believes itself as far off as it is. The tails' share of the
-    // variance is in it already.
+    // Lasting errors do not average out, but the tracker assumes independent errors. With more variance of noise and of
+    // manoeuvres alike it follows as fast, and its covariance matches its error. The tails' share of the
+    // variance is already included.
     let (mut core, mut whole) = (0.0, 0.0);
     for (errors, sigma_m) in findings.sensors.iter().zip(&fit.estimate.sigmas_m) {
         let Some(std_m) = errors.range_std_m else { continue };
@@ -186,10 +186,10 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
     (findings, Some(fit.clone()))
 }
 
-/// Least weight, beside the likeliest model's, of a model that still has a say ("Occam's window", Madigan & Raftery 1994).
+/// Least weight of a model, relative to the most likely one, that still counts ("Occam's window", Madigan & Raftery 1994).
 const WEIGHT_MIN: f64 = 0.05;
 
-/// A fit with what its data are worth: residuals that are alike for a time say less than their number.
+/// A fit with the information of its data: correlated residuals count less than their number.
 struct Judged<'a> {
     fit: &'a Fit,
     prior_stds: Vec<f64>,
@@ -210,7 +210,7 @@ impl<'a> Judged<'a> {
         Some(Self { fit, prior_stds, score, covariance: factored.inverse() })
     }
 
-    /// Errors that the data hardly tell more of than what was taken for granted.
+    /// Errors about which the data hardly say more than the prior.
     fn open(&self, problem: &Problem) -> Vec<String> {
         let model = self.fit.model;
         let biases = model.scale_index(0, problem.sensors).unwrap_or(self.prior_stds.len());
@@ -224,23 +224,24 @@ impl<'a> Judged<'a> {
     }
 }
 
-/// The mean of one error over models, weighed by their evidence, and its interval; `None` if no model has it.
+/// The mean of one error over models, weighted by their evidence, and its interval; `None` if no model has it.
 fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Option<Measured> {
     judged.iter().find_map(|one| index(one.fit.model))?;
     let least = judged.first()?.score;
-    // A model without the error says 0, and is sure of it.
-    let said = judged.iter().map(|one| {
+    // A model without the error has the value 0 with certainty.
+    let estimates = judged.iter().map(|one| {
         let (value, variance) =
             index(one.fit.model).map_or((0.0, 0.0), |at| (one.fit.estimate.errors[at], one.covariance[(at, at)]));
         ((least - one.score).exp(), value, variance)
     });
-    let total: f64 = said.clone().map(|(weight, ..)| weight).sum();
-    let value = said.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
-    let variance = said.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
+    let total: f64 = estimates.clone().map(|(weight, ..)| weight).sum();
+    let value = estimates.clone().map(|(weight, value, _)| weight * value).sum::<f64>() / total;
+    let variance =
+        estimates.map(|(weight, v, variance)| weight * (variance + (v - value).powi(2))).sum::<f64>() / total;
     Some(Measured { value, half_width: Z_95 * variance.sqrt() })
 }
 
-/// The standard deviation, of the Student scale and the path's share taken together.
+/// The standard deviation from the Student scale and the path's share.
 fn set_noise(findings: &mut Findings, fit: &Fit, problem: &Problem, time: f64) {
     for (sensor, errors) in findings.sensors.iter_mut().enumerate() {
         let sum: f64 = problem
@@ -265,7 +266,7 @@ mod tests {
 
     const ANCHORS_M: [[f64; 2]; 4] = [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]];
 
-    /// Ranges to a target on a winding path, or one that stands still, with noise of a seed.
+    /// Ranges to a target on a winding path, or to one at rest, with noise from a seed.
     fn simulated(seed: u64, biases_m: [f64; 4], scale: f64, std_m: f64, moves: bool) -> Vec<Reading> {
         let mut state = seed;
         let mut uniform = move || {
@@ -334,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn sound_ranges_are_left_alone() {
+    fn valid_ranges_are_not_corrected() {
         let (findings, _) = findings(&simulated(5, [0.0; 4], 0.0, 0.05, true));
         assert!(
             findings.sensors.iter().all(|sensor| sensor.bias_m.is_none() && sensor.scale.is_none()),
@@ -343,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_is_not() {
+    fn undetermined_errors_are_not_reported() {
         let (findings, fit) = findings(&simulated(6, [0.2; 4], 0.0, 0.05, false));
         assert!(fit.is_none() && findings.untold[0].contains("stands still"), "{findings:?}");
         let mut readings = simulated(7, [0.0; 4], 0.0, 0.05, true);

@@ -1,4 +1,4 @@
-//! The live part of a campaign: runs that are started, hurt, and waited for.
+//! The live part of a campaign: starts runs, injects faults, and waits for the runs to end.
 
 use std::time::{Duration, Instant};
 
@@ -21,14 +21,14 @@ use crate::run::watch::Progress;
 
 const POLL: Duration = Duration::from_millis(1);
 
-/// A run that has not completed a tick for so long after the last fault is called hung.
+/// A run that has not completed a tick for this time after the last fault counts as hung.
 const HUNG: Duration = Duration::from_secs(30);
 
-/// A run that has not completed a tick for so long is hurt no more until it does: a fault could end a
-/// hang that should be seen.
+/// While a run has not completed a tick for this time, it gets no further faults: a fault could end a
+/// hang that must be detected.
 const STILL: Duration = Duration::from_secs(2);
 
-/// A campaign of faults, over as many runs as it takes.
+/// A campaign of faults, over as many runs as needed.
 pub(super) struct Campaign<'a> {
     experiment: &'a Experiment,
     faults: Faults,
@@ -36,7 +36,7 @@ pub(super) struct Campaign<'a> {
     standbys: usize,
     termination: &'a Termination,
     progress: Progress,
-    /// The next fault, and what is left of the time before it.
+    /// The next fault, and the remaining time before it.
     next: PlannedFault,
     next_number: u64,
     wait: Duration,
@@ -57,7 +57,7 @@ impl<'a> Campaign<'a> {
         Self { experiment, faults, count, standbys, termination, progress, next, next_number, wait, injected, rounds }
     }
 
-    /// True until all faults are in.
+    /// True until all faults are injected.
     pub(super) fn goes_on(&self) -> bool {
         self.next_number < self.count
     }
@@ -66,10 +66,10 @@ impl<'a> Campaign<'a> {
         &self.injected
     }
 
-    /// One run, from its start to its end.
+    /// One run, from start to end.
     ///
     /// # Errors
-    /// [`Failure`] if the run cannot be started or looked at.
+    /// [`Failure`] if the run cannot be started or observed.
     pub(super) fn round(&mut self) -> Result<Round, Failure> {
         let Experiment { name, description, .. } = self.experiment;
         let seed = description.scenario.seed.wrapping_add(self.rounds as u64);
@@ -77,19 +77,23 @@ impl<'a> Campaign<'a> {
         let out_dir = description.out_dir.join(format!("round-{}", self.rounds));
         let mut run = Run::start(self.experiment, seed, self.standbys, &out_dir)?;
         let began = Instant::now();
-        let (joined, mut ended) = self.hurt(&mut run)?;
+        let (joined, mut ended) = self.inject_faults(&mut run)?;
         self.progress.finish();
         let code = run.end(ended == Ended::Done)?;
         if ended == Ended::Done && code != Some(0) {
             ended = Ended::Failed;
         }
-        let said = if ended == Ended::Done { String::new() } else { run.last_words() };
+        let last_message = if ended == Ended::Done { String::new() } else { run.last_words() };
         let Some(joined) = joined else {
-            // It ended before it was a run: what it complains about is the user's to mend.
-            return Err(if code == Some(2) { Failure::input(said) } else { Failure::Running(anyhow::anyhow!(said)) });
+            // The run failed before it started: its error is one of the user's input.
+            return Err(if code == Some(2) {
+                Failure::input(last_message)
+            } else {
+                Failure::Running(anyhow::anyhow!(last_message))
+            });
         };
         let processes_left = processes_of(name);
-        // Told, but not left.
+        // Reported and killed.
         for pid in processes_left.iter().filter_map(|pid| Pid::from_raw(*pid)) {
             let _ = kill_process(pid, Signal::KILL);
         }
@@ -97,7 +101,7 @@ impl<'a> Campaign<'a> {
         Ok(Round {
             seed,
             ended,
-            said,
+            last_message,
             wall_s: began.elapsed().as_secs_f64(),
             // A run that ended early may have left no logs.
             tally: tally(&joined).unwrap_or_default(),
@@ -108,9 +112,9 @@ impl<'a> Campaign<'a> {
         })
     }
 
-    /// Joins the run and hurts it until it ends, and after each blackout again. Membership ends with this,
-    /// so that the run's last own member cleans up as it would without us.
-    fn hurt(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
+    /// Joins the run and injects faults until it ends; joins again after each total outage. The membership ends on return,
+    /// so that the run's last own member cleans up as usual.
+    fn inject_faults(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
         let name = &self.experiment.name;
         let (mut description, mut recovering) = (None, None);
         loop {
@@ -124,7 +128,7 @@ impl<'a> Campaign<'a> {
                 std::thread::sleep(POLL);
             };
             description = Some(rendezvous.description().clone());
-            match self.hurt_until_it_ends(run, &rendezvous, recovering.take())? {
+            match self.inject_until_it_ends(run, &rendezvous, recovering.take())? {
                 Life::Over(ended) => return Ok((description, ended)),
                 Life::BlackedOut(hit) => {
                     drop(rendezvous);
@@ -135,13 +139,13 @@ impl<'a> Campaign<'a> {
                         starts: 0,
                         heard_before: None,
                     });
-                    run.black_out_and_resume()?;
+                    run.kill_all_and_resume()?;
                 }
             }
         }
     }
 
-    fn hurt_until_it_ends(
+    fn inject_until_it_ends(
         &mut self,
         run: &mut Run,
         rendezvous: &Rendezvous,
@@ -162,7 +166,7 @@ impl<'a> Campaign<'a> {
             live.look(&mut self.injected);
             let idle = live.ticks.since.elapsed();
             if idle >= STILL {
-                // Its first tick after a stillness is not met by what would have come meanwhile.
+                // After a stall, faults that became due meanwhile do not hit the first tick.
                 due = due.max(Instant::now() + self.next.gap);
             }
             if self.goes_on()
@@ -192,10 +196,10 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// What becomes of a run under one supervisor.
+/// The outcome of a run under one supervisor.
 enum Life {
     Over(Ended),
-    /// Everything is to be killed, for the hit of this number.
+    /// All processes are to be killed, for the hit of this number.
     BlackedOut(usize),
 }
 
@@ -205,7 +209,7 @@ fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
     Ok(RunResult { ticks, digest, ranges, headings, position_rmse_m })
 }
 
-/// The same run left alone, composed in this process.
+/// The baseline: the same run without faults, in this process.
 fn alone(description: &RunDescription) -> anyhow::Result<RunResult> {
     let out_dir = description.out_dir.join("alone");
     let claim = out_folder::claim(&out_dir, crate::files::layout::Kind::Run, &[])

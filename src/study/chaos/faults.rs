@@ -6,7 +6,7 @@ use rangehound_node::rendezvous::Role;
 use rangehound_shared::draws::{Draws, Stream};
 use serde::Serialize;
 
-/// What is done.
+/// A kind of fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -14,11 +14,11 @@ pub enum Kind {
     Kill,
     /// One node is stopped for a while.
     Stop,
-    /// One node is killed, and its successors half-way up.
+    /// One node is killed, and its successors during their start.
     Storm,
     /// Several nodes are killed at once.
     Several,
-    /// Everything is killed at once, the supervisor too, and the run resumed.
+    /// All processes are killed at once, including the supervisor, and the run is resumed.
     Blackout,
 }
 
@@ -27,16 +27,16 @@ impl Kind {
     pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::Storm, Self::Several, Self::Blackout];
 }
 
-/// A kind of node that is hurt.
+/// A kind of node that faults hit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Victim {
     /// The simulator.
     Sim,
-    /// Whoever leads.
+    /// The leading fusion.
     Fusion,
     /// Any robot.
     Robot,
-    /// Any fusion that stands by.
+    /// Any standby fusion.
     Standby,
 }
 
@@ -45,46 +45,46 @@ impl Victim {
     pub const ALL: [Self; 4] = [Self::Sim, Self::Fusion, Self::Robot, Self::Standby];
 }
 
-/// What is asked of a campaign.
+/// The parameters of a campaign.
 #[derive(Debug, Clone)]
 pub struct Asked {
     /// Number of faults.
     pub faults: u64,
-    /// Their kinds; `None` for all, without blackout unless simulator, fusion and robots are to be hurt.
+    /// Their kinds; `None` for all, without total outage unless simulator, fusion and robots are to be hit.
     pub kinds: Option<Vec<Kind>>,
-    /// Who is hurt.
+    /// The kinds of nodes to hit.
     pub victims: Vec<Victim>,
-    /// Fusions that stand by in its runs.
+    /// Standby fusions in its runs.
     pub standbys: usize,
     /// Longest stop, s.
     pub longest_stop_s: f64,
-    /// Faults a second in the mean.
+    /// Mean faults per second.
     pub rate_per_s: f64,
-    /// What decides them.
+    /// Seed of the faults.
     pub seed: u64,
 }
 
 /// One fault.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct PlannedFault {
-    /// Time since the fault before.
+    /// Time since the previous fault.
     pub(super) gap: Duration,
-    /// What is done.
+    /// The kind.
     pub(super) kind: Kind,
-    /// Whom it is done to: one node, but for [`Kind::Several`]; of no meaning for [`Kind::Blackout`].
+    /// The target: one node, except for [`Kind::Several`]; unused for [`Kind::Blackout`].
     pub(super) roles: Vec<Role>,
     /// How long a stop lasts.
     pub(super) stop: Duration,
-    /// How many kills a storm has.
+    /// Number of kills of a crash loop.
     pub(super) kills: u32,
 }
 
-/// The faults of a seed: each a function of its number, however many came before.
+/// The faults of a seed: each depends on its number alone, not on the faults before.
 #[derive(Debug, Clone)]
 pub(super) struct Faults {
     draws: Draws,
     kinds: Vec<Kind>,
-    /// By kind of node, so that a large team does not save the simulator from being hurt.
+    /// Chosen by kind of node, so that the simulator is hit in a large team too.
     nodes: Vec<Vec<Role>>,
     rate_per_s: f64,
     longest_stop_s: f64,
@@ -93,11 +93,11 @@ pub(super) struct Faults {
 /// Shortest stop, s.
 pub const STOP_MIN_S: f64 = 0.010;
 
-/// Uniform numbers that a fault takes before those that choose among several nodes.
+/// Uniform numbers that a fault uses before those that choose among several nodes.
 const FIXED_DRAWS: usize = 5;
 
 impl Faults {
-    /// The faults that are asked for, in a team of so many robots.
+    /// The requested faults, for a team of this many robots.
     pub(super) fn new(asked: &Asked, robots: usize) -> Self {
         let hurts_all =
             [Victim::Sim, Victim::Fusion, Victim::Robot].iter().all(|victim| asked.victims.contains(victim));
@@ -157,7 +157,7 @@ fn below(count: usize, uniform: f64) -> usize {
 mod tests {
     use super::*;
 
-    /// What is asked of a campaign: faults of all kinds, but for what is changed here.
+    /// The parameters of a campaign with faults of all kinds, after `change`.
     fn asked(change: impl Fn(&mut Asked)) -> Asked {
         let mut asked = Asked {
             faults: 50,

@@ -1,4 +1,4 @@
-//! A run while it is being hurt.
+//! A run while faults are injected.
 
 use std::time::{Duration, Instant};
 
@@ -11,14 +11,14 @@ use super::outcome::Injected;
 use super::ticks::Ticks;
 use crate::run::remote::{process_in, signal};
 
-/// A run while it is being hurt.
+/// A run while faults are injected.
 pub(super) struct Live<'a> {
     pub(super) run: &'a Rendezvous,
     pub(super) round: usize,
     pub(super) began: Instant,
     pub(super) last_fault: Instant,
     pub(super) ticks: Ticks<'a>,
-    /// Who is to be continued, and when.
+    /// Stopped nodes to continue, and when.
     pub(super) stopped: Vec<(Instant, Process)>,
     pub(super) storms: Vec<Storm>,
     pub(super) recovering: Vec<Recovering>,
@@ -37,7 +37,7 @@ pub(super) struct Recovering {
     pub(super) role: Role,
     pub(super) killed: Instant,
     pub(super) starts: u64,
-    /// What counted as heard of the role when its successor was there.
+    /// Newest tick with a message of the role when its successor was there.
     pub(super) heard_before: Option<u64>,
 }
 
@@ -48,7 +48,7 @@ impl<'a> Live<'a> {
         Self { run, round, began: now, last_fault: now, ticks: Ticks::of(run), stopped, storms, recovering }
     }
 
-    /// Does a fault to those of its nodes that are there. False if none is: to be tried again.
+    /// Injects a fault into those of its nodes that are there. False if none is there, so that it is tried again.
     pub(super) fn inject(&mut self, fault: u64, what: &PlannedFault, injected: &mut Vec<Injected>) -> bool {
         let mut is_done = false;
         let everything = [Role::Supervisor];
@@ -59,7 +59,7 @@ impl<'a> Live<'a> {
             let is_hit = match what.kind {
                 Kind::Stop => self.stop(role, what.stop),
                 Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
-                // Done by who can do without the run.
+                // The caller does this, without the run.
                 Kind::Blackout => true,
             };
             if !is_hit {
@@ -92,7 +92,7 @@ impl<'a> Live<'a> {
         is_done
     }
 
-    /// The role that is meant: standbys go by the numbers that are free when they come.
+    /// The actual role: standbys are numbered by the numbers that are free when they start.
     pub(super) fn present(&self, role: Role) -> Option<Role> {
         let Role::Standby(number) = role else { return Some(role) };
         let numbers = (number..=STANDBYS_MAX).chain(1..number);
@@ -100,7 +100,7 @@ impl<'a> Live<'a> {
         roles.find(|role| self.run.roster().is_held(*role))
     }
 
-    /// Stops a node for a while: the process, which may have lost its role when it is to go on.
+    /// Stops a node for a while: the process may have lost its role when it continues.
     pub(super) fn stop(&mut self, role: Role, duration: Duration) -> bool {
         let Ok(process) = process_in(self.run, role) else { return false };
         let is_stopped = process.signal(Signal::STOP).is_ok();
@@ -108,7 +108,7 @@ impl<'a> Live<'a> {
         is_stopped
     }
 
-    /// Kills a node, for the hit of this number; an earlier one that it has not got over counts no more.
+    /// Kills a node, for the hit of this number. An earlier hit from which it has not recovered no longer counts.
     pub(super) fn kill(&mut self, role: Role, hit: usize) -> bool {
         let starts = self.run.roster().starts(role);
         if signal(self.run, role, Signal::KILL).is_err() {
@@ -119,7 +119,7 @@ impl<'a> Live<'a> {
         true
     }
 
-    /// Does what is due of earlier faults, and notes who has recovered.
+    /// Completes the due parts of earlier faults, and records recoveries.
     pub(super) fn look(&mut self, injected: &mut [Injected]) {
         let now = Instant::now();
         self.ticks.look();

@@ -1,7 +1,7 @@
-//! `chaos`: hurts a run of its own at random times, and judges whether it kept its promises.
+//! `chaos`: injects faults into its own runs at random times, and checks the promised invariants.
 //!
-//! Which faults come, and to whom, is a function of the seed of chaos alone; what they meet is up to the
-//! kernel's scheduling, as in life.
+//! The seed of chaos alone determines the faults and their targets. The state that a fault meets depends on the
+//! kernel's scheduling, as in practice.
 
 mod campaign;
 pub mod faults;
@@ -23,10 +23,10 @@ use campaign::Campaign;
 use faults::{Asked, Faults};
 use outcome::Outcome;
 
-/// `rangehound chaos`: hurts runs of an experiment.
+/// `rangehound chaos`: injects faults into runs of an experiment.
 ///
 /// # Errors
-/// [`Failure`], a broken promise among them.
+/// [`Failure`], also for a broken promise.
 pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), Failure> {
     let Experiment { name, description, .. } = experiment;
     let faults = Faults::new(asked, description.scenario.robots.len());
@@ -40,7 +40,7 @@ pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), F
     let mut outcome = Outcome::new(&description.scenario, asked);
     while campaign.goes_on() {
         outcome.add(campaign.round()?);
-        // After each run, so that what it showed is not lost.
+        // Written after each run, so that its result is not lost.
         outcome.injected = campaign.injected().to_vec();
         outcome.judge();
         outcome.write(&description.out_dir)?;
@@ -60,7 +60,7 @@ pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), F
     }
 }
 
-/// Ticks of one run: seconds in lock step, until the faults are in and got over in real time.
+/// Ticks of one run: seconds in lock step; in real time, until all faults are injected and recovered from.
 #[must_use]
 pub fn enough_ticks(scenario: &Scenario, asked: &Asked) -> u64 {
     match scenario.clock {

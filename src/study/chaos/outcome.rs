@@ -1,4 +1,4 @@
-//! What a campaign came to: `chaos.json`, a table, and which promises broke.
+//! The outcome of a campaign: `chaos.json`, a table, and the broken promises.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use crate::results::report::{HeadingSummary, RangeSummary};
 use crate::statistics::Ascending;
 use crate::terminal::{BAD, GOOD, TITLE, field};
 
-/// What a campaign came to; its fields are the keys of `chaos.json`.
+/// The outcome of a campaign; its fields are the keys of `chaos.json`.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct Outcome {
     /// Name of the scenario.
@@ -24,44 +24,44 @@ pub(super) struct Outcome {
     pub(super) robots: usize,
     /// Seed of the faults.
     pub(super) chaos_seed: u64,
-    /// Faults that were asked for.
+    /// Number of requested faults.
     pub(super) faults_asked: u64,
-    /// Faults by role and kind: how many nodes each hit.
+    /// Faults by role and kind: number of hits.
     pub(super) faults: Vec<RoleSummary>,
     /// Time steps done.
     pub(super) ticks: u64,
-    /// What became of the ranges.
+    /// The outcome of the ranges.
     pub(super) ranges: RangeSummary,
-    /// What robots drove by.
+    /// The headings that the robots followed.
     pub(super) headings: HeadingSummary,
-    /// How often a robot had no heading in time: ticks of all robots that answered.
+    /// Number of times that a robot had no heading in time, over all ticks that it answered.
     pub(super) without_heading: u64,
-    /// Position error of all runs, and of the same runs left alone, m RMS; null where no truth is known.
+    /// Position error of all runs, and of their baselines without faults, m RMS; null if the truth is unknown.
     pub(super) position_rmse_m: Option<PositionError>,
-    /// Whether all estimates are those of the run left alone; null if that is not to be asked.
+    /// Whether all estimates equal those of the baseline; null if they need not.
     pub(super) digest_equal: Option<bool>,
-    /// What lies in shared memory after the end.
+    /// Files in shared memory after the end.
     pub(super) files_left: Vec<String>,
-    /// Processes that live after the end.
+    /// Processes still alive after the end.
     pub(super) processes_left: Vec<i32>,
-    /// Promises that broke.
+    /// Broken promises.
     pub(super) broken: Vec<String>,
     /// The runs.
     pub(super) rounds: Vec<Round>,
-    /// Every fault and node that it hit.
+    /// Every fault and the node that it hit.
     pub(super) injected: Vec<Injected>,
 }
 
 /// Position errors, m RMS.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct PositionError {
-    /// Of the runs that were hurt.
+    /// Of the faulted runs.
     pub(super) hurt: f64,
-    /// Of the same runs left alone, in one process, where no range is ever missing.
+    /// Of the baselines: the same runs in one process, where no range is ever missing.
     pub(super) alone: f64,
 }
 
-/// What hit the nodes of one kind, and how long they took to recover from kills.
+/// Hits on nodes of one kind, and their times of recovery from kills.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct RoleSummary {
     /// `sim`, `fusion`, `robot`, `standby`, or `run` for all at once.
@@ -76,9 +76,9 @@ pub(super) struct RoleSummary {
     pub(super) several: usize,
     /// Killed with everything.
     pub(super) blackout: usize,
-    /// From a kill to when the role is taken again; `None` before the first.
+    /// From a kill until the role is taken again; `None` before the first.
     pub(super) restart_ms: Option<Percentiles>,
-    /// From a kill to the first tick with the successor; `None` before the first.
+    /// From a kill until the first tick with the successor; `None` before the first.
     pub(super) recovery_ms: Option<Percentiles>,
 }
 
@@ -106,23 +106,23 @@ impl Percentiles {
 /// One node hit by one fault.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Injected {
-    /// Number of the fault; those of one number came at once.
+    /// Number of the fault; hits with one number came at once.
     pub(super) fault: u64,
     /// Which run, counted from 1.
     pub(super) round: usize,
     /// Since the run's start, s.
     pub(super) at_s: f64,
-    /// Newest tick that was over.
+    /// Newest tick that had ended.
     pub(super) tick: u64,
-    /// What.
+    /// The kind of fault.
     pub(super) kind: Kind,
-    /// Whom.
+    /// The node.
     #[serde(serialize_with = "by_name")]
     pub(super) role: Role,
-    /// From the (last) kill to the successor's taking its role, ms.
+    /// From the (last) kill until the successor takes the role, ms.
     pub(super) restart_ms: Option<f64>,
-    /// From the (last) kill to the first tick with the successor, which in lock step waits for all others too, ms; `None` for a stop, and if the node was
-    /// killed again first or the run ended.
+    /// From the (last) kill until the first tick with the successor, ms; in lock step that tick waits for all others too.
+    /// `None` for a stop, and if the node was killed again first or the run ended.
     pub(super) recovery_ms: Option<f64>,
 }
 
@@ -134,13 +134,13 @@ fn by_name<S: serde::Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S:
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Ended {
-    /// With its last tick.
+    /// At its last tick.
     Done,
-    /// Before that.
+    /// With an error before that.
     Failed,
-    /// Not by itself.
+    /// It did not end by itself.
     Hung,
-    /// As asked.
+    /// On request.
     Interrupted,
 }
 
@@ -151,39 +151,39 @@ pub(super) struct Round {
     pub(super) seed: u64,
     /// How it ended.
     pub(super) ended: Ended,
-    /// The last it said, if it did not end well.
-    pub(super) said: String,
+    /// Its last message, if it failed.
+    pub(super) last_message: String,
     /// Wall time, s.
     pub(super) wall_s: f64,
-    /// What its logs tell.
+    /// The result in its logs.
     pub(super) tally: RunResult,
-    /// The same of the run left alone.
+    /// The result of the baseline.
     pub(super) alone: Option<RunResult>,
-    /// True if both must come to the same: in lock step.
+    /// True if both must be equal: in lock step.
     pub(super) is_repeatable: bool,
-    /// What lies in shared memory after the end.
+    /// Files in shared memory after the end.
     pub(super) files_left: Vec<String>,
-    /// Processes that live after the end.
+    /// Processes still alive after the end.
     pub(super) processes_left: Vec<i32>,
 }
 
-/// What a run's logs tell.
+/// The result in a run's logs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub(super) struct RunResult {
     /// Time steps done.
     pub(super) ticks: u64,
     /// Hash over all estimates.
     pub(super) digest: String,
-    /// What became of the ranges.
+    /// The outcome of the ranges.
     pub(super) ranges: RangeSummary,
-    /// What robots drove by.
+    /// The headings that the robots followed.
     pub(super) headings: HeadingSummary,
-    /// Position error, m RMS, where the truth is known.
+    /// Position error, m RMS, if the truth is known.
     pub(super) position_rmse_m: Option<f64>,
 }
 
 impl Outcome {
-    /// Nothing yet.
+    /// An empty outcome.
     #[must_use]
     pub(super) fn new(scenario: &Scenario, asked: &Asked) -> Self {
         Self {
@@ -220,7 +220,7 @@ impl Outcome {
         self.rounds.push(round);
     }
 
-    /// Sums up the faults, and finds what broke.
+    /// Summarises the faults, and finds broken promises.
     pub(super) fn judge(&mut self) {
         let always = ["sim", "fusion", "robot"].map(|role| self.of_role(role));
         let sometimes = ["standby", "run"].map(|role| self.of_role(role));
@@ -278,13 +278,13 @@ fn kind_of_node(role: Role) -> &'static str {
 }
 
 impl Round {
-    /// The promises that this run broke. What it says of ticks, ranges and digest counts in lock step
-    /// only: real time goes on without whom it misses.
+    /// The promises that this run broke. Ticks, ranges and digest are checked in lock step only: real time
+    /// continues without late nodes.
     fn broken(&self) -> Vec<String> {
         let mut broken = Vec::new();
         match self.ended {
             Ended::Done => {}
-            Ended::Failed => broken.push(format!("the run failed: {}", self.said)),
+            Ended::Failed => broken.push(format!("the run failed: {}", self.last_message)),
             Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
             Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
         }
@@ -329,7 +329,7 @@ impl std::fmt::Display for Outcome {
         let HeadingSummary { fresh, late, none, refused } = headings;
         let driven = format!("{fresh} fresh, {late} late, {none} none, {refused} refused");
         writeln!(f, "{}", field("headings", driven))?;
-        // Where the estimates must be the same, so is their error.
+        // If the estimates must be equal, so must their error.
         if let Some(PositionError { hurt, alone }) =
             self.position_rmse_m.as_ref().filter(|_| self.digest_equal.is_none())
         {
@@ -354,7 +354,7 @@ impl std::fmt::Display for Outcome {
 }
 
 impl Outcome {
-    /// Who was hit how often, and how long each kind of node took to come back.
+    /// Number of hits by kind, and recovery times of each kind of node.
     fn fmt_faults(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [kill, stop, storm, several, blackout] = ["kill", "stop", "storm", "several", "blackout"];
         writeln!(f, "  {:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}", "hit")?;
@@ -376,7 +376,7 @@ impl Outcome {
     }
 }
 
-/// True if a run of this clock must come to what it comes to when left alone.
+/// True if a run of this clock must equal its baseline.
 #[must_use]
 pub(super) fn is_repeatable(scenario: &Scenario) -> bool {
     scenario.clock == Clock::Lockstep
@@ -392,7 +392,7 @@ mod tests {
         Round {
             seed: 1,
             ended: Ended::Done,
-            said: String::new(),
+            last_message: String::new(),
             wall_s: 1.0,
             tally: tally.clone(),
             alone: Some(tally),
@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn each_broken_promise_is_told() {
+    fn each_broken_promise_is_reported() {
         assert_eq!(round().broken(), [""; 0]);
         type Hurt = fn(&mut Round);
         let hurt: [(Hurt, &str); 8] = [
@@ -423,7 +423,7 @@ mod tests {
         }
     }
 
-    /// Real time may miss ranges: there is no run to compare with.
+    /// In real time ranges may be missing: there is no run to compare with.
     #[test]
     fn real_time_may_miss_ranges() {
         let mut round = Round { is_repeatable: false, ..round() };

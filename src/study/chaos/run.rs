@@ -1,4 +1,4 @@
-//! A run under a supervisor of its own, a child of this process.
+//! A run under its own supervisor, a child of this process.
 
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -16,10 +16,10 @@ use crate::run::experiment::Experiment;
 
 const POLL: Duration = Duration::from_millis(1);
 
-/// How long a run may take to end once it is finished or asked to.
+/// Most time for a run to end once it is finished or asked to end.
 const ENDING: Duration = Duration::from_secs(30);
 
-/// Where what a run says goes, beside its folder.
+/// File for a run's output, beside its folder.
 pub(super) fn log(out_dir: &Path) -> PathBuf {
     out_dir.with_extension("log")
 }
@@ -52,9 +52,9 @@ impl Run {
         let output = out_folder::append(&log(out_dir))?;
         command
             .args(["--no-record", "--name", &name.to_string(), "--standby", &standbys.to_string()])
-            // What it says is quoted.
+            // Its last message is quoted in errors.
             .env("NO_COLOR", "1")
-            // A group of its own: Ctrl-C reaches this process, which ends the run in order.
+            // Own process group: Ctrl-C reaches this process only, which ends the run in order.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
@@ -63,13 +63,13 @@ impl Run {
             .context("cannot start the run")
     }
 
-    /// Kills the supervisor and all nodes, and has the run resumed.
-    pub(super) fn black_out_and_resume(&mut self) -> anyhow::Result<()> {
-        // It starts nobody while the others die.
+    /// Kills the supervisor and all nodes, then resumes the run.
+    pub(super) fn kill_all_and_resume(&mut self) -> anyhow::Result<()> {
+        // A stopped supervisor starts no nodes while the others are killed.
         let _ = kill_process(Pid::from_child(&self.child), Signal::STOP);
         loop {
             let left = processes_of(&self.name);
-            // One that is not listed any more may still be on its way down.
+            // A process that is no longer listed may still be exiting.
             if left.is_empty() && !living_runs().contains(&self.name) {
                 break;
             }
@@ -90,8 +90,8 @@ impl Run {
         Ok(self.child.try_wait()?.is_some())
     }
 
-    /// Waits for the end, asks for it if the run is not over, and forces it in the end. The exit code, if
-    /// it came to one.
+    /// Waits for the end; asks the run to end if it is not over, and finally kills it. Returns the exit code, if
+    /// there is one.
     pub(super) fn end(&mut self, is_over: bool) -> std::io::Result<Option<i32>> {
         for attempt in usize::from(!is_over).. {
             match attempt {
@@ -119,7 +119,7 @@ impl Run {
 }
 
 impl Drop for Run {
-    /// An error on our side must not leave a run behind.
+    /// An error in this process must not leave a run behind.
     fn drop(&mut self) {
         if matches!(self.has_ended(), Ok(false)) {
             let _ = self.end(false);
@@ -127,8 +127,8 @@ impl Drop for Run {
     }
 }
 
-/// Living processes of this program in this PID namespace that go by this run's name, but for this one. Another container may
-/// have a run of the same name.
+/// Living processes of this program in this PID namespace with this run's name, except this process. Another container
+/// may have a run of the same name.
 pub(super) fn processes_of(name: &RunName) -> Vec<i32> {
     let program = std::env::current_exe().ok();
     let name = name.to_string();
@@ -139,7 +139,7 @@ pub(super) fn processes_of(name: &RunName) -> Vec<i32> {
     };
     let namespace = |process: &str| std::fs::read_link(format!("/proc/{process}/ns/pid")).ok();
     let here = namespace("self");
-    // Where `/proc` is of another namespace, its numbers are not those that signals go by.
+    // If `/proc` is of another namespace, its process ids are not those that signals use.
     let is_own = std::fs::read_link("/proc/self").is_ok_and(|me| me.as_os_str() == &*std::process::id().to_string());
     let processes = is_own.then(|| std::fs::read_dir("/proc").ok()).flatten();
     processes

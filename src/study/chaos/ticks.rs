@@ -1,4 +1,4 @@
-//! What a run's logs tell while they grow.
+//! Progress of a run, read from its logs while they grow.
 
 use std::time::Instant;
 
@@ -9,17 +9,17 @@ use rangehound_shared::record::{FusionRecord, Record, WorldRecord};
 
 use super::outcome::is_repeatable;
 
-/// What the run's logs tell while they grow.
+/// Progress of a run, read from its logs while they grow.
 pub(super) struct Ticks<'a> {
     pub(super) description: &'a RunDescription,
     pub(super) world: Option<TickLogReader<WorldRecord>>,
     pub(super) estimate: Option<TickLogReader<FusionRecord>>,
-    /// Newest tick that is over.
+    /// Newest tick that has ended.
     pub(super) newest: u64,
-    /// Since when.
+    /// When it was first seen.
     pub(super) since: Instant,
     pub(super) newest_estimate: u64,
-    /// Newest tick that was read, and for each robot the newest with a range of it.
+    /// Newest tick that was read, and for each robot its newest tick with a range.
     pub(super) read: Option<u64>,
     pub(super) heard: Vec<u64>,
 }
@@ -33,7 +33,7 @@ impl<'a> Ticks<'a> {
     }
 
     pub(super) fn look(&mut self) {
-        // A log is there once its node has started.
+        // A log exists once its node has started.
         if self.world.is_none() {
             self.world = logs::read_worlds(self.description).ok();
         }
@@ -51,7 +51,7 @@ impl<'a> Ticks<'a> {
         if tick > self.newest {
             (self.newest, self.since) = (tick, Instant::now());
         }
-        // Never beyond the records that are whole.
+        // Only complete records are read.
         while self.read.is_none_or(|read| read < tick) {
             let Some(Ok((read, record))) = log.next() else { break };
             self.read = Some(read);
@@ -63,7 +63,7 @@ impl<'a> Ticks<'a> {
         }
     }
 
-    /// The newest tick that shows this role at work. In lock step no tick ends without all.
+    /// The newest tick that shows this role at work. In lock step no tick ends without all nodes.
     pub(super) fn heard(&self, role: Role) -> u64 {
         match role {
             _ if is_repeatable(&self.description.scenario) => self.newest,

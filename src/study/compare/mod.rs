@@ -28,7 +28,7 @@ use crate::run::watch::Progress;
 use monte_carlo::Trials;
 use summary::{Comparison, Summary};
 
-/// Where they go unless told otherwise.
+/// Default folder of the results.
 const OUT: &str = "runs/compare";
 
 /// `rangehound compare`.
@@ -71,7 +71,7 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
     failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
 }
 
-/// Each planner's first scenario: all of its runs can be set up if that one can.
+/// Each planner's first scenario: if it can be set up, so can all other runs of the planner.
 fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
     let Given { file, file_name, .. } = &trials.given;
     if file.recording.is_some() {

@@ -1,7 +1,7 @@
 //! Many runs of each planner, spread over threads, with common random numbers.
 //!
 //! Run `i` of every planner has the seed `first_seed + i`. Prior mean, target noise and range noise are
-//! functions of seed, tick and robot alone, so planners differ in nothing but their headings.
+//! functions of seed, tick and robot alone, so planners differ only in their headings.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -22,10 +22,10 @@ use crate::statistics;
 /// How often progress is shown.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What is compared.
+/// The subject of a comparison.
 #[derive(Debug)]
 pub struct Trials {
-    /// The scenario; planner and seed are put over it.
+    /// The scenario; planner and seed are overridden.
     pub given: Given,
     /// The planners.
     pub planners: Vec<String>,
@@ -40,13 +40,13 @@ pub struct Trials {
 /// One run of one planner.
 #[derive(Debug, Clone, Default)]
 pub struct Trial {
-    /// Ticks 1 to the last; fewer than asked for if the estimate left all bounds.
+    /// Ticks 1 to the last; fewer than requested if the estimate diverged beyond all bounds.
     pub samples: Vec<Sample>,
     /// Sum of the normalised innovations squared.
     pub nis: f64,
     /// Ranges fused: degrees of freedom of `nis`.
     pub fused: u64,
-    /// True if the estimate left all bounds.
+    /// True if the estimate diverged beyond all bounds.
     pub out_of_bounds: bool,
 }
 
@@ -67,7 +67,7 @@ pub struct Sample {
     pub trace_excess: f64,
     /// False if the bound is not proven to be the optimum to within a billionth.
     pub certified: bool,
-    /// Time that planning took, ns.
+    /// Planning time, ns.
     pub planning_ns: u64,
 }
 
@@ -90,10 +90,10 @@ impl Trials {
         self.runs.saturating_mul(self.planners.len() as u64)
     }
 
-    /// Runs them all: for each planner its trials in order of runs, whichever thread did them.
+    /// Runs them all: for each planner its trials in order of runs, independent of the threads.
     ///
     /// # Errors
-    /// If a run cannot be set up or a thread not be started.
+    /// If a run cannot be set up or a thread cannot be started.
     pub fn run(&self, mut on_progress: impl FnMut(u64)) -> anyhow::Result<Vec<Vec<Trial>>> {
         let (next, done) = (AtomicU64::new(0), AtomicU64::new(0));
         let mut indexed = std::thread::scope(|scope| {
@@ -121,7 +121,7 @@ impl Trials {
     }
 
     /// A thread's share. All planners of a run come before the next run, so that a busy moment of the
-    /// machine falls on all of them alike, and time left can be told from what is done.
+    /// machine affects all of them alike, and the remaining time can be estimated from the finished runs.
     fn work(&self, next: &AtomicU64, done: &AtomicU64) -> anyhow::Result<Vec<(u64, Trial)>> {
         let mut yardstick = Yardstick::default();
         let mut trials = Vec::new();
@@ -135,7 +135,7 @@ impl Trials {
                 .scenario(&self.planners[(index % planners) as usize], index / planners)
                 .map_err(anyhow::Error::from)
                 .and_then(|scenario| Trial::run(&scenario, &mut yardstick))
-                // The others need not go on.
+                // The other threads need not continue.
                 .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))?;
             trials.push((index, trial));
             done.fetch_add(1, Ordering::Relaxed);
@@ -180,7 +180,7 @@ impl Trial {
         });
     }
 
-    /// Mean position error of its last ticks above a limit, or no estimate at all.
+    /// True if the mean position error of the last ticks is above a limit, or there is no estimate.
     #[must_use]
     pub fn has_diverged(&self, last_ticks: usize, limit_m: f64) -> bool {
         let last = &self.samples[self.samples.len().saturating_sub(last_ticks)..];
@@ -188,7 +188,7 @@ impl Trial {
     }
 }
 
-/// The certified optimum of the very situations that other planners were given.
+/// The certified optimum of the same situations that other planners received.
 #[derive(Debug)]
 struct Yardstick {
     optimiser: RangeOnly,
@@ -203,7 +203,7 @@ impl Default for Yardstick {
     }
 }
 
-/// How far a plan is from the optimum; as in [`Sample`].
+/// Distance of a plan from the optimum; as in [`Sample`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Distance {
     gap: f64,
@@ -214,7 +214,7 @@ struct Distance {
 impl Yardstick {
     fn measure(&mut self, team: &Team) -> Distance {
         let (situation, plan) = (team.centre().situation(), team.centre().last_plan());
-        // A plan that brings its own certificate needs no second.
+        // A plan with its own certificate needs no second one.
         let own = plan.certificate.filter(|proven| proven.is_optimal);
         let best = own.or_else(|| {
             self.optimiser.plan(0, situation, &mut self.optimum);

@@ -23,10 +23,10 @@ const TALL: (u32, u32) = (1_800, 1_500);
 /// Side of one panel of the paths.
 const PANEL: u32 = 800;
 
-/// Ticks whose paths are drawn: later the field is so wide that robots and target are one.
+/// Ticks whose paths are drawn: later the field is so wide that robots and target coincide.
 const PATH_TICKS: u64 = 100;
 
-/// Largest ANEES that is drawn: a planner that loses the target would leave the others a hairline.
+/// Largest ANEES that is drawn: a planner that loses the target would flatten the others.
 const ANEES_MOST: f64 = 10.0;
 
 /// Draws all pictures into a folder.
@@ -43,12 +43,12 @@ pub fn draw(comparison: &Comparison, scenarios: &[Scenario], folder: &Path) -> a
     chart::draw_to_file(&planning_time, SIZE, |area| draw_planning_time(comparison, area))
 }
 
-/// A planner has the same colour in all pictures, whoever it is compared with.
+/// The planner's colour, the same in all pictures and comparisons.
 fn colour_of(name: &str) -> RGBColor {
     COLOURS[PLANNERS.iter().position(|known| *known == name).unwrap_or_default() % COLOURS.len()]
 }
 
-/// Widths of lines that may lie on each other: what comes first is wider, so that all of them show.
+/// Widths of lines that may coincide: earlier lines are wider, so that all remain visible.
 fn widths() -> impl Iterator<Item = u32> {
     [9, 6].into_iter().chain(std::iter::repeat(3))
 }
@@ -61,7 +61,7 @@ fn key(planners: &[Summary]) -> Vec<KeyEntry> {
     planners.iter().map(|planner| key_entry(planner.name.clone(), &planner.name)).collect()
 }
 
-/// Fig. 3 of the paper: how well the target is known over time.
+/// Fig. 3 of the paper: the position trace over time.
 fn draw_trace(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let Comparison { planners, time_s, .. } = comparison;
     let below = chart::draw_key(area, &key(planners))?;
@@ -133,7 +133,7 @@ fn paths_key(paths: &[Paths]) -> Vec<KeyEntry> {
 /// Fig. 4 of the paper: the same run of each planner from above.
 fn draw_paths(comparison: &Comparison, paths: &[Paths], area: &Area<'_>) -> Drawn {
     let below = chart::draw_key(area, &paths_key(paths))?;
-    // One scale for all, by where bodies are: an estimate that is lost may be anywhere.
+    // One scale for all, from the positions of the bodies: an estimate that is lost may be anywhere.
     let square = Square::around(paths.iter().flat_map(Paths::bodies));
     for (index, (panel, paths)) in below.split_evenly(grid(paths.len())).iter().zip(paths).enumerate() {
         let name = comparison.planners.get(index).map_or("", |planner| planner.name.as_str());
@@ -142,7 +142,7 @@ fn draw_paths(comparison: &Comparison, paths: &[Paths], area: &Area<'_>) -> Draw
     Ok(())
 }
 
-/// Whether errors are as large as the filter believes, and how large they are.
+/// Whether errors are as large as the filter assumes, and how large they are.
 fn draw_consistency(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let Comparison { planners, anees_bounds, .. } = comparison;
     let below = chart::draw_key(area, &key(planners))?;
@@ -167,7 +167,7 @@ fn draw_consistency(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     error.draw_log(&lower, times_s)
 }
 
-/// How far from the optimum planners are, and how often.
+/// The planners' distance from the optimum, as a distribution.
 fn draw_gap(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let planners = &comparison.planners;
     let below = chart::draw_key(area, &key(planners))?;
@@ -186,7 +186,7 @@ fn draw_gap(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     Ok(())
 }
 
-/// How planning time grows with the team.
+/// Planning time over the size of the team.
 fn draw_planning_time(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let scalings = &comparison.planning_time;
     let name = |scaling: &Scaling| match scaling.law {

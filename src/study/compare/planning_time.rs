@@ -1,4 +1,4 @@
-//! How planning time grows with the team.
+//! Planning time over the size of the team.
 
 use std::time::{Duration, Instant};
 
@@ -13,19 +13,19 @@ use crate::statistics::{Ascending, PowerLaw, fit_power_law};
 /// Sizes of the team.
 const SIZES: [usize; 7] = [1, 3, 10, 30, 100, 300, 1_000];
 
-/// Time that one planner at one size may take; the step that goes beyond it is the last, but for the least number.
+/// Time limit for one planner at one size; the step that exceeds it is the last, except below the least number of steps.
 const BUDGET: Duration = Duration::from_millis(60);
 
-/// Steps that are measured, whatever they take: one that other programs held up decides nothing.
+/// Least number of measured steps, whatever their duration: a single step that other programs delay decides nothing.
 const STEPS_MIN: usize = 3;
 
-/// Steps that are measured at most.
+/// Most measured steps.
 const STEPS_MAX: usize = 2_000;
 
 /// Least and largest distance of robots to the target, m.
 const DISTANCES_M: (f64, f64) = (3.0, 30.0);
 
-/// The power law is fitted from here: smaller teams show what a step costs besides its robots.
+/// The power law is fitted from this size on: in smaller teams the fixed cost of a step dominates.
 const FITTED_FROM: usize = 10;
 
 /// Planning time of one planner over the size of the team.
@@ -67,7 +67,7 @@ pub fn measure(scenario: &Scenario) -> Scaling {
 }
 
 impl Scaling {
-    /// The points that the power law is fitted to; all of them if only small teams can be served.
+    /// The points of the power law's fit; all of them if the planner serves only small teams.
     #[must_use]
     pub fn fitted(&self) -> &[Point] {
         match self.points.iter().position(|point| point.robots >= FITTED_FROM) {
@@ -110,8 +110,8 @@ fn team(scenario: &Scenario, step: usize, robots: usize) -> impl Iterator<Item =
     })
 }
 
-/// Longer than wide, turned with each step, and the better known the larger the team: in steady state
-/// the prior informs as much as a few ticks' ranges do.
+/// Longer than wide, turned with each step, and more accurate the larger the team: in steady state
+/// the prior has as much information as the ranges of a few ticks.
 fn prior_m2(step: usize, robots: usize) -> Matrix2<f64> {
     let axis = Vector::from_angle(step as f64);
     let along = Matrix2::new(axis.x * axis.x, axis.x * axis.y, axis.x * axis.y, axis.y * axis.y);

@@ -1,4 +1,4 @@
-//! What the runs came to: the figures of `compare.json` and of the table.
+//! The summary of the runs: the figures of `compare.json` and of the table.
 
 use std::fmt::{Display, Formatter};
 
@@ -16,7 +16,7 @@ pub const DIVERGED_TICKS: usize = 50;
 /// See [`DIVERGED_TICKS`]; m.
 pub const DIVERGED_ERROR_M: f64 = 10.0;
 
-/// Gaps at which their distribution is told: decades from the smallest, below a certificate's width.
+/// Gaps at which their distribution is given: decades from the smallest, below a certificate's width.
 const GAP_DECADES: std::ops::RangeInclusive<i32> = -12..=0;
 
 /// Points of the distribution a decade.
@@ -41,7 +41,7 @@ pub struct Comparison {
     pub stand_off_sigma: f64,
     /// Wall time of the runs, s.
     pub wall_s: f64,
-    /// Where the ANEES of a consistent filter lies at a tick with 95 %.
+    /// The 95 % band of a consistent filter's ANEES at a tick.
     pub anees_bounds: Interval,
     /// Times of the series, s.
     pub time_s: Vec<f64>,
@@ -51,7 +51,7 @@ pub struct Comparison {
     pub planning_time: Vec<Scaling>,
 }
 
-/// The figures of one planner. Those over all runs hold the diverged ones too.
+/// The figures of one planner. Figures over all runs include the diverged runs.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {
     /// The planner.
@@ -381,7 +381,7 @@ mod tests {
         assert_eq!(summary.planning_us.p99, 1.0);
     }
 
-    /// A run that ends early has diverged, and the others' figures go on without it.
+    /// A run that ends early has diverged; the others' figures continue without it.
     #[test]
     fn lost_runs_are_counted() {
         let mut ended = trial(&[1.0]);

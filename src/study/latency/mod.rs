@@ -1,12 +1,12 @@
-//! `rangehound latency`: the time from range to heading of the real system, beside two references doing the same exchange.
+//! `rangehound latency`: the time from range to heading of the real system, beside two references with the same exchange.
 //!
-//! How it is measured is told in `docs/latency.md`.
+//! `docs/latency.md` describes the measurement.
 //!
 //! | module | what |
 //! |---|---|
 //! | `system` | runs of the system, as `rangehound run` does them |
 //! | [`mod@reference`] | the bare exchange, over iceoryx2 and over futexes |
-//! | `samples` | from stamps to latencies, the same for all |
+//! | `samples` | from stamps to latencies, with one method for all |
 //! | `outcome` | the figures: `latency.json` and the table |
 //! | `picture` | the percentile curves and the hops |
 
@@ -34,15 +34,15 @@ use outcome::{Contender, Each, Outcome};
 use reference::Reference;
 use samples::Waits;
 
-/// Where they go unless told otherwise.
+/// Default folder of the results.
 pub const OUT: &str = "runs/latency";
 
-/// What is asked of a measurement.
+/// The parameters of a measurement.
 #[derive(Debug)]
 pub struct Wanted {
     /// Processors for all processes.
     pub pin: Pin,
-    /// How often each is measured.
+    /// Number of rounds.
     pub rounds: u64,
 }
 
@@ -52,7 +52,7 @@ pub struct Wanted {
 /// [`Failure`].
 pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, json: bool) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    // Whatever is started here inherits it.
+    // All processes started from here inherit it.
     wanted.pin.apply().map_err(Failure::input)?;
     let claim = claim_or_number(out, OUT, Kind::Latency, &experiment.inputs())?;
     experiment.description.out_dir = std::path::absolute(claim.path())?;
@@ -74,13 +74,13 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
             let measured = round.measure(contender, latencies_us.get_mut(contender));
             measured.map_err(|failure| {
                 progress.finish();
-                // What an end that was asked for looks like to the one who is measured does not matter.
+                // After a requested end, errors of the measured processes do not matter.
                 let asked = || anyhow::anyhow!("ended before the last round, as asked").into();
                 if termination.requested() { asked() } else { failure }
             })?;
         }
         outcome.add(order, &latencies_us, round.hops_us);
-        // After each round, so that what it showed is not lost.
+        // Written after each round, so that its result is not lost.
         outcome.write(folder)?;
     }
     progress.finish();
@@ -144,7 +144,7 @@ impl Round<'_> {
         let log = self.experiment.description.out_dir.join(format!("{}-{}.log", reference.name(), self.round));
         let warm_up = usize::try_from(warm_up_ticks(scenario))?;
         reference::measure(reference, self.experiment, &log, self.termination, |ticks| {
-            // Every range of a reference is answered before the next goes out.
+            // Every range of a reference is answered before the next one is sent.
             let mut waits = Waits::new(dt_ns(scenario));
             for exchange in ticks.skip(warm_up) {
                 waits.add(exchange?, |latency_ns| latencies_us.add(latency_ns));

@@ -1,4 +1,4 @@
-//! What a measurement came to: `latency.json` and the table.
+//! The outcome of a measurement: `latency.json` and the table.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use crate::run::pin::Pin;
 use crate::statistics::{Ascending, Percentiles, Samples};
 use crate::terminal::{TITLE, wrapped};
 
-/// Who is measured.
+/// A measured system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Contender {
     System,
@@ -27,7 +27,7 @@ impl Contender {
     pub(super) const ALL: [Self; 3] =
         [Self::System, Self::Reference(Reference::Iceoryx2), Self::Reference(Reference::Futex)];
 
-    /// All, another one first in each round: so a machine that slows down favours nobody.
+    /// All contenders, starting with a different one in each round, so that a machine that slows down favours none.
     pub(super) fn in_turns(round: u64) -> [Self; 3] {
         let mut order = Self::ALL;
         order.rotate_left((round % 3) as usize);
@@ -50,7 +50,7 @@ impl Serialize for Contender {
     }
 }
 
-/// Something of each contender.
+/// One value for each contender.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub(super) struct Each<T> {
     pub(super) system: T,
@@ -81,16 +81,16 @@ impl<T> Each<T> {
 }
 
 impl Each<Samples> {
-    /// Nothing yet.
+    /// An empty collection.
     ///
     /// # Errors
-    /// If they cannot be counted.
+    /// If the histograms cannot be created.
     pub(super) fn samples() -> anyhow::Result<Self> {
         Ok(Self { system: Samples::new()?, iceoryx2: Samples::new()?, futex: Samples::new()? })
     }
 }
 
-/// What a measurement came to; its fields are the keys of `latency.json`.
+/// The outcome of a measurement; its fields are the keys of `latency.json`.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Outcome {
     /// Name of the scenario.
@@ -105,15 +105,15 @@ pub(super) struct Outcome {
     pub(super) robots: usize,
     /// Time steps of a round.
     pub(super) ticks: u64,
-    /// The first of them, which are not counted.
+    /// Number of first ticks that are not counted.
     pub(super) warm_up_ticks: u64,
-    /// Processors that all shared.
+    /// Processors that all processes shared.
     pub(super) pin: String,
     /// Latency over all rounds, us.
     pub(super) latency_us: Each<LatencySummary>,
     /// Median of the rounds' ratios.
     pub(super) p50_ratios: Ratios,
-    /// Where the system's time went, us: median of the rounds.
+    /// The system's hops, us: median of the rounds.
     pub(super) hops_us: HopSummary,
     /// The rounds.
     pub(super) rounds: Vec<Round>,
@@ -126,13 +126,13 @@ pub(super) struct Outcome {
 /// One round.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Round {
-    /// Who was measured first, second, third.
+    /// The contenders in the order of measurement.
     pub(super) order: [Contender; 3],
     /// Latency, us.
     pub(super) latency_us: Each<LatencySummary>,
-    /// Of the medians.
+    /// Ratios of the medians.
     pub(super) p50_ratios: Ratios,
-    /// Where the system's time went, us.
+    /// The system's hops, us.
     pub(super) hops_us: HopSummary,
 }
 
@@ -155,10 +155,10 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 impl Outcome {
-    /// Nothing yet.
+    /// An empty outcome.
     ///
     /// # Errors
-    /// If latencies cannot be counted.
+    /// If the histograms cannot be created.
     pub(super) fn new(scenario: &Scenario, pin: &Pin) -> anyhow::Result<Self> {
         Ok(Self {
             scenario: scenario.name.clone(),

@@ -1,6 +1,6 @@
 //! From stamps to latencies, the same for the system and its references, without coordinated omission.
 
-/// When a robot published its range of one tick, and when it held the tick's heading, monotonic ns.
+/// When a robot published its range of one tick, and when it received the tick's heading, monotonic ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Exchange {
     pub(super) sent_ns: Option<u64>,
@@ -9,9 +9,9 @@ pub(super) struct Exchange {
 
 /// One robot's ranges that wait for a heading.
 ///
-/// Each range is a sample, and waits until its robot holds a heading computed from it or from a later one. Where ranges
-/// are due at a steady rate, those that could not go out because somebody was late wait too, each from when it was due:
-/// a stall is told by all whom it hurt, not by the first alone.
+/// Each range is a sample. It waits until its robot has a heading computed from it or from a later range. If ranges
+/// are due at a steady rate, ranges that were delayed wait too, each from its due time:
+/// a stall counts for every range that it delayed, not for the first alone.
 #[derive(Debug)]
 pub(super) struct Waits {
     dt_ns: Option<u64>,
@@ -20,7 +20,7 @@ pub(super) struct Waits {
 }
 
 impl Waits {
-    /// Nobody waits; `dt_ns` is the time between two ranges, `None` if each follows the heading before.
+    /// No range waits; `dt_ns` is the time between two ranges, `None` if each follows the heading before.
     pub(super) fn new(dt_ns: Option<u64>) -> Self {
         Self { dt_ns, last_sent_ns: None, waiting_since_ns: Vec::new() }
     }
@@ -30,7 +30,7 @@ impl Waits {
         if let Some(sent_ns) = exchange.sent_ns {
             if let (Some(dt_ns), Some(last_ns)) = (self.dt_ns, self.last_sent_ns) {
                 let gap_ns = sent_ns.saturating_sub(last_ns);
-                // To the nearest: stamps jitter.
+                // Rounded to the nearest, because stamps jitter.
                 let ticks = (gap_ns + dt_ns / 2) / dt_ns.max(1);
                 self.waiting_since_ns.extend((1..ticks).map(|tick| last_ns + tick * dt_ns));
             }
@@ -42,7 +42,7 @@ impl Waits {
         }
     }
 
-    /// Ends all waits at this time, as the end of a run does.
+    /// Ends all waits at this time, as at the end of a run.
     pub(super) fn end(&mut self, at_ns: u64, mut sample: impl FnMut(u64)) {
         for since_ns in self.waiting_since_ns.drain(..) {
             sample(at_ns.saturating_sub(since_ns));
@@ -79,9 +79,9 @@ mod tests {
 
     #[test]
     fn ranges_that_could_not_go_out_wait_from_when_they_were_due() {
-        // Somebody stood still from 100 to 430, and the next range went out at 430.
+        // The robot was suspended from 100 to 430, and sent its next range at 430.
         assert_eq!(latencies(Some(DT_NS), &[(100, 105), (430, 436)], 500), [5, 236, 136, 6]);
-        // Told of late, published in time: the robot's word on its range is missing.
+        // Published in time but reported late: the simulator has no stamp of the range.
         assert_eq!(latencies(Some(DT_NS), &[(100, 105), (0, 0), (300, 304)], 500), [5, 104, 4]);
     }
 

@@ -1,4 +1,4 @@
-//! Runs of the system, as a user starts them, and the stamps that they leave.
+//! Runs of the system, started as a user starts them, and their stamps.
 
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -21,21 +21,21 @@ use crate::run::experiment::Experiment;
 use crate::run::folder;
 use crate::run::node::this_program;
 
-/// How often the run is looked at: seldom, for it is being measured.
+/// Interval between checks of the run: long, to disturb the measurement little.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// How long a run may take to end when it is asked to.
+/// Most time for a run to end on request.
 const ENDING: Duration = Duration::from_secs(30);
 
-/// Where the run of a round goes.
+/// Folder of a round's run.
 pub(super) fn folder(out_dir: &Path, round: u64) -> PathBuf {
     out_dir.join(format!("system-{round}"))
 }
 
-/// Runs the experiment as a process of its own, with a folder of its own, to its end.
+/// Runs the experiment to its end as its own process, with its own folder.
 ///
 /// # Errors
-/// [`Failure`], with what the run said last if it failed.
+/// [`Failure`], with the run's last message if it failed.
 pub(super) fn run(
     experiment: &Experiment,
     folder: &Path,
@@ -56,7 +56,7 @@ pub(super) fn run(
             "--out",
         ])
         .arg(folder)
-        // A group of its own: Ctrl-C reaches this process, which ends the run in order.
+        // Own process group: Ctrl-C reaches this process only, which ends the run in order.
         .process_group(0)
         .stdin(Stdio::null())
         .stdout(log.try_clone()?)
@@ -79,15 +79,19 @@ pub(super) fn run(
         std::thread::sleep(LOOK);
     };
     if !status.success() {
-        let said = std::fs::read_to_string(&log_path).unwrap_or_default();
-        let said = said.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
+        let log = std::fs::read_to_string(&log_path).unwrap_or_default();
+        let last_message = log.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();
         let is_input = status.code() == Some(2);
-        return Err(if is_input { Failure::input(said) } else { anyhow!("the run failed: {said}").into() });
+        return Err(if is_input {
+            Failure::input(last_message)
+        } else {
+            anyhow!("the run failed: {last_message}").into()
+        });
     }
     folder::read_description(folder)
 }
 
-/// The run's hops, as it has reported them.
+/// The hops in the run's report.
 ///
 /// # Errors
 /// If its report cannot be read.
@@ -101,7 +105,7 @@ pub(super) fn hops_us(description: &RunDescription) -> anyhow::Result<HopSummary
     Ok(serde_json::from_str::<Reported>(&text).with_context(|| path.display().to_string())?.hops_us)
 }
 
-/// What a robot's record tells of the exchange.
+/// The stamps of a robot's record.
 pub(super) fn exchange(robot: &RobotRecord) -> Exchange {
     Exchange { sent_ns: robot.range_sent_ns, held_ns: robot.heading_held_ns }
 }

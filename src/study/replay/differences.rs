@@ -1,4 +1,4 @@
-//! What would have been different: a run as recorded beside the same ranges with another planner or filter.
+//! Differences between a run as recorded and the same ranges with another planner or filter.
 
 use std::f64::consts::PI;
 
@@ -12,10 +12,10 @@ use crate::results::frame::Frame;
 use crate::results::report::{Accumulator, Background};
 use crate::statistics::Mean;
 
-/// Characters of a setting: a space is left between the columns.
+/// Most characters of a setting: a space must remain between the columns.
 const SETTING_LEN_MAX: usize = 11;
 
-/// Adds up both sides tick by tick.
+/// Sums up both sides tick by tick.
 pub(super) struct Differences {
     sides: [Side; 2],
     headings_apart: Apart,
@@ -28,7 +28,7 @@ struct Side {
     bound: Mean,
 }
 
-/// How far two things are from each other.
+/// Mean and maximum of a distance.
 #[derive(Debug, Clone, Copy, Default)]
 struct Apart {
     mean: Mean,
@@ -45,19 +45,19 @@ impl Apart {
 /// Both sides' figures.
 #[derive(Debug, Serialize)]
 pub(super) struct Comparison {
-    /// The run as it was.
+    /// The recorded run.
     pub(super) recorded: Figures,
-    /// As it would have been.
+    /// The replayed run.
     pub(super) replayed: Figures,
-    /// Between the headings, in the mean over robots and ticks, rad.
+    /// Mean difference of the headings over robots and ticks, rad.
     pub(super) heading_apart_mean_rad: Option<f64>,
-    /// At the most.
+    /// Maximum of it.
     pub(super) heading_apart_max_rad: f64,
-    /// Between the estimated positions, in the mean over the ticks, m.
+    /// Mean distance of the estimated positions over the ticks, m.
     pub(super) position_apart_mean_m: Option<f64>,
-    /// At the most.
+    /// Maximum of it.
     pub(super) position_apart_max_m: f64,
-    /// Of the spectral densities.
+    /// Unit of the spectral densities.
     #[serde(skip)]
     psd_unit: &'static str,
 }
@@ -68,7 +68,7 @@ pub(super) struct Figures {
     pub(super) planner: String,
     pub(super) gate_sigma: Option<f64>,
     pub(super) distrust: bool,
-    /// As in the scenario; none of a model that is matrices.
+    /// As in the scenario; `None` if the model is given by matrices.
     pub(super) noise_psd: Option<f64>,
     pub(super) position_rmse_m: Option<f64>,
     pub(super) anees: Option<f64>,
@@ -80,7 +80,7 @@ pub(super) struct Figures {
     pub(super) fused: u64,
     pub(super) rejected: u64,
     pub(super) objective_mean: Option<f64>,
-    /// None of a planner that proves nothing.
+    /// `None` if the planner proves no bound.
     pub(super) lower_bound_mean: Option<f64>,
 }
 
@@ -97,11 +97,11 @@ impl Differences {
         let recorded = &frame.fusion.estimate;
         for (side, estimate) in self.sides.iter_mut().zip([recorded, replayed]) {
             side.totals.add_estimate(frame.tick, estimate, truth_m);
-            // Who plans nothing has no objective.
+            // A planner without an objective reports none.
             if estimate.objective > 0.0 {
                 side.objective.add(estimate.objective);
             }
-            // Who proves nothing has no bound.
+            // Not every planner proves a bound.
             if estimate.objective > 0.0 && estimate.lower_bound.is_finite() {
                 side.bound.add(estimate.lower_bound);
             }
@@ -109,7 +109,7 @@ impl Differences {
         let [x_m, y_m] = [0, 1].map(|axis| recorded.state[axis] - replayed.state[axis]);
         self.positions_apart.add(x_m.hypot(y_m));
         for (exchange, command) in frame.fusion.exchanges.iter().zip(commands) {
-            // Who stands has no heading.
+            // A robot that stands still has no heading.
             if exchange.command.speed_mps > 0.0 && command.speed_mps > 0.0 {
                 let apart_rad = (exchange.command.heading_rad - command.heading_rad).rem_euclid(2.0 * PI);
                 self.headings_apart.add(apart_rad.min(2.0 * PI - apart_rad));
@@ -168,7 +168,7 @@ impl std::fmt::Display for Comparison {
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.4}"));
         let noise = format!("noise psd, {}", self.psd_unit);
         let rows = [
-            // What may have been changed comes first.
+            // The settings that may have changed come first.
             ("planner", was.planner.clone(), would_be.planner.clone()),
             ("gate, sigma", setting(was.gate_sigma), setting(would_be.gate_sigma)),
             ("distrust", on_or_off(was.distrust), on_or_off(would_be.distrust)),
@@ -214,7 +214,7 @@ fn on_or_off(switch: bool) -> String {
     if switch { "on" } else { "off" }.to_owned()
 }
 
-/// A number as somebody has written it, as far as there is room.
+/// A number in its shortest form that fits.
 fn setting(value: Option<f64>) -> String {
     let Some(value) = value else { return "-".to_owned() };
     let text = value.to_string();

@@ -1,5 +1,5 @@
-//! `replay`: feeds recorded ranges to a fresh fusion centre, and tells whether it comes to the same estimates, bit for
-//! bit; or what would have been different with another planner or filter.
+//! `replay`: feeds recorded ranges to a fresh fusion centre, and reports whether it computes the same estimates, bit for
+//! bit, or how they differ with another planner or filter.
 
 mod differences;
 pub mod repair;
@@ -26,7 +26,7 @@ use steps::{Difference, Fed, StepError, Steps};
 /// How often progress is shown.
 const SHOW_TICKS: u64 = 4_096;
 
-/// What a replay came to; its fields are the keys of `--json`.
+/// The outcome of a replay; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
 struct Outcome {
     file: String,
@@ -34,26 +34,26 @@ struct Outcome {
     robots: usize,
     clock: &'static str,
     seed: u64,
-    /// The last tick that was replayed, and that of the whole run.
+    /// The last replayed tick, and the last tick of the complete run.
     ticks: u64,
     ticks_of_run: u64,
-    /// Ticks after the last that the file counts and does not hold.
+    /// Ticks after the last that the file counts but does not hold.
     ticks_missing: Option<Missing>,
-    /// What was replayed, in the run's time, and how long that took, s.
+    /// Replayed time of the run, and its wall time, s.
     run_s: f64,
     wall_s: f64,
     ranges_in_time: u64,
     ranges_late: u64,
-    /// `bit-identical`, `differs`, or `changed` if it was to be different.
+    /// `bit-identical`, `differs`, or `changed` if settings were changed.
     verdict: &'static str,
     first_difference: Option<Difference>,
     /// After the last tick, as replayed.
     digest: String,
-    /// If it was to be different.
+    /// With changed settings only.
     comparison: Option<Comparison>,
 }
 
-/// What is to be different from the recorded run.
+/// Changes to the settings of the recorded run.
 #[derive(Debug, Default)]
 pub struct Changes {
     /// Another planner.
@@ -66,12 +66,12 @@ pub struct Changes {
     pub accel_psd: Option<f64>,
 }
 
-/// How it is shown, after it was compared.
+/// How the replay is shown after the comparison.
 #[derive(Debug, Clone, Copy)]
 pub struct Show {
-    /// The page's port, if not any.
+    /// The page's port; any free one if not given.
     pub port: Option<u16>,
-    /// Seconds of the run in a second.
+    /// Speed: seconds of the run per second.
     pub speed: f64,
 }
 
@@ -84,7 +84,7 @@ fn open(path: &Path) -> Result<FrameReader<BufReader<File>>, Failure> {
 /// `rangehound replay`.
 ///
 /// # Errors
-/// [`Failure`]: of the input, if the file cannot be read up to its end; of the run, if it differs.
+/// [`Failure`]: of the input, if the file cannot be read to its end; of the run, if the replay differs.
 pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) -> Result<(), Failure> {
     let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
     let mut reader = open(path)?;
@@ -102,7 +102,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
             None => refuse(&"holds no tick"),
         },
         Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
-        // Ticks that are not there are a difference; what diverges with other flags is a result too.
+        // Missing ticks are a difference; divergence after changed settings is a result too.
         Stopped::Stepping(error) => Failure::Running(anyhow::Error::new(error).context(path.display().to_string())),
         Stopped::Comparing(error) => Failure::Running(error),
     })?;
@@ -149,7 +149,7 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
     }
 }
 
-/// The scenario with the command line's values over the recorded ones.
+/// The scenario with the values of the command line.
 fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> {
     let mut scenario = recorded.clone();
     if let Some(name) = &changes.planner {
@@ -160,7 +160,7 @@ fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> 
         }
         let table = PlannerTable { name: Some(name.clone()), ..PlannerTable::default() };
         let spec = PlannerSpec::from_table(&table, COMMAND_LINE).map_err(Failure::input)?;
-        // The same planner keeps what its scenario said of it.
+        // The same planner keeps the settings of its scenario.
         if spec.name() != recorded.planner.name() {
             scenario.planner = spec;
         }
@@ -182,7 +182,7 @@ fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> 
     Ok(scenario)
 }
 
-/// Why a replay has stopped before the end.
+/// Why a replay stopped before the end.
 enum Stopped {
     Empty,
     Reading(ReadError),
@@ -190,7 +190,7 @@ enum Stopped {
     Comparing(anyhow::Error),
 }
 
-/// What has been replayed.
+/// The state of a replay.
 struct Replayed {
     ticks: u64,
     run_s: f64,
@@ -201,7 +201,7 @@ struct Replayed {
     differences: Option<Differences>,
 }
 
-/// Feeds a whole recording.
+/// Feeds a complete recording.
 fn feed(
     reader: &mut FrameReader<BufReader<File>>,
     mut steps: Steps,

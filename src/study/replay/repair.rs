@@ -1,4 +1,4 @@
-//! A whole file of one that was cut short or damaged: all ticks up to there.
+//! Repairs a file that was cut short or damaged: copies all ticks before the damage to a complete file.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -14,24 +14,24 @@ use crate::results::run_mcap::read::{FrameReader, ReadError};
 use crate::results::run_mcap::write::Written;
 use crate::run::watch::Progress;
 
-/// What there was to save; its fields are the keys of `--json`.
+/// The outcome of a repair; its fields are the keys of `--json`.
 #[derive(Debug, Serialize)]
 struct Repaired {
     file: String,
-    /// The whole file.
+    /// The complete file.
     whole: String,
-    /// The ticks that are in it, and the last one of the run.
+    /// The first and last tick in it, and the last tick of the run.
     first_tick: u64,
     ticks: u64,
     ticks_of_run: u64,
-    /// What is wrong with the file after these; `None` if nothing is.
+    /// The error in the file after these ticks; `None` without error.
     reason: Option<String>,
 }
 
-/// Reads a file up to where it is cut or damaged, and writes what there is as a whole file.
+/// Reads a file up to the damage, and writes the ticks before it to a complete file.
 ///
 /// # Errors
-/// [`Failure`] if nothing of it can be read, or the new file cannot be written.
+/// [`Failure`] if no tick can be read, or the new file cannot be written.
 pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure> {
     let refuse = |error: &ReadError| Failure::input(format!("{}: {error}", path.display()));
     let mut reader = super::open(path)?;
@@ -40,7 +40,7 @@ pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure
         return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
     }
     let description = reader.description().map_err(|error| refuse(&error))?.clone();
-    // What is repaired may be all that there is of the run: it keeps its name until there is more.
+    // The damaged file may be all that remains of the run: it keeps its name until a file with more ticks exists.
     let in_making = with_ending(&out, &format!(".{}{PARTIAL}", std::process::id()));
     let file = RunFile::begin_as(&in_making, &out, &description, reader.scenario_text(), u64::MAX).map_err(unusable)?;
     let copied = copy(&mut reader, file, description.scenario.ticks);
@@ -65,10 +65,10 @@ pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure
     failure::print(format_args!("repaired: ticks {first_tick} to {ticks} of {ticks_of_run} in {whole}\n"))
 }
 
-/// The first and the last tick that could be read, and why there are no more.
+/// The first and the last readable tick, and why there are no more.
 type Copied = (Option<(u64, u64)>, Option<ReadError>);
 
-/// Copies what can be read, and finishes the file unless that is nothing.
+/// Copies the readable ticks, and finishes the file if there are any.
 fn copy(reader: &mut FrameReader<BufReader<File>>, mut file: RunFile, ticks_of_run: u64) -> anyhow::Result<Copied> {
     let mut progress = Progress::new("tick", ticks_of_run);
     let mut ticks: Option<(u64, u64)> = None;

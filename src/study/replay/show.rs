@@ -1,4 +1,4 @@
-//! `replay --live`: what is replayed on the live page, at any speed.
+//! `replay --live`: shows a replay on the live page, at any speed.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -13,13 +13,13 @@ use crate::live;
 use crate::results::frame::Frame;
 use crate::results::run_mcap::read::FrameReader;
 
-/// How soon a request to end is heard.
+/// How soon a request to end is noticed.
 const NAP: Duration = Duration::from_millis(50);
 
 /// Shows a recording from its beginning, with the estimates and headings of the replay in place of its own.
 ///
 /// # Errors
-/// [`Failure`], for a port that is taken and for whatever keeps frames from being read.
+/// [`Failure`] if the port is taken or a frame cannot be read.
 pub(super) fn show(
     reader: FrameReader<BufReader<File>>,
     steps: Steps,
@@ -36,7 +36,7 @@ pub(super) fn show(
 struct Frames<'a> {
     reader: FrameReader<BufReader<File>>,
     steps: Steps,
-    /// Seconds of the run in a second.
+    /// Speed: seconds of the run per second.
     speed: f64,
     /// When the first frame was shown, and its time, s.
     began: Option<(Instant, f64)>,

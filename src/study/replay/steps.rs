@@ -1,4 +1,4 @@
-//! A fresh fusion that leads, fed with what the recorded one heard: pure, a frame in, an estimate out.
+//! A fresh leading fusion, fed with the messages of the recorded one: pure, a frame in, an estimate out.
 
 use std::collections::BTreeMap;
 
@@ -19,32 +19,32 @@ pub enum StepError {
     /// A tick is not in the recording: all later estimates depend on it.
     #[error("{0} in the recording, so that nothing after can be replayed")]
     Hole(Missing),
-    /// The recording says what fusion cannot have done.
+    /// The recording contains an impossible step of fusion.
     #[error("tick {tick}: a range of robot {robot} cannot have been taken at tick {taken_at}")]
     Senseless {
         /// Tick of the range.
         tick: u64,
-        /// Whose it is.
+        /// The robot.
         robot: usize,
-        /// When it is said to have been taken.
+        /// The tick at which it was taken, according to the recording.
         taken_at: u64,
     },
-    /// The replayed estimate is no longer one.
+    /// The replayed estimate diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
 }
 
-/// A replay under way.
+/// A replay in progress.
 #[derive(Debug)]
 pub struct Steps {
     leader: Leader,
     dt_ns: u64,
-    /// What came late, by the tick that it was taken at, as it was sent.
+    /// Late ranges as sent, by the tick at which they were taken.
     late: BTreeMap<u64, Vec<(Header, Range)>>,
     fed: Fed,
 }
 
-/// Messages that the replayed centre was given.
+/// Number of messages that the replayed centre received.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Fed {
     /// In time, with a range.
@@ -54,7 +54,7 @@ pub struct Fed {
 }
 
 impl Steps {
-    /// A replay before its first tick; the scenario may be another one than was recorded.
+    /// A replay before its first tick; the scenario may differ from the recorded one.
     ///
     /// # Errors
     /// [`PlannerError`] if its planner cannot serve its team.
@@ -63,7 +63,7 @@ impl Steps {
         Ok(Self { leader: Leader::new(scenario)?, dt_ns, late: BTreeMap::new(), fed: Fed::default() })
     }
 
-    /// Goes through a tick with what the recorded centre had heard when it did.
+    /// Replays a tick with the messages that the recorded centre had received.
     ///
     /// # Errors
     /// [`StepError`].
@@ -73,7 +73,7 @@ impl Steps {
             return Err(StepError::Hole(Missing::between(tick, frame.tick)));
         }
         let Self { leader, dt_ns, late, fed } = self;
-        // A clock on which each tick begins in time.
+        // Clock on which each tick begins in time.
         let now_ns = tick.saturating_add(1).saturating_mul(*dt_ns);
         for (header, range) in late.remove(&tick).unwrap_or_default() {
             leader.on_range(&header, &[range], now_ns);
@@ -94,38 +94,38 @@ impl Steps {
         }
         leader.end_tick();
         while leader.next_action(now_ns)?.is_some_and(|action| action != Action::Record) {}
-        // What was refused, and when what happened, no replay can tell.
+        // A replay cannot reproduce refusals and times.
         let &Estimate { late, refused, stages, .. } = &frame.fusion.estimate;
         Ok(Estimate { late, refused, stages, ..*leader.estimate() })
     }
 
-    /// What the replayed centre commanded at the last tick.
+    /// The commands of the replayed centre at the last tick.
     #[must_use]
     pub fn commands(&self) -> &[Command] {
         self.leader.centre().commands()
     }
 
-    /// What it was given up to now.
+    /// Messages fed so far.
     #[must_use]
     pub fn fed(&self) -> Fed {
         self.fed
     }
 }
 
-/// Where a replayed tick is not the recorded one.
+/// The first difference between a replayed and a recorded tick.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Difference {
     /// The tick.
     pub tick: u64,
-    /// What differs.
+    /// The quantity that differs.
     pub what: String,
-    /// As recorded.
+    /// The recorded value.
     pub recorded: f64,
-    /// As replayed.
+    /// The replayed value.
     pub replayed: f64,
 }
 
-/// The first number of a tick that is not the same, bit for bit: of state, covariance, headings; or its digest.
+/// The first number of a tick that differs in any bit: of state, covariance, headings; or the digest.
 #[must_use]
 pub fn difference(frame: &Frame, replayed: &Estimate, commands: &[Command]) -> Option<Difference> {
     let recorded = &frame.fusion.estimate;

@@ -61,7 +61,7 @@ impl Arm {
         if self.extent == Extent::Circle {
             return None;
         }
-        // Less than half a turn from the centre on either side: a sine tells.
+        // Less than half a turn from the centre on either side: the sign of a sine decides.
         let (end, sine) =
             if self.centre.cross(v) >= 0.0 { (self.high, v.cross(self.high)) } else { (self.low, self.low.cross(v)) };
         // An arc of no width has not the direction opposite.

@@ -1,9 +1,9 @@
-//! Each robot by itself: what a team reaches without planning as one.
+//! Each robot plans by itself, without coordination.
 
 use super::{Problem, Solution, Solver};
 
 /// Each robot minimises `|S|` as if its teammates stayed where they stand (after Stroupe and Balch):
-/// the one-robot closed form, once, for everybody at the same time.
+/// the one-robot closed form, once, for all robots at the same time.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Greedy;
 

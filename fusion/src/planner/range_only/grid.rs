@@ -1,11 +1,11 @@
-//! Exhaustive search on a grid of bearings: the paper's yardstick.
+//! Exhaustive search on a grid of bearings: the paper's reference.
 
 use std::f64::consts::PI;
 
 use super::{Arm, Extent, PlannerError, Problem, Solution, Solver};
 use crate::vector::Vector;
 
-/// Candidates beyond which a step would take longer than anybody waits (about a nanosecond each).
+/// Most candidates of a step, at about a nanosecond each.
 const CANDIDATES_MAX: f64 = 2e9;
 
 /// Tries every combination of bearings `theta_min, theta_min + step, ..., theta_max`: exponential in

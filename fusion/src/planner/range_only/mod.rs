@@ -7,7 +7,7 @@
 //! |---|---|
 //! | [`certified`] | branch and bound: the global optimum, with a proof |
 //! | [`relaxation`] | the paper's adaptive relaxation, and standard relaxation as its case `alpha = 0` |
-//! | [`grid`] | exhaustive search, the paper's yardstick: exponential in the number of robots |
+//! | [`grid`] | exhaustive search, the paper's reference: exponential in the number of robots |
 //! | [`greedy`] | each robot by itself, its teammates counted where they stand |
 //! | [`pursue`] | straight to the predicted target |
 //! | [`random`] | uniformly random headings, the paper's lower end |
@@ -35,7 +35,7 @@ pub use solution::{Solution, hull_certificate};
 
 /// A way to choose directions within their arcs.
 pub trait Solver: std::fmt::Debug + Send {
-    /// The name by which scenario and command line know it.
+    /// Its name in scenarios and on the command line.
     fn name(&self) -> &'static str;
 
     /// Chooses a direction for each robot of the problem and completes the solution with
@@ -228,8 +228,8 @@ mod tests {
         assert!(solve(PlannerSpec::Adaptive { iterations: 20, alpha: 0.5 }, &problem).objective < 1e-9);
     }
 
-    /// What is planned of a situation is the solution of its problem, whatever was planned before; who is not fused is led,
-    /// and counts for nothing.
+    /// A plan is the solution of its situation's problem, whatever was planned before. Robots that are not fused are sent
+    /// to their best places and are not counted.
     #[test]
     fn a_plan_is_the_solution_of_the_situations_problem() {
         let mut situation = random_situation((3.0, 1.0, 0.4), &[(8.0, 1.0, 9.0, 0.5), (-4.0, 6.0, 9.0, 1.0)]);

@@ -37,7 +37,7 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// A problem without places: for those who study the minimisation by itself. Its plans have
+    /// A problem without positions, to study the minimisation alone. Its plans have
     /// directions and no headings.
     #[must_use]
     pub fn of_arms(prior: Vector, arms: Vec<Arm>) -> Self {
@@ -179,7 +179,7 @@ impl Problem {
         arms.fold(self.prior_across(along), |least, (arm, u)| least + 0.5 * arm.lambda * (*u - along).norm_squared())
     }
 
-    /// `tr A - V_0 . n` for a unit vector `n`: twice what the prior knows across the axis of which `n` is the double.
+    /// `tr A - V_0 . n` for a unit vector `n`: twice the prior's information across the axis of which `n` is the double.
     #[inline]
     pub(super) fn prior_across(&self, n: Vector) -> f64 {
         let p = &self.covariance_m2;
@@ -200,7 +200,7 @@ impl Problem {
     }
 }
 
-/// What a robot's measurement tells, `sigma^-2`, 1/m^2.
+/// Information of a robot's measurement, `sigma^-2`, 1/m^2.
 fn lambda(member: &TeamMember) -> f64 {
     let Sensor::Range { std_m } = member.sensor;
     if member.is_fused { 1.0 / (std_m * std_m) } else { 0.0 }

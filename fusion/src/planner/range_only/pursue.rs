@@ -1,4 +1,4 @@
-//! Straight to the predicted target: what a team does that does not plan for information.
+//! Straight to the predicted target: a team that does not plan for information.
 
 use super::{Problem, Solution, Solver};
 

@@ -1,4 +1,4 @@
-//! Uniformly random headings: what planning is measured against.
+//! Uniformly random headings: the baseline of the comparison.
 
 use std::f64::consts::{PI, TAU};
 

@@ -1,4 +1,4 @@
-//! Directions within their arcs, the commands that lead there, and what has been proven of them.
+//! Directions within their arcs, the commands that lead there, and proven bounds on them.
 
 use rangehound_shared::message::Command;
 
@@ -12,7 +12,7 @@ use crate::vector::Vector;
 pub struct Solution {
     /// Doubled bearing of each robot to the predicted target after the step, `exp(2j theta_i)`.
     pub directions: Vec<Vector>,
-    /// What leads each robot there.
+    /// The command that leads each robot there.
     pub commands: Vec<Command>,
     /// `|S|` that these directions reach, 1/m^2.
     pub objective: f64,
@@ -51,7 +51,7 @@ impl Solution {
         self.value(problem);
     }
 
-    /// Derives what [`Self::directions`] are worth; proves nothing.
+    /// Computes the objective of [`Self::directions`]; proves nothing.
     pub(super) fn value(&mut self, problem: &Problem) {
         let sum = problem.sum(&self.directions);
         self.objective = sum.norm();
@@ -60,7 +60,7 @@ impl Solution {
         (self.lower_bound, self.least_information_bound) = (f64::NEG_INFINITY, f64::INFINITY);
     }
 
-    /// Takes note that no directions reach less than `lower_bound`.
+    /// Records that no directions reach less than `lower_bound`.
     pub fn prove(&mut self, lower_bound: f64) {
         self.lower_bound = lower_bound.min(self.objective);
         self.least_information_bound = self.least_information + (self.objective - self.lower_bound);
@@ -81,7 +81,7 @@ impl Solution {
             && self.least_information_bound <= self.least_information * (1.0 + certified::TRACE_GAP_MAX)
     }
 
-    /// What it is worth, as plans tell it.
+    /// The plan's worth.
     pub(super) fn worth(&self) -> Worth {
         Worth {
             objective_per_m2: self.objective,
@@ -90,7 +90,7 @@ impl Solution {
         }
     }
 
-    /// What is proven of it, if anything is.
+    /// The certificate, if anything is proven.
     pub(super) fn certificate(&self, problem: &Problem) -> Option<Certificate> {
         (self.lower_bound != f64::NEG_INFINITY).then(|| self.proven(problem))
     }
@@ -104,7 +104,7 @@ impl Solution {
     }
 }
 
-/// What holds whatever a solver proves, for directions of this worth: the bound of the arcs' hulls.
+/// The bound of the arcs' hulls for directions of this worth; it holds for every solver.
 #[must_use]
 pub fn hull_certificate(problem: &Problem, worth: &Worth) -> Certificate {
     let Worth { objective_per_m2: objective, least_information_per_m2: least_information, position_trace_m2 } = *worth;

@@ -213,7 +213,7 @@ impl<const N: usize> Bank<N> {
         self.hypotheses.retain_mut(|hypothesis| {
             hypothesis.estimate = hypothesis.estimate.predict(transition);
             let spread_m2 = hypothesis.estimate.position_covariance().trace();
-            make_sound(&mut hypothesis.estimate) && spread_m2 < UNKNOWN_STD * UNKNOWN_STD
+            make_valid(&mut hypothesis.estimate) && spread_m2 < UNKNOWN_STD * UNKNOWN_STD
         });
     }
 
@@ -284,7 +284,7 @@ impl<const N: usize> Bank<N> {
         let mut updated = estimate.update(&information);
         let hypothesis = &mut self.hypotheses[index];
         hypothesis.log_weight += log_likelihood.max(sight.log_outlier);
-        if make_sound(&mut updated) {
+        if make_valid(&mut updated) {
             hypothesis.estimate = updated;
         }
     }
@@ -337,7 +337,7 @@ impl<const N: usize> Bank<N> {
             }
             let mut child = estimate.update(&information);
             if let Some(root) = Cholesky::new(covariance)
-                && make_sound(&mut child)
+                && make_valid(&mut child)
             {
                 let square = offset_m.dot(&root.solve(&offset_m));
                 let log_likelihood = circle.arc_m.ln() - 0.5 * (square + root.ln_determinant()) - TAU.ln();
@@ -387,7 +387,7 @@ fn unknown<const N: usize>() -> Gaussian<N> {
 }
 
 /// Lifts the covariance clear of rounding. False if it is not positive definite or not all is finite.
-fn make_sound<const N: usize>(estimate: &mut Gaussian<N>) -> bool {
+fn make_valid<const N: usize>(estimate: &mut Gaussian<N>) -> bool {
     inflate(&mut estimate.p);
     let finite = estimate.x.iter().chain(estimate.p.iter()).all(|value| value.is_finite());
     finite && Cholesky::new(estimate.p).is_some()

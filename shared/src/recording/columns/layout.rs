@@ -1,4 +1,4 @@
-//! Which column of a header is what, from what the user says, from names, and never by a guess.
+//! Assigns roles to the columns of a header, from the user's options or the columns' names, never by a guess.
 
 use std::io::Read;
 
@@ -9,24 +9,24 @@ use crate::recording::error::{RecordingError, listed, shown};
 use crate::recording::table::Table;
 use crate::recording::table::unit::Unit;
 
-/// A column that is read.
+/// A column to read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) struct Column {
     pub(in crate::recording) index: usize,
-    /// Of a column of numbers.
+    /// The column's unit, if it holds numbers.
     pub(in crate::recording) unit: Unit,
-    /// The user told the unit.
+    /// The user gave the unit.
     pub(in crate::recording) is_told: bool,
 }
 
-/// Finds columns in a header, and gathers what must be asked.
+/// Finds columns in a header, and collects questions to the user.
 pub(in crate::recording) struct Finder<'a> {
     kind: Kind,
     header: Vec<String>,
     first_row: Vec<Vec<u8>>,
     map: &'a ColumnMap,
     used: Vec<bool>,
-    /// Columns whose unit is not known, each with the unit that is the likeliest.
+    /// Columns of unknown unit, each with the most likely unit.
     asks: Vec<Told>,
     read_as: Vec<String>,
 }
@@ -39,18 +39,18 @@ impl<'a> Finder<'a> {
         Self { kind, header, first_row, map, used, asks: Vec::new(), read_as: Vec::new() }
     }
 
-    /// The index of the column that has a role: the one that the user tells, or the one whose name says so.
+    /// The index of the column with a role: the user's choice, or else the column whose name fits.
     pub(in crate::recording) fn index<R: Read>(
         &self,
         role: Role,
         table: &Table<R>,
     ) -> Result<Option<usize>, RecordingError> {
-        // The number of a log's column says nothing of its anchors file.
+        // A column number for the log does not apply to its anchors file.
         let is_of_log = |told: &&Told| self.kind == Kind::Anchors && role == Role::Sensor && told.is_by_number();
         if let Some(told) = self.map.get(role).filter(|told| !is_of_log(told)) {
             let found = self.told_index(&told.column);
             return match found {
-                // An anchors file and its log often call the sensor differently.
+                // An anchors file and its log often use different names for the sensor column.
                 None if self.kind == Kind::Anchors && role == Role::Sensor => self.named_index(role, table),
                 None => Err(table.header_error(&format!(
                     "--columns {told}: expected one of the columns {}",
@@ -94,7 +94,7 @@ impl<'a> Finder<'a> {
         Ok(Some(index))
     }
 
-    /// What to type, or to do where nothing can be typed.
+    /// The option to type, or what to do if no option helps.
     fn hint(&self, told: &[Told]) -> String {
         if self.kind == Kind::Track {
             return "name the right ones time_s, x_m, y_m".to_owned();
@@ -145,7 +145,7 @@ impl<'a> Finder<'a> {
         Ok(index)
     }
 
-    /// A column of numbers. Where its unit cannot be known, that is asked by [`Self::finish`].
+    /// A column of numbers. If its unit is unknown, [`Self::finish`] asks for it.
     pub(in crate::recording) fn number<R: Read>(
         &mut self,
         role: Role,
@@ -162,14 +162,14 @@ impl<'a> Finder<'a> {
         Ok(Some(Column { index, unit: unit.unwrap_or(Unit::Metre), is_told }))
     }
 
-    /// Notes that a column is read.
+    /// Marks a column as read.
     pub(in crate::recording) fn take(&mut self, role: Role, index: usize, unit: Option<Unit>) {
         self.used[index] = true;
         let unit = unit.map(|unit| format!(" in {}", unit.symbol())).unwrap_or_default();
         self.read_as.push(format!("{} \"{}\"{unit}", role.key(), shown(&self.header[index])));
     }
 
-    /// Asks for a unit that cannot be known.
+    /// Asks for an unknown unit.
     pub(in crate::recording) fn ask(&mut self, told: Told) {
         self.asks.push(told);
     }
@@ -182,7 +182,7 @@ impl<'a> Finder<'a> {
         self.used[index]
     }
 
-    /// Refuses a table without a column that it needs.
+    /// Refuses a table that lacks a required column.
     pub(in crate::recording) fn missing<R: Read>(
         &self,
         roles: &[Role],
@@ -204,10 +204,10 @@ impl<'a> Finder<'a> {
         ))
     }
 
-    /// The columns that are not read, and how the others are.
+    /// The unused columns, and how the others are read.
     ///
     /// # Errors
-    /// With the words to type, where units are not known.
+    /// The error has the option to type if units are unknown.
     pub(in crate::recording) fn finish<R: Read>(
         self,
         table: &Table<R>,
@@ -236,12 +236,12 @@ impl<'a> Finder<'a> {
     }
 }
 
-/// A line to type is useless if cut, but a message must end somewhere.
+/// Limits a message's length: a truncated option is useless, but the message must end somewhere.
 fn shown_line(line: &str) -> String {
     line.chars().filter(|c| !c.is_control()).take(250).collect()
 }
 
-/// The unit in which a stamp is a time since 1970 of this century or the last.
+/// The unit in which a stamp, as a time since 1970, falls into this century or the last.
 pub(in crate::recording) fn unit_of_epoch(stamp: f64) -> Option<Unit> {
     match stamp.abs() {
         1e8..1e11 => Some(Unit::Second),

@@ -1,4 +1,4 @@
-//! Which column of a log is what, where the user says so.
+//! The user's column options for a log.
 
 pub(super) mod layout;
 pub(super) mod names;
@@ -6,22 +6,22 @@ pub(super) mod stamp;
 
 use crate::recording::table::unit::Unit;
 
-/// What a column can be.
+/// Roles of columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
-    /// When a range was measured.
+    /// Time of the measurement.
     Time,
-    /// Which sensor measured it.
+    /// The sensor that measured.
     Sensor,
     /// The range.
     Range,
-    /// Where the sensor was.
+    /// The sensor's x coordinate.
     X,
-    /// Where the sensor was.
+    /// The sensor's y coordinate.
     Y,
-    /// How high the sensor was.
+    /// The sensor's height.
     Z,
-    /// Which target was measured.
+    /// The target that was measured.
     Target,
 }
 
@@ -41,7 +41,7 @@ impl Role {
         }
     }
 
-    /// Whether a unit can be that of its column.
+    /// True if the unit fits this role.
     pub(super) fn takes(self, unit: Unit) -> bool {
         match self {
             Self::Time => unit.is_of_time(),
@@ -51,7 +51,7 @@ impl Role {
     }
 }
 
-/// What the user says of a log's columns: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
+/// The user's column options: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
 ///
 /// Keys are `time`, `sensor`, `range`, `x`, `y`, `z` (the sensor's place) and `target`. A column is named as in the
 /// header, or by its number from 1. Units are `s`, `ms`, `us`, `ns` and `iso` for time, `m`, `cm`, `mm` for lengths.
@@ -62,7 +62,7 @@ pub struct ColumnMap {
     told: Vec<Told>,
 }
 
-/// What the user says of one column.
+/// The user's option for one column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Told {
     pub(super) role: Role,
@@ -70,7 +70,7 @@ pub(super) struct Told {
     pub(super) unit: Option<Unit>,
 }
 
-/// Why a text says nothing of columns. Displays as what was expected and what came.
+/// Why a column option is invalid. Displays what was expected and what was given.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, got {got:?}")]
 pub struct ColumnMapError {
@@ -83,30 +83,30 @@ impl ColumnMap {
         self.told.iter().find(|told| told.role == role)
     }
 
-    /// Whether all that is told is told by number, as for a file without a header.
+    /// True if all columns are given by number, as for a file without a header.
     pub(super) fn is_by_number(&self) -> bool {
         !self.told.is_empty() && self.told.iter().all(Told::is_by_number)
     }
 
-    /// Whether a column's name is told. A number is none: a row of values may hold it.
+    /// True if a column is given by name. Numbers do not count: a row of values may contain them.
     pub(super) fn names(&self, column: &str) -> bool {
         self.told.iter().any(|told| !told.is_by_number() && told.column.eq_ignore_ascii_case(column))
     }
 
-    /// The words to type: what has been told already, with `more`.
+    /// The option to type: the current options plus `more`.
     pub(super) fn line_to_type(&self, more: &[Told]) -> String {
         let replaced = |role| more.iter().any(|told| told.role == role);
         let all = self.told.iter().filter(|told| !replaced(told.role)).chain(more);
         let words: Vec<String> = all.map(Told::to_string).collect();
         let words = words.join(",");
-        // A shell takes these as they are.
+        // A shell does not interpret these characters.
         let is_plain = words.chars().all(|c| c.is_alphanumeric() || "=:,._-".contains(c));
         if is_plain { format!("--columns {words}") } else { format!("--columns '{words}'") }
     }
 }
 
 impl Told {
-    /// Whether the column is told by its number.
+    /// True if the column is given by number.
     pub(super) fn is_by_number(&self) -> bool {
         self.column.parse::<usize>().is_ok()
     }
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn what_says_nothing_of_columns_is_refused() {
+    fn an_invalid_column_text_is_refused() {
         for (text, expected) in [
             ("", "KEY=COLUMN"),
             ("time", "KEY=COLUMN"),

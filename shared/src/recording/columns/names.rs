@@ -1,21 +1,21 @@
-//! Names that people give to columns.
+//! Common names of columns.
 
 use super::Role;
 use crate::recording::table::unit::Unit;
 
-/// Which kind of table has the columns: `x` is an anchor's place in one and the target's in another.
+/// The kind of table with the columns: `x` is an anchor's place in one and the target's in another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) enum Kind {
     /// Ranges.
     Log,
-    /// Where sensors stand.
+    /// Places of sensors.
     Anchors,
-    /// Where the target was.
+    /// Places of the target.
     Track,
 }
 
 impl Kind {
-    /// The name that a role's column has in our own files.
+    /// The name of a role's column in rangehound's own files.
     pub(in crate::recording) fn own_name(self, role: Role) -> &'static str {
         match (self, role) {
             (_, Role::Time) => "time_s",
@@ -31,7 +31,7 @@ impl Kind {
         }
     }
 
-    /// How surely a column has a role by its name: 0 is the surest.
+    /// How well a name fits a role: 0 is best.
     pub(in crate::recording) fn rank(self, role: Role, column: &str) -> Option<usize> {
         if column.eq_ignore_ascii_case(self.own_name(role)) {
             return Some(0);
@@ -61,7 +61,7 @@ impl Kind {
         }
     }
 
-    /// Whether a header's name is one that we know.
+    /// True if a header's name is known.
     pub(in crate::recording) fn knows(self, column: &str) -> bool {
         let roles: &[Role] = match self {
             Self::Log => &[Role::Time, Role::Sensor, Role::Range, Role::X, Role::Y, Role::Z, Role::Target],
@@ -133,25 +133,25 @@ const AXES: [&str; 9] =
     ["sensor*", "anchor*", "beacon*", "station*", "node*", "sensorpos*", "anchorpos*", "*sensor", "*anchor"];
 const TARGET_AXES: [&str; 7] = ["truth*", "true*", "target*", "tag*", "gt*", "groundtruth*", "poseposition*"];
 
-/// A column's name, taken apart.
+/// A column's name, split into parts.
 #[derive(Debug, PartialEq, Eq)]
 pub(in crate::recording) struct Name {
-    /// Letters and figures in lower case, without the unit.
+    /// Letters and digits in lower case, without the unit.
     pub(in crate::recording) key: String,
     /// Its words in lower case, without the unit.
     pub(in crate::recording) words: Vec<String>,
-    /// The unit that it ends in.
+    /// The unit at its end.
     pub(in crate::recording) unit: Option<Unit>,
 }
 
 impl Name {
-    /// Takes a name apart: `Dist (mm)`, `dist[mm]`, `dist_mm`, `dist.mm`.
+    /// Splits a name: `Dist (mm)`, `dist[mm]`, `dist_mm`, `dist.mm`.
     pub(in crate::recording) fn read(column: &str) -> Self {
         let lower = column.trim().to_lowercase();
-        // As exports of ROS topics have it.
+        // As in exports of ROS topics.
         let lower = lower.strip_prefix("field.").unwrap_or(&lower);
         let (base, unit) = split_unit(lower);
-        // What stands in no name of ours makes a name unknown, rather than vanish from it.
+        // A character that no known name has makes the name unknown; it is not dropped.
         let key = base.chars().filter(|c| !is_joint(*c)).collect();
         let words = base.split(is_joint).filter(|word| !word.is_empty()).map(str::to_owned).collect();
         Self { key, words, unit }

@@ -4,9 +4,9 @@ use jiff::Timestamp;
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 
-/// Seconds since 1970 of an ISO 8601 stamp such as `2024-05-01T12:00:00.25+02:00`. One without a zone is taken as UTC.
+/// Seconds since 1970 of an ISO 8601 stamp such as `2024-05-01T12:00:00.25+02:00`. A stamp without a zone counts as UTC.
 pub(in crate::recording) fn seconds(text: &[u8]) -> Option<f64> {
-    // Jiff also reads dates alone, which are stamps of whole days.
+    // Jiff also reads dates alone, which here would be stamps of complete days.
     let text = std::str::from_utf8(text).ok().filter(|text| text.contains(':'))?;
     let timestamp = text.parse::<Timestamp>().ok().or_else(|| {
         let civil: DateTime = text.parse().ok()?;
@@ -35,7 +35,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_stamp_is_not_guessed() {
+    fn an_invalid_stamp_is_refused() {
         for text in
             ["", "12", "2024-05-01", "01.05.2024 12:00:00", "05/01/2024 12:00", "12:00:00", "2024-13-01T00:00:00Z"]
         {

@@ -1,20 +1,20 @@
-//! What can be known of a recording's units from its numbers.
+//! Plausibility checks of a recording's units.
 
 use crate::ROBOTS_MAX;
 use crate::recording::columns::{ColumnMap, Role, Told};
 use crate::recording::table::unit::Unit;
 use crate::recording::{Doubt, DoubtKind, RecordedRange, Recording};
 
-/// Fewest instants, or pairs of ranges, to judge by.
+/// Fewest instants, or pairs of ranges, for a check.
 const FEWEST: usize = 8;
 
-/// About as many instants and ranges are judged by at most.
+/// Approximate maximum of instants and ranges that are checked.
 const SAMPLES: usize = 20_000;
 
-/// Ranges so many times the sensors' distances from each other are in another unit, or of no use.
+/// Ratio of ranges to the sensors' distances above which the unit is wrong, or the ranges are useless.
 const FAR: f64 = 100.0;
 
-/// The columns that numbers came from, to say what to type.
+/// The columns of the numbers, for the option to type.
 pub(super) struct Columns<'a> {
     pub(super) map: &'a ColumnMap,
     pub(super) time: (usize, Option<&'a String>),
@@ -25,7 +25,7 @@ pub(super) struct Columns<'a> {
     pub(super) are_placed_by_rows: bool,
 }
 
-/// What to type where a column has another unit than it seems to.
+/// The option to type if a column has another unit.
 pub(super) fn line_to_type(map: &ColumnMap, role: Role, name: Option<&String>, index: usize, unit: Unit) -> String {
     let is_plain = |name: &&String| name.len() <= 40 && !name.chars().any(|c| c.is_control() || ",='\"".contains(c));
     let column = name.filter(is_plain).cloned().unwrap_or_else(|| (index + 1).to_string());
@@ -37,7 +37,7 @@ pub(super) fn doubts(recording: &Recording, columns: &Columns<'_>) -> Vec<Doubt>
     [of_ranges(recording, columns), of_times(recording, columns)].into_iter().flatten().collect()
 }
 
-/// Two ranges of one moment and the distance of their sensors are a triangle.
+/// Checks the triangle inequality: two ranges of one moment and the distance of their sensors.
 fn of_ranges(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     let pairs = pairs(recording);
     let share = |is_wrong: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| is_wrong(pair)).count() * 2 > pairs.len();
@@ -54,7 +54,7 @@ fn of_ranges(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     };
     if are_far || is_judged && share(&Pair::is_too_long) {
         let ratio = |unit: Unit| median_m * 10_f64.powi(unit.power_of_ten()) / spread_m;
-        // In its right unit a range is about as long as the sensors' field is wide.
+        // In the right unit a range is about as long as the sensors' field is wide.
         let surprise = |unit: &Unit| ratio(*unit).ln().abs();
         let units = [Unit::Centimetre, Unit::Millimetre];
         let unit = units.into_iter().min_by(|one, other| surprise(one).total_cmp(&surprise(other)));
@@ -78,14 +78,14 @@ fn of_ranges(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     None
 }
 
-/// Two ranges from different sensors, one right after the other.
+/// Two ranges from different sensors in direct succession.
 struct Pair {
     ranges_m: [f64; 2],
     distance_m: f64,
 }
 
 impl Pair {
-    /// With room for bias, noise, and the target's way between both.
+    /// With a margin for bias, noise, and the target's motion between both.
     fn is_too_long(&self) -> bool {
         let [one_m, other_m] = self.ranges_m;
         (one_m - other_m).abs() > 3.0 * self.distance_m + 0.05 * one_m.max(other_m) + 1.0
@@ -122,7 +122,7 @@ fn readings(recording: &Recording) -> impl Iterator<Item = &RecordedRange> {
     recording.readings.iter().step_by(recording.readings.len() / SAMPLES + 1)
 }
 
-/// The first instants: neighbours matter.
+/// The first instants: they must be consecutive.
 fn sample(len: usize) -> std::ops::Range<usize> {
     0..len.min(SAMPLES)
 }
@@ -138,7 +138,7 @@ fn spread_m(recording: &Recording) -> f64 {
     axis(0).hypot(axis(1))
 }
 
-/// A target that hardly moves for hours, or crosses the field in no time, has stamps in another unit.
+/// If a target hardly moves for hours, or crosses the field in no time, its stamps have another unit.
 fn of_times(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     const LONG_STEP_S: f64 = 10.0;
     const SLOW_MPS: f64 = 0.02;

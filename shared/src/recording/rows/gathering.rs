@@ -1,4 +1,4 @@
-//! Ranges as they come from a log, and how they become a recording.
+//! Collects the ranges of a log into a recording.
 
 use std::collections::HashMap;
 
@@ -9,20 +9,20 @@ use crate::recording::{Instant, RecordedRange, Recording, Sensor, SensorName};
 /// Most ranges: 14 h of 20 sensors at 10 Hz; each takes up to 100 bytes of memory.
 const RANGES_MAX: usize = 10_000_000;
 
-/// Most sensors without an anchor that are named.
+/// Most sensors without an anchor that a message names.
 const UNPLACED_MAX: usize = ROBOTS_MAX;
 
-/// Why a range cannot be taken in.
+/// Why a range cannot be added.
 pub(in crate::recording) enum Refusal {
-    /// Its sensor's name is none.
+    /// The sensor's name is invalid.
     NoName(String),
-    /// The recording would have too many of something.
+    /// The recording would exceed a limit.
     TooMany(String),
-    /// Its stamp is before the one of the range before.
+    /// The stamp is before the previous range's.
     NotInOrder(f64),
 }
 
-/// The ranges of a log in order of time. Sensors are numbered as they come until the end.
+/// The ranges of a log in order of time. Sensors are numbered in order of appearance until the end.
 #[derive(Default)]
 pub(in crate::recording) struct Gathering<'a> {
     anchors: Option<&'a Anchors>,
@@ -62,7 +62,7 @@ impl<'a> Gathering<'a> {
         Ok(number)
     }
 
-    /// Where the anchors file has a sensor.
+    /// The sensor's place in the anchors file.
     pub(in crate::recording) fn place(&self, sensor: usize) -> Option<Anchor> {
         self.places[sensor]
     }
@@ -75,7 +75,7 @@ impl<'a> Gathering<'a> {
         self.readings.len()
     }
 
-    /// Takes a range in.
+    /// Adds a range.
     pub(in crate::recording) fn push(&mut self, time_s: f64, reading: RecordedRange) -> Result<(), Refusal> {
         if let Some(before_s) = self.last_time_s().filter(|before_s| time_s < *before_s) {
             return Err(Refusal::NotInOrder(before_s));
@@ -88,13 +88,13 @@ impl<'a> Gathering<'a> {
         Ok(())
     }
 
-    /// Anchors of which there is no range.
+    /// Anchors without a range.
     pub(in crate::recording) fn silent_anchors(&self) -> Vec<SensorName> {
         let anchors = self.anchors.into_iter().flat_map(Anchors::iter).map(|(name, _)| name);
         anchors.filter(|name| !self.numbers.contains_key(name.as_str())).cloned().collect()
     }
 
-    /// The recording, and how many ranges are not in it because they repeat another.
+    /// The recording, and the number of repeated ranges that were left out.
     pub(in crate::recording) fn finish(mut self) -> (Recording, u64) {
         self.drop_names_without_ranges();
         let repeats = self.drop_repeats();
@@ -141,7 +141,7 @@ impl<'a> Gathering<'a> {
         self.names.retain(|_| has.next().unwrap_or(false));
     }
 
-    /// Drops all ranges that equal another of their stamp: taken in again, they would count as new information.
+    /// Drops all ranges that equal another of their stamp: fused again, they would count as new information.
     fn drop_repeats(&mut self) -> u64 {
         let (mut kept, mut start) = (0, 0);
         let mut order: Vec<usize> = Vec::new();
@@ -177,14 +177,14 @@ fn has_sensor_twice(readings: &[RecordedRange]) -> bool {
     readings.iter().any(|reading| std::mem::replace(&mut seen[reading.sensor], true))
 }
 
-/// All of a reading, as far as two of them can differ.
+/// All data of a reading in which two readings can differ.
 fn bits(reading: &RecordedRange) -> (usize, u64, u64, u64, Option<u64>) {
     let [x_m, y_m] = reading.position_m;
     let height = reading.height_m.map(f64::to_bits);
     (reading.sensor, reading.range_m.to_bits(), x_m.to_bits(), y_m.to_bits(), height)
 }
 
-/// Ranges with one stamp become one instant, unless a sensor would be in it twice.
+/// Ranges with one stamp form one instant, unless a sensor would be in it twice.
 fn instants(times_s: &[f64], readings: &[RecordedRange]) -> Vec<Instant> {
     let mut instants: Vec<Instant> = Vec::new();
     let mut heard = [false; ROBOTS_MAX];

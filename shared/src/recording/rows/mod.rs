@@ -1,4 +1,4 @@
-//! A log of ranges, row by row.
+//! Reads a log of ranges row by row.
 
 mod checks;
 pub(super) mod gathering;
@@ -28,7 +28,7 @@ const TIME_MAX_S: f64 = 1e11;
 /// Largest range, m.
 const RANGE_MAX_M: f64 = 1e6;
 
-/// Most targets that are named.
+/// Most targets that a message names.
 const TARGETS_MAX: usize = 64;
 
 const A_TIME: &str = "a finite number within +-1e11";
@@ -36,7 +36,7 @@ const A_STAMP: &str = "seconds, or date and time by ISO 8601 as in 2024-05-01T12
 const A_COORDINATE: &str = "a finite number within +-1e8";
 const A_RANGE: &str = "a finite number from 0 to 1e6";
 
-/// Where a row has what.
+/// The columns of a row by role.
 struct Layout {
     time: Column,
     target: Option<usize>,
@@ -46,7 +46,7 @@ struct Layout {
 enum Ranges {
     /// One range a row.
     Long { sensor: usize, range: Column, place: Option<Place> },
-    /// A column for each anchor, with the anchor's number.
+    /// One column per anchor, with the anchor's number.
     Wide(Vec<(AnchorColumn, usize)>),
 }
 
@@ -58,7 +58,7 @@ struct Place {
 
 /// Why a row gives no range.
 enum RowError {
-    /// It is passed over and counted.
+    /// The row is skipped and counted.
     Bad(Complaint),
     /// The file is refused.
     Fatal(RecordingError),
@@ -70,7 +70,7 @@ impl From<RecordingError> for RowError {
     }
 }
 
-/// Reads a log from start to end.
+/// Reads a log in a single pass.
 pub(super) fn read<R: Read>(
     input: R,
     path: &Path,
@@ -133,7 +133,7 @@ fn layout<R: Read>(
     Ok(Layout { time, target, ranges })
 }
 
-/// The anchors' columns, where the log is a wide one.
+/// The anchors' columns, if the log is a wide one.
 fn wide_columns<R: Read>(
     finder: &mut Finder<'_>,
     table: &Table<R>,
@@ -147,7 +147,7 @@ fn wide_columns<R: Read>(
         }
         return Ok(Vec::new());
     };
-    // Where more than one may be meant, that is asked once the log is known not to be a wide one.
+    // If several columns fit, ask only once the log is known not to be a wide one.
     let has = |role| finder.index(role, table).is_ok_and(|index| index.is_some());
     if !is_told && has(Role::Range) && has(Role::Sensor) {
         return Ok(Vec::new());
@@ -200,10 +200,10 @@ struct Log<'a, R> {
     options: &'a ReadOptions,
     gathering: Gathering<'a>,
     summary: ReadSummary,
-    /// Names of the targets that there are.
+    /// Names of the targets found.
     targets: Vec<String>,
     is_target_found: bool,
-    /// The stamp that was read last, as text and as a number: many rows have the same.
+    /// The last stamp, as text and as a number: many rows have the same.
     last_time: (Vec<u8>, f64),
 }
 
@@ -235,7 +235,7 @@ impl<R: Read> Log<'_, R> {
             return Ok(());
         }
         let time_s = self.time_s()?;
-        // Taken out for as long as rows are read through it.
+        // Taken out while rows are read through it.
         let ranges = std::mem::replace(&mut self.layout.ranges, Ranges::Wide(Vec::new()));
         let taken = match &ranges {
             Ranges::Long { sensor, range, place } => self.take_long(time_s, *sensor, *range, place.as_ref()),
@@ -245,7 +245,7 @@ impl<R: Read> Log<'_, R> {
         taken
     }
 
-    /// Whether the row is of the target that is wanted.
+    /// True if the row is of the requested target.
     fn is_of_target(&mut self) -> bool {
         let Some(index) = self.layout.target else { return true };
         let target = self.table.field(index);
@@ -307,7 +307,7 @@ impl<R: Read> Log<'_, R> {
                 };
                 ([self.coordinate_m(place.x)?, self.coordinate_m(place.y)?], height_m)
             }
-            // A sensor without an anchor is complained about at the end, with all others of its kind.
+            // Sensors without an anchor are reported together at the end.
             None => self.gathering.place(sensor).map_or(([0.0; 2], None), |place| (place.position_m, place.height_m)),
         };
         let range_m = self.range_m(range).ok_or_else(|| RowError::Bad(self.table.complaint(range.index, A_RANGE)))?;
@@ -327,7 +327,7 @@ impl<R: Read> Log<'_, R> {
             if is_nothing(field) {
                 continue;
             }
-            // Loggers write -1 where nothing was heard.
+            // Loggers write -1 if nothing was heard.
             let is_minus_one = field == b"-1" || field == b"-1.0";
             match self.range_m(cell) {
                 Some(range_m) if range_m > 0.0 => {
@@ -367,7 +367,7 @@ impl<R: Read> Log<'_, R> {
         }
     }
 
-    /// What to type where a column has another unit than its name says.
+    /// The option to type if a column's unit is not the one in its name.
     fn hint(&self, role: Role, index: usize, unit: Unit) -> String {
         checks::line_to_type(&self.options.columns, role, self.table.header().get(index), index, unit)
     }
@@ -421,7 +421,7 @@ impl<R: Read> Log<'_, R> {
         Ok((recording, summary))
     }
 
-    /// One recording is of one target.
+    /// A recording has one target.
     fn look_at_targets(&self) -> Result<(), RecordingError> {
         let Some(index) = self.layout.target else { return Ok(()) };
         let column = self.table.header().get(index).map_or("", String::as_str);
@@ -441,7 +441,7 @@ impl<R: Read> Log<'_, R> {
     }
 }
 
-/// How loggers write that there is no number.
+/// Texts that loggers write for a missing number.
 fn is_nothing(field: &[u8]) -> bool {
     ["", "nan", "-", "null", "none", "na", "n/a", "inf"].iter().any(|word| field.eq_ignore_ascii_case(word.as_bytes()))
 }

@@ -1,4 +1,4 @@
-//! Wide logs: a row for each stamp, a column for each anchor, empty where nothing was heard.
+//! Wide logs: one row per stamp, one column per anchor, empty if nothing was heard.
 
 use std::io::Read;
 
@@ -11,7 +11,7 @@ use crate::recording::error::{RecordingError, listed};
 use crate::recording::table::Table;
 use crate::recording::table::unit::Unit;
 
-/// What stands beside an anchor's name in the name of its column of ranges.
+/// Words besides an anchor's name in the name of its column of ranges.
 const WORDS: [&str; 18] = [
     "range", "ranges", "r", "distance", "dist", "d", "to", "anchor", "anc", "a", "an", "beacon", "b", "node", "sensor",
     "station", "uwb", "ap",
@@ -25,12 +25,12 @@ pub(super) struct AnchorColumn {
     pub(super) unit: Unit,
 }
 
-/// Whether a column has the ranges of one of the anchors.
+/// True if a column has the ranges of one of the anchors.
 pub(super) fn is_of_anchor(column: &str, anchors: &Anchors, map: &ColumnMap) -> bool {
     anchors.iter().any(|(anchor, _)| fit(column, anchor.as_str(), pattern(map)).is_some())
 }
 
-/// How the user says that the anchors' columns are called, with `*` for the anchor.
+/// The user's pattern for the names of the anchors' columns, with `*` for the anchor.
 pub(super) fn pattern(map: &ColumnMap) -> Option<&Told> {
     map.get(Role::Range).filter(|told| told.column.contains('*'))
 }
@@ -71,7 +71,7 @@ fn fit_by_words(column: &str, anchor: &str) -> Option<usize> {
     is_joined.then_some(column.words.len() + 1)
 }
 
-/// The anchors' columns; empty where the log is not a wide one.
+/// The anchors' columns; empty if the log is not a wide one.
 pub(super) fn anchor_columns<R: Read>(
     finder: &mut Finder<'_>,
     table: &Table<R>,

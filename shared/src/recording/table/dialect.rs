@@ -1,8 +1,8 @@
-//! How a table is written: what separates its columns, what marks decimals, which lines are comments.
+//! The dialect of a table: column separator, decimal mark and comments.
 
 use super::unit::Unit;
 
-/// What stands between two fields of a row.
+/// The separator between two fields of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Separator {
     Tab,
@@ -13,7 +13,7 @@ pub(super) enum Separator {
 }
 
 impl Separator {
-    /// All of them, the least likely to stand in a name first.
+    /// All separators; those least likely to occur in a name come first.
     pub(super) const ALL: [Self; 4] = [Self::Tab, Self::Semicolon, Self::Comma, Self::Blanks];
 
     pub(super) fn from_byte(byte: u8) -> Option<Self> {
@@ -44,7 +44,7 @@ impl Separator {
         }
     }
 
-    /// A blank that belongs to no field and ends none.
+    /// A blank outside of fields that does not end one.
     fn pads(self, byte: u8) -> bool {
         is_blank(byte) && !self.is(byte)
     }
@@ -54,12 +54,12 @@ pub(super) fn is_blank(byte: u8) -> bool {
     byte == b' ' || byte == b'\t'
 }
 
-/// Whether a line has nothing to read.
+/// True if a line has no content.
 pub(super) fn is_empty(line: &[u8]) -> bool {
     line.iter().all(|byte| byte.is_ascii_whitespace())
 }
 
-/// What a comment says, if the line is one: `#`, `%` or `//` begins it.
+/// The text of a comment line, which starts with `#`, `%` or `//`.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii_start();
     let said = line.strip_prefix(b"//").or_else(|| line.strip_prefix(b"%")).or_else(|| line.strip_prefix(b"#"))?;
@@ -69,13 +69,13 @@ pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
 /// The fields of one row.
 #[derive(Debug, Default)]
 pub(in crate::recording) struct Fields {
-    /// The row. Fields in quotes are in it without them.
+    /// The row. Quoted fields are stored without their quotes.
     pub(super) line: Vec<u8>,
     spans: Vec<(usize, usize)>,
 }
 
 impl Fields {
-    /// The fields of a line; none where they cannot be told apart.
+    /// The fields of a line; none if they cannot be separated.
     pub(super) fn of(line: &[u8], separator: Separator) -> Self {
         let mut fields = Self { line: line.to_vec(), spans: Vec::new() };
         if !fields.split(separator) {
@@ -101,7 +101,7 @@ impl Fields {
         self.spans.truncate(len);
     }
 
-    /// Finds the fields of the row; false where quotes do not close, or close within a field.
+    /// Finds the fields of the row; false if quotes do not close, or close within a field.
     pub(super) fn split(&mut self, separator: Separator) -> bool {
         let Self { line, spans } = self;
         spans.clear();
@@ -143,7 +143,7 @@ impl Fields {
     }
 }
 
-/// Takes the quotes off a field where it stands: its end, and where the row goes on.
+/// Removes the quotes of a field in place; returns its end and where the row continues.
 fn unquote(line: &mut [u8], start: usize) -> Option<(usize, usize)> {
     let (mut from, mut to) = (start + 1, start);
     loop {
@@ -160,21 +160,21 @@ fn unquote(line: &mut [u8], start: usize) -> Option<(usize, usize)> {
     }
 }
 
-/// Reads numbers with decimal points or decimal commas, whichever the file has first.
+/// Reads numbers with decimal points or decimal commas, whichever occurs first in the file.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Numbers {
     mark: Option<u8>,
 }
 
 impl Numbers {
-    /// Longest number, bytes: the shortest decimals of the least number are 326.
+    /// Longest number, bytes: the shortest decimals of the smallest number have 326.
     const LEN_MAX: usize = 400;
 
     pub(super) fn has_decimal_commas(self) -> bool {
         self.mark == Some(b',')
     }
 
-    /// Whether a field has the decimal mark that the file has not.
+    /// True if a field has the other decimal mark than the file.
     pub(super) fn is_other_mark(self, field: &[u8]) -> bool {
         self.mark.is_some_and(|mark| field.contains(if mark == b',' { &b'.' } else { &b',' }))
     }
@@ -194,7 +194,7 @@ impl Numbers {
             return None;
         }
         let value = parse(field, mark == Some(b','), has_exponent, unit.power_of_ten())?;
-        // What is no number says nothing of the file's numbers.
+        // A text that is not a number does not determine the decimal mark.
         self.mark = self.mark.or(mark);
         Some(value)
     }
@@ -228,7 +228,7 @@ fn parse(field: &[u8], has_comma: bool, has_exponent: bool, shift: i32) -> Optio
     finite(std::str::from_utf8(&text[..end]).ok()?.parse().ok()?)
 }
 
-/// Minus zero is zero: equal numbers are to be equal to the last bit.
+/// Minus zero becomes zero: equal numbers must be equal to the last bit.
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value + 0.0)
 }

@@ -1,4 +1,4 @@
-//! Lines of a text file of any length, none of them longer than it may be.
+//! Lines of limited length from a text file of any length.
 
 use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Result};
 
@@ -8,7 +8,7 @@ const LINE_LEN_MAX: usize = 1 << 16;
 /// Most lines of a file.
 const LINES_MAX: u64 = 20_000_000;
 
-/// The lines of a reader, which is read once from start to end: it may be a pipe.
+/// The lines of a reader in a single pass: the reader may be a pipe.
 pub(super) struct Lines<R> {
     input: BufReader<R>,
     number: u64,
@@ -19,7 +19,7 @@ impl<R: Read> Lines<R> {
         Self { input: BufReader::with_capacity(1 << 16, input), number: 0 }
     }
 
-    /// Number of the line that was read last, from 1.
+    /// Number of the last line read, from 1.
     pub(super) fn number(&self) -> u64 {
         self.number
     }
@@ -50,7 +50,7 @@ impl<R: Read> Lines<R> {
     }
 }
 
-/// Takes off a byte order mark, and names files that are no text in UTF-8.
+/// Removes a byte order mark, and reports files that are not UTF-8 text.
 fn look_at_start(line: &mut Vec<u8>) -> Result<()> {
     match line.as_slice() {
         [0xEF, 0xBB, 0xBF, ..] => {

@@ -1,4 +1,4 @@
-//! A table as people write them: its header found, its separator told from header and first rows.
+//! A table from a logger or a person: finds its header, and its separator from the header and the first rows.
 
 mod dialect;
 mod lines;
@@ -13,7 +13,7 @@ use dialect::{Fields, Numbers, Separator};
 use lines::Lines;
 use unit::Unit;
 
-/// Rows that are looked at to find the separator.
+/// Rows examined to find the separator.
 const LOOK_AHEAD: usize = 5;
 
 /// Comment lines that may be the header.
@@ -35,15 +35,15 @@ pub(super) struct Table<R> {
 
 /// A row of a table.
 pub(super) enum Row {
-    /// It has as many fields as the header.
+    /// The row has as many fields as the header.
     Whole,
-    /// It has not, or they cannot be told apart.
+    /// The row has more or fewer fields, or they cannot be separated.
     Bad(Complaint),
 }
 
 impl<R: Read> Table<R> {
-    /// Finds the header: the first line, or a comment above it. `knows` says which names it may have; where columns are
-    /// told `by_number` it may be missing. `None` if they cannot be.
+    /// Finds the header: the first line, or a comment above it. `knows` tests for known names. If the columns are
+    /// given `by_number`, the header is optional. `None` if the fields cannot be separated.
     pub(super) fn open(
         input: R,
         path: &Path,
@@ -76,7 +76,7 @@ impl<R: Read> Table<R> {
                 && let Some(separator) = Separator::from_byte(byte)
                 && table.pending.is_empty()
             {
-                // Spreadsheets write and want such a line.
+                // Spreadsheets write such a line.
                 separators = vec![separator];
             } else {
                 table.pending.push_back((number, line.clone()));
@@ -101,7 +101,7 @@ impl<R: Read> Table<R> {
         Ok(table)
     }
 
-    /// Takes the first line for the header, unless the file has none.
+    /// Takes the first line as the header, unless the file has none.
     fn take_header(&mut self, known: usize, by_number: Option<bool>) -> Result<(), RecordingError> {
         let Some((number, line)) = self.pending.pop_front() else {
             return Err(self.header_error("expected a header that names the columns, the file is empty"));
@@ -134,8 +134,8 @@ impl<R: Read> Table<R> {
         Ok(())
     }
 
-    /// The separator under which a header has most names that are known, and its first rows most often as many fields;
-    /// and how many names are known.
+    /// The separator that gives the header the most known names, and then most often rows of the header's length;
+    /// and the number of known names.
     fn best_separator(
         &self,
         separators: &[Separator],
@@ -170,7 +170,7 @@ impl<R: Read> Table<R> {
     /// Reads the next row; `None` at the end.
     ///
     /// # Errors
-    /// Where a row has more fields than the header: columns have shifted, nobody knows which.
+    /// If a row has more fields than the header, columns have shifted and their roles are unknown.
     pub(super) fn next(&mut self) -> Result<Option<Row>, RecordingError> {
         loop {
             if let Some((number, line)) = self.pending.pop_front() {
@@ -224,7 +224,7 @@ impl<R: Read> Table<R> {
         self.row_error(complaint)
     }
 
-    /// The file.
+    /// Path of the file.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
@@ -239,28 +239,28 @@ impl<R: Read> Table<R> {
         self.pending.front().map(|(_, line)| Fields::of(line, self.separator))
     }
 
-    /// A field of the row that was read last.
+    /// A field of the last row read.
     pub(super) fn field(&self, index: usize) -> &[u8] {
         self.fields.get(index)
     }
 
-    /// A number of the row that was read last, in seconds or metres.
+    /// A number of the last row read, in seconds or metres.
     pub(super) fn number(&mut self, index: usize, unit: Unit) -> Option<f64> {
         self.numbers.read(self.fields.get(index), unit)
     }
 
-    /// Rows that were read.
+    /// Number of rows read.
     pub(super) fn rows(&self) -> u64 {
         self.row
     }
 
-    /// What separates columns and marks decimals, for people.
+    /// Column separator and decimal mark, for display.
     pub(super) fn dialect(&self) -> String {
         let commas = if self.numbers.has_decimal_commas() { ", decimal commas" } else { "" };
         format!("separated by {}{commas}", self.separator.plural())
     }
 
-    /// A complaint about a field of the row that was read last.
+    /// A complaint about a field of the last row read.
     pub(super) fn complaint(&self, index: usize, expected: impl Into<String>) -> Complaint {
         let (field, mut expected) = (self.field(index), expected.into());
         if field.contains(&b'.') && field.contains(&b',') {
@@ -271,7 +271,7 @@ impl<R: Read> Table<R> {
         Complaint::new(self.header.get(index).map_or("", String::as_str), expected, field)
     }
 
-    /// Refuses the file for the row that was read last.
+    /// Refuses the file because of the last row read.
     pub(super) fn row_error(&self, complaint: Complaint) -> RecordingError {
         RecordingError::new(&self.path, self.row_problem(complaint))
     }
@@ -280,23 +280,23 @@ impl<R: Read> Table<R> {
         Problem::Row { row: self.row, line: self.line, complaint }
     }
 
-    /// Refuses the file for its header.
+    /// Refuses the file because of its header.
     pub(super) fn header_error(&self, text: &str) -> RecordingError {
         RecordingError::new(&self.path, Problem::Header { line: self.header_line, text: text.to_owned() })
     }
 
-    /// Refuses the file as a whole.
+    /// Refuses the file for a fault without a row.
     pub(super) fn error(&self, text: impl Into<String>) -> RecordingError {
         RecordingError::whole(&self.path, text)
     }
 
-    /// The columns that there are, for people.
+    /// The columns of the file, for display.
     pub(super) fn listed_columns(&self) -> String {
         listed(self.header.iter().map(String::as_str))
     }
 }
 
-/// The radio whose report a line looks like.
+/// The radio format that a line resembles.
 fn radio_of(line: &[u8]) -> Option<&'static str> {
     let has = |word: &[u8]| line.windows(word.len()).any(|window| window == word);
     if has(b"DIST,") || has(b"]=") {
@@ -308,7 +308,7 @@ fn radio_of(line: &[u8]) -> Option<&'static str> {
     }
 }
 
-/// The names of a header. A separator at its end names nothing.
+/// The names of a header. A separator at its end adds no name.
 fn names_of(fields: &Fields) -> Vec<String> {
     let mut names: Vec<String> = fields.iter().map(|field| String::from_utf8_lossy(field).into_owned()).collect();
     while names.len() > 1 && names.last().is_some_and(String::is_empty) {

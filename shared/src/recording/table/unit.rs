@@ -1,6 +1,6 @@
 //! Units of a log's columns.
 
-/// The unit of a column. Numbers become seconds or metres.
+/// The unit of a column. Numbers are converted to seconds or metres.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) enum Unit {
     /// s
@@ -22,7 +22,7 @@ pub(in crate::recording) enum Unit {
 }
 
 impl Unit {
-    /// The unit that a word in lower case means.
+    /// The unit for a word in lower case.
     pub(in crate::recording) fn from_word(word: &str) -> Option<Self> {
         Some(match word {
             "s" | "sec" | "secs" | "second" | "seconds" => Self::Second,
@@ -43,7 +43,7 @@ impl Unit {
         !matches!(self, Self::Metre | Self::Centimetre | Self::Millimetre)
     }
 
-    /// Ten to this power of seconds or metres is one of it.
+    /// The power of ten from this unit to seconds or metres.
     pub(in crate::recording) fn power_of_ten(self) -> i32 {
         match self {
             Self::Second | Self::Iso | Self::Metre => 0,

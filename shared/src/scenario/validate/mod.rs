@@ -1,4 +1,4 @@
-//! From the file's keys to a [`Scenario`]: defaults filled in, every value checked.
+//! From the file's keys to a [`Scenario`]: fills in defaults and checks every value.
 
 mod planner;
 mod recorded;
@@ -22,18 +22,18 @@ impl Scenario {
     /// Checks the scenario file of a simulated run. `file` names it in errors.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong; a recording, which [`Self::from_file_with`] takes, among it.
+    /// [`ScenarioError`] for the first fault; also for a recording, which needs [`Self::from_file_with`].
     pub fn from_file(raw: &ScenarioFile, file: &str) -> Result<Self, ScenarioError> {
         Self::from_file_with(raw, file, |_| {
             Err(Checker { file }.refuse("recording", "a simulated run", "a recorded one"))
         })
     }
 
-    /// Checks a scenario file. `file` names it in errors. If it names a recording, that is read once all is checked that
-    /// can be without it: reading may take long, and a pipe can be read once.
+    /// Checks a scenario file. `file` names it in errors. A recording is read last, after all other
+    /// checks: reading may take long, and a pipe can be read only once.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong.
+    /// [`ScenarioError`] for the first fault.
     pub fn from_file_with(
         raw: &ScenarioFile,
         file: &str,
@@ -44,26 +44,26 @@ impl Scenario {
 }
 
 impl PlannerSpec {
-    /// Checks what a `[planner]` table says of the planner itself. `file` names it in errors.
+    /// Checks the planner itself in a `[planner]` table. `file` names it in errors.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong.
+    /// [`ScenarioError`] for the first fault.
     pub fn from_table(table: &PlannerTable, file: &str) -> Result<Self, ScenarioError> {
         Checker { file }.planner(table)
     }
 }
 
 impl Clearance {
-    /// Checks what a `[planner]` table says of clearances. `file` names it in errors.
+    /// Checks the clearances in a `[planner]` table. `file` names it in errors.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong.
+    /// [`ScenarioError`] for the first fault.
     pub fn from_table(table: &PlannerTable, file: &str) -> Result<Self, ScenarioError> {
         Checker { file }.clearance(table)
     }
 }
 
-/// Checks values and names the file in what it refuses.
+/// Checks values and adds the file's name to errors.
 struct Checker<'a> {
     file: &'a str,
 }
@@ -113,7 +113,7 @@ impl Checker<'_> {
         Ok(scenario)
     }
 
-    /// Gives the filter of a simulation another noise than the truth has.
+    /// Gives the filter of a simulation a noise that differs from the truth.
     fn tell_filter(&self, table: &FilterTable, scenario: &mut Scenario) -> Result<(), ScenarioError> {
         if let Some(psd) = table.noise_psd {
             let psd = self.number("filter.noise_psd", Some(psd), psd, NOISE_PSD)?;

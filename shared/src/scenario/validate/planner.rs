@@ -30,7 +30,7 @@ impl Checker<'_> {
 
     pub(super) fn clearance(&self, table: &PlannerTable) -> Result<Clearance, ScenarioError> {
         let least = |key: &str, value, default| self.number(key, value, default, CLEARANCE);
-        // Who asks for one measure does not get the default of the other on top.
+        // A user who sets one measure does not get the default of the other as well.
         let stand_off_sigma = if table.stand_off_m.is_some() { 0.0 } else { defaults::STAND_OFF_SIGMA };
         Ok(Clearance {
             stand_off_m: least("planner.stand_off_m", table.stand_off_m, 0.0)?,

@@ -1,4 +1,4 @@
-//! What a scenario says of its recording.
+//! Checks the recording in a scenario.
 
 use super::Checker;
 use crate::motion::MotionModel;
@@ -82,7 +82,7 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// What is known before the first range: the start that is given, or nothing.
+    /// The knowledge before the first range: the given start, or nothing.
     pub(super) fn known_start(&self, table: &RecordingTable, motion: &MotionModel) -> Result<Prior, ScenarioError> {
         let Some(start_m) = table.start_m else {
             return match table.start_std_m {
@@ -94,13 +94,13 @@ impl Checker<'_> {
         let std_m =
             self.number("recording.start_std_m", table.start_std_m, defaults::RECORDED_START_STD_M, START_STD_M)?;
         let n = motion.state_dim();
-        // As wide as the start from ranges has it: what the noise drives up in a manoeuvre's time, a walk at the least.
+        // As wide as a start from ranges: the variance that the noise builds up in a manoeuvre's time, at least a walking speed's.
         let noise_psd = match motion {
             MotionModel::IntegratorChain { noise_psd, .. } => *noise_psd,
             MotionModel::Custom { .. } => 0.0,
         };
         let rate_variance = (noise_psd * defaults::RECORDED_START_S).max(1.0);
-        // Position first, then its rates of change.
+        // Position first, then its derivatives.
         let variance = |i: usize| if i < 2 { std_m * std_m } else { rate_variance };
         Ok(Prior::Gaussian {
             mean: (0..n).map(|i| start_m.get(i).copied().unwrap_or(0.0)).collect(),
@@ -108,7 +108,7 @@ impl Checker<'_> {
         })
     }
 
-    /// A height of the target needs one of every sensor.
+    /// A height of the target needs a height of every sensor.
     pub(super) fn look_for_heights(&self, recording: &Recording) -> Result<(), ScenarioError> {
         let mut readings = (0..recording.len()).filter_map(|index| recording.instant(index)).flat_map(|(_, of)| of);
         match readings.find(|reading| reading.height_m.is_none()) {

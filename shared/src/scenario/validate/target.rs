@@ -1,4 +1,4 @@
-//! How the target moves, where it starts, and what is known of it before the first range.
+//! The target's motion, its start, and the knowledge of it before the first range.
 
 use super::Checker;
 use super::values::{per_state, quoted};

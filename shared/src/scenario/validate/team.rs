@@ -1,4 +1,4 @@
-//! The team: robots all alike, or one by one.
+//! The team: identical robots, or one by one.
 
 use super::Checker;
 use crate::ROBOTS_MAX;

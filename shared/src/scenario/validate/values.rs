@@ -1,4 +1,4 @@
-//! Values by themselves: numbers in their bounds, points, states, matrices.
+//! Single values: numbers within their bounds, points, states, matrices.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;

@@ -1,4 +1,4 @@
-//! Fan-in and fan-out over a block of shared memory: the last range wakes the centre, one system call all robots.
+//! Fan-in and fan-out over a block of shared memory: the last range wakes the centre, one system call wakes all robots.
 
 use std::sync::atomic::Ordering::{AcqRel, Acquire, Relaxed, Release};
 use std::time::{Duration, Instant};
@@ -18,20 +18,20 @@ use super::{Command, RANGE_TICK, ROBOT, Range, WAIT};
 /// Name of the block that the nodes share.
 const NAME: &str = "latency";
 
-/// What the nodes share.
+/// The shared data of the nodes.
 #[derive(Debug, ZeroCopySend)]
 #[repr(C)]
 #[type_name("rangehound.FutexReference.v1")]
 struct Board {
     /// Ranges of all ticks.
     arrivals: AtomicU64,
-    /// Ticks whose ranges are all there: the word that the centre sleeps on.
+    /// Ticks whose ranges are complete: the word on which the centre waits.
     full: AtomicU32,
-    /// 1 once the exchange is given up.
+    /// 1 once the exchange is abandoned.
     given_up: AtomicU32,
-    /// To a cache line's length.
+    /// Padding to a cache line.
     _padding: [u32; 12],
-    /// Ticks that are answered: the word that the robots sleep on.
+    /// Ticks that are answered: the word on which the robots wait.
     round: AtomicU32,
     command: [AtomicU64; size_of::<Command>() / 8],
     ranges: [[AtomicU64; size_of::<Range>() / 8]; ROBOTS_MAX],
@@ -55,7 +55,7 @@ fn refused(reason: BlockError) -> anyhow::Error {
     anyhow!("shared memory of the futex reference {reason}")
 }
 
-/// Makes the block: before any node opens it.
+/// Creates the block, before any node opens it.
 pub(super) fn create(run: &Rendezvous) -> anyhow::Result<()> {
     Block::create(run.shared_memory_prefix(), NAME, Board::new).map_err(refused)
 }
@@ -64,8 +64,8 @@ fn open(run: &Rendezvous) -> anyhow::Result<Block<Board>> {
     Block::open(run.shared_memory_prefix(), NAME).map_err(refused)
 }
 
-/// Sleeps until the word has this value. Without a limit of time, which would cost a timer each time: the watch has an
-/// eye on it.
+/// Waits until the word has this value. It has no time-out, because that would cost a timer for each wait: the watch ends
+/// the wait instead.
 fn wait_for(board: &Board, word: &AtomicU32, value: u32) -> anyhow::Result<()> {
     loop {
         let now = word.load(Acquire);
@@ -82,8 +82,8 @@ fn wait_for(board: &Board, word: &AtomicU32, value: u32) -> anyhow::Result<()> {
     }
 }
 
-/// Has an eye on the exchange, in the background: gives it up, for all nodes, when this one is asked to end or nobody has
-/// been heard for so long.
+/// Watches the exchange in the background. Abandons it, for all nodes, when this node is asked to end or no message
+/// has come for the time `silence`.
 fn watch(board: Block<Board>, termination: &Termination, silence: Duration) -> std::io::Result<()> {
     let termination = termination.clone();
     let watched = std::thread::Builder::new().spawn(move || {
@@ -92,13 +92,13 @@ fn watch(board: Block<Board>, termination: &Termination, silence: Duration) -> s
         loop {
             std::thread::sleep(WAIT);
             let now = (board.arrivals.load(Relaxed), board.round.load(Relaxed));
-            // Until the first range, everybody waits for the word to start.
+            // Until the first range, all nodes wait for the start.
             if now != heard || now.0 == 0 {
                 (heard, since) = (now, Instant::now());
             }
             if termination.requested() || since.elapsed() > silence {
                 board.given_up.store(1, Relaxed);
-                // Again and again: one may have been about to sleep.
+                // Repeated, because a node may have been about to wait.
                 for word in [&board.full, &board.round] {
                     let _ = futex::wake(word, futex::Flags::empty(), i32::MAX as u32);
                 }

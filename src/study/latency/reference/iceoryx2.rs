@@ -1,6 +1,6 @@
-//! Fan-in and fan-out over iceoryx2 as it comes: a topic and an event in each direction, and every range an event.
+//! Fan-in and fan-out over iceoryx2 with its defaults: a topic and an event in each direction, and an event for each range.
 //!
-//! Services have room for the robots that there are, and no more: it costs. The rest is left at iceoryx2's defaults.
+//! Services have room for exactly the robots of the run, because room costs time. All other settings are the defaults.
 
 use std::time::{Duration, Instant};
 
@@ -23,7 +23,7 @@ fn refused(what: &str, reason: impl std::fmt::Debug) -> anyhow::Error {
     anyhow!("{what} of the iceoryx2 reference: iceoryx2 says {reason:?}")
 }
 
-/// A process's place among `robots` and a centre.
+/// A process's node among `robots` and a centre.
 struct Place {
     node: Node<ipc::Service>,
     robots: usize,
@@ -65,7 +65,7 @@ impl Place {
             .max_notifiers(notifiers)
             .max_listeners(listeners)
             .max_nodes(self.robots + 1)
-            // A listener looks through all ids that there may be.
+            // A listener checks all possible ids.
             .event_id_max_value(self.robots)
             .open_or_create()
             .map_err(|error| refused(name, error))
@@ -80,7 +80,7 @@ impl Place {
     }
 }
 
-/// Sees to it that no wait is for ever.
+/// Bounds every wait.
 struct Vigil<'a> {
     termination: &'a Termination,
     limit: Duration,
@@ -92,7 +92,7 @@ impl<'a> Vigil<'a> {
         Self { termination, limit, since: None }
     }
 
-    /// To be called after a wait that brought nothing.
+    /// Call this after a wait without result.
     fn keep(&mut self) -> anyhow::Result<()> {
         if self.termination.requested() {
             bail!("ended before its last tick, as asked");
@@ -103,7 +103,7 @@ impl<'a> Vigil<'a> {
         Ok(())
     }
 
-    /// To be called when what was waited for has come.
+    /// Call this when the awaited message has come.
     fn end(&mut self) {
         self.since = None;
     }

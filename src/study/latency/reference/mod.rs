@@ -1,14 +1,14 @@
-//! The same exchange without filter, planner or checkpoints: what the transport alone takes.
+//! The same exchange without filter, planner or checkpoints: the time of the transport alone.
 //!
 //! Each robot publishes a range of 32 bytes; a centre waits for all of them and answers all with 272 bytes. Every
-//! node is a process that sleeps in the kernel until it is woken; what differs is how:
+//! node is a process that sleeps in the kernel until it is woken. The references differ in the way of waking:
 //!
 //! | reference | a range wakes the centre | the command wakes the robots |
 //! |---|---|---|
 //! | `iceoryx2` | each by an event | an event to each |
 //! | `futex` | the last one by a futex | one futex for all |
 //!
-//! They are runs as the system's are: named, in folders of their own, cleaned up after by the same rules.
+//! A reference runs like the system: with a name, in its own folder, and with the same cleanup.
 
 mod futex;
 mod iceoryx2;
@@ -20,12 +20,12 @@ use std::time::Duration;
 pub use node::latency_node;
 pub(super) use processes::measure;
 
-/// How nodes of a reference talk.
+/// The transport of a reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reference {
-    /// Publish-subscribe and events of iceoryx2, as a program would use it that has nothing else to do.
+    /// Publish-subscribe and events of iceoryx2, as a program without other work would use them.
     Iceoryx2,
-    /// Words of shared memory on which the kernel lets sleepers wait: the least that a wake-up takes.
+    /// Words of shared memory on which threads wait in the kernel: the least cost of a wake-up.
     Futex,
 }
 
@@ -72,8 +72,8 @@ trait Robot {
     fn command(&mut self, tick: u64) -> anyhow::Result<Command>;
 }
 
-/// How soon a node sees that it is asked to end.
+/// How soon a node notices a request to end.
 const WAIT: Duration = Duration::from_millis(100);
 
-/// Where nobody is heard for so long, beyond the time of a tick, nodes give up.
+/// Nodes give up if no message comes for this time beyond the time of a tick.
 const SILENCE: Duration = Duration::from_secs(5);

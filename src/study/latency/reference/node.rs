@@ -1,7 +1,7 @@
-//! One node of a reference: what `latency-node` runs.
+//! One node of a reference: the command `latency-node`.
 //!
-//! It says on standard output that it is ready, reads on standard input when to start, and at its end writes its
-//! stamps, if it is a robot: all in words of 8 bytes, little-endian.
+//! The node reports on standard output that it is ready, and reads the start time from standard input. A robot writes its
+//! stamps at the end. All of these are words of 8 bytes, little-endian.
 
 use std::io::{Read, Write};
 use std::time::Duration;
@@ -20,10 +20,10 @@ use crate::failure::Failure;
 use crate::run::node::{join, prepare};
 use crate::study::latency::dt_ns;
 
-/// What a node says once it can be heard.
+/// The word with which a node reports that it is ready.
 pub(super) const READY: u64 = u64::from_le_bytes(*b"rh-ready");
 
-/// `rangehound latency-node`: a robot of a run over a reference, or the centre, until its parent ends, if that is given.
+/// `rangehound latency-node`: a robot or the centre of a reference run. It ends with its parent, if one is given.
 ///
 /// # Errors
 /// [`Failure`].
@@ -50,7 +50,7 @@ pub fn latency_node(
     Ok(())
 }
 
-/// Waits for all ranges, answers all robots, and says when the next range is due.
+/// Waits for all ranges, answers all robots, and announces when the next range is due.
 fn be_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
     let dt_ns = dt_ns(scenario);
     let mut due_ns = wait_for_start()?;
@@ -58,7 +58,7 @@ fn be_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
         link.collect(tick)?;
         if let Some(dt_ns) = dt_ns {
             due_ns += dt_ns;
-            // As the simulator does it: time that is lost is not made up by a burst of ticks.
+            // As in the simulator: lost time is not made up by a burst of ticks.
             let now_ns = monotonic_ns();
             if due_ns <= now_ns {
                 due_ns = now_ns + dt_ns;
@@ -68,8 +68,8 @@ fn be_centre(mut link: impl Centre, scenario: &Scenario) -> anyhow::Result<()> {
         command[DUE] = due_ns;
         link.answer(&command)?;
     }
-    // A robot that has not met this publisher yet would not get its last command if it were gone. The parent closes the input
-    // once it has heard all robots.
+    // If this publisher ended, a robot that is not yet connected would miss its last command. The parent closes the input
+    // once it has received the stamps of all robots.
     let _ = std::io::stdin().read(&mut [0]);
     Ok(())
 }
@@ -97,7 +97,7 @@ fn be_robot(mut link: impl Robot, id: usize, scenario: &Scenario) -> anyhow::Res
     Ok(())
 }
 
-/// Says that this node is ready, and waits until all are.
+/// Reports that this node is ready, and waits until all nodes are.
 fn wait_for_start() -> anyhow::Result<u64> {
     let mut out = std::io::stdout();
     out.write_all(&READY.to_le_bytes())?;
@@ -111,7 +111,7 @@ fn sleep_until(due_ns: u64) -> anyhow::Result<()> {
     let due =
         Timespec { tv_sec: (due_ns / 1_000_000_000).cast_signed(), tv_nsec: (due_ns % 1_000_000_000).cast_signed() };
     match clock_nanosleep_absolute(ClockId::Monotonic, &due) {
-        // After a signal the range goes out early, and whoever waits for its command sees that an end is asked for.
+        // After a signal the range goes out early; the wait for its command then notices the request to end.
         Ok(()) | Err(Errno::INTR) => Ok(()),
         Err(error) => Err(error.into()),
     }

@@ -1,4 +1,4 @@
-//! The processes of a reference: started, let go at once, their stamps collected, ended.
+//! The processes of a reference: start, common release, collection of stamps, end.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Write};
@@ -23,16 +23,16 @@ use crate::run::experiment::Experiment;
 use crate::run::node::{input_or_running, this_program};
 use crate::study::latency::samples::Exchange;
 
-/// From the word to start to the start, so that all have it.
+/// From the start message to the start, so that all nodes have received it.
 const LEAD: Duration = Duration::from_millis(20);
 
-/// How long nodes may take to end.
+/// Most time for nodes to end.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// Runs a reference on an experiment's robots, ticks and clock, and hands each robot's ticks to `robot`, in order.
+/// Runs a reference on an experiment's robots, ticks and clock, and passes each robot's ticks to `robot`, in order.
 ///
 /// # Errors
-/// [`Failure`], with what a node said last if one failed.
+/// [`Failure`], with the first message of a node if one failed.
 pub(in crate::study::latency) fn measure(
     reference: Reference,
     experiment: &Experiment,
@@ -45,13 +45,13 @@ pub(in crate::study::latency) fn measure(
         futex::create(&run)?;
     }
     let scenario = &experiment.description.scenario;
-    let said = out_folder::append(log).with_context(|| log.display().to_string())?;
+    let log_file = out_folder::append(log).with_context(|| log.display().to_string())?;
     let mut team = Team { nodes: Vec::new(), log: log.to_owned() };
     for role in std::iter::once(Role::Fusion).chain((0..scenario.robots.len()).map(Role::Robot)) {
-        team.nodes.push(Node::start(reference, role, &run, said.try_clone()?, termination)?);
+        team.nodes.push(Node::start(reference, role, &run, log_file.try_clone()?, termination)?);
     }
     let exchanged = team.exchange(scenario.ticks, &mut robot).map_err(|error| team.explain(reference, error));
-    // What it had to tell has been told.
+    // The log is read; it is no longer needed.
     let _ = std::fs::remove_file(log);
     Ok(exchanged?)
 }
@@ -75,7 +75,7 @@ impl Team<'_> {
     ) -> anyhow::Result<()> {
         for node in &mut self.nodes {
             if node.read_word()? != READY {
-                return Err(anyhow!("{} said something else than that it is ready", node.role));
+                return Err(anyhow!("{} is not ready: its first word is unexpected", node.role));
             }
         }
         let start_ns = monotonic_ns() + LEAD.as_nanos() as u64;
@@ -93,10 +93,10 @@ impl Team<'_> {
         Ok(())
     }
 
-    /// An error, with what the nodes had to say: one that fails takes the others along.
+    /// An error with the nodes' first message: one node that fails ends the others.
     fn explain(&self, reference: Reference, error: anyhow::Error) -> anyhow::Error {
-        let said = std::fs::read_to_string(&self.log).unwrap_or_default();
-        match said.lines().next() {
+        let messages = std::fs::read_to_string(&self.log).unwrap_or_default();
+        match messages.lines().next() {
             Some(first) => {
                 let first = first.trim_start_matches("rangehound: ");
                 anyhow!("a node of the {} reference failed: {first}", reference.name())
@@ -107,10 +107,10 @@ impl Team<'_> {
 }
 
 impl Drop for Team<'_> {
-    /// Nodes that have done their work end by themselves; others are asked, and killed in the end.
+    /// Nodes that are finished end by themselves; others are asked to end, and finally killed.
     fn drop(&mut self) {
         for node in &mut self.nodes {
-            // One that has not started yet waits for a word on it.
+            // A node that has not started yet waits for its input.
             drop(node.child.stdin.take());
             if matches!(node.child.try_wait(), Ok(None)) {
                 let _ = kill_process(Pid::from_child(&node.child), Signal::TERM);
@@ -138,7 +138,7 @@ impl<'a> Node<'a> {
         let mut child = this_program()
             .args(["latency-node", "--reference", reference.name(), "--role", &role.to_string()])
             .args(["--name", &run.name().to_string(), "--end-with", &std::process::id().to_string()])
-            // A group of its own: Ctrl-C reaches this process, which ends the nodes in order.
+            // Own process group: Ctrl-C reaches this process only, which ends the nodes in order.
             .process_group(0)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -156,7 +156,7 @@ impl<'a> Node<'a> {
     }
 }
 
-/// What a node writes; waiting for it ends when this process is asked to end.
+/// A node's output; reading ends when this process is asked to end.
 struct Output<'a> {
     pipe: ChildStdout,
     termination: &'a Termination,
@@ -167,7 +167,7 @@ impl Read for Output<'_> {
         let at_most = Timespec { tv_sec: 0, tv_nsec: WAIT.subsec_nanos().into() };
         while !self.termination.requested() {
             let mut pipe = [PollFd::from_borrowed_fd(self.pipe.as_fd(), PollFlags::IN)];
-            // An error is a signal.
+            // A signal interrupts the wait with an error.
             if poll(&mut pipe, Some(&at_most)).unwrap_or(0) > 0 {
                 return self.pipe.read(bytes);
             }

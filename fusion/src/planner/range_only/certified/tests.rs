@@ -92,7 +92,7 @@ fn hard_problems_are_solved_and_proven() {
     }
 }
 
-/// The budget of one node: what it says must hold all the same.
+/// With a budget of one node the bounds must still hold.
 #[test]
 fn a_search_cut_short_is_honest_about_its_gap() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(8);

@@ -1,7 +1,7 @@
-//! Where a robot may be after the step, and the arc of bearings that this leaves it.
+//! The places that a robot can reach in a step, and the resulting arc of bearings.
 //!
-//! Without neighbours that is a disc, which this file has, less the stand-off; [`cell`] has what neighbours leave of it,
-//! and [`separation`] how much that is.
+//! Without neighbours the places are a disc less the stand-off: this file. With neighbours they are a cell: [`cell`].
+//! [`separation`] computes the cell.
 
 mod cell;
 mod polygon;
@@ -17,10 +17,10 @@ use crate::planner::TeamMember;
 use crate::vector::Vector;
 pub(super) use polygon::Limit;
 
-/// A place nearer to the predicted target than this, in steps, has no bearing worth the name.
+/// A place nearer to the predicted target than this, in steps, has a degenerate bearing.
 const ON_TARGET: f64 = 1e-6;
 
-/// A target whose distance is one step but for this share of it is exactly one step away.
+/// A target counts as exactly one step away if its distance differs from the step by at most this share.
 const ONE_STEP: f64 = 1e-12;
 
 /// One robot's next step in the plane.
@@ -62,7 +62,7 @@ impl Reach {
             sight: to_target_m.normalised().unwrap_or(Vector::new(1.0, 0.0)),
             step_m,
             speed_mps: member.max_speed_mps,
-            // What is less than the room that every bearing needs is kept without being asked for.
+            // Every bearing needs this much room anyway: a smaller clearance has no effect.
             stand_off_m: if stand_off_m < ON_TARGET * step_m { 0.0 } else { stand_off_m },
             room: Room::Disc,
         }
@@ -94,7 +94,7 @@ impl Reach {
     fn half_width(&self) -> Option<Vector> {
         let (d, r, s) = (self.to_target_m.norm(), self.step_m, self.stand_off_m);
         if d == 0.0 {
-            // On the target all ways out are alike.
+            // On the target all directions are equivalent.
             (r == 0.0).then_some(Vector::new(1.0, 0.0))
         } else if s == 0.0 && (d - r).abs() <= ONE_STEP * r {
             // All bearings but the one across, which only the target itself would have.
@@ -115,7 +115,7 @@ impl Reach {
         }
     }
 
-    /// What leads to this doubled bearing.
+    /// The motion that leads to this doubled bearing.
     pub(super) fn command(&self, direction: Vector, corners_m: &[Vector]) -> Command {
         let (heading, speed_mps) = self.motion(direction, corners_m);
         Command { heading_rad: heading.angle_rad(), speed_mps }

@@ -96,7 +96,7 @@ proptest! {
         prop_assert!((arm.nearest(direction, direction) - direction).norm() < 1e-6, "{arm:?} {direction:?}");
     }
 
-    /// Neighbours that are apart stay apart, and such that are too close do not come closer.
+    /// Neighbours that are apart stay apart, and neighbours that are too close do not come closer.
     #[test]
     fn robots_stay_apart(
         places in proptest::collection::vec((-4.0..4.0_f64, -4.0..4.0_f64), 2..9),
@@ -110,7 +110,7 @@ proptest! {
         let ends: Vec<Vector> = positions.iter().enumerate().map(|(i, at)| {
             *at + offset_m(&problem, i, direction_at(&problem.arms()[i], fractions[i]))
         }).collect();
-        // Who is too close to another gets out of that as far as the others leave room.
+        // A robot too close to another moves away as far as the others leave room.
         let crowded = positions.iter().enumerate().any(|(k, at)| {
             positions[..k].iter().any(|other| (*at - *other).norm() < separation)
         });
@@ -131,7 +131,7 @@ proptest! {
 
 /// Two robots that are too close, the one between the other and the target.
 #[test]
-fn who_makes_way_keeps_the_stand_off_that_it_had() {
+fn a_robot_that_makes_way_keeps_its_stand_off() {
     let mut positions_m = [Vector::new(5.2, 0.0), Vector::new(6.2, 0.0)];
     let clearance = Clearance { stand_off_m: 5.0, stand_off_sigma: 0.0, separation_m: 4.0 };
     for _ in 0..20 {
@@ -144,7 +144,7 @@ fn who_makes_way_keeps_the_stand_off_that_it_had() {
     assert!((positions_m[0] - positions_m[1]).norm() >= 4.0 - 1e-9, "{positions_m:?}");
 }
 
-/// A stand-off of next to nothing is none: what the arc says is what the motion leads to.
+/// A negligible stand-off counts as none: the motion reaches the arc's bearing.
 #[test]
 fn a_stand_off_of_next_to_nothing_changes_nothing() {
     for stand_off_m in [1e-300, 1e-15, 1e-9, 1e-6, 1e-4] {
