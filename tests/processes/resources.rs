@@ -55,7 +55,7 @@ fn too_few_open_files_are_reported_before_anything_is_made() {
     for (files, robots) in [(32, 3), (64, 3), (300, 128)] {
         let run = Run::new();
         let outcome = run.command_by(&format!("ulimit -n {files} && exec \"$@\""), &format!("run --robots {robots}"));
-        let limit = format!("a limit of {files}");
+        let limit = format!("the limit is {files}");
         assert_refused(&outcome.finish(), 2, &["open files", &limit, "ulimit -n"]);
         assert_nothing_made(&run);
     }
