@@ -215,7 +215,7 @@ impl Notifier {
         let before = words.answers.fetch_update(AcqRel, Relaxed, counted).ok();
         let answers = before.and_then(|before| Answers::from_bits(before).with(tick));
         // The tick is over: nobody waits for its answers.
-        if answers.is_none_or(|answers| answers.event(words.expected.load(Relaxed).into(), or_first)) {
+        if answers.is_none_or(|answers| answers.wakes(words.expected.load(Relaxed).into(), or_first)) {
             self.signal(event);
         }
     }
@@ -270,7 +270,7 @@ mod tests {
         let run = run("wait-groups-all");
         let prefix = run.shared_memory_prefix();
         std::thread::scope(|scope| {
-            let sleepers: Vec<_> = (0..5)
+            let waiters: Vec<_> = (0..5)
                 .map(|_| scope.spawn(|| Waiter::new(WaitGroups::open(prefix).unwrap(), WaitGroup::Robots).sleep(LIMIT)))
                 .collect();
             let wait_groups = WaitGroups::open(prefix).unwrap();
@@ -278,8 +278,8 @@ mod tests {
                 std::thread::yield_now();
             }
             Notifier::new(wait_groups, WaitGroup::Robots).signal(Event::Finished);
-            for group in sleepers {
-                let events = group.join().unwrap();
+            for waiter in waiters {
+                let events = waiter.join().unwrap();
                 assert!(events.has(Event::Finished) && !events.has(Event::Range));
             }
         });

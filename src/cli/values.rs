@@ -64,7 +64,7 @@ pub(super) const REFERENCES: OneOf<Reference> = OneOf(&[
     (
         "futex",
         Reference::Futex,
-        "Words of shared memory on which the kernel lets sleepers wait: the least that a wake-up takes",
+        "Words of shared memory on which the kernel lets processes wait: the least that a wake-up takes",
     ),
 ]);
 

@@ -178,11 +178,11 @@ fn a_sleep_of_next_to_no_time_ends() {
     std::thread::spawn(move || {
         let scenario = Scenario::from_file(&ScenarioFile::default(), "default").unwrap();
         let rendezvous = Rendezvous::found(&name, RunDescription::new(scenario, out_dir)).unwrap();
-        let bed = Bus::connect(&rendezvous, "observer").unwrap().waiter_of(WaitGroup::Sim);
+        let waiter = Bus::connect(&rendezvous, "observer").unwrap().waiter_of(WaitGroup::Sim);
         for nanoseconds in [0, 1, 999, 1_000] {
-            bed.sleep(Duration::from_nanos(nanoseconds));
+            waiter.sleep(Duration::from_nanos(nanoseconds));
         }
-        drop(bed);
+        drop(waiter);
         send.send(()).unwrap();
     });
     ended.recv_timeout(Duration::from_secs(60)).unwrap();

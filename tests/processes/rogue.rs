@@ -33,7 +33,7 @@ fn rogue() {
     let headings = bus.publisher::<Heading>(robots).unwrap();
     let drives = bus.publisher::<Drive>(1).unwrap();
     let worlds = bus.publisher::<WorldEntry>(robots).unwrap();
-    let notifiers = [WaitGroup::Sim, WaitGroup::Fusion, WaitGroup::Robots].map(|sleeper| bus.notifier_of(sleeper));
+    let notifiers = [WaitGroup::Sim, WaitGroup::Fusion, WaitGroup::Robots].map(|group| bus.notifier_of(group));
     // A successor of whoever is there, as far as words go.
     bus.speak_as(1_000);
     println!("joined");

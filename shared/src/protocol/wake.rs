@@ -128,7 +128,7 @@ impl Answers {
     /// True if the last of these answers wakes a wait group that expects this many: it is the last, or the first if that is asked for.
     /// Extra answers wake again: a restarted robot may answer twice.
     #[must_use]
-    pub fn event(self, expected: u64, or_first: bool) -> bool {
+    pub fn wakes(self, expected: u64, or_first: bool) -> bool {
         let count = self.0 & ((1 << COUNT_BITS) - 1);
         count >= expected || or_first && count == 1
     }
@@ -141,18 +141,18 @@ mod tests {
     #[test]
     fn the_last_answer_to_the_newest_tick_signals() {
         let mut answers = Answers::default();
-        let mut event = |tick, expected, or_first| match answers.with(tick) {
+        let mut wakes = |tick, expected, or_first| match answers.with(tick) {
             Some(counted) => {
                 answers = Answers::from_bits(counted.to_bits());
-                Some(counted.event(expected, or_first))
+                Some(counted.wakes(expected, or_first))
             }
             None => None,
         };
         for tick in [0, 1, 7] {
-            assert_eq!([0; 3].map(|_| event(tick, 3, false)), [Some(false), Some(false), Some(true)], "{tick}");
-            assert_eq!(event(tick, 3, false), Some(true), "of one that was started again");
+            assert_eq!([0; 3].map(|_| wakes(tick, 3, false)), [Some(false), Some(false), Some(true)], "{tick}");
+            assert_eq!(wakes(tick, 3, false), Some(true), "of one that was started again");
         }
-        assert_eq!([0; 3].map(|_| event(8, 3, true)), [Some(true), Some(false), Some(true)]);
-        assert_eq!(event(7, 3, false), None, "of a tick that is over");
+        assert_eq!([0; 3].map(|_| wakes(8, 3, true)), [Some(true), Some(false), Some(true)]);
+        assert_eq!(wakes(7, 3, false), None, "of a tick that is over");
     }
 }

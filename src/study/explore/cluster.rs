@@ -13,7 +13,7 @@ use rangehound_shared::sealed::slots::Turns;
 
 use super::disk::Disk;
 use super::lead::Lead;
-use super::network::{Message, Sleepers};
+use super::network::{GroupState, Message};
 use super::plan::Plan;
 use super::process::{Node, Process};
 use super::roles::sim::SIM;
@@ -119,7 +119,7 @@ pub(super) struct Cluster<'a> {
     /// Fusion's checkpoint files; the last one has the name.
     pub(super) disks: Vec<Disk>,
     /// By [`WaitGroup`](rangehound_shared::protocol::wake::WaitGroup).
-    pub(super) sleepers: [Sleepers; 3],
+    pub(super) groups: [GroupState; 3],
     pub(super) supervisor: Supervisor,
     pub(super) is_finished: bool,
     pub(super) witness: Witness,
@@ -162,7 +162,7 @@ impl<'a> Cluster<'a> {
             sim_disk: Disk::default(),
             sim_turns: Turns::default(),
             disks: vec![Disk::default()],
-            sleepers: [Sleepers::default(); 3],
+            groups: [GroupState::default(); 3],
             supervisor: Supervisor::new(plan),
             is_finished: false,
             witness: Witness::new(scenario, undisturbed, plan),

@@ -2,7 +2,7 @@
 
 use rangehound_node::rendezvous::tenure::Tenure;
 
-/// How often whoever leads gives a heartbeat at most, ns.
+/// How often the leader sends a heartbeat at most, ns.
 pub(super) const SIGN_NS: u64 = 50_000_000;
 
 /// The lead of a run.

@@ -32,9 +32,9 @@ pub(super) enum Message {
     Drive(u64, Drive),
 }
 
-/// One group of sleepers: how many answers it waits for, and which came.
+/// One wait group: how many answers it waits for, and which came.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Sleepers {
+pub(super) struct GroupState {
     pub(super) expected: usize,
     answers: Answers,
 }
@@ -141,22 +141,22 @@ impl Cluster<'_> {
     /// Wakes whom a role asks for.
     pub(super) fn notify(&mut self, from: usize, Notification { to, event, when }: Notification) {
         if let When::LastAnswer { tick, or_first } = when {
-            let sleepers = &mut self.sleepers[to as usize];
-            let answers = sleepers.answers.with(tick);
-            sleepers.answers = answers.unwrap_or(sleepers.answers);
+            let group = &mut self.groups[to as usize];
+            let answers = group.answers.with(tick);
+            group.answers = answers.unwrap_or(group.answers);
             // Of a tick that is over: whoever needs it waits for nothing else.
-            if answers.is_some_and(|answers| !answers.event(sleepers.expected as u64, or_first)) {
+            if answers.is_some_and(|answers| !answers.wakes(group.expected as u64, or_first)) {
                 return;
             }
         }
-        let sleepers = match to {
+        let members = match to {
             WaitGroup::Sim => 0..1,
             WaitGroup::Fusion => self.plan.fusion_nodes(),
             WaitGroup::Robots => self.plan.robot_nodes(),
         };
         // What arrives wakes its receiver anyway.
         let is_needed = matches!(event, Event::Hello | Event::Finished) || !self.plan.network.wakes_on_arrival;
-        for node in sleepers.filter(|node| is_needed && *node != from) {
+        for node in members.filter(|node| is_needed && *node != from) {
             if !matches!(self.nodes[node].process, Process::Standby(_)) {
                 self.after(WAKE_NS, Happening::Wakes { node, event: Some(event) });
             }

@@ -156,7 +156,7 @@ impl Cluster<'_> {
                 self.violation(Some(node), format!("it goes back to tick {tick}, whose headings were published"))
             );
         }
-        self.sleepers[WaitGroup::Fusion as usize].expected = machine.expected();
+        self.groups[WaitGroup::Fusion as usize].expected = machine.expected();
         let (lease, first_range, newest_heard) = (*lease, None, 0);
         self.nodes[node].first_arrival = None;
         let leading = Leading {

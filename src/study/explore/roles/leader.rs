@@ -77,7 +77,7 @@ impl Cluster<'_> {
         Ok(Process::Leader(leading))
     }
 
-    /// True while nobody has taken the lead from it; gives a heartbeat.
+    /// True while nobody has taken the lead from it. Sends a heartbeat.
     fn holds_lead(&mut self, leading: &Leading) -> bool {
         let holds = self.lead.is_current(leading.lease);
         if holds {
@@ -122,7 +122,7 @@ impl Cluster<'_> {
                 let missing = self.record(node, leading, tick).map_err(|what| self.violation(Some(node), what))?;
                 let closed = self.witness.timing.closes(&self.closing(node, leading, tick, missing));
                 closed.map_err(|what| self.violation(Some(node), what))?;
-                self.sleepers[WaitGroup::Fusion as usize].expected = leading.machine.expected();
+                self.groups[WaitGroup::Fusion as usize].expected = leading.machine.expected();
             }
             Action::Tell(notice) => {
                 if let Notice::Missed { first, last } = notice {

@@ -72,7 +72,7 @@ impl Cluster<'_> {
                 let seen = self.witness.world(tick, world.entries());
                 let seen = seen.and_then(|()| self.witness.timing.world(tick, self.now_ns, ran_ns, self.late_ns()));
                 seen.map_err(|what| self.violation(Some(SIM), what))?;
-                self.sleepers[WaitGroup::Sim as usize].expected = machine.expected();
+                self.groups[WaitGroup::Sim as usize].expected = machine.expected();
                 self.tell(Some(SIM), || format!("world({tick})"));
                 let header = self.header(SIM, tick, world.time_s());
                 let entries: Rc<[WorldEntry]> = world.entries().into();
