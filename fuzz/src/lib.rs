@@ -20,8 +20,7 @@ use rangehound::failure::one_short_line;
 use rangehound::files::{calibration, input};
 use rangehound::plan::line::LineSolver;
 use rangehound::results::curves::CurvesBuilder;
-use rangehound::results::frame::Frames;
-use rangehound::results::report::{self, ReportBuilder, Truth};
+use rangehound::results::report::{self, Truth};
 use rangehound::results::run_mcap::read::FrameReader;
 use rangehound::results::run_mcap::scene::Scene;
 use rangehound::results::{made as pictures, tables};
@@ -308,14 +307,8 @@ fn results(description: &RunDescription, logs: [&[u8]; 2]) -> Verdict {
         std::fs::write(folder.path().join(name), log)?;
     }
     let description = RunDescription { out_dir: folder.path().to_owned(), ..description.clone() };
-    let mut report = ReportBuilder::new(None)?;
     let mut curves = CurvesBuilder::new(&description.scenario, None);
-    Frames::open(&description)?.for_each(|put_down| {
-        report.add(put_down);
-        curves.add(put_down);
-        Ok(())
-    })?;
-    let report = report.finish(&description.scenario, Vec::new());
+    let report = report::from_logs(&description, None, Vec::new(), |put_down| curves.add(put_down))?;
     report::write(&report, folder.path())?;
     tables::write_estimate_csv(&description)?;
     tables::write_recording(&description)?;

@@ -5,8 +5,8 @@ use std::path::Path;
 use rangehound_node::rendezvous::RunDescription;
 
 use super::curves::CurvesBuilder;
-use super::frame::{Frames, PutDown};
-use super::report::{self, NodeSummary, Report, ReportBuilder, Truth};
+use super::frame::PutDown;
+use super::report::{self, NodeSummary, Report, Truth};
 use super::tables::{write_estimate_csv, write_recording};
 use super::{page, picture};
 use crate::failure::{self, Failure};
@@ -69,7 +69,7 @@ fn make_report(
     description: &RunDescription,
     keep: &Keep,
     nodes: Vec<NodeSummary>,
-    mut also: impl FnMut(PutDown<'_>),
+    also: impl FnMut(PutDown<'_>),
 ) -> anyhow::Result<(Report, Result<(), Failure>)> {
     let &Keep { ref truth, json, .. } = keep;
     let truth = truth.as_ref();
@@ -77,13 +77,7 @@ fn make_report(
     if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
         failure::tell("the run is over, its report is made");
     }
-    let mut builder = ReportBuilder::new(truth)?;
-    Frames::open(description)?.for_each(|put_down| {
-        builder.add(put_down);
-        also(put_down);
-        Ok(())
-    })?;
-    let report = builder.finish(scenario, nodes);
+    let report = report::from_logs(description, truth, nodes, also)?;
     let printed = if json {
         failure::print_json(&report)
     } else {

@@ -33,7 +33,8 @@ pub use summary::{
 pub use truth::Truth;
 use verdict::{RecordingEvidence, TruthEvidence};
 
-/// Computes the report of a run from its logs.
+/// Computes the report of a run from its logs; `truth` is the target's true track if the run does not know it. The logs are
+/// read once: `also` receives each tick too.
 ///
 /// # Errors
 /// If a log cannot be read.
@@ -41,10 +42,12 @@ pub fn from_logs(
     description: &RunDescription,
     truth: Option<&Truth>,
     nodes: Vec<NodeSummary>,
+    mut also: impl FnMut(PutDown<'_>),
 ) -> anyhow::Result<Report> {
     let mut builder = ReportBuilder::new(truth)?;
     Frames::open(description)?.for_each(|put_down| {
         builder.add(put_down);
+        also(put_down);
         Ok(())
     })?;
     Ok(builder.finish(&description.scenario, nodes))
@@ -52,7 +55,7 @@ pub fn from_logs(
 
 /// Sums up the report of a run tick by tick; `truth` is the target's true track if the run does not know it.
 #[derive(Debug)]
-pub struct ReportBuilder<'a> {
+struct ReportBuilder<'a> {
     totals: Accumulator,
     truth: Option<&'a Truth>,
     overlap: Option<Overlap>,
@@ -63,12 +66,12 @@ impl<'a> ReportBuilder<'a> {
     ///
     /// # Errors
     /// If the histograms cannot be allocated.
-    pub fn new(truth: Option<&'a Truth>) -> anyhow::Result<Self> {
+    fn new(truth: Option<&'a Truth>) -> anyhow::Result<Self> {
         Ok(Self { totals: Accumulator::new()?, truth, overlap: truth.map(Overlap::of) })
     }
 
     /// Adds the next tick.
-    pub fn add(&mut self, put_down: PutDown<'_>) {
+    fn add(&mut self, put_down: PutDown<'_>) {
         let Self { totals, truth, overlap } = self;
         let PutDown { tick, fusion, world } = put_down;
         if let Some(world) = world {
@@ -88,8 +91,7 @@ impl<'a> ReportBuilder<'a> {
     }
 
     /// The report of all ticks that were added.
-    #[must_use]
-    pub fn finish(self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
+    fn finish(self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
         let recording = match &scenario.source {
             Source::Recorded(ranges) => Some(RecordingEvidence {
                 doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),

@@ -204,7 +204,7 @@ enum Life {
 }
 
 fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
-    let report = report::from_logs(description, None, Vec::new())?;
+    let report = report::from_logs(description, None, Vec::new(), |_| ())?;
     let Report { ticks, digest, ranges, headings, position_rmse_m, .. } = report;
     Ok(RunResult { ticks, digest, ranges, headings, position_rmse_m })
 }
