@@ -126,7 +126,8 @@ impl<'a> Driver<'a> {
         let mut standby =
             Standby::new(self.scenario, roster.last_heartbeat(Role::Fusion), roster.file_of(Role::Fusion));
         let mut succession = roster.succeed(Role::Fusion);
-        while !termination.requested() && !self.rendezvous.is_finished() {
+        // A leader that dies after the last tick leaves its last estimates to a standby.
+        while !termination.requested() && !self.rendezvous.is_complete() {
             if let Some(lease) = roster.take_in_succession(Role::Fusion, &succession, LOOK)? {
                 if self.rendezvous.is_removed() {
                     return Err(self.rendezvous.removed().into());
@@ -171,7 +172,8 @@ impl<'a> Driver<'a> {
             if (events.has(Event::Finished) || events.is_empty()) && self.rendezvous.is_finished() {
                 self.receive()?;
                 self.leader.finish();
-                return self.act(&lease);
+                self.act(&lease)?;
+                return Ok(self.rendezvous.mark_estimated()?);
             }
         }
         Ok(())

@@ -77,6 +77,26 @@ fn in_real_time_a_standby_leaves_no_robot_long_without_a_heading() {
     run.assert_nothing_left();
 }
 
+/// The simulator has ended by then, and the last ticks have no estimate yet.
+#[test]
+fn a_fusion_killed_after_the_last_tick_is_replaced_and_estimates_it() {
+    for standbys in ["", "--standby 1"] {
+        let run = Run::new();
+        run.write("mine.toml", "ticks = 100\ndt_s = 0.02\nclock = \"realtime\"\n");
+        let supervisor = run.command(&format!("run mine.toml {standbys}"));
+        run.wait_for_ticks(20);
+        let leader = run.pid_of("fusion", 1);
+        run.wait_until("a standby is there", || standbys.is_empty() || run.is_held("standby-1"));
+        run.wait_for_ticks(95);
+        signal(leader, Signal::STOP);
+        run.wait_until("the simulator has ended", || run.shared_folder().join("finished").exists());
+        signal(leader, Signal::KILL);
+        supervisor.finish().succeeded();
+        assert_eq!(run.report()["ticks"], 100);
+        run.assert_nothing_left();
+    }
+}
+
 #[test]
 fn a_standby_started_by_hand_leads_if_nobody_does() {
     let run = Run::new();

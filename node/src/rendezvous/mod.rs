@@ -12,6 +12,7 @@
 //! | `ending` | exists once the supervisor ends the run |
 //! | `live` | port and token of the run's live page |
 //! | `finished` | exists once the simulator has ended the run |
+//! | `estimated` | exists once fusion has estimated and recorded every tick |
 //!
 //! All locks are kernel locks: a process that dies, for whatever reason, releases them at once. The
 //! last member to leave removes the folder and the shared memory. If the last member was killed, the
@@ -330,6 +331,20 @@ impl Rendezvous {
     /// If the mark cannot be written.
     pub fn finish(&self) -> Result<(), RendezvousError> {
         self.place.write("finished", b"")
+    }
+
+    /// Marks the run as estimated: fusion has estimated and recorded every tick.
+    ///
+    /// # Errors
+    /// If the mark cannot be written.
+    pub fn mark_estimated(&self) -> Result<(), RendezvousError> {
+        self.place.write("estimated", b"")
+    }
+
+    /// True once the run has ended and fusion has nothing left to do.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.is_finished() && (self.place.path("estimated").exists() || !self.place.path("run").exists())
     }
 
     /// True once the run has ended. The last member removes the folder, so for an observer a missing folder also means that the

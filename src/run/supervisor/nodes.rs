@@ -101,12 +101,12 @@ impl<'a> Nodes<'a> {
         Ok(all)
     }
 
-    /// Watches until the run is finished, its shared memory is removed, a node that is not replaced dies, or an end is asked
+    /// Watches until the run is complete, its shared memory is removed, a node that is not replaced dies, or an end is asked
     /// for.
     pub(super) fn supervise(&mut self, termination: &Termination, mut look: impl FnMut()) -> anyhow::Result<Ended> {
         let mut looked = Instant::now();
         let mut listened = Instant::now();
-        while !self.rendezvous.is_finished() {
+        while !self.rendezvous.is_complete() {
             if termination.requested() {
                 return Err(anyhow!("ended before its last tick, as asked"));
             }
@@ -348,8 +348,8 @@ impl Node {
         let Some(running) = &mut self.running else { return Ok(None) };
         let Some(status) = running.child.try_wait()? else { return Ok(None) };
         self.running = None;
-        // The run is marked as finished before any node ends by itself, so the mark is looked at after.
-        if rendezvous.is_finished() {
+        // The run is marked as finished before any node ends by itself, so the mark is read afterwards.
+        if status.success() && rendezvous.is_finished() {
             return Ok(None);
         }
         self.note(if status.signal().is_some() { Incident::Killed } else { Incident::Exited });
