@@ -17,16 +17,24 @@ use crate::planner::TeamMember;
 use crate::planner::range_only::reach::{Reach, Room};
 use crate::vector::Vector;
 
-/// Least distance to the target for which it is planned, in steps: a bearing from the target itself would tell everything.
-const NEAREST: f64 = 1e-3;
+/// Least distance to the target for which it is planned, in steps: on the target there is no direction.
+const NEAREST: f64 = 1e-6;
+
+/// The same for a bearing from a known place: from next to the target it would tell everything.
+const NEAREST_BEARING: f64 = 1e-2;
 
 /// Pieces on each side of a bound of the field of view, by which that is found.
 const VIEWS: usize = 16;
 
+/// From one piece's parameter to the next one's.
+const PIECE: f64 = 2.0;
+
 /// Pieces without neighbours need no heap.
 type Pieces = SmallVec<[Piece; 8]>;
 
-/// The places that count for one robot, by a parameter: the piece's number plus the parameter within it.
+/// The places that count for one robot. Their parameter goes from 0 to 1 in the first piece, from 2 to 3 in the second and so
+/// on: pieces need not touch, so a number in a gap is no
+/// place of either.
 #[derive(Debug, Clone)]
 pub(super) struct Curve {
     pub(super) pieces: Pieces,
@@ -39,17 +47,20 @@ impl Curve {
     /// The curve of a robot with this reach; `corners_m` are the corners of all cells.
     pub(super) fn of(member: &TeamMember, reach: &Reach, corners_m: &[Vector]) -> Self {
         let noise = Noise::of(member);
-        let mut pieces = places(reach, corners_m);
-        if noise.max_range_m().is_finite() {
-            restrict(&mut pieces, |piece| piece.parts_within(noise.max_range_m()).collect());
+        let nearest = if noise.is_bounded() { NEAREST } else { NEAREST_BEARING };
+        let stand_off_m = reach.stand_off_m().max(nearest * reach.step_m);
+        let mut pieces = places(reach, corners_m, stand_off_m);
+        if member.sensor.max_range_m.is_finite() {
+            restrict(&mut pieces, |piece| piece.parts_within(member.sensor.max_range_m).collect());
         }
         if member.sensor.field_of_view_rad < 2.0 * PI && reach.step_m > 0.0 {
             let half_rad = 0.5 * member.sensor.field_of_view_rad;
             restrict(&mut pieces, |piece| parts_in_view(piece, reach.to_target_m, half_rad));
         }
-        if pieces.is_empty() {
+        // A place on the target has no direction.
+        if pieces.iter().all(|piece| piece.square == [0.0; 3]) {
             // It sees nothing after any step, and comes as near as it may, to see later.
-            return Self::blind(reach, noise, places(reach, corners_m));
+            return Self::blind(reach, noise, places(reach, corners_m, stand_off_m));
         }
         let leaves = pieces.iter().map(|piece| Leaf::of(&noise, piece, 0.0, 1.0)).collect();
         Self { pieces, noise, leaves }
@@ -58,20 +69,40 @@ impl Curve {
     fn blind(reach: &Reach, noise: Noise, pieces: Pieces) -> Self {
         let ends = pieces.iter().flat_map(|piece| [0.0, 0.5, 1.0].map(|u| piece.sight_m(u)));
         let nearest = ends.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(reach.to_target_m);
-        let noise = Noise { range: None, bearing_rad2: None, ..noise };
+        let noise = noise.nothing();
         let piece = Piece::segment(nearest, nearest);
-        Self { leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(), pieces: [piece].into_iter().collect(), noise }
+        Self {
+            leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(),
+            pieces: [piece].into_iter().collect(),
+            noise,
+        }
     }
 
     /// The end of the parameter's interval, which begins at 0.
     pub(super) fn end(&self) -> f64 {
-        self.pieces.len() as f64
+        PIECE * (self.pieces.len() - 1) as f64 + 1.0
     }
 
     /// The piece at a parameter, and the parameter within it.
     pub(super) fn piece_at(&self, at: f64) -> (usize, f64) {
-        let index = (at.max(0.0) as usize).min(self.pieces.len() - 1);
-        (index, (at - index as f64).clamp(0.0, 1.0))
+        let index = ((at.max(0.0) / PIECE) as usize).min(self.pieces.len() - 1);
+        (index, (at - Self::base(index)).clamp(0.0, 1.0))
+    }
+
+    /// The end of the part before a parameter and the start of the part after it: none of them is a single place.
+    pub(super) fn cut_at(&self, at: f64) -> (f64, f64) {
+        let (index, u) = self.piece_at(at);
+        let base = Self::base(index);
+        match u {
+            0.0 if index > 0 => (base - PIECE + 1.0, base),
+            1.0 => (base + 1.0, base + PIECE),
+            _ => (base + u, base + u),
+        }
+    }
+
+    /// The parameter at which a piece begins.
+    pub(super) fn base(piece: usize) -> f64 {
+        PIECE * piece as f64
     }
 
     /// From the place at a parameter to the target, m.
@@ -82,12 +113,19 @@ impl Curve {
 
     /// What a measurement from the place at a parameter tells.
     pub(super) fn information(&self, at: f64) -> Information {
-        self.noise.information(self.sight_m(at))
+        let (index, u) = self.piece_at(at);
+        self.information_on(index, u)
+    }
+
+    /// The same for a place of a piece.
+    pub(super) fn information_on(&self, piece: usize, u: f64) -> Information {
+        let (p, w) = self.pieces[piece].at(u);
+        self.noise.information_over(p, w)
     }
 
     /// The parameter of the place nearest to the straight way to the target.
     pub(super) fn straight(&self, sight: Vector) -> f64 {
-        let places = (0..=2 * self.pieces.len()).map(|k| 0.5 * k as f64);
+        let places = (0..self.pieces.len()).flat_map(|index| [0.0, 0.5, 1.0].map(|u| Self::base(index) + u));
         let turned = |at: &f64| self.sight_m(*at).normalised().map_or(1.0, |after| -after.dot(sight));
         places.min_by(|a, b| turned(a).total_cmp(&turned(b))).unwrap_or(0.0)
     }
@@ -95,12 +133,11 @@ impl Curve {
 
 /// The near side of the edge of the places that a robot can reach, as far as it keeps the stand-off, and the stand-off's
 /// circle within them.
-fn places(reach: &Reach, corners_m: &[Vector]) -> Pieces {
-    let stand_off_m = reach.stand_off_m().max(NEAREST * reach.step_m);
+fn places(reach: &Reach, corners_m: &[Vector], stand_off_m: f64) -> Pieces {
     let to_target_m = reach.to_target_m;
     let mut pieces = match reach.room() {
+        _ if reach.step_m == 0.0 => point(to_target_m),
         Room::Out(offset_m) => point(to_target_m - *offset_m),
-        Room::Disc if reach.step_m == 0.0 => point(to_target_m),
         Room::Disc => disc(to_target_m, reach.sight, reach.step_m, stand_off_m),
         Room::Cell(corners) => cell(to_target_m, &corners_m[corners.clone()], stand_off_m),
     };
@@ -139,7 +176,9 @@ fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64) -> Pieces {
     }
     // On the way out to the tangents from the target the near side is the full step: headings from the line of sight.
     let tangent_rad = if d > r && s * s < (d - r) * (d + r) { (r / d).acos() } else { 0.0 };
-    let near = |from_rad: f64, to_rad: f64| Piece::arcs(to_target_m, r, bearing_rad + PI + from_rad, bearing_rad + PI + to_rad);
+    let near = |from_rad: f64, to_rad: f64| {
+        Piece::arcs(to_target_m, r, bearing_rad + PI + from_rad, bearing_rad + PI + to_rad)
+    };
     if s <= d - r {
         pieces.extend(near(-tangent_rad, tangent_rad));
         return pieces;

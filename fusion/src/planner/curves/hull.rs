@@ -5,54 +5,87 @@ use smallvec::SmallVec;
 
 use super::information::{Cost, Information};
 
-/// A point of the hull's faces has three vertices at most: the cost falls along T, so the best is not inside.
-pub(super) const VERTICES_MAX: usize = 3;
+/// Moves of share between two vertices in one call.
+const MOVES_MAX: usize = 30;
 
-/// Halvings of a line search.
-const HALVINGS: usize = 50;
+/// Steps of a line search.
+const STEPS_MAX: usize = 30;
 
-/// Vertices and their shares of the best point.
-pub(super) type Shares = SmallVec<[(usize, f64); VERTICES_MAX + 1]>;
+/// Vertices that have a share are few: the cost falls along T, so the best point is on a face.
+pub(super) type Vertices = SmallVec<[Vertex; 4]>;
 
-/// Improves the best point of the hull once a vertex is added to it; vertices without a share drop out.
+/// What the team tells from places of its curves, and its share of the best point.
+#[derive(Debug, Clone)]
+pub(super) struct Vertex {
+    /// Each robot's place.
+    pub(super) at: SmallVec<[f64; 10]>,
+    /// What it tells from there.
+    pub(super) told: SmallVec<[Information; 10]>,
+    /// What is known then.
+    pub(super) total: Information,
+    /// Part of it in the best point; all parts add up to 1.
+    pub(super) share: f64,
+}
+
+/// Finds the best point of the hull, from the shares that the vertices have; those that are left without one are removed.
 ///
-/// Each round minimises along one of the directions that move share between two vertices.
-pub(super) fn improve(criterion: Criterion, points: &[Information], shares: &mut Shares, rounds: usize) -> Information {
-    let sum = |shares: &Shares| {
-        shares.iter().fold(Information::default(), |sum, (vertex, share)| sum + points[*vertex] * *share)
-    };
-    let mut best = sum(shares);
-    for _ in 0..rounds {
+/// Each move is along the edge from the held vertex that is worst in the direction of the cost's fall to the best one.
+pub(super) fn improve(criterion: Criterion, vertices: &mut Vertices) -> Information {
+    let sum = |vertices: &Vertices| vertices.iter().fold(Information::default(), |sum, v| sum + v.total * v.share);
+    let mut best = sum(vertices);
+    for _ in 0..MOVES_MAX {
         let m = criterion.multiplier(best);
-        let along = |(vertex, _): &(usize, f64)| points[*vertex].along(m);
-        let held = |shares: &Shares| shares.iter().enumerate().filter(|(_, share)| share.1 > 0.0).map(|(k, _)| k).collect::<SmallVec<[usize; 4]>>();
-        let Some(to) = (0..shares.len()).max_by(|a, b| along(&shares[*a]).total_cmp(&along(&shares[*b]))) else { break };
-        let Some(from) = held(shares).into_iter().min_by(|a, b| along(&shares[*a]).total_cmp(&along(&shares[*b]))) else {
-            break;
-        };
-        if from == to || along(&shares[to]) - along(&shares[from]) <= 1e-13 * best.t {
-            break;
-        }
-        let step = points[shares[to].0] - points[shares[from].0];
-        // The cost is convex along the step: its slope changes sign once.
-        let slope_is_down = |share: f64| {
-            let at = best + step * share;
-            step.along(criterion.multiplier(at)) > 0.0
-        };
-        let most = shares[from].1;
-        let (mut low, mut high) = (0.0, most);
-        if slope_is_down(most) {
-            low = most;
-        } else {
-            for _ in 0..HALVINGS {
-                let middle = 0.5 * (low + high);
-                *if slope_is_down(middle) { &mut low } else { &mut high } = middle;
+        let (mut to, mut from) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
+        for (k, vertex) in vertices.iter().enumerate() {
+            let along = vertex.total.along(m);
+            if along > to.0 {
+                to = (along, k);
+            }
+            if along < from.0 && vertex.share > 0.0 {
+                from = (along, k);
             }
         }
-        shares[from].1 = if low == most { 0.0 } else { most - low };
-        shares[to].1 += low;
-        best = sum(shares);
+        if to.0 - from.0 <= 1e-12 * best.t {
+            break;
+        }
+        let step = vertices[to.1].total - vertices[from.1].total;
+        let moved = line_search(criterion, best, step, vertices[from.1].share);
+        vertices[to.1].share += moved;
+        vertices[from.1].share -= moved;
+        best = sum(vertices);
     }
-    shares.retain(|(_, share)| *share > 0.0);
+    vertices.retain(|vertex| vertex.share > 0.0);
     best
+}
+
+/// How far the cost falls along a step, at most `most`: the cost is convex, so its slope changes sign once.
+fn line_search(criterion: Criterion, from: Information, step: Information, most: f64) -> f64 {
+    let fall = |share: f64| step.along(criterion.multiplier(from + step * share));
+    let (mut low, mut high) = (0.0, most);
+    let (mut low_fall, mut high_fall) = (fall(0.0), fall(most));
+    if high_fall >= 0.0 {
+        return most;
+    }
+    // Regula falsi, with the weight of an end halved that stays (Illinois).
+    let mut stays = 0;
+    for _ in 0..STEPS_MAX {
+        let middle = (low * high_fall - high * low_fall) / (high_fall - low_fall);
+        if !(middle > low && middle < high) {
+            break;
+        }
+        let middle_fall = fall(middle);
+        if middle_fall > 0.0 {
+            (low, low_fall) = (middle, middle_fall);
+            high_fall *= if stays > 0 { 0.5 } else { 1.0 };
+            stays = 1;
+        } else {
+            (high, high_fall) = (middle, middle_fall);
+            low_fall *= if stays < 0 { 0.5 } else { 1.0 };
+            stays = -1;
+        }
+        if high - low <= 1e-9 * most || middle_fall == 0.0 {
+            break;
+        }
+    }
+    low
 }

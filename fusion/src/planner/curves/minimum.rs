@@ -3,14 +3,17 @@
 /// Steps at most; a parabola needs few.
 const STEPS_MAX: usize = 40;
 
-/// Relative accuracy of the argument: the values of a smooth function are equal then.
-const ACCURACY: f64 = 1e-9;
-
 const GOLDEN: f64 = 0.381_966_011_250_105_1;
 
-/// Where a function has a local minimum between `low` and `high`: Brent's method, which starts at the guess.
-pub(super) fn minimum(mut value: impl FnMut(f64) -> f64, mut low: f64, mut high: f64, guess: f64) -> f64 {
-    let tolerance = ACCURACY * (high - low) + 1e-14;
+/// Where a function has a local minimum within an interval: Brent's method, which starts at the guess. The accuracy is relative
+/// to the interval.
+pub(super) fn minimum(
+    mut value: impl FnMut(f64) -> f64,
+    (mut low, mut high): (f64, f64),
+    guess: f64,
+    accuracy: f64,
+) -> f64 {
+    let tolerance = accuracy * (high - low) + 1e-14;
     if high - low <= 2.0 * tolerance {
         return guess.clamp(low, high);
     }
@@ -75,9 +78,9 @@ mod tests {
     #[test]
     fn a_minimum_is_found_inside_and_at_the_ends() {
         for (goal, guess) in [(0.3, 0.8), (0.3, 0.3), (0.0, 0.5), (1.0, 0.0), (-2.0, 0.9), (0.999, 0.1)] {
-            let at = minimum(|u| (u - goal) * (u - goal) * (1.0 + u * u), 0.0, 1.0, guess);
+            let at = minimum(|u| (u - goal) * (u - goal) * (1.0 + u * u), (0.0, 1.0), guess, 1e-9);
             assert!((at - goal.clamp(0.0, 1.0)).abs() < 1e-6, "{goal} {guess}: {at}");
         }
-        assert_eq!(minimum(|u| u, 0.5, 0.5, 0.2), 0.5);
+        assert_eq!(minimum(|u| u, (0.5, 0.5), 0.2, 1e-9), 0.5);
     }
 }

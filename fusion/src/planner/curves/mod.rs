@@ -82,7 +82,6 @@ fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) 
     match spec {
         PlannerSpec::Certified { nodes } => {
             let answer = search::search(team, std::mem::take(at), nodes);
-            if std::env::var_os("RH_NODES").is_some() { eprintln!("nodes {}", answer.nodes); }
             let least_trace_m2 = match team.criterion {
                 Criterion::Trace => answer.bound,
                 _ => team.bound(Criterion::Trace, team.total(&answer.at)),
@@ -145,3 +144,6 @@ pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &
         is_optimal: plan.worth.objective - lower_bound <= search::GAP_MAX * plan.worth.objective,
     }
 }
+
+#[cfg(test)]
+mod tests;

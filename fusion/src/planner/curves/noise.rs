@@ -15,46 +15,78 @@ pub(super) struct Noise {
     pub(super) bearing_rad2: Option<f64>,
     /// Covariance of the robot's position, m^2.
     pub(super) position_m2: Matrix2<f64>,
-    pub(super) max_range_m: f64,
+    /// Least `1 / d^2` at which it measures.
+    nearness_per_m2: f64,
+    /// The noise is constant, and the position known.
+    is_plain: bool,
+    range_per_m2: f64,
+    bearing_per_rad2: f64,
 }
 
 impl Noise {
     pub(super) fn of(member: &TeamMember) -> Self {
         let Sensor { range, bearing_std_rad, max_range_m, .. } = member.sensor;
         let heading_rad2 = member.heading_std_rad * member.heading_std_rad;
+        let bearing_rad2 = bearing_std_rad.map(|std_rad| std_rad * std_rad + heading_rad2);
+        let position_m2 = member.position_covariance_m2;
+        // With room for rounding where a curve is cut off.
+        let limit_m = max_range_m * (1.0 + 1e-9);
         Self {
             range: range.map(|range| (range.std_m, range.std_per_m)),
-            bearing_rad2: bearing_std_rad.map(|std_rad| std_rad * std_rad + heading_rad2),
-            position_m2: member.position_covariance_m2,
-            max_range_m,
+            bearing_rad2,
+            position_m2,
+            nearness_per_m2: 1.0 / (limit_m * limit_m),
+            is_plain: position_m2 == Matrix2::zeros() && range.is_none_or(|range| range.std_per_m == 0.0),
+            range_per_m2: range.map_or(0.0, |range| 1.0 / (range.std_m * range.std_m)),
+            bearing_per_rad2: bearing_rad2.map_or(0.0, f64::recip),
         }
     }
 
-    /// What a measurement tells with this sight to the target:
+    /// The noise of a robot that measures nothing.
+    pub(super) fn nothing(self) -> Self {
+        let [range_per_m2, bearing_per_rad2] = [0.0; 2];
+        Self { range: None, bearing_rad2: None, is_plain: true, range_per_m2, bearing_per_rad2, ..self }
+    }
+
+    /// True if there is a limit to what a measurement tells, however near the target is.
+    pub(super) fn is_bounded(&self) -> bool {
+        self.bearing_rad2.is_none() || self.position_m2.determinant() > 0.0
+    }
+
+    /// What a measurement tells with this sight to the target, m:
     /// `a e e^T + c e_p e_p^T`, `a = 1 / (sigma_r(d)^2 + e^T P e)`, `c = 1 / (d^2 (sigma_b^2 + sigma_psi^2) + e_p^T P e_p)`.
     pub(super) fn information(&self, sight_m: Vector) -> Information {
-        let squared_m2 = sight_m.norm_squared();
-        let distance_m = squared_m2.sqrt();
+        self.information_over(sight_m, 1.0)
+    }
+
+    /// The same with the sight `p / w`: where the position is known, one division is enough.
+    pub(super) fn information_over(&self, p: Vector, w: f64) -> Information {
+        let (x2, y2, xy) = (p.x * p.x, p.y * p.y, p.x * p.y);
+        let per_square = 1.0 / (x2 + y2);
         // The pieces of a curve end at the greatest range, but for rounding.
-        if squared_m2 == 0.0 || distance_m > self.max_range_m * (1.0 + 1e-9) {
+        if per_square * w * w < self.nearness_per_m2 || per_square == f64::INFINITY {
             return Information::default();
         }
-        let (x2, y2, xy) = (sight_m.x * sight_m.x, sight_m.y * sight_m.y, sight_m.x * sight_m.y);
-        let doubled = Vector::new(x2 - y2, 2.0 * xy) * (1.0 / squared_m2);
-        let p = &self.position_m2;
-        let across = 2.0 * xy * p[(0, 1)];
-        let along_m2 = (x2 * p[(0, 0)] + across + y2 * p[(1, 1)]) / squared_m2;
-        let across_m2 = (y2 * p[(0, 0)] - across + x2 * p[(1, 1)]) / squared_m2;
-        let range = self.range.map_or(0.0, |(std_m, std_per_m)| {
-            let std_m = std_m + std_per_m * distance_m;
-            1.0 / (std_m * std_m + along_m2)
-        });
-        let bearing = self.bearing_rad2.map_or(0.0, |rad2| 1.0 / (squared_m2 * rad2 + across_m2));
+        let (range, bearing) = if self.is_plain {
+            (self.range_per_m2, self.bearing_per_rad2 * (per_square * w * w))
+        } else {
+            self.general(x2 * per_square, y2 * per_square, xy * per_square, (x2 + y2) / (w * w))
+        };
+        let doubled = Vector::new(x2 - y2, 2.0 * xy) * per_square;
         Information { t: range + bearing, s: doubled * (range - bearing) }
     }
 
-    /// True if it measures nothing farther away than this, m.
-    pub(super) fn max_range_m(&self) -> f64 {
-        self.max_range_m
+    /// What range and bearing tell, given the products of the components of the sight's direction and its squared length.
+    fn general(&self, x2: f64, y2: f64, xy: f64, squared_m2: f64) -> (f64, f64) {
+        let p = &self.position_m2;
+        let mixed_m2 = 2.0 * xy * p[(0, 1)];
+        let along_m2 = x2 * p[(0, 0)] + mixed_m2 + y2 * p[(1, 1)];
+        let across_m2 = y2 * p[(0, 0)] - mixed_m2 + x2 * p[(1, 1)];
+        let range = self.range.map_or(0.0, |(std_m, std_per_m)| {
+            let std_m = std_m + std_per_m * squared_m2.sqrt();
+            1.0 / (std_m * std_m + along_m2)
+        });
+        let bearing = self.bearing_rad2.map_or(0.0, |rad2| 1.0 / (squared_m2 * rad2 + across_m2));
+        (range, bearing)
     }
 }

@@ -44,20 +44,27 @@ impl Piece {
 
     /// The sight at a parameter, m.
     pub(super) fn sight_m(&self, u: f64) -> Vector {
+        let (p, w) = self.at(u);
+        p * (1.0 / w)
+    }
+
+    /// `P` and `W` at a parameter.
+    pub(super) fn at(&self, u: f64) -> (Vector, f64) {
         let v = 1.0 - u;
         let [a, b, c] = [v * v, u * v, u * u];
         let weight = self.weight[0] * a + self.weight[1] * b + self.weight[2] * c;
-        (self.sight[0] * a + self.sight[1] * b + self.sight[2] * c) * (1.0 / weight)
+        (self.sight[0] * a + self.sight[1] * b + self.sight[2] * c, weight)
     }
 
     /// The part of the curve between two parameters.
     pub(super) fn part(&self, low: f64, high: f64) -> Self {
         let ends = |at: f64| [(1.0 - at) * (1.0 - at), at * (1.0 - at), at * at];
         let (first, last) = (ends(low), ends(high));
-        let middle =
-            [2.0 * (1.0 - low) * (1.0 - high), low * (1.0 - high) + high * (1.0 - low), 2.0 * low * high];
-        let number = |c: [f64; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
-        let vector = |c: [Vector; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
+        let middle = [2.0 * (1.0 - low) * (1.0 - high), low * (1.0 - high) + high * (1.0 - low), 2.0 * low * high];
+        let number =
+            |c: [f64; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
+        let vector =
+            |c: [Vector; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
         Self { sight: vector(self.sight), square: number(self.square), weight: number(self.weight) }
     }
 

@@ -9,10 +9,9 @@ use std::collections::BinaryHeap;
 
 use smallvec::SmallVec;
 
-use super::hull::{self, Shares};
+use super::hull::{self, Vertex, Vertices};
 use super::information::{Cost, Information};
 use super::team::Team;
-use crate::vector::Vector;
 
 /// A plan is optimal if its cost is at most this share above the bound.
 pub(super) const GAP_MAX: f64 = 1e-6;
@@ -22,6 +21,9 @@ const AIM: f64 = 0.5 * GAP_MAX;
 
 /// Multipliers that are tried for one node.
 const MULTIPLIERS_MAX: usize = 40;
+
+/// How far the cost of a vertex may be above the answer, in parts of the gap, for a descent from there to be worth its time.
+const NEAR: f64 = 0.2;
 
 /// Part of the bound's gap that the supports may leave.
 const SLACK: f64 = 0.02 * GAP_MAX;
@@ -33,7 +35,7 @@ pub(super) struct Answer {
     pub(super) at: Vec<f64>,
     /// Its cost.
     pub(super) cost: f64,
-    /// No places cost less.
+    /// No places cost less: the least bound of all closed nodes.
     pub(super) bound: f64,
     /// Nodes that were bounded.
     pub(super) nodes: u32,
@@ -46,8 +48,8 @@ type Intervals = Vec<(f64, f64)>;
 struct Node {
     bound: f64,
     intervals: Intervals,
-    /// Where the relaxation had its robots, to start from.
-    at: Vec<f64>,
+    /// What the best point of its hulls is made of.
+    vertices: Vertices,
     /// The robot to split, and where.
     split: (usize, f64),
 }
@@ -72,27 +74,28 @@ impl Ord for Node {
 
 /// Finds places of least cost, from a first answer; bounds at most `nodes_max` nodes.
 pub(super) fn search(team: &Team, start: Vec<f64>, nodes_max: u32) -> Answer {
-    let mut start = start;
-    let cost = team.criterion.cost(team.descend(&team.whole(), &mut start));
-    let mut answer = Answer { at: start, cost, ..Answer::default() };
-    let at = answer.at.clone();
-    let Some(root) = bounded(team, team.whole(), at, &mut answer) else { return answer };
-    let mut open = BinaryHeap::from([root]);
+    let mut at = start;
+    let cost = team.criterion.cost(team.descend(&team.whole(), &mut at));
+    let first = vertex(team, &at);
+    let mut answer = Answer { at, cost, bound: f64::INFINITY, nodes: 0 };
+    let root = bounded(team, team.whole(), SmallVec::from_iter([first]), &mut answer);
+    let mut open: BinaryHeap<Node> = root.into_iter().collect();
     while let Some(node) = open.pop() {
         if node.bound >= answer.cost * (1.0 - AIM) || answer.nodes >= nodes_max {
-            answer.bound = node.bound.min(answer.cost);
-            return answer;
+            answer.bound = answer.bound.min(node.bound);
+            break;
         }
         for upper in [false, true] {
             if let Some(child) = half(team, &node, upper)
-                && let Some(mut child) = bounded(team, child, node.at.clone(), &mut answer)
+                && let Some(mut child) = bounded(team, child, node.vertices.clone(), &mut answer)
             {
                 child.bound = child.bound.max(node.bound);
                 open.push(child);
             }
         }
-        answer.bound = answer.cost * (1.0 - AIM);
     }
+    // Rounding may put a bound above its answer.
+    answer.bound = answer.bound.min(answer.cost);
     answer
 }
 
@@ -101,85 +104,82 @@ pub(super) fn search(team: &Team, start: Vec<f64>, nodes_max: u32) -> Answer {
 /// Robots that are alike and stand on one spot change places at no cost, so they are taken in the order of their parameters.
 fn half(team: &Team, node: &Node, upper: bool) -> Option<Intervals> {
     let (robot, cut) = node.split;
+    let (end, start) = team.curves[robot].cut_at(cut);
     let mut intervals = node.intervals.clone();
     let peers = |i: &usize| team.group[*i] == team.group[robot] && team.is_fused[*i];
     if upper {
-        intervals[robot].0 = cut;
+        intervals[robot].0 = start;
         for i in (robot + 1..intervals.len()).filter(peers) {
-            intervals[i].0 = intervals[i].0.max(cut);
+            intervals[i].0 = intervals[i].0.max(start);
         }
     } else {
-        intervals[robot].1 = cut;
+        intervals[robot].1 = end;
         for i in (0..robot).filter(peers) {
-            intervals[i].1 = intervals[i].1.min(cut);
+            intervals[i].1 = intervals[i].1.min(end);
         }
     }
     intervals.iter().all(|(low, high)| low <= high).then_some(intervals)
 }
 
-/// A vertex of the relaxation: what the team tells from the supports of one multiplier.
-#[derive(Debug)]
-struct Vertex {
-    at: SmallVec<[f64; 16]>,
-    told: SmallVec<[Information; 16]>,
-}
-
-/// A node with its bound and where to split it; `None` if it has no better answer. Improves the answer on the way.
-fn bounded(team: &Team, intervals: Intervals, mut at: Vec<f64>, answer: &mut Answer) -> Option<Node> {
+/// A node with its bound and where to split it; `None` if it has no better answer. Starts from the best point of its parent's
+/// hulls, and improves the answer on the way.
+fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &mut Answer) -> Option<Node> {
     let criterion = team.criterion;
     answer.nodes += 1;
-    for (at, (low, high)) in at.iter_mut().zip(&intervals) {
-        *at = at.clamp(*low, *high);
+    for vertex in &mut vertices {
+        for i in team.fused() {
+            let at = vertex.at[i].clamp(intervals[i].0, intervals[i].1);
+            if at != vertex.at[i] {
+                let told = team.curves[i].information(at);
+                vertex.total = vertex.total - vertex.told[i] + told;
+                (vertex.at[i], vertex.told[i]) = (at, told);
+            }
+        }
     }
-    let mut best = team.total(&at);
-    let mut points = vec![best];
-    let mut vertices = vec![vertex(team, &at)];
-    let mut shares: Shares = SmallVec::from_slice(&[(0, 1.0)]);
+    let mut best = hull::improve(criterion, &mut vertices);
     let mut bound = 0.0_f64;
     for _ in 0..MULTIPLIERS_MAX {
         let m = criterion.multiplier(best);
         // No more than all else that is uncertain about the bound.
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
-        let (mut h, mut total) = (team.prior.along(m), team.prior);
-        let mut found =
-            Vertex { at: SmallVec::from_slice(&at), told: SmallVec::from_elem(Information::default(), at.len()) };
+        let mut found = Vertex { share: 0.0, total: team.prior, ..vertices[0].clone() };
+        let mut h = team.prior.along(m);
         for i in team.fused() {
             let support = team.curves[i].support(intervals[i], m, slack);
             h += support.bound;
-            total += support.information;
+            found.total += support.information;
             (found.at[i], found.told[i]) = (support.at, support.information);
         }
         bound = bound.max(criterion.bound(m, h));
-        keep(team, &found.at, criterion.cost(total), answer);
+        keep(team, &found.at, criterion.cost(found.total), answer);
         if bound >= answer.cost * (1.0 - AIM) {
-            answer.bound = bound.min(answer.cost);
+            answer.bound = answer.bound.min(bound);
             return None;
         }
         // What better multipliers could still prove.
         let left = criterion.cost(best) - bound;
-        if left <= 0.1 * (answer.cost - bound) || total.along(m) <= best.along(m) + slack {
+        if left <= 0.1 * (answer.cost - bound) || found.total.along(m) <= best.along(m) + slack {
             break;
         }
-        points.push(total);
         vertices.push(found);
-        shares.push((points.len() - 1, 0.0));
-        best = hull::improve(criterion, &points, &mut shares, 30);
+        best = hull::improve(criterion, &mut vertices);
     }
-    // A vertex of the relaxation may lead to a better answer, if it is not far from one.
-    for (vertex, _) in &shares {
-        at.copy_from_slice(&vertices[*vertex].at);
-        if criterion.cost(points[*vertex]) - answer.cost < answer.cost - bound {
-            let total = team.descend(&intervals, &mut at);
-            keep(team, &at, criterion.cost(total), answer);
-        }
+    // The best vertex may lead to a better answer, if it is not far from one.
+    let best_vertex = vertices.iter().min_by(|a, b| criterion.cost(a.total).total_cmp(&criterion.cost(b.total)));
+    if let Some(vertex) = best_vertex
+        && criterion.cost(vertex.total) - answer.cost < NEAR * (answer.cost - bound)
+    {
+        let mut at = vertex.at.to_vec();
+        let total = team.descend(&intervals, &mut at);
+        keep(team, &at, criterion.cost(total), answer);
     }
-    let split = split(team, &intervals, &vertices, &shares, criterion.multiplier(best), &answer.at);
-    Some(Node { bound, intervals, at, split })
+    let split = split(team, &intervals, &vertices, best);
+    Some(Node { bound, intervals, vertices, split })
 }
 
 fn vertex(team: &Team, at: &[f64]) -> Vertex {
-    let told = at.iter().zip(&team.curves).map(|(at, curve)| curve.information(*at));
-    Vertex { at: SmallVec::from_slice(at), told: told.collect() }
+    let told = at.iter().zip(&team.curves).map(|(at, curve)| curve.information(*at)).collect();
+    Vertex { at: SmallVec::from_slice(at), told, total: team.total(at), share: 1.0 }
 }
 
 fn keep(team: &Team, at: &[f64], cost: f64, answer: &mut Answer) {
@@ -191,30 +191,25 @@ fn keep(team: &Team, at: &[f64], cost: f64, answer: &mut Answer) {
     }
 }
 
-/// The robot whose part of the relaxation is farthest from its curve, and the middle of the places that it is made of.
-fn split(team: &Team, intervals: &[(f64, f64)], vertices: &[Vertex], shares: &Shares, m: Vector, known: &[f64]) -> (usize, f64) {
-    let mut best = (f64::NEG_INFINITY, 0, 0.0);
+/// The robot whose part of the best point is farthest from its curve, and the middle of the places that it is made of.
+fn split(team: &Team, intervals: &[(f64, f64)], vertices: &Vertices, best: Information) -> (usize, f64) {
+    let m = team.criterion.multiplier(best);
+    let mut widest = (f64::NEG_INFINITY, 0, 0.0);
     for i in team.fused() {
         let (low, high) = intervals[i];
-        let told = |k: usize| vertices[k].told[i];
         let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
         let mut middle = Information::default();
-        for (k, share) in shares {
-            middle += told(*k) * *share;
-            (first, last) = (first.min(vertices[*k].at[i]), last.max(vertices[*k].at[i]));
+        for vertex in vertices {
+            middle += vertex.told[i] * vertex.share;
+            (first, last) = (first.min(vertex.at[i]), last.max(vertex.at[i]));
         }
-        let spread = shares.iter().map(|(k, share)| share * (told(*k) - middle).size(m)).sum::<f64>();
+        let spread = vertices.iter().map(|vertex| vertex.share * (vertex.told[i] - middle).size(m)).sum::<f64>();
         // Between its places, but not so near to an end that the other half stays as it is.
         let margin = 0.05 * (high - low);
-        let mut cut = (0.5 * (first + last)).clamp(low + margin, high - margin);
-        let away: f64 = std::env::var("RH_AWAY").map_or(0.15, |v| v.parse().unwrap());
-        if (cut - known[i]).abs() < away * (high - low) {
-            let side = if known[i] - low > high - known[i] { -1.0 } else { 1.0 };
-            cut = (known[i] + side * away * (high - low)).clamp(low + margin, high - margin);
-        }
-        if high > low && spread > best.0 {
-            best = (spread, i, cut);
+        let cut = (0.5 * (first + last)).clamp(low + margin, high - margin);
+        if high > low && spread > widest.0 {
+            widest = (spread, i, cut);
         }
     }
-    (best.1, best.2)
+    (widest.1, widest.2)
 }

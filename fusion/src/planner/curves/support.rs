@@ -8,6 +8,9 @@ use super::leaf::Leaf;
 use super::minimum::minimum;
 use crate::vector::Vector;
 
+/// Accuracy of the place of a maximum, relative to its part: the more accurate, the tighter the bound.
+const ACCURACY: f64 = 1e-8;
+
 /// Most parts into which a curve is split for one value.
 const SPLITS_MAX: usize = 200;
 
@@ -31,7 +34,7 @@ impl Curve {
         let mut open: SmallVec<[(usize, Leaf, bool); 8]> = SmallVec::new();
         let (first, last) = (self.piece_at(low).0, self.piece_at(high).0);
         for index in first..=last {
-            let base = index as f64;
+            let base = Self::base(index);
             let (from, to) = ((low - base).clamp(0.0, 1.0), (high - base).clamp(0.0, 1.0));
             if from == 0.0 && to == 1.0 {
                 open.push((index, self.leaves[index], false));
@@ -51,13 +54,12 @@ impl Curve {
             let (index, leaf, is_searched) = open.swap_remove(next);
             let (mut cut, mut is_at_maximum) = (0.5 * (leaf.low + leaf.high), false);
             if !is_searched {
-                let piece = &self.pieces[index];
-                let value = |u: f64| -self.noise.information(piece.sight_m(u)).along(m);
-                let u = minimum(value, leaf.low, leaf.high, guess);
-                let information = self.noise.information(piece.sight_m(u));
+                let value = |u: f64| -self.information_on(index, u).along(m);
+                let u = minimum(value, (leaf.low, leaf.high), guess, ACCURACY);
+                let information = self.information_on(index, u);
                 if information.along(m) > most {
                     most = information.along(m);
-                    (best.at, best.information) = (index as f64 + u, information);
+                    (best.at, best.information) = (Self::base(index) + u, information);
                 }
                 let margin = 1e-7 * (leaf.high - leaf.low);
                 if u > leaf.low + margin && u < leaf.high - margin {

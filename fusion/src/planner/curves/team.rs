@@ -15,7 +15,13 @@ const SAMPLES: usize = 4;
 const SWEEPS_MAX: usize = 60;
 
 /// A sweep that improves the cost by less than this share is the last.
-const SETTLED: f64 = 1e-12;
+const SETTLED: f64 = 1e-9;
+
+/// How far a robot's place moves in a sweep after the first, in pieces.
+const NEAR: f64 = 0.1;
+
+/// Accuracy of a place, relative to how far it may move: near the best, costs are alike.
+const ACCURACY: f64 = 1e-5;
 
 /// Minimise the criterion's cost of `prior + sum_i information_i`, each robot on its curve.
 #[derive(Debug, Default)]
@@ -74,43 +80,50 @@ impl Team {
     /// The best place for one robot on an interval of its curve, given what the others tell; `now` if none is better.
     pub(super) fn respond(&self, robot: usize, rest: Information, (low, high): (f64, f64), now: f64) -> f64 {
         let curve = &self.curves[robot];
-        let cost = |at: f64| self.criterion.cost(rest + curve.information(at));
-        let (mut best, mut best_cost) = (now, cost(now));
         let (first, last) = (curve.piece_at(low).0, curve.piece_at(high).0);
-        let mut bracket = None;
+        let (mut best, mut best_cost) = (now, self.criterion.cost(rest + curve.information(now)));
         for index in first..=last {
-            let (from, to) = (low.max(index as f64), high.min(index as f64 + 1.0));
+            let base = Curve::base(index);
+            let (from, to) = ((low - base).max(0.0), (high - base).min(1.0));
             for k in 0..=SAMPLES {
-                let at = from + (to - from) * (k as f64 / SAMPLES as f64);
-                let at_cost = cost(at);
-                if at_cost < best_cost {
-                    (best, best_cost) = (at, at_cost);
-                    bracket = Some(index);
+                let u = from + (to - from) * (k as f64 / SAMPLES as f64);
+                let cost = self.criterion.cost(rest + curve.information_on(index, u));
+                if cost < best_cost {
+                    (best, best_cost) = (base + u, cost);
                 }
             }
         }
-        // The present place is refined too.
-        let index = bracket.unwrap_or(curve.piece_at(best).0);
-        let (from, to) = (low.max(index as f64), high.min(index as f64 + 1.0));
-        let width = (to - from) / SAMPLES as f64;
-        let (near, far) = ((best - width).max(from), (best + width).min(to));
-        if near < far {
-            let at = minimum(cost, near, far, best);
-            if cost(at) < best_cost {
-                best = at;
-            }
-        }
-        best
+        self.refine(robot, rest, (low, high), best, 1.0 / SAMPLES as f64)
     }
 
-    /// Improves the places robot by robot until nothing changes; returns what is known then.
+    /// The best place near the present one.
+    fn refine(&self, robot: usize, rest: Information, (low, high): (f64, f64), now: f64, width: f64) -> f64 {
+        let curve = &self.curves[robot];
+        let (index, u) = curve.piece_at(now);
+        let base = Curve::base(index);
+        let (from, to) = ((low - base).max(u - width).max(0.0), (high - base).min(u + width).min(1.0));
+        if from >= to {
+            return now;
+        }
+        let cost = |u: f64| self.criterion.cost(rest + curve.information_on(index, u));
+        let better = minimum(cost, (from, to), u, ACCURACY);
+        if cost(better) < cost(u) { base + better } else { now }
+    }
+
+    /// Improves the places robot by robot until nothing changes; returns what is known then. The first sweep looks at whole
+    /// intervals, the others near the places; one at an end of its piece may go on to the next.
     pub(super) fn descend(&self, intervals: &[(f64, f64)], at: &mut [f64]) -> Information {
         let mut total = self.total(at);
         let mut cost = self.criterion.cost(total);
-        for _ in 0..SWEEPS_MAX {
+        for sweep in 0..SWEEPS_MAX {
             for i in self.fused() {
                 let rest = total - self.curves[i].information(at[i]);
-                at[i] = self.respond(i, rest, intervals[i], at[i]);
+                let is_between = at[i] == at[i].trunc();
+                at[i] = if sweep == 0 || is_between {
+                    self.respond(i, rest, intervals[i], at[i])
+                } else {
+                    self.refine(i, rest, intervals[i], at[i], NEAR)
+                };
                 total = rest + self.curves[i].information(at[i]);
             }
             // Summed anew: differences of sums would drift.

@@ -47,8 +47,8 @@ pub(in crate::study::explore) struct RobotWitness {
     carried: Option<Command>,
     /// The newest tick for which it has said what it drives without a heading.
     provided: Option<u64>,
-    /// When it held the heading that it told of last, by its own clock.
-    told_held_ns: u64,
+    /// The tick of the heading that it reported last, and when it took it, by its own clock.
+    told_held: (u64, u64),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -75,7 +75,7 @@ impl RobotWitness {
             held: None,
             carried: None,
             provided: None,
-            told_held_ns: 0,
+            told_held: (0, 0),
         }
     }
 
@@ -165,7 +165,7 @@ impl RobotWitness {
                 Ok(false)
             };
         }
-        let is_repeat = std::mem::replace(&mut self.told_held_ns, held_ns) == held_ns;
+        let is_repeat = std::mem::replace(&mut self.told_held, (tick, held_ns)) == (tick, held_ns);
         if is_repeat && carried.is_none_or(|carried| carried != command || carried == Command::default()) {
             return Ok(false);
         }

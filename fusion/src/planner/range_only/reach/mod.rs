@@ -199,10 +199,14 @@ impl Reach {
     /// True if a move at full speed along this heading keeps all clearances.
     pub(super) fn is_clear_after(&self, heading: Vector, corners_m: &[Vector]) -> bool {
         let offset_m = heading * self.step_m;
-        let keeps_off = (self.to_target_m - offset_m).norm() >= self.stand_off_m;
+        (self.to_target_m - offset_m).norm() >= self.stand_off_m && self.holds(offset_m, corners_m)
+    }
+
+    /// True if its neighbours leave it this place, relative to where it is and within its step.
+    pub(in crate::planner) fn holds(&self, offset_m: Vector, corners_m: &[Vector]) -> bool {
         match &self.room {
-            Room::Disc => keeps_off,
-            Room::Cell(corners) => keeps_off && polygon::is_inside(&corners_m[corners.clone()], offset_m),
+            Room::Disc => true,
+            Room::Cell(corners) => polygon::is_inside(&corners_m[corners.clone()], offset_m),
             Room::Out(_) => false,
         }
     }
