@@ -56,7 +56,7 @@ impl Grid {
         self.ends.push(self.points.len());
     }
 
-    /// Counts through all combinations; the last robot's bearings are the innermost loop.
+    /// Goes through all combinations; the last robot's bearings are the innermost loop.
     fn search(&mut self, problem: &Problem, best: &mut [Vector]) {
         let Some((last, outer)) = problem.arms.split_last() else { return };
         let start = |robot: usize| robot.checked_sub(1).map_or(0, |before| self.ends[before]);

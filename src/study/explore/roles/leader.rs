@@ -124,7 +124,7 @@ impl Cluster<'_> {
                 closed.map_err(|what| self.violation(Some(node), what))?;
                 self.groups[WaitGroup::Fusion as usize].expected = leading.machine.expected();
             }
-            Action::Tell(notice) => {
+            Action::Report(notice) => {
                 if let Notice::Missed { first, last } = notice {
                     self.tell(Some(node), || format!("missed ticks {first} to {last}"));
                 }
