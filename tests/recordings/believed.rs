@@ -110,5 +110,5 @@ fn a_target_that_stands_still_calibrates_nothing() {
     run.write("r.csv", recording(0.0, [0.3; 4]).0);
     let found = program(&run, "calibrate r.csv --out cal");
     assert_eq!(found.status.code(), Some(1), "{found:?}");
-    assert!(String::from_utf8_lossy(&found.stderr).contains("cannot tell"), "{found:?}");
+    assert!(String::from_utf8_lossy(&found.stderr).contains("cannot determine"), "{found:?}");
 }

@@ -71,9 +71,8 @@ impl Cluster<'_> {
                 let ran_ns = self.now_ns - sim.stopped_ns;
                 let seen = self.witness.world(tick, world.entries());
                 let counted_ns = self.now_ns - sim.suspended_ns;
-                let seen = seen.and_then(|()| {
-                    self.witness.timing.world(tick, self.now_ns, [ran_ns, counted_ns], self.late_ns())
-                });
+                let seen = seen
+                    .and_then(|()| self.witness.timing.world(tick, self.now_ns, [ran_ns, counted_ns], self.late_ns()));
                 seen.map_err(|what| self.violation(Some(SIM), what))?;
                 self.groups[WaitGroup::Sim as usize].expected = machine.expected();
                 self.tell(Some(SIM), || format!("world({tick})"));
