@@ -198,8 +198,8 @@ fn a_run_that_goes_on_keeps_its_recording() {
     assert_refused(&start(&run, &format!("record --name {}", run.name)), "another process is writing it");
     supervisor.finish().succeeded();
     let replayed = start(&run, "replay out/run.mcap --json").succeeded();
-    let told: Value = serde_json::from_str(&replayed.stdout).unwrap();
-    assert_eq!(told["ticks"], 40);
+    let json: Value = serde_json::from_str(&replayed.stdout).unwrap();
+    assert_eq!(json["ticks"], 40);
     run.assert_nothing_left();
 }
 

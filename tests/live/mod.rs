@@ -295,7 +295,7 @@ fn crowds_garbage_and_viewers_that_do_not_read_do_no_harm() {
 }
 
 #[test]
-fn a_page_that_is_killed_comes_back_where_it_was_with_all_that_was_before() {
+fn a_killed_page_returns_at_its_address_with_its_history() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);
     run.wait_for_ticks(25);

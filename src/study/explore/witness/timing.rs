@@ -147,7 +147,7 @@ impl Timing {
         let Some(world_ns) = self.worlds_ns.get(tick as usize).copied().filter(|_| at_ns > 0) else { return Ok(()) };
         let has_newly_missing = missing == Missing::Another;
         if has_newly_missing && tick == 0 {
-            return Err("tick 0 did not wait for the complete team".to_owned());
+            return Err("tick 0 did not wait for the whole team".to_owned());
         }
         if !self.is_realtime {
             let is_over = self
