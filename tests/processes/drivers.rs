@@ -63,8 +63,8 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     for node in [sim, fusion, watch] {
         node.finish().succeeded();
     }
-    let count_of = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
-    assert_eq!((count_of("port: expected lines like"), count_of("port: ended")), (1, 1), "{outcome:#?}");
+    let told = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
+    assert_eq!((told("port: expected lines like"), told("port: ended")), (1, 1), "{outcome:#?}");
     assert_eq!(outcome.stdout.lines().next_back(), Some(STOP));
     for line in outcome.stdout.lines() {
         let (heading_rad, speed_mps) = line.split_once(',').unwrap();

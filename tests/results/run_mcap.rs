@@ -183,7 +183,7 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
     run.lockstep("--record --in-process --ticks 300").finish().succeeded();
     replayed(&run, "out/run.mcap");
     // Of these planners only the certified one proves a bound.
-    for (words, bound_is_told, psd) in
+    for (words, has_bound, psd) in
         [("--planner greedy", false, "10"), ("--planner certified --accel-psd 0.125", true, "0.125")]
     {
         let changed = replay(&run, &format!("out/run.mcap {words}"));
@@ -194,7 +194,7 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
             row.split_whitespace().rev().take(2).collect()
         };
         let [replayed, recorded] = row("its bound")[..] else { panic!("{changed:#?}") };
-        assert_eq!((recorded, replayed != "-"), ("-", bound_is_told), "{changed:#?}");
+        assert_eq!((recorded, replayed != "-"), ("-", has_bound), "{changed:#?}");
         assert_eq!(row("noise psd, m^2/s^3"), [psd, "10"], "{changed:#?}");
     }
     // A recording made from the logs after the run is equal.
@@ -256,8 +256,8 @@ fn a_recording_ends_at_its_limit_with_a_warning_and_the_run_goes_on() {
     assert_eq!(outcome.code, Some(0), "{outcome:#?}");
     let json = replayed(&run, "out/run.mcap");
     let ticks = json["ticks"].as_u64().unwrap();
-    let said = format!("--record-limit): from tick {} on nothing is recorded", ticks + 1);
-    assert!(outcome.stderr.contains(&said), "{said}: {outcome:#?}");
+    let warning = format!("--record-limit): from tick {} on nothing is recorded", ticks + 1);
+    assert!(outcome.stderr.contains(&warning), "{warning}: {outcome:#?}");
     assert!(std::fs::metadata(run.path("out/run.mcap")).unwrap().len() < 2_000_000);
     assert_eq!(run.report()["ticks"], 3_000);
     run.assert_nothing_left();
@@ -268,12 +268,12 @@ fn a_recording_ends_at_its_limit_with_a_warning_and_the_run_goes_on() {
 fn files_that_are_no_recordings_are_refused_in_one_line() {
     let run = Run::new();
     run.lockstep("--record --in-process --ticks 500").finish().succeeded();
-    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
-    let mut damaged = whole.clone();
-    damaged[whole.len() / 2] ^= 0x55;
+    let intact = std::fs::read(run.path("out/run.mcap")).unwrap();
+    let mut damaged = intact.clone();
+    damaged[intact.len() / 2] ^= 0x55;
     run.write("damaged.mcap", &damaged);
-    run.write("cut.mcap", &whole[..whole.len() / 2]);
-    run.write("short.mcap", &whole[..300]);
+    run.write("cut.mcap", &intact[..intact.len() / 2]);
+    run.write("short.mcap", &intact[..300]);
     run.write("empty.mcap", b"");
     for file in ["damaged.mcap", "cut.mcap", "short.mcap", "empty.mcap", "nothing.mcap", "out", "out/report.json"] {
         let refused = replay(&run, file);
@@ -282,12 +282,12 @@ fn files_that_are_no_recordings_are_refused_in_one_line() {
         let can_be_repaired = ["damaged.mcap", "cut.mcap"].contains(&file);
         assert_eq!(refused.stderr.contains("--repair"), can_be_repaired, "{refused:#?}");
     }
-    for (file, whole) in [("damaged.mcap", "damaged.repaired.mcap"), ("cut.mcap", "cut.repaired.mcap")] {
+    for (file, intact) in [("damaged.mcap", "damaged.repaired.mcap"), ("cut.mcap", "cut.repaired.mcap")] {
         let repaired = replay(&run, &format!("{file} --repair --json"));
         assert_eq!(repaired.code, Some(0), "{repaired:#?}");
         let json: Value = serde_json::from_str(&repaired.stdout).unwrap();
-        assert_eq!((&json["whole"], &json["first_tick"]), (&whole.into(), &0.into()), "{json}");
-        assert_eq!(replayed(&run, whole)["ticks"], json["ticks"]);
+        assert_eq!((&json["whole"], &json["first_tick"]), (&intact.into(), &0.into()), "{json}");
+        assert_eq!(replayed(&run, intact)["ticks"], json["ticks"]);
     }
     let refused = replay(&run, "short.mcap --repair");
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
@@ -310,12 +310,12 @@ fn chunks(bytes: &[u8]) -> Vec<usize> {
 fn ticks_of_a_damaged_chunk_are_reported_missing() {
     let run = Run::new();
     run.lockstep("--record --in-process --ticks 3000").finish().succeeded();
-    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
-    let chunks = chunks(&whole);
+    let intact = std::fs::read(run.path("out/run.mcap")).unwrap();
+    let chunks = chunks(&intact);
     assert!(chunks.len() >= 3, "{chunks:?}");
     for (at, is_last) in [(chunks[0], false), (chunks[1], false), (*chunks.last().unwrap(), true)] {
         for kind in [0x46, mcap::records::op::MESSAGE, mcap::records::op::MESSAGE_INDEX, mcap::records::op::DATA_END] {
-            let mut damaged = whole.clone();
+            let mut damaged = intact.clone();
             damaged[at] = kind;
             run.write("damaged.mcap", &damaged);
             let json = replay(&run, "damaged.mcap");
@@ -337,7 +337,7 @@ fn ticks_of_a_damaged_chunk_are_reported_missing() {
         }
     }
     // Only readable ticks of the existing file count: the logs hold more, so they are recorded.
-    let mut damaged = whole.clone();
+    let mut damaged = intact.clone();
     damaged[chunks[1]] = 0x46;
     run.write("out/run.mcap", &damaged);
     let recorded = run.start(&["record", "out"]).finish().succeeded();

@@ -292,7 +292,7 @@ fn a_restored_intake_knows_reports_and_positions() {
 #[test]
 fn the_suspension_of_a_successor_is_no_silence() {
     let mut team = Team::new("lockstep");
-    let file = ScenarioFile::parse("clock = \"lockstep\"\nticks = 100\npatience_s = 2.0\n", "test").unwrap();
+    let file = ScenarioFile::parse("clock = \"lockstep\"\nticks = 100\ntimeout_s = 2.0\n", "test").unwrap();
     let scenario = Scenario::from_file(&file, "test").unwrap();
     let mut successor = Leader::new(&scenario).unwrap();
     successor.restore(team.leader.saved().unwrap(), team.now_ns).unwrap();

@@ -123,15 +123,15 @@ impl<S: PartialEq> Machine<S> {
     /// killed, and then started again. A node that would not be started again is not killed: it may recover by itself.
     pub(crate) fn look(&mut self, scenario: &Scenario, mut see: impl FnMut(usize) -> Seen<S>) {
         let count = self.nodes.len();
-        let mut is_anybody_heard = false;
+        let mut has_any_heartbeat = false;
         for (index, node) in self.nodes.iter_mut().enumerate() {
             let Some(life) = &mut node.life else { continue };
             let Seen { heartbeat, leads } = see(index);
             life.has_led |= leads;
             life.is_deposed = life.has_led && !leads;
-            is_anybody_heard |= life.silence.hear(heartbeat);
+            has_any_heartbeat |= life.silence.hear(heartbeat);
         }
-        if !is_anybody_heard {
+        if !has_any_heartbeat {
             return;
         }
         for (index, node) in self.nodes.iter_mut().enumerate() {

@@ -75,7 +75,7 @@ pub(super) struct Node {
     pub(super) state_since_ns: u64,
     /// Time for which its process was stopped.
     pub(super) stopped_ns: u64,
-    /// The part of that which it can notice: a process that runs may be asleep for as long as the rest.
+    /// The part of that time which it can notice: a running process may sleep for as long as the rest.
     pub(super) suspended_ns: u64,
     /// Time that its next process takes to start.
     pub(super) up_ns: u64,

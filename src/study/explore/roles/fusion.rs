@@ -39,7 +39,7 @@ pub(in crate::study::explore) struct Leading {
     pub(in crate::study::explore) since_ns: u64,
     /// A tick and when its first range arrived, by its own clock; `None` if a process was stopped since.
     pub(in crate::study::explore) first_range: Option<(u64, u64)>,
-    /// The same in time for which it ran, whoever was stopped.
+    /// The same in time for which it ran, whichever process was stopped.
     pub(in crate::study::explore) ran_at_first_ns: Option<(u64, u64)>,
     /// True if it has checked that it leads since it last sent headings.
     pub(in crate::study::explore) has_looked: bool,

@@ -2,7 +2,7 @@
 
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
-/// What a node's clock may differ by within a time-out, ns.
+/// Difference of a node's clock within a time-out, ns.
 const CLOCK_NS: u64 = 15_000_000;
 
 /// Part of a real-time tick after which fusion goes on without the ranges that are missing.
@@ -38,7 +38,7 @@ struct SimTick {
     at_ns: u64,
     /// The time for which it had run, without its stops.
     ran_ns: u64,
-    /// The same, with the part of each stop that it cannot notice.
+    /// The same, including the part of each stop that it cannot notice.
     counted_ns: u64,
 }
 
@@ -96,7 +96,8 @@ impl Timing {
         self.sim_tick = None;
     }
 
-    /// The simulator publishes a tick, having run for so long, without its stops and with what it cannot notice of them: in real time neither late nor in a burst.
+    /// The simulator publishes a tick, after it has run for `ran_ns` without its stops, or `counted_ns` with the parts
+    /// of stops that it cannot notice. In real time a tick must be neither late nor in a burst.
     pub(in crate::study::explore) fn world(
         &mut self,
         tick: u64,
@@ -130,7 +131,8 @@ impl Timing {
         Ok(())
     }
 
-    /// The simulator goes on without a robot, having run for so long with what it cannot notice of its stops.
+    /// The simulator goes on without a robot, after it has run for `counted_ns`, including the parts of stops that it
+    /// cannot notice.
     pub(in crate::study::explore) fn leaves_out(&self, tick: u64, counted_ns: u64) -> Result<(), String> {
         let waited_ns = self.sim_tick.map_or(0, |began| counted_ns - began.counted_ns);
         let is_over = self.timeout_ns.is_some_and(|timeout_ns| waited_ns + CLOCK_NS >= timeout_ns);
