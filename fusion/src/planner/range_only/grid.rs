@@ -42,8 +42,8 @@ impl Grid {
             }
         };
         let step = 2.0 * self.step_rad;
-        let whole_steps = (width / step).floor() as usize;
-        for index in 0..=whole_steps {
+        let full_steps = (width / step).floor() as usize;
+        for index in 0..=full_steps {
             let angle = index as f64 * step;
             if arm.extent == Extent::Circle && angle >= width - 1e-9 {
                 break;
