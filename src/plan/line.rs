@@ -146,11 +146,7 @@ impl LineSolver {
             None => Criterion::default(),
         };
         if matches!(spec, PlannerSpec::Grid { .. }) && !self.situation.is_range_only() {
-            return Err(expected(
-                "planner",
-                "another planner where robots measure more than constant-noise ranges",
-                "grid",
-            ));
+            return Err(expected("planner", "another planner where robots measure more than constant-noise ranges", "grid"));
         }
         Ok(spec)
     }

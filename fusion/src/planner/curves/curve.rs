@@ -60,11 +60,7 @@ impl Curve {
         let nearest = ends.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(reach.to_target_m);
         let noise = Noise { range: None, bearing_rad2: None, ..noise };
         let piece = Piece::segment(nearest, nearest);
-        Self {
-            leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(),
-            pieces: [piece].into_iter().collect(),
-            noise,
-        }
+        Self { leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(), pieces: [piece].into_iter().collect(), noise }
     }
 
     /// The end of the parameter's interval, which begins at 0.
@@ -143,9 +139,7 @@ fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64) -> Pieces {
     }
     // On the way out to the tangents from the target the near side is the full step: headings from the line of sight.
     let tangent_rad = if d > r && s * s < (d - r) * (d + r) { (r / d).acos() } else { 0.0 };
-    let near = |from_rad: f64, to_rad: f64| {
-        Piece::arcs(to_target_m, r, bearing_rad + PI + from_rad, bearing_rad + PI + to_rad)
-    };
+    let near = |from_rad: f64, to_rad: f64| Piece::arcs(to_target_m, r, bearing_rad + PI + from_rad, bearing_rad + PI + to_rad);
     if s <= d - r {
         pieces.extend(near(-tangent_rad, tangent_rad));
         return pieces;

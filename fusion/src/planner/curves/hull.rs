@@ -25,19 +25,9 @@ pub(super) fn improve(criterion: Criterion, points: &[Information], shares: &mut
     for _ in 0..rounds {
         let m = criterion.multiplier(best);
         let along = |(vertex, _): &(usize, f64)| points[*vertex].along(m);
-        let held = |shares: &Shares| {
-            shares
-                .iter()
-                .enumerate()
-                .filter(|(_, share)| share.1 > 0.0)
-                .map(|(k, _)| k)
-                .collect::<SmallVec<[usize; 4]>>()
-        };
-        let Some(to) = (0..shares.len()).max_by(|a, b| along(&shares[*a]).total_cmp(&along(&shares[*b]))) else {
-            break;
-        };
-        let Some(from) = held(shares).into_iter().min_by(|a, b| along(&shares[*a]).total_cmp(&along(&shares[*b])))
-        else {
+        let held = |shares: &Shares| shares.iter().enumerate().filter(|(_, share)| share.1 > 0.0).map(|(k, _)| k).collect::<SmallVec<[usize; 4]>>();
+        let Some(to) = (0..shares.len()).max_by(|a, b| along(&shares[*a]).total_cmp(&along(&shares[*b]))) else { break };
+        let Some(from) = held(shares).into_iter().min_by(|a, b| along(&shares[*a]).total_cmp(&along(&shares[*b]))) else {
             break;
         };
         if from == to || along(&shares[to]) - along(&shares[from]) <= 1e-13 * best.t {

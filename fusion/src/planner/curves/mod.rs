@@ -82,9 +82,7 @@ fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) 
     match spec {
         PlannerSpec::Certified { nodes } => {
             let answer = search::search(team, std::mem::take(at), nodes);
-            if std::env::var_os("RH_NODES").is_some() {
-                eprintln!("nodes {}", answer.nodes);
-            }
+            if std::env::var_os("RH_NODES").is_some() { eprintln!("nodes {}", answer.nodes); }
             let least_trace_m2 = match team.criterion {
                 Criterion::Trace => answer.bound,
                 _ => team.bound(Criterion::Trace, team.total(&answer.at)),

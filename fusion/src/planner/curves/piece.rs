@@ -54,11 +54,10 @@ impl Piece {
     pub(super) fn part(&self, low: f64, high: f64) -> Self {
         let ends = |at: f64| [(1.0 - at) * (1.0 - at), at * (1.0 - at), at * at];
         let (first, last) = (ends(low), ends(high));
-        let middle = [2.0 * (1.0 - low) * (1.0 - high), low * (1.0 - high) + high * (1.0 - low), 2.0 * low * high];
-        let number =
-            |c: [f64; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
-        let vector =
-            |c: [Vector; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
+        let middle =
+            [2.0 * (1.0 - low) * (1.0 - high), low * (1.0 - high) + high * (1.0 - low), 2.0 * low * high];
+        let number = |c: [f64; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
+        let vector = |c: [Vector; 3]| [first, middle, last].map(|basis| c[0] * basis[0] + c[1] * basis[1] + c[2] * basis[2]);
         Self { sight: vector(self.sight), square: number(self.square), weight: number(self.weight) }
     }
 

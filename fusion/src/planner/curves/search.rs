@@ -192,14 +192,7 @@ fn keep(team: &Team, at: &[f64], cost: f64, answer: &mut Answer) {
 }
 
 /// The robot whose part of the relaxation is farthest from its curve, and the middle of the places that it is made of.
-fn split(
-    team: &Team,
-    intervals: &[(f64, f64)],
-    vertices: &[Vertex],
-    shares: &Shares,
-    m: Vector,
-    known: &[f64],
-) -> (usize, f64) {
+fn split(team: &Team, intervals: &[(f64, f64)], vertices: &[Vertex], shares: &Shares, m: Vector, known: &[f64]) -> (usize, f64) {
     let mut best = (f64::NEG_INFINITY, 0, 0.0);
     for i in team.fused() {
         let (low, high) = intervals[i];
