@@ -281,7 +281,7 @@ fn stand_off_and_separation_hold_at_the_end_of_the_step() {
 
 /// A range known to 0.1 mm beside two known to 20 and 57 km: in `|S|` they differ by less than rounding.
 #[test]
-fn a_certificate_holds_for_the_trace_of_robots_that_have_nothing_in_common() {
+fn a_certificate_holds_for_the_trace_of_very_different_robots() {
     let team = [robot(6.95, 5.35, 24.3, 1e-4), robot(-21.7, 41.8, 23.6, 20_000.0), robot(50.9, -25.0, 15.3, 57_000.0)];
     let problem = step([[1.6e7, -7e6], [-7e6, 1.56e7]], [6.24, 4.21], &team);
     let of = |planner: &str| answers(std::slice::from_ref(&problem), &format!("--planner {planner}"))[0].clone();
@@ -503,9 +503,13 @@ fn a_fatal_error_is_reported_in_one_line() {
         let run = Run::new();
         std::fs::create_dir(run.path("folder")).unwrap();
         let outcome = run.start(&words.split_whitespace().collect::<Vec<_>>()).finish();
-        let told = &outcome.stderr;
-        assert_eq!((outcome.code, told.lines().count(), outcome.stdout.as_str()), (Some(2), 1, ""), "{words}: {told}");
-        assert!(told.contains(names) && told.contains("expected"), "{words}: {told}");
+        let stderr = &outcome.stderr;
+        assert_eq!(
+            (outcome.code, stderr.lines().count(), outcome.stdout.as_str()),
+            (Some(2), 1, ""),
+            "{words}: {stderr}"
+        );
+        assert!(stderr.contains(names) && stderr.contains("expected"), "{words}: {stderr}");
     }
     // Empty input gives empty output.
     assert_eq!(Run::new().start(&["plan"]).finish().succeeded().stdout, "");
@@ -573,7 +577,7 @@ fn a_reader_that_closes_early_is_no_failure() {
     let mut questions = partner.0.stdin.take().unwrap();
     // The reader may be gone before all is written.
     while questions.write_all(format!("{LINE}\n").as_bytes()).is_ok() {}
-    let mut told = String::new();
-    std::io::Read::read_to_string(&mut partner.0.stderr.take().unwrap(), &mut told).unwrap();
-    assert_eq!((partner.0.wait().unwrap().code(), told.as_str()), (Some(0), ""));
+    let mut stderr = String::new();
+    std::io::Read::read_to_string(&mut partner.0.stderr.take().unwrap(), &mut stderr).unwrap();
+    assert_eq!((partner.0.wait().unwrap().code(), stderr.as_str()), (Some(0), ""));
 }

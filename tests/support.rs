@@ -159,13 +159,13 @@ impl Run {
     pub(crate) fn wait_until(&self, what: &str, mut so: impl FnMut() -> bool) {
         let began = Instant::now();
         while !so() {
-            assert!(began.elapsed() < LIMIT, "waited {LIMIT:?} in vain until {what}\n{}", self.said());
+            assert!(began.elapsed() < LIMIT, "waited {LIMIT:?} in vain until {what}\n{}", self.all_output());
             std::thread::sleep(POLL);
         }
     }
 
     /// The output of the programs and their nodes.
-    fn said(&self) -> String {
+    fn all_output(&self) -> String {
         [self.folder.path().to_owned(), self.path("out/logs")]
             .iter()
             .flat_map(|folder| std::fs::read_dir(folder).into_iter().flatten().flatten())

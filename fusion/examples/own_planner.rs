@@ -1,13 +1,13 @@
-//! A planner of one's own, tried beside the built-in ones: three robots and a target, in one process.
+//! A new planner beside the built-in ones: three robots and a target, in one process.
 //!
 //! ```sh
 //! cargo run --release -p rangehound-fusion --example own_planner
 //! ```
 //!
-//! It turns the vectors of the range-only problem; one that needs another view of the situation implements `Planner` itself.
+//! It solves the range-only problem. A planner that needs other parts of the situation implements `Planner` itself.
 //!
-//! To have it in the tool: put it into a file in `fusion/src/planner/range_only/`, with a line in its `solver` and a variant of
-//! `PlannerSpec`. `rangehound run`, `plan` and `compare` then know it by its name.
+//! To add it to the tool, put it into a file in `fusion/src/planner/range_only/`, with a line in its `solver` and a
+//! variant of `PlannerSpec`. `rangehound run`, `plan` and `compare` then know it by its name.
 
 use rangehound_fusion::Centre;
 use rangehound_fusion::planner::range_only::{Problem, RangeOnly, Solution, Solver};
@@ -17,8 +17,8 @@ use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioFile};
 
-/// Each robot in turn answers what its teammates do: it points its vector against the sum of all others, or as near to
-/// that as its arc allows. One round, so it is fast; the built-in relaxation goes on until nothing moves.
+/// Each robot in turn reacts to its teammates: it points its vector against the sum of all others, or as near to that
+/// as its arc allows. It does one round, so it is fast; the built-in relaxation continues until nothing moves.
 #[derive(Debug)]
 struct BestReplies;
 
@@ -29,7 +29,7 @@ impl Solver for BestReplies {
 
     fn solve(&mut self, _tick: u64, problem: &Problem, solution: &mut Solution) {
         let arms = problem.arms();
-        // At first nobody moves: the middle of an arc is where its robot looks now.
+        // The start is the middle of each arc: the bearing if the robot does not move.
         solution.directions.clear();
         solution.directions.extend(arms.iter().map(|arm| arm.centre));
         let mut sum = problem.sum(&solution.directions);
@@ -60,7 +60,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Lets the team follow a target for a while: what the filter knows at the end of each tick, in the median.
+/// Lets the team follow a target for a while; returns the median of the filter's trace at the ends of the ticks.
 fn median_trace_m2(scenario: &Scenario, planner: Box<dyn Planner>) -> Result<f64, Box<dyn std::error::Error>> {
     let mut centre = Centre::new(scenario)?.planned_by(planner);
     let mut robots_m: Vec<Vector> =

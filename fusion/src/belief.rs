@@ -1,4 +1,4 @@
-//! What is believed of the target: one Gaussian, of any dimension that there is code for.
+//! The estimate of the target that planners receive: one Gaussian of any supported dimension.
 
 use nalgebra::{Matrix2, SMatrix, SVector};
 use rangehound_shared::STATE_DIM_MAX;
@@ -6,7 +6,7 @@ use rangehound_shared::STATE_DIM_MAX;
 use crate::filter::Gaussian;
 use crate::vector::Vector;
 
-/// A Gaussian of the target's state, position first. Beyond the dimension of its motion model all entries are zero.
+/// A Gaussian of the target's state, position first. Entries beyond the dimension of the motion model are zero.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Belief {
     /// Mean: m, m/s and so on.
@@ -16,7 +16,7 @@ pub struct Belief {
 }
 
 impl Belief {
-    /// Of a target of which nothing but a position is known.
+    /// A belief about a position only.
     #[must_use]
     pub fn of_position(position_m: Vector, covariance_m2: &Matrix2<f64>) -> Self {
         let mut belief = Self::default();
@@ -24,14 +24,14 @@ impl Belief {
         belief
     }
 
-    /// Says another thing of the position, and the same of all else.
+    /// Replaces the position and its covariance; all other entries stay.
     pub fn set_position(&mut self, position_m: Vector, covariance_m2: &Matrix2<f64>) {
         self.mean[0] = position_m.x;
         self.mean[1] = position_m.y;
         self.covariance.fixed_view_mut::<2, 2>(0, 0).copy_from(covariance_m2);
     }
 
-    /// Becomes a filter's estimate; of one dimension as long as it lives.
+    /// Copies a filter's estimate. All estimates must have the same dimension: entries beyond it are not cleared.
     pub fn assign<const N: usize>(&mut self, estimate: &Gaussian<N>) {
         self.mean.fixed_rows_mut::<N>(0).copy_from(&estimate.x);
         self.covariance.fixed_view_mut::<N, N>(0, 0).copy_from(&estimate.p);
@@ -43,7 +43,7 @@ impl Belief {
         Vector::new(self.mean[0], self.mean[1])
     }
 
-    /// Covariance of that, m^2.
+    /// Covariance of the position, m^2.
     #[must_use]
     pub fn position_covariance_m2(&self) -> Matrix2<f64> {
         self.covariance.fixed_view::<2, 2>(0, 0).into_owned()

@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 /// Below this distance from the estimate, m, a range has no line of sight and carries no information.
 const LINE_OF_SIGHT_MIN_M: f64 = 1e-9;
 
-/// Relative inflation of the variances in each step: above the rounding that could make a covariance
-/// indefinite where directions are known to very different degrees, and of no other effect.
+/// Relative inflation of the variances in each step. It exceeds the rounding that could make a covariance indefinite if
+/// directions are known to very different degrees, and has no other effect.
 const ROUNDING: f64 = 1e-12;
 
-/// Rounding of a difference relative to what it was taken from: some hundred units in the last place.
+/// Rounding of a difference relative to its operands: about a hundred units in the last place.
 const DIFFERENCE_ROUNDING: f64 = 3e-14;
 
 /// Gaussian estimate of the target: `X` (position first) and its error covariance `P`.
@@ -44,8 +44,9 @@ pub struct RangeInformation {
 /// A range compared with the estimate's prediction of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation {
-    /// Gradient of the distance, a row of `H`: the unit vector from the robot to the estimated target. Of a sensor at
-    /// another height it is the horizontal part of that, nothing straight above the target; zero without a line of sight.
+    /// Gradient of the distance, a row of `H`: the unit vector from the robot to the estimated target. For a sensor at
+    /// another height it is the horizontal part of that vector, which is zero straight above the target. Zero without a
+    /// line of sight.
     pub line_of_sight: Vector2<f64>,
     /// `nu = z - d`, m.
     pub innovation_m: f64,
@@ -89,8 +90,9 @@ impl<const N: usize> Gaussian<N> {
         Innovation { line_of_sight, innovation_m: range_m - distance_m, noise_variance_m2: std_m * std_m }
     }
 
-    /// The second-order terms of a distance of `distance_m` that has this gradient, whose second derivative is
-    /// `(I - e e^T) / d` at any height: mean `tr((I - e e^T) P) / 2 d` and variance `tr(((I - e e^T) P)^2) / 2 d^2`.
+    /// The second-order terms of a distance of `distance_m` with this gradient. Its second derivative is
+    /// `(I - e e^T) / d` at any height, so the terms are: mean `tr((I - e e^T) P) / 2 d` and variance
+    /// `tr(((I - e e^T) P)^2) / 2 d^2`.
     #[must_use]
     pub fn bend(&self, line_of_sight: &Vector2<f64>, distance_m: f64) -> Bend {
         let (p, e) = (self.position_covariance(), line_of_sight);
@@ -142,13 +144,14 @@ impl<const N: usize> Gaussian<N> {
     /// Joint normalised innovation squared of ranges linearised about this estimate: `nu^T S^-1 nu`, chi-square with
     /// one degree of freedom for each range.
     ///
-    /// It is what the least squares of prior and ranges leave: `min_s s^T P_11^-1 s + sum (nu_i - e_i . s)^2 / sigma_i^2`.
-    /// The prior's square root takes in the ranges one by one by rotations, and the squares that do not fit into it
-    /// add up: positive terms all, so nothing cancels however vague the prior is and however sharp the ranges are.
+    /// It is the residual of the least squares of prior and ranges:
+    /// `min_s s^T P_11^-1 s + sum (nu_i - e_i . s)^2 / sigma_i^2`. Rotations add the ranges to the square root of the
+    /// prior's information one by one, and the squares of the residuals are summed. All terms are positive, so nothing
+    /// cancels, however vague the prior and however precise the ranges are.
     #[must_use]
     pub fn nis<'a>(&self, ranges: impl Iterator<Item = &'a Innovation>) -> f64 {
         let prior = self.position_covariance();
-        // P^-1 = R^T R, where the coordinate of the lesser variance comes first.
+        // P^-1 = R^T R, where the coordinate with the smaller variance comes first.
         let larger = usize::from(prior[(1, 1)] > prior[(0, 0)]);
         let lesser = 1 - larger;
         let rest_m2 = (determinant(&prior) / prior[(larger, larger)]).max(f64::EPSILON * prior[(lesser, lesser)]);
@@ -169,7 +172,7 @@ impl<const N: usize> Gaussian<N> {
     }
 }
 
-/// Cosine and sine of the turn that takes `(kept, taken)` to `(length, 0)`.
+/// Cosine and sine of the rotation of `(kept, taken)` to `(length, 0)`.
 fn rotation(kept: f64, taken: f64) -> (f64, f64) {
     let length = kept.hypot(taken);
     if length > 0.0 { (kept / length, taken / length) } else { (1.0, 0.0) }
@@ -183,7 +186,7 @@ fn posterior_covariance(prior: &Matrix2<f64>, prior_det: f64, j: &Matrix2<f64>) 
     (prior + j_adjugate * prior_det) * gain
 }
 
-/// Second-order terms of a distance: bias and variance, as it is not linear in the position.
+/// Second-order terms of a distance, which is not linear in the position: bias and variance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bend {
     /// Mean distance less the distance at the estimate, m.
@@ -222,7 +225,7 @@ fn determinant(m: &Matrix2<f64>) -> f64 {
     (m[(0, 0)] * m[(1, 1)] - m[(0, 1)] * m[(1, 0)]).max(0.0)
 }
 
-/// Symmetric to the bit and clear of rounding.
+/// The matrix made symmetric to the bit, with variances inflated against rounding.
 fn conditioned<const N: usize>(m: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     let mut conditioned = (m + m.transpose()) * 0.5;
     for i in 0..N {
@@ -253,7 +256,7 @@ mod tests {
         *p == p.transpose() && DMatrix::from_fn(N, N, |i, j| p[(i, j)]).cholesky().is_some()
     }
 
-    /// One prediction and joint update, worked out in 50-digit arithmetic.
+    /// One prediction and joint update, against 50-digit arithmetic.
     #[test]
     fn a_step_matches_high_precision_arithmetic() {
         let start = Gaussian { x: SVector::from([0.5, -0.25, 8.0, -8.0]), p: SMatrix::<f64, 4, 4>::identity() * 10.0 };
@@ -274,8 +277,8 @@ mod tests {
         }
     }
 
-    /// Where the prior is vague and the ranges are sharp: against 80-digit arithmetic. `sum nu^2 / sigma^2 - y . shift`
-    /// has 1e13 to 1e18 as its terms here, and no right digit.
+    /// A vague prior and precise ranges, against 80-digit arithmetic. The terms of `sum nu^2 / sigma^2 - y . shift` are
+    /// 1e13 to 1e18 here, so none of its digits would be right.
     #[test]
     fn the_nis_of_a_vague_prior_matches_high_precision_arithmetic() {
         let far = [(-5.0, 0.0, 1_000_006.324, 1e-3), (0.0, 4.0, 500_002.0, 1e-3)];
@@ -362,8 +365,8 @@ mod tests {
             prop_assert!((nis - textbook_nis).abs() < 1e-8 * (1.0 + textbook_nis), "{nis} {textbook_nis}");
         }
 
-        /// From precise to useless sensors, from near to on top of the target: as long as what a range knows and
-        /// what the prior knew are no more than eleven digits apart, of the sixteen that there are.
+        /// Precise and useless sensors, near and far. The information of a range is at most eleven digits greater than
+        /// that of the prior; floating point has sixteen.
         #[test]
         fn the_covariance_stays_positive_definite_in_extremes(
             log_variance in -6.0..10.0_f64, log_std in -4.0..4.0_f64, robots in 1..200_usize, spread in -9.0..3.0_f64,
@@ -404,9 +407,9 @@ mod tests {
         assert!(is_spd(&estimate.p) && estimate.x.iter().all(|value| value.is_finite()));
     }
 
-    /// Robots at one place measure one direction very well and the other not at all.
+    /// Robots at one position measure one direction very precisely and the other not at all.
     #[test]
-    fn one_direction_known_far_better_than_the_other_is_survived() {
+    fn the_covariance_stays_positive_definite_if_one_direction_is_known_far_better() {
         let transition = MotionModel::IntegratorChain { order: 2, noise_psd: 0.0 }.transition::<4>(0.1);
         let mut estimate =
             Gaussian { x: SVector::from([0.0, 3.0, -8.0, 4.0]), p: SMatrix::<f64, 4, 4>::identity() * 1e12 };
@@ -419,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_on_the_estimate_informs_of_nothing() {
+    fn a_robot_at_the_estimated_position_adds_no_information() {
         let prior = Gaussian { x: SVector::from([3.0, 4.0]), p: SMatrix::<f64, 2, 2>::identity() };
         let posterior = prior.update(&information(&prior, &[(3.0, 4.0, 2.0, 1.0)]));
         assert_eq!(posterior.x, prior.x);

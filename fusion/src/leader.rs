@@ -25,7 +25,7 @@ use crate::planner::PlannerError;
 /// The driver's next action.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Action {
-    /// Look at the clock, and ask again.
+    /// Read the clock, and ask for the next action.
     Continue,
     /// Check that no other process has taken the lead meanwhile. A process that has lost the lead must not act any more.
     RequireLead,
@@ -40,7 +40,7 @@ pub enum Action {
     /// Record the last tick: [`Leader::estimate`], [`Leader::exchanges`], [`Leader::late_reports`].
     Record,
     /// Report to the user.
-    Tell(Notice),
+    Report(Notice),
 }
 
 /// A message to the user.
@@ -124,7 +124,7 @@ impl Leader {
         Ok(Self::of_centre(scenario, Centre::new(scenario)?.keeping_the_past()))
     }
 
-    /// The same round a centre of one's own for this scenario: with another planner, or without a past.
+    /// The same with a given centre for this scenario, for example with another planner or without stored ticks.
     #[must_use]
     pub fn of_centre(scenario: &Scenario, centre: Centre) -> Self {
         Self {
@@ -160,7 +160,7 @@ impl Leader {
             return Err(SealError::Malformed);
         }
         (self.distrusted, self.noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
-        // It may be stopped before it first looks at the clock: seed 52747 of `rangehound explore`.
+        // The process may be suspended before it first reads the clock: seed 52747 of `rangehound explore`.
         self.suspension.look(now_ns);
         if self.centre.next_tick() > 0 {
             self.counts = counts;
@@ -264,7 +264,7 @@ impl Leader {
         self.intake.deadline_ns(self.centre.next_tick())
     }
 
-    /// True if it waits for the next real-time tick, none of whose ranges has come.
+    /// True if it waits for the next real-time tick, and no message of that tick has arrived.
     #[must_use]
     pub fn waits_for_tick(&self) -> bool {
         self.clock == Clock::Realtime && self.intake.is_empty()
@@ -276,7 +276,7 @@ impl Leader {
         self.intake.expected()
     }
 
-    /// When the last tick came to each stage, up to the one that it is in.
+    /// When the newest tick reached each stage, as far as it has.
     #[must_use]
     pub fn stages(&self) -> &Stages {
         &self.stages
@@ -288,7 +288,7 @@ impl Leader {
         &self.centre
     }
 
-    /// The last tick's estimate, with all that came since the one before.
+    /// The last tick's estimate, with the counts since the one before.
     #[must_use]
     pub fn estimate(&self) -> &Estimate {
         &self.estimate
@@ -305,13 +305,13 @@ impl Leader {
         self.intake.state().late_reports()
     }
 
-    /// Others are ahead: this process was stopped or started late. The ticks between are gone for it; it predicts
-    /// through them.
+    /// Skips to a tick that others have reached: this process was suspended or started late. It cannot gather the ticks
+    /// between, and predicts through them.
     fn catch_up(&mut self, tick: u64) {
         if tick > self.over_before {
             let first = self.over_before.max(self.centre.next_tick());
             if self.intake.is_empty() {
-                self.actions.push_back(Action::Tell(Notice::Missed { first, last: tick - 1 }));
+                self.actions.push_back(Action::Report(Notice::Missed { first, last: tick - 1 }));
             }
             self.over_before = tick;
             self.asks_repeat = true;
@@ -329,7 +329,7 @@ impl Leader {
             return Ok(Some(Action::Continue));
         }
         if std::mem::take(&mut self.repeat_asked) && next > 0 {
-            // All get it again, once.
+            // All robots get their headings again, once.
             self.actions.push_back(Action::SendHeadings);
             self.actions.push_back(Action::Notify(Notification::always(WaitGroup::Robots, Event::Heading)));
             return Ok(Some(Action::RequireLead));
@@ -345,8 +345,8 @@ impl Leader {
         Estimate { late, fused_late, rejected_late, refused, stages, ..self.centre.estimate() }
     }
 
-    fn tell(&mut self, notice: Notice) {
-        self.actions.push_back(Action::Tell(notice));
+    fn report(&mut self, notice: Notice) {
+        self.actions.push_back(Action::Report(notice));
     }
 
     /// Reports when most sensors begin or cease to fail together; otherwise the robots that have become distrusted or
@@ -356,14 +356,14 @@ impl Leader {
         let before = std::mem::replace(&mut self.distrusted, now);
         let noise_scale_before = std::mem::replace(&mut self.noise_scale, noise_scale);
         if noise_scale > 1.0 && noise_scale_before == 1.0 {
-            self.tell(Notice::Widened(noise_scale));
+            self.report(Notice::Widened(noise_scale));
             return;
         }
         if noise_scale == 1.0 && noise_scale_before > 1.0 {
-            self.tell(Notice::NoLongerWidened);
+            self.report(Notice::NoLongerWidened);
         }
-        now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.tell(Notice::Distrusted(id)));
-        before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.tell(Notice::Trusted(id)));
+        now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.report(Notice::Distrusted(id)));
+        before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.report(Notice::Trusted(id)));
     }
 
     /// Reports each cause of refusal once; the run's report has the counts.
@@ -372,7 +372,7 @@ impl Leader {
             let is_new = self.counts.refused[refusal as usize] > 0 && !self.refusals_reported[refusal as usize];
             if is_new {
                 self.refusals_reported[refusal as usize] = true;
-                self.tell(Notice::Refused(refusal));
+                self.report(Notice::Refused(refusal));
             }
         }
     }

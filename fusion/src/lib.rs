@@ -1,28 +1,28 @@
 //! The fusion centre.
 //!
-//! Its place in the loop is between the robots' ranges and their headings; observers hear what it knows:
+//! It receives the robots' ranges, sends their headings, and publishes estimates for observers:
 //!
 //! ```text
 //! robot 0..M-1 --range--> FUSION --heading--> robot 0..M-1
 //!                           `--estimate--> observers
 //! ```
 //!
-//! Each tick it takes the ranges of all robots, updates the target's estimate with an extended
-//! Kalman filter, predicts it one step ahead, and plans every robot's heading so that the next
-//! ranges tell most. [`Centre`] is the pure step.
+//! Each tick it takes the ranges of all robots, updates the target's estimate with an extended Kalman filter, predicts
+//! it one step ahead, and plans every robot's heading so that the next ranges are most informative. [`Centre`] is the
+//! pure step.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`filter`] | prediction and joint update of one Gaussian estimate (Eqs. 1-13) |
-//! | [`tracker`] | the estimate over time: gate, start from ranges alone, way out of lock-out |
-//! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until it mends |
-//! | [`belief`] | what trackers tell planners of the target |
-//! | [`vector`] | plane vectors, of which bearings are the unit ones |
+//! | [`tracker`] | the estimate over time: gating, start without a prior, recovery from lock-out |
+//! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until its ranges pass again |
+//! | [`belief`] | the estimate that trackers give to planners |
+//! | [`vector`] | plane vectors; bearings are unit vectors |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
 //! | [`centre`] | one tick: ranges in, estimate and headings out |
-//! | [`intake`] | which messages count: checks, the tick that is being gathered, what comes late |
-//! | [`leader`] | the protocol of the one that leads: what comes in, what to do out |
-//! | [`standby`] | when another takes the lead |
+//! | [`intake`] | which messages count: checks them, gathers the present tick, sorts out late reports |
+//! | [`leader`] | the protocol of the leading fusion: messages in, actions out |
+//! | [`standby`] | when a standby takes the lead |
 
 pub mod belief;
 pub mod centre;

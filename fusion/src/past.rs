@@ -1,4 +1,4 @@
-//! The last few ticks, kept so that a range that comes late can still be fused at its own time.
+//! The last few ticks, stored so that a late range can still be fused at its own time.
 
 use std::collections::VecDeque;
 
@@ -8,21 +8,21 @@ use rangehound_shared::record::Judged;
 
 use crate::trust::Trust;
 
-/// Ticks that are kept: a range that is later is fused no more. Half a second of the paper's ticks; a process that
-/// was not run for longer has missed more than its range.
+/// Number of stored ticks: a range that is later than this is not fused. At the paper's tick length they cover half a
+/// second; a process that was suspended for longer has missed more than one range.
 pub const LATE_TICKS_MAX: usize = 5;
 
-/// A tick that was processed, with all that it takes to do so again.
+/// A processed tick, with all that is needed to process it again.
 #[derive(Debug)]
 pub(crate) struct PastTick {
     pub(crate) tick: u64,
     pub(crate) dt_s: f64,
-    /// The tracker before the tick, as it saved itself.
+    /// The tracker's saved state before the tick.
     pub(crate) tracker: Vec<u8>,
     /// The trust in the robots before the tick.
     pub(crate) trust: Trust,
     pub(crate) reports: Vec<Option<Measurement>>,
-    /// What became of the reports' ranges.
+    /// How the reports' ranges were used.
     pub(crate) judged: Vec<Option<Judged>>,
     /// The commands published after it.
     pub(crate) commands: Vec<Command>,
@@ -33,7 +33,7 @@ pub(crate) struct PastTick {
 pub(crate) struct Past(VecDeque<PastTick>);
 
 impl Past {
-    /// A place for a tick after all others: the oldest one's, once there are enough.
+    /// Memory for the next tick: that of the oldest tick once [`LATE_TICKS_MAX`] are stored.
     pub(crate) fn place(&mut self, robots: usize, trust: &Trust) -> PastTick {
         let full = self.0.len() == LATE_TICKS_MAX;
         full.then(|| self.0.pop_front()).flatten().unwrap_or_else(|| PastTick {
@@ -47,7 +47,7 @@ impl Past {
         })
     }
 
-    /// Puts a tick after all others.
+    /// Appends a tick.
     pub(crate) fn push(&mut self, tick: PastTick) {
         self.0.push_back(tick);
     }
@@ -57,18 +57,18 @@ impl Past {
         self.0.back_mut()
     }
 
-    /// A tick, if it is kept.
+    /// A tick, if it is stored.
     pub(crate) fn at(&self, tick: u64) -> Option<&PastTick> {
         self.0.iter().find(|past| past.tick == tick)
     }
 
-    /// A tick and all after it, none if it is not kept.
+    /// A tick and all later ones; none if the tick is not stored.
     pub(crate) fn since(&mut self, tick: u64) -> impl Iterator<Item = &mut PastTick> {
         let is_kept = self.at(tick).is_some();
         self.0.iter_mut().filter(move |past| is_kept && past.tick >= tick)
     }
 
-    /// Forgets all.
+    /// Removes all ticks.
     pub(crate) fn clear(&mut self) {
         self.0.clear();
     }

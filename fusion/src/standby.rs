@@ -17,7 +17,7 @@ const SILENT_LOOKS_MAX: u32 = 10;
 /// Longest step of the grid planner without a heartbeat.
 const GRID_STEP_MAX: Duration = Duration::from_secs(30);
 
-/// Silence that is no hang: one step of the scenario's planner may take as long.
+/// Longest silence that is not a hang: one step of the scenario's planner may take this long.
 #[must_use]
 pub fn step_max(scenario: &Scenario) -> Duration {
     if matches!(scenario.planner, PlannerSpec::Grid { .. }) { GRID_STEP_MAX } else { Duration::ZERO }
@@ -42,16 +42,16 @@ impl<S: Copy + PartialEq, L: Copy + PartialEq> Standby<S, L> {
         Self { last_heartbeat, awaited, silent_looks: 0, silent_looks_max }
     }
 
-    /// Takes the newest heartbeat; to be called once every [`LOOK`]. `Some` if who gave it is to be deposed, if it has given no
-    /// other meanwhile.
+    /// Takes the newest heartbeat; called once every [`LOOK`]. Returns the heartbeat if the leader is to be deposed.
+    /// The caller deposes it only if it has sent no newer one meanwhile.
     pub fn look(&mut self, heartbeat: Option<S>) -> Option<S> {
         self.silent_looks = if heartbeat == self.last_heartbeat { self.silent_looks + 1 } else { 0 };
         self.last_heartbeat = heartbeat;
         heartbeat.filter(|_| self.silent_looks >= self.silent_looks_max)
     }
 
-    /// True if it shall wait for this lock from now on: the one that it waits for is that of a deposed one. None is there where
-    /// somebody is about to remove the run: no lead is founded in what is left of it.
+    /// True if the standby must wait for this lock from now on, because the lock that it waits for belongs to a deposed
+    /// leader. `None` means that the run is being removed: then no standby takes the lead.
     pub fn waits_anew(&mut self, lock: Option<L>) -> bool {
         let is_other = lock.is_some() && lock != self.awaited;
         if is_other {
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn only_silence_in_looks_in_a_row_deposes() {
+    fn only_consecutive_silent_looks_depose() {
         let mut standby = standby("greedy");
         assert!((1..SILENT_LOOKS_MAX).all(|_| standby.look(Some(7)).is_none()));
         assert_eq!(standby.look(Some(8)), None, "a heartbeat, just in time");

@@ -1,4 +1,4 @@
-//! Tracker and trust together: what one tick's reports do to both, and the same tick once more when one comes late.
+//! Tracker and trust together: processes a tick's reports, and processes past ticks again when a report arrives late.
 
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::record::{Judged, RangeUse};
@@ -9,7 +9,7 @@ use crate::past::PastTick;
 use crate::tracker::{self, Fit, Reading, Tracker};
 use crate::trust::{Policy, Trust};
 
-/// The estimate, and whose ranges go into it.
+/// The estimate, and the trust that decides whose ranges are fused.
 #[derive(Debug)]
 pub(crate) struct Tracking {
     pub(crate) tracker: Box<dyn Tracker>,
@@ -65,7 +65,7 @@ impl Tracking {
         fit
     }
 
-    /// Writes down how things stand before a tick.
+    /// Saves the state before a tick.
     ///
     /// # Errors
     /// If the tracker cannot be encoded.
@@ -75,12 +75,12 @@ impl Tracking {
         self.tracker.save(&mut past.tracker)
     }
 
-    /// Goes back to before the first of these ticks and takes all of them again. True if at the first of them this
-    /// robot's range was fused.
+    /// Restores the state before the first of these ticks and processes all of them again. True if this robot's range
+    /// was fused at the first of them.
     ///
     /// # Errors
-    /// If what was written down is not the tracker's.
-    pub(crate) fn take_again<'a>(
+    /// If the saved state is not this tracker's.
+    pub(crate) fn process_again<'a>(
         &mut self,
         robot: usize,
         ticks: impl Iterator<Item = &'a mut PastTick>,

@@ -7,41 +7,45 @@ use serde::{Deserialize, Serialize};
 /// Number of stored gate decisions of each robot: bits of its record.
 pub const RECENT: u32 = u8::BITS;
 
-/// A robot with this many failures among them is distrusted: a tick or two with outliers are tolerated. With a gate of
-/// 4 sigma, of 200 runs each with 3, 4, 5 and 8 robots and one sensor that reads 10 or 30 sigma too much, all named
-/// that one, 95 % of them within five ticks, and no other. Off by 6 sigma it hides behind the gate: of 3 robots the
-/// estimate follows it before the gate detects it, and in one run of five a valid sensor is distrusted instead.
+/// A robot with this many failures among them is distrusted; fewer failures are taken to be outliers. Measured with a
+/// gate of 4 sigma in 200 runs for each of 3, 4, 5 and 8 robots, with one sensor that reads 10 or 30 sigma too much:
+/// every run distrusts that sensor and no other, 95 % of the runs within five ticks. An error of 6 sigma is harder to
+/// detect: with 3 robots the estimate follows the faulty sensor before the gate rejects it, and in one run of five a
+/// valid sensor is distrusted instead.
 pub const FAILURES_MAX: u32 = 5;
 
 /// Median of a chi-square of one degree of freedom: half of a sensor's normalised innovations squared exceed it if the
 /// sensor's noise is as reported.
 const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_572_8;
 
-/// Change of the logarithm of a sensor's noise variance with each range: a tracker of the median that forgets within
-/// some twenty ranges, has a standard deviation of 0.34, and is moved by outliers no more than by other ranges.
+/// Change of the estimated noise of a sensor with each range, in the logarithm of the variance. Steps of equal size
+/// make the estimate follow the median, so an outlier moves it no more than any other range. It forgets within about
+/// twenty ranges, and its standard deviation is 0.34.
 const LOG_STEP: f64 = 0.1;
 
-/// Ratio of the team's noise variance to the reported one at which its sensors count as failing together, and below
-/// which they no longer do: twice, two standard deviations of one sensor's tracker, and the root of that.
+/// Logarithms of the ratio of the median sensor's noise variance to the reported one. From the first on, sensors count
+/// as failing together: twice the reported variance, two standard deviations of one sensor's estimate. Below the second
+/// they no longer do: the square root of twice.
 const LOG_WIDENED: f64 = 0.7;
 const LOG_NARROW: f64 = 0.35;
 
-/// Limit of the logarithm's magnitude.
+/// Limits of the logarithm.
 const LOG_MAX: f64 = 14.0;
 const LOG_MIN: f64 = -1.0;
 
-/// Ranges of a sensor before its noise is followed, and ranges of the team, in multiples of its size, after which a sensor that
-/// was not heard counts no more.
+/// Ranges of a sensor before its noise is estimated, and ranges of the team, in multiples of its size, after which a
+/// sensor without a range no longer counts.
 const RANGES_MIN: u32 = 8;
 const RECENT_ROUNDS: u64 = 8;
 
-/// Number of valid sensors that can identify a faulty one. Two fit any position, so a sensor that they contradict may be valid.
-const JURY: usize = 3;
+/// Number of other sensors that can identify a faulty one. Two are not enough: their ranges fit some position even if
+/// one of the two is faulty.
+const OTHERS_MIN: usize = 3;
 
-/// Ranges of each sensor after which a team that agrees is known to: time to detect noise of twice the reported one.
+/// Ranges of each sensor that establish that the team agrees: enough to detect twice the reported variance.
 const AGREED_RANGES: u32 = 24;
 
-/// Largest inflation of the estimate's variance at once.
+/// Largest factor by which the estimate's variance is inflated at one tick.
 const LOST_MAX: f64 = 1e6;
 
 /// Measures against ranges that fail.
@@ -55,22 +59,22 @@ pub struct Policy {
 
 /// The gate's decisions on each robot's ranges.
 ///
-/// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of
-/// them passed. Failures count only while most of the team's newest ranges pass: if half of them or more fail, the
-/// filter may be wrong. If fewer than three robots would be left, a robot is distrusted only if all of them have agreed
-/// before: otherwise the others may be wrong.
+/// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of them
+/// passed. A failure counts only while more than half of the team's newest ranges pass: otherwise the filter may be
+/// wrong. If fewer than three other robots are trusted, a robot is distrusted only if the whole team has agreed before:
+/// otherwise the others may be wrong.
 ///
-/// The noise of each sensor is also tracked, by the median of its normalised innovations squared, which is robust to
-/// outliers. If the median sensor is worse than reported, most sensors fail together: by a common bias, by more noise
-/// than reported, or because the estimate is lost. Until that is over, no robot is distrusted, and the noise of all
-/// ranges is assumed as large as it is observed.
+/// The noise of each sensor is also estimated, from the median of its normalised innovations squared, which is robust
+/// to outliers. If the median sensor is noisier than reported, most sensors fail together: because of a common bias,
+/// more noise than reported, or a lost estimate. Until that is over, no robot is distrusted, and all ranges are assumed
+/// to be as much noisier than reported as the median sensor's.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trust {
     policy: Policy,
-    /// Of each robot, newest lowest: 1 for a range that failed.
+    /// For each robot, the newest decision in the lowest bit: 1 for a range that failed.
     records: Vec<u8>,
     distrusted: RobotSet,
-    /// Which of the team's newest ranges failed, as many as it has robots; places are taken in turn.
+    /// Which of the team's newest ranges failed: a circular buffer with as many places as robots.
     newest_failed: RobotSet,
     next_place: usize,
     noises: Vec<Noise>,
@@ -80,7 +84,7 @@ pub struct Trust {
     widened_log: Option<f64>,
     /// True once the ranges of all robots were as good as reported.
     has_agreed: bool,
-    /// Memory only.
+    /// Reused memory.
     #[serde(skip)]
     scratch: Vec<f64>,
 }
@@ -132,7 +136,7 @@ impl Trust {
         self.widened_log.map_or(1.0, |log| (0.5 * log).exp())
     }
 
-    /// Becomes a copy of another of the same team, in the memory that is there.
+    /// Copies the trust of the same team without allocating.
     pub fn copy_from(&mut self, other: &Self) {
         self.policy = other.policy;
         self.records.clone_from(&other.records);
@@ -142,9 +146,10 @@ impl Trust {
         (self.ranges, self.widened_log, self.has_agreed) = (other.ranges, other.widened_log, other.has_agreed);
     }
 
-    /// Takes what the gate said of a tick's ranges: of whom they are, with their normalised innovations squared where
-    /// anything predicted them, and whose failed. Returns how many times less certain the estimate is to be taken, in
-    /// variance: more than 1 where sensors fail together and most of the newest ranges fail even so, so that it may be lost.
+    /// Takes the gate's decisions on a tick's ranges: for each range its robot, and its normalised innovation squared
+    /// if it was predicted; and the robots whose ranges failed. Returns a factor for the estimate's variance. It is
+    /// more than 1 if sensors fail together and at least half of the newest ranges fail although more noise is assumed:
+    /// then the estimate may be lost.
     pub fn judge(&mut self, heard: impl Iterator<Item = (usize, Option<f64>)> + Clone, failed: &RobotSet) -> f64 {
         let robots = self.records.len();
         for (id, _) in heard.clone() {
@@ -156,7 +161,7 @@ impl Trust {
             self.follow_noise(heard.clone());
         }
         if self.widened_log.is_some() {
-            // No robot is distrusted, and none was before.
+            // All robots are trusted, and their failures so far do not count.
             self.distrusted = RobotSet::default();
             self.records.fill(0);
             let squares = heard.filter_map(|(_, square)| square);
@@ -176,10 +181,10 @@ impl Trust {
             if has_failed && filter_is_wrong {
                 continue;
             }
-            let can_tell = self.has_agreed || robots - self.distrusted.len() > JURY;
+            let can_identify = self.has_agreed || robots - self.distrusted.len() > OTHERS_MIN;
             let record = &mut self.records[id];
             *record = *record << 1 | u8::from(has_failed);
-            if record.count_ones() >= FAILURES_MAX && can_tell {
+            if record.count_ones() >= FAILURES_MAX && can_identify {
                 self.distrusted.set(id, true);
             } else if *record == 0 {
                 self.distrusted.set(id, false);
@@ -193,7 +198,8 @@ impl Trust {
             let Some(square) = square else { continue };
             self.ranges += 1;
             let Noise { log, ranges, .. } = self.noises[id];
-            // Squares are of the noise as it is taken at present; here they are of this sensor's own.
+            // The square is normalised by the noise that is assumed at present; here it is normalised by this sensor's
+            // own.
             let taken_log = self.widened_log.unwrap_or(0.0);
             let step = match square * (taken_log - log).exp() > CHI_SQUARE_MEDIAN {
                 // The first squares reflect the initial uncertainty, not the noise.
@@ -214,7 +220,7 @@ impl Trust {
             self.widened_log = None;
             return;
         };
-        // The lower one of a pair: with one or two sensors the faulty one cannot be identified.
+        // The lower one of two middle values: of two sensors the faulty one cannot be identified.
         let median = *self.scratch.select_nth_unstable_by(last / 2, f64::total_cmp).1;
         self.scratch.clear();
         let threshold = if self.widened_log.is_some() { LOG_NARROW } else { LOG_WIDENED };
@@ -232,7 +238,7 @@ mod tests {
         Trust::new(robots, Policy { distrusts: true, widens: true })
     }
 
-    /// Ticks of which each tells who fails, in a team of 4 that is all heard.
+    /// Ticks at which these robots of a team of 4 fail; all 4 report. Returns the distrusted robots.
     fn after(trust: &mut Trust, ticks: usize, failing: &[usize]) -> Vec<usize> {
         let mut failed = RobotSet::default();
         failing.iter().for_each(|id| failed.set(*id, true));
@@ -254,7 +260,8 @@ mod tests {
         assert_eq!(after(&mut trust, 1, &[]), []);
     }
 
-    /// Ranges of a team of 4 that is all heard, with the same squares at each tick, failing a gate of 4 sigma.
+    /// Ticks at which all 4 robots report, with the same squares each time and a gate of 4 sigma. Returns the largest
+    /// factor.
     fn noisy(trust: &mut Trust, ticks: usize, squares: [f64; 4]) -> f64 {
         let mut failed = RobotSet::default();
         squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
@@ -265,16 +272,16 @@ mod tests {
     fn if_most_fail_together_no_robot_is_distrusted_and_all_are_noisier() {
         let mut trust = trust(4);
         noisy(&mut trust, 40, [0.4, 0.4, 30.0, 0.4]);
-        assert!(trust.distrusted().iter().eq([2]) && trust.noise_scale() == 1.0, "one of four is to blame");
+        assert!(trust.distrusted().iter().eq([2]) && trust.noise_scale() == 1.0, "one of four is faulty");
         let lost = noisy(&mut trust, 40, [9.0, 9.0, 30.0, 9.0]);
         assert!(trust.distrusted().is_empty() && trust.noise_scale() > 2.2 && lost == 1.0, "{trust:?}");
-        // As long as it is so, and no longer.
+        // It ends when the noise is as reported again.
         noisy(&mut trust, 60, [0.4; 4]);
         assert_eq!((trust.noise_scale(), trust.distrusted().is_empty()), (1.0, true));
     }
 
     #[test]
-    fn where_nearly_all_fail_however_noisy_they_are_taken_to_be_the_estimate_may_be_lost() {
+    fn if_all_fail_with_widened_noise_too_the_estimate_may_be_lost() {
         let mut trust = trust(4);
         assert_eq!(noisy(&mut trust, 60, [900.0; 4]), 900.0);
         assert!(trust.distrusted().is_empty());
@@ -288,7 +295,7 @@ mod tests {
         assert!(trust.distrusted().is_empty() && trust.noise_scale() == 1.0);
     }
 
-    /// The same for a team of any size: who is distrusted, and how noisy the ranges are taken to be.
+    /// The same for a team of any size; returns the distrusted robots and the noise scale.
     fn steady(trust: &mut Trust, ticks: usize, squares: &[f64]) -> (Vec<usize>, f64) {
         let mut failed = RobotSet::default();
         squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
@@ -321,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn an_outlier_now_and_then_is_forgiven() {
+    fn occasional_outliers_are_tolerated() {
         let mut trust = trust(4);
         for _ in 0..50 {
             after(&mut trust, 1, &[1]);
@@ -330,12 +337,12 @@ mod tests {
     }
 
     #[test]
-    fn where_half_the_team_fails_the_filter_is_wrong() {
+    fn if_half_the_team_fails_the_filter_is_wrong() {
         let mut trust = trust(4);
         assert_eq!(after(&mut trust, 100, &[0, 3]), []);
         assert_eq!(after(&mut trust, 100, &[0, 1, 2, 3]), []);
         assert_eq!(after(&mut trust, 5, &[3]), [3]);
-        // A second one beside it makes half of them.
+        // If a second robot fails too, half of the team fails.
         assert_eq!(after(&mut trust, 100, &[0, 3]), [3]);
     }
 
@@ -352,9 +359,9 @@ mod tests {
         }
     }
 
-    /// As in recordings, where ranges come one by one.
+    /// Recordings often have one range at a time.
     #[test]
-    fn ranges_one_at_a_time_do_as_well() {
+    fn ranges_one_at_a_time_have_the_same_effect() {
         let mut trust = trust(4);
         let mut failed = RobotSet::default();
         failed.set(1, true);

@@ -37,8 +37,8 @@ impl Vector {
 
     /// Its angle in (-pi, pi]; 0 of the zero vector.
     ///
-    /// To a unit in the last place or two, as `atan2`, but without tables and branches: a planner that
-    /// is called now and then would wait for the former and mispredict the latter.
+    /// It differs from `atan2` by two units in the last place at most, and has no tables and no branches: in a planner
+    /// that runs once a tick, tables would miss the cache and branches would be mispredicted.
     #[must_use]
     pub fn angle_rad(self) -> f64 {
         if self == Self::default() {
@@ -46,10 +46,10 @@ impl Vector {
         }
         let (x, y) = (self.x.abs(), self.y.abs());
         let (less, more) = if x < y { (x, y) } else { (y, x) };
-        // From the nearest of axis and diagonal it is a sixteenth of a turn at most.
+        // The angle from the nearest axis or diagonal is at most a sixteenth of a turn.
         let diagonal = if less > TAN_EIGHTH * more { 1.0 } else { 0.0 };
         let from_axis_rad = FRAC_PI_4 * diagonal + arc_tangent_rad((less - more * diagonal) / (more + less * diagonal));
-        // An angle, or what it lacks to a quarter and to half a turn; products, for `else` would be a branch.
+        // The angle, or its complement to a quarter or half turn. Products, because `else` would be a branch.
         let upright = if x < y { 1.0 } else { 0.0 };
         let from_x_rad = FRAC_PI_2 * upright + from_axis_rad * (1.0 - 2.0 * upright);
         let left = if self.x < 0.0 { 1.0 } else { 0.0 };
@@ -84,7 +84,7 @@ impl Vector {
     #[must_use]
     pub fn normalised(self) -> Option<Self> {
         let square = self.norm_squared();
-        // Root and reciprocal side by side: they are waited for.
+        // Root and reciprocal do not depend on each other, so they are computed at the same time.
         (square >= f64::MIN_POSITIVE).then(|| self * (square.sqrt() * square.recip()))
     }
 
@@ -92,7 +92,7 @@ impl Vector {
     #[must_use]
     pub fn with_length(self, length: f64) -> Option<Self> {
         let square = self.norm_squared();
-        // The root is the last to be known: one product behind it, the relaxations wait for this chain.
+        // Relaxation waits for this chain of operations. The root takes longest, so only one product follows it.
         (square >= f64::MIN_POSITIVE).then(|| self * length * square.recip() * square.sqrt())
     }
 

@@ -1,5 +1,5 @@
-//! Anchors under a ceiling: the range is the slant one, and a filter that has it so is consistent, also straight beneath
-//! an anchor, where a range says next to nothing of the plane.
+//! Anchors under a ceiling measure slant ranges. A filter that knows their height is consistent, also straight beneath
+//! an anchor, where a range has almost no information about the position in the plane.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
@@ -17,7 +17,7 @@ const NOISE_PSD: f64 = 0.05;
 const HEIGHT_M: f64 = 4.0;
 const ANCHORS_M: [[f64; 2]; 4] = [[0.0, 0.0], [10.0, 0.0], [10.0, 8.0], [0.0, 8.0]];
 
-/// How a filter does on one simulated walk.
+/// Consistency of a filter, summed over simulated walks.
 #[derive(Debug, Default, Clone, Copy)]
 struct Consistency {
     nees: f64,
@@ -46,14 +46,14 @@ fn motion() -> MotionModel {
     MotionModel::IntegratorChain { order: 2, noise_psd: NOISE_PSD }
 }
 
-/// A target that moves as the model says, heard by these anchors in turn, or by all at each tick; figures of the ticks
-/// from `settled` on.
+/// A target that moves as the model says, with a range from each of these anchors at each tick. Adds the figures of the
+/// ticks from `settled` on.
 fn walk(
     tracker: &mut dyn Tracker,
     seed: u64,
     start: [f64; 4],
     anchors_m: &[[f64; 2]],
-    told_height_m: f64,
+    assumed_height_m: f64,
     settled: u64,
     sum: &mut Consistency,
 ) {
@@ -77,7 +77,7 @@ fn walk(
                 Reading {
                     robot,
                     position_m,
-                    height_m: told_height_m,
+                    height_m: assumed_height_m,
                     range_m,
                     range_std_m: STD_M,
                     ..Reading::default()
@@ -99,7 +99,7 @@ fn walk(
     }
 }
 
-/// A filter that starts from the truth, as well as it is said to know it.
+/// A filter that starts from the truth with an error of the stated covariance.
 fn kalman(seed: u64, start: [f64; 4], variance_m2: f64) -> Kalman<4> {
     let mut drawn = [0.0; 4];
     Draws::new(seed, Stream::PriorMean).standard_normal(0, &mut drawn);
@@ -117,18 +117,18 @@ fn over_seeds(seeds: u64, mut one: impl FnMut(u64, &mut Consistency)) -> Consist
 #[test]
 fn trilateration_from_anchors_four_metres_above_is_consistent() {
     let start = [3.0, 3.0, 0.3, 0.1];
-    let with = |told_m: f64| {
-        over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, told_m, 1, sum))
+    let with = |assumed_m: f64| {
+        over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, assumed_m, 1, sum))
     };
-    let told = with(HEIGHT_M);
-    assert!((0.85..1.15).contains(&told.anees()) && (0.95..1.05).contains(&told.nis_mean()), "{told:?}");
-    // The same anchors taken to be in the plane: what this is for.
-    let untold = with(0.0);
-    assert!(untold.anees() > 10.0 && untold.rmse_m() > 3.0 * told.rmse_m(), "{untold:?}");
+    let elevated = with(HEIGHT_M);
+    assert!((0.85..1.15).contains(&elevated.anees()) && (0.95..1.05).contains(&elevated.nis_mean()), "{elevated:?}");
+    // The same anchors, assumed to be in the plane.
+    let in_plane = with(0.0);
+    assert!(in_plane.anees() > 10.0 && in_plane.rmse_m() > 3.0 * elevated.rmse_m(), "{in_plane:?}");
 }
 
 #[test]
-fn the_first_ranges_alone_tell_where_the_target_is_beneath_the_anchors() {
+fn the_first_ranges_determine_the_position_beneath_the_anchors() {
     let start = [3.0, 3.0, 0.3, 0.1];
     let sum = over_seeds(20, |seed, sum| {
         let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
@@ -138,7 +138,7 @@ fn the_first_ranges_alone_tell_where_the_target_is_beneath_the_anchors() {
     assert!((0.7..1.5).contains(&sum.anees()) && sum.rmse_m() < 0.25, "{sum:?}");
 }
 
-/// At rest straight beneath an anchor that is alone: its ranges say that the target is near, and no more.
+/// At rest straight beneath the only anchor: its ranges show that the target is near, and no more.
 #[test]
 fn a_target_straight_beneath_an_anchor_is_not_known_better_than_that() {
     let start = [0.0, 0.0, 0.0, 0.0];
@@ -159,7 +159,7 @@ fn a_target_straight_beneath_an_anchor_is_not_known_better_than_that() {
             let short_m = short.covariance()[0].sqrt();
             assert!(short_m > 0.1 && short_m < spread_m, "{range_m}: {short_m}");
         }
-        // All anchors from there: they tell the place.
+        // From there with all anchors: they determine the position.
         let mut all = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
         walk(&mut all, seed, start, &ANCHORS_M, HEIGHT_M, 250, &mut sum);
         assert!(sum.rmse_m() < 0.4, "{seed}: {sum:?}");
@@ -179,7 +179,8 @@ fn a_target_that_starts_beneath_an_anchor_is_followed_consistently() {
     assert!((0.7..1.6).contains(&from_ranges.anees()) && from_ranges.rmse_m() < 0.3, "{from_ranges:?}");
 }
 
-/// Straight beneath the anchor the distance has no slope: the range is predicted, tested, and says nothing of the plane.
+/// Straight beneath the anchor the distance has no slope: the range is predicted and tested, and has no information
+/// about the plane.
 #[test]
 fn the_information_of_a_range_falls_to_nothing_straight_beneath_the_anchor() {
     let informs = |away_m: f64| {
@@ -190,8 +191,11 @@ fn the_information_of_a_range_falls_to_nothing_straight_beneath_the_anchor() {
         kalman.step(0.0, &[reading]);
         kalman.covariance()[0].recip() - 100.0
     };
-    // The most, at a distance, is 1 / sigma^2.
-    let told = [0.0, 0.4, 2.0, 40.0].map(informs);
-    assert!(told[0].abs() < 1e-6 && told.is_sorted() && (0.9..1.0).contains(&(told[1] / 0.99)), "{told:?}");
-    assert!((told[3] / 100.0 - 1.0).abs() < 0.02, "{told:?}");
+    // The most, far away, is 1 / sigma^2.
+    let elevated = [0.0, 0.4, 2.0, 40.0].map(informs);
+    assert!(
+        elevated[0].abs() < 1e-6 && elevated.is_sorted() && (0.9..1.0).contains(&(elevated[1] / 0.99)),
+        "{elevated:?}"
+    );
+    assert!((elevated[3] / 100.0 - 1.0).abs() < 0.02, "{elevated:?}");
 }

@@ -230,7 +230,7 @@ impl<'a> Driver<'a> {
                     self.record(last_tick);
                     self.waiter.expect(self.leader.expected());
                 }
-                Action::Tell(notice) => self.tell(notice),
+                Action::Report(notice) => self.tell(notice),
             }
         }
         Ok(())

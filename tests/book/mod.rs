@@ -1,5 +1,4 @@
 //! README, ARCHITECTURE.md and the book in `docs/`: their commands work, and their links and names exist.
-//! somewhere.
 
 mod commands;
 mod page;

@@ -184,7 +184,7 @@ fn no_damage_passes_a_checksum() {
 
 /// A few million bytes that stress recursion, repetition and length.
 #[test]
-fn long_input_is_taken_or_refused_too() {
+fn long_input_is_accepted_or_refused() {
     const LEN: usize = 2_000_000;
     let texts = [
         "[",

@@ -162,7 +162,7 @@ fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
     let run = Run::new();
     start(&run, "run --in-process --ticks 300 --out out").succeeded();
     start(&run, "run --in-process --ticks 20 --seed 2 --out other").succeeded();
-    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
+    let intact = std::fs::read(run.path("out/run.mcap")).unwrap();
     run.write("mine.mcap", "mine");
     run.write("begun.mcap.partial", "mine");
     for (folder, out, kept) in [
@@ -180,13 +180,13 @@ fn a_recording_replaces_no_file_but_a_poorer_one_of_the_same_run() {
         log.set_len(log.metadata().unwrap().len() / 40).unwrap();
     }
     assert_refused(&start(&run, "record out"), "it holds 301 ticks of the run");
-    assert!(whole == std::fs::read(run.path("out/run.mcap")).unwrap());
+    assert!(intact == std::fs::read(run.path("out/run.mcap")).unwrap());
     assert!(!run.path("out/run.mcap.partial").exists());
     // The input of a repair is protected too.
-    run.write("whole.mcap.partial", &whole[..whole.len() / 2]);
-    start(&run, "replay whole.mcap.partial --repair").succeeded();
-    assert!(run.path("whole.mcap.partial").exists() && run.path("whole.mcap").exists());
-    assert_refused(&start(&run, "replay whole.mcap --repair --out mine.mcap"), "expected a name that is free");
+    run.write("intact.mcap.partial", &intact[..intact.len() / 2]);
+    start(&run, "replay intact.mcap.partial --repair").succeeded();
+    assert!(run.path("intact.mcap.partial").exists() && run.path("intact.mcap").exists());
+    assert_refused(&start(&run, "replay intact.mcap --repair --out mine.mcap"), "expected a name that is free");
 }
 
 #[test]
@@ -198,8 +198,8 @@ fn a_run_that_goes_on_keeps_its_recording() {
     assert_refused(&start(&run, &format!("record --name {}", run.name)), "another process is writing it");
     supervisor.finish().succeeded();
     let replayed = start(&run, "replay out/run.mcap --json").succeeded();
-    let told: Value = serde_json::from_str(&replayed.stdout).unwrap();
-    assert_eq!(told["ticks"], 40);
+    let json: Value = serde_json::from_str(&replayed.stdout).unwrap();
+    assert_eq!(json["ticks"], 40);
     run.assert_nothing_left();
 }
 

@@ -19,13 +19,13 @@ fn listing(run: &Run) -> Vec<String> {
 /// `names` and the expected value, and no file is created.
 fn fault(run: &Run, before: &[String], outcome: &Outcome, names: &[&str]) -> Option<String> {
     let Outcome { code, stdout, stderr } = outcome;
-    let says = |word: &str| stderr.split(|c: char| !c.is_ascii_alphabetic()).any(|said| said == word);
+    let has_word = |word: &str| stderr.split(|c: char| !c.is_ascii_alphabetic()).any(|found| found == word);
     let faults = [
         (*code != Some(2), "exit code"),
         (!stdout.is_empty(), "standard output"),
         (stderr.lines().count() != 1, "not one line"),
         (!names.iter().all(|name| stderr.contains(name)), "not named"),
-        (!says("expected"), "not said what was expected"),
+        (!has_word("expected"), "does not name the expected value"),
         (listing(run) != before, "made files"),
         (run.shared_folder().exists(), "made shared memory"),
     ];

@@ -129,15 +129,15 @@ fn json_is_what_the_file_holds_and_nothing_else() {
     let printed = measured.command("latency --rounds 1 --ticks 100 --json").finish().succeeded();
     assert_eq!(json(&printed), file(&measured, "latency.json"));
     measured.assert_nothing_left();
-    let hurt = Run::new();
-    let printed = hurt.command("chaos --faults 1 --kinds kill --ticks 2000 --json").finish().succeeded();
-    assert_eq!(json(&printed), file(&hurt, "chaos.json"));
-    hurt.assert_nothing_left();
+    let faulted = Run::new();
+    let printed = faulted.command("chaos --faults 1 --kinds kill --ticks 2000 --json").finish().succeeded();
+    assert_eq!(json(&printed), file(&faulted, "chaos.json"));
+    faulted.assert_nothing_left();
 }
 
 /// A supervisor that waits for its recorder for any time is not hung.
 #[test]
-fn a_run_that_is_over_is_finishing_while_it_is_written_up() {
+fn a_complete_run_is_finishing_while_its_results_are_written() {
     let run = Run::new();
     let supervisor = run.lockstep("--record --ticks 8000");
     let recorder = recorder(&run, None);

@@ -59,7 +59,7 @@ fn run(team: &mut Team, bias_m: f64) -> Outcome {
 }
 
 #[test]
-fn the_robot_whose_sensor_fails_is_named_and_trusted_again_and_nobody_else_ever() {
+fn only_the_robot_with_the_faulty_sensor_is_distrusted_and_it_is_trusted_again() {
     // In a team of three, a faulty robot sometimes biases the estimate before its ranges fail.
     for (robots, slow_ones_max) in [(3, 3), (5, 0)] {
         for bias_m in [10.0, 30.0] {
@@ -77,7 +77,7 @@ fn the_robot_whose_sensor_fails_is_named_and_trusted_again_and_nobody_else_ever(
 }
 
 #[test]
-fn nobody_is_named_where_all_sensors_work() {
+fn no_robot_is_distrusted_if_all_sensors_work() {
     for robots in [1, 2, 3, 5] {
         for outcome in outcomes(robots, 0.0) {
             assert!(outcome.named_at.is_none() && !outcome.another_was_named, "{robots} robots");

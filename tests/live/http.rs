@@ -30,12 +30,12 @@ impl Page {
     /// The page that a process has announced.
     pub(super) fn of(run: &Run, process: &Process) -> Self {
         let mut url = None;
-        run.wait_until("the page's address is told", || {
-            let said = process.stderr();
-            let told =
+        run.wait_until("the page's address is printed", || {
+            let stderr = process.stderr();
+            let found =
                 |line: &str| ["live: ", "replay: "].iter().find_map(|what| line.strip_prefix(what)).map(str::to_owned);
-            url = said.lines().find_map(told);
-            url.is_some() && said.ends_with('\n')
+            url = stderr.lines().find_map(found);
+            url.is_some() && stderr.ends_with('\n')
         });
         let url = url.unwrap();
         let (port, token) = url.strip_prefix("http://127.0.0.1:").unwrap().split_once("/?token=").unwrap();
@@ -112,8 +112,8 @@ impl Events {
             if self.0.read_line(&mut line).ok()? == 0 {
                 return None;
             }
-            if let Some(told) = line.strip_prefix("event: ") {
-                name = told.trim_end().to_owned();
+            if let Some(found) = line.strip_prefix("event: ") {
+                name = found.trim_end().to_owned();
             } else if let Some(data) = line.strip_prefix("data: ") {
                 return Some((name, serde_json::from_str(data).unwrap()));
             }
@@ -124,8 +124,8 @@ impl Events {
     #[track_caller]
     pub(super) fn until(&mut self, name: &str, mut so: impl FnMut(&Value) -> bool) {
         let mut last = Value::Null;
-        while let Some((told, data)) = self.next() {
-            if told == name && so(&data) {
+        while let Some((found, data)) = self.next() {
+            if found == name && so(&data) {
                 return;
             }
             last = data;

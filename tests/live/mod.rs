@@ -238,8 +238,8 @@ fn a_recording_is_shown_again_as_it_was_or_would_have_been() {
         }
         assert_eq!((&last["tick"], last["robots"].as_array().unwrap().len()), (&Value::from(60), 3));
         assert_eq!(ended, Some(Value::from("The recording has ended.")));
-        let told = replay.finish().succeeded();
-        assert!(told.stdout.contains(planner), "{told:?}");
+        let output = replay.finish().succeeded();
+        assert!(output.stdout.contains(planner), "{output:?}");
     }
     for (words, expected) in [("--speed 2", "--live"), ("--live --speed 0", "--speed")] {
         let args = format!("replay out/run.mcap {words}");
@@ -295,7 +295,7 @@ fn crowds_garbage_and_viewers_that_do_not_read_do_no_harm() {
 }
 
 #[test]
-fn a_page_that_is_killed_comes_back_where_it_was_with_all_that_was_before() {
+fn a_killed_page_returns_at_its_address_with_its_history() {
     let run = Run::new();
     let (supervisor, page) = endless(&run);
     run.wait_for_ticks(25);
@@ -332,9 +332,9 @@ fn a_run_by_hand_has_a_page_but_no_restarts() {
     assert!(taken.code == Some(2) && complaint.contains("expected one that is free"), "{taken:#?}");
     let other = run.node("live --json");
     run.wait_until("another page is announced", || other.stdout().ends_with('\n'));
-    let told: Value = serde_json::from_str(&other.stdout()).unwrap();
-    assert_eq!(told["name"], run.name.as_str());
-    assert!(told["address"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{told}");
+    let output: Value = serde_json::from_str(&other.stdout()).unwrap();
+    assert_eq!(output["name"], run.name.as_str());
+    assert!(output["address"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{output}");
     other.signal(Signal::TERM);
     other.finish().succeeded();
     // When the last node has ended, the page ends too.

@@ -193,8 +193,8 @@ fn a_watch_reports_that_its_run_was_stopped() {
     let watch = run.node("watch");
     run.wait_until("it watches", || watch.has_joined());
     run.node("stop").finish().succeeded();
-    let told = watch.finish();
-    assert!(told.code == Some(1) && told.stderr.contains("before its last tick"), "{told:?}");
+    let outcome = watch.finish();
+    assert!(outcome.code == Some(1) && outcome.stderr.contains("before its last tick"), "{outcome:?}");
     assert_eq!(supervisor.finish().code, Some(1));
     run.assert_nothing_left();
 }

@@ -16,9 +16,9 @@ fn hits(outcome: &Value, key: &str) -> Vec<String> {
 #[test]
 fn faults_of_all_kinds_break_no_promise_in_lock_step() {
     let run = Run::new();
-    let said = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 20000").finish().succeeded();
-    assert!(said.stdout.contains("all kept"), "{said:#?}");
-    assert!(said.stdout.lines().all(|line| line.len() <= 80 || line.contains("run folder")), "{said:#?}");
+    let printed = run.command("chaos --robots 3 --faults 12 --rate 4 --ticks 20000").finish().succeeded();
+    assert!(printed.stdout.contains("all kept"), "{printed:#?}");
+    assert!(printed.stdout.lines().all(|line| line.len() <= 80 || line.contains("run folder")), "{printed:#?}");
     let outcome = outcome(&run);
     assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
     assert_eq!(outcome["ranges"]["missing"], 0, "{outcome:#}");
@@ -37,8 +37,8 @@ fn faults_of_all_kinds_break_no_promise_in_lock_step() {
 fn standbys_take_over_and_runs_recover_from_total_outages() {
     let run = Run::new();
     let words = "--standby 1 --kinds kill,blackout --roles fusion,standby --faults 12 --rate 2 --ticks 20000";
-    let said = run.command(&format!("chaos {words}")).finish().succeeded();
-    assert!(said.stdout.contains("all kept"), "{said:#?}");
+    let printed = run.command(&format!("chaos {words}")).finish().succeeded();
+    assert!(printed.stdout.contains("all kept"), "{printed:#?}");
     let outcome = outcome(&run);
     assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
     let roles: Vec<&str> =
@@ -68,7 +68,7 @@ fn killed_robots_come_back_in_real_time() {
 }
 
 #[test]
-fn nonsense_is_refused_before_anything_starts() {
+fn invalid_values_are_refused_before_anything_starts() {
     for (words, expected) in [
         ("chaos --faults 0", "--faults: expected at least 1"),
         ("chaos --rate 0", "--rate: expected 0.01 to 1000"),

@@ -113,7 +113,7 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
 
 /// Including the supervisor, so that no process restarts the nodes.
 #[test]
-fn a_run_of_which_all_are_killed_goes_on_where_it_was() {
+fn a_run_whose_processes_are_all_killed_goes_on_from_its_checkpoints() {
     let words = "--ticks 60000 --timeout forever";
     let run = Run::new();
     let mut supervisor = run.lockstep(words);
@@ -195,7 +195,7 @@ fn unfinished_shared_memory_of_dead_processes_is_removed_and_of_living_ones_is_k
 }
 
 #[test]
-fn without_a_restart_of_simulator_or_fusion_a_run_ends_and_says_so() {
+fn without_a_restart_of_simulator_or_fusion_a_run_ends_with_the_cause() {
     for role in ["fusion", "sim"] {
         let run = Run::new();
         let supervisor = run.lockstep(&format!("{ENDLESS} --restart {role}=never"));

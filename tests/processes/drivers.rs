@@ -36,20 +36,20 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     let fusion = run.node("fusion");
     let robot = run.start_program(&example, &["--name", &run.name, "--id", "0", "--port", port.to_str().unwrap()]);
 
-    // Open to both sides and never full: this test waits for nobody by it.
+    // Open for reading and writing, and not blocking: this test never waits for it.
     let flags = OFlags::NONBLOCK.bits().cast_signed();
     let mut radio = File::options().read(true).write(true).custom_flags(flags).open(&port).unwrap();
-    let mut say_until_tick = |line: &str, tick: u64| {
+    let mut write_until_tick = |line: &str, tick: u64| {
         run.wait_until(&format!("tick {tick}"), || {
             let _ = radio.write(line.as_bytes());
             run.ticks_done() >= tick
         });
     };
-    say_until_tick("A,15.0\n", 50);
+    write_until_tick("A,15.0\n", 50);
     let endless = format!("nonsense\nnan\n{}\n", "1".repeat(10_000));
-    say_until_tick(&endless, 55);
-    // A number, but no range that anything has: fusion refuses it.
-    say_until_tick("1e13\n", 100);
+    write_until_tick(&endless, 55);
+    // A number, but not a possible range: fusion refuses it.
+    write_until_tick("1e13\n", 100);
 
     let moving = |line: &&str| !line.ends_with(",0.000000");
     assert!(robot.stdout().lines().any(|line| moving(&line)), "{}", robot.stdout());
@@ -82,7 +82,7 @@ fn description(run: &Run) -> RunDescription {
     RunDescription::open(&std::fs::read(run.path("out/run.sealed")).unwrap()).unwrap()
 }
 
-/// What fusion heard of robot 0, m.
+/// The ranges that fusion received from robot 0, m.
 fn heard_m(run: &Run) -> Vec<f64> {
     let mut log = logs::read_estimates(&description(run)).unwrap();
     let mut heard = Vec::new();
@@ -92,7 +92,7 @@ fn heard_m(run: &Run) -> Vec<f64> {
     heard.into_iter().map(|(range_m, _)| range_m).collect()
 }
 
-/// A DWM1001 names its anchors in any order, cuts lines, and says its own quality.
+/// A DWM1001 lists its anchors in any order, cuts lines, and adds its own estimate and its quality.
 #[test]
 fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     let example = example();
@@ -119,7 +119,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     drop(radio);
     let outcome = robot.finish().succeeded();
     assert_eq!(outcome.stderr.matches("port: expected lines like DIST").count(), 1, "{outcome:#?}");
-    // Two lines of three are right; where a read ends is chance.
+    // Two lines of three are valid; a read may end anywhere.
     let (refused, taken) = first_counts(&outcome.stderr);
     assert!(refused >= 10 && taken.abs_diff(2 * refused) <= 2, "{outcome:#?}");
     for node in nodes {
@@ -134,7 +134,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     run.assert_nothing_left();
 }
 
-/// Lines refused and taken, where the driver first told of more than the first one.
+/// Refused and accepted lines, from the driver's first report with counts.
 fn first_counts(stderr: &str) -> (u64, u64) {
     let counts = |line: &str| {
         let (refused, taken) = line.split_once("port: ")?.1.split_once(" lines or frames refused, ")?;

@@ -1,4 +1,4 @@
-//! The system's latency beside that of its references: who is counted, and what is left.
+//! The system's latency beside that of its references: counted samples, and cleanup.
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -36,13 +36,13 @@ fn check(run: &Run, count: impl Fn(u64) -> bool, rounds: usize) {
 #[test]
 fn in_lock_step_every_range_is_counted_once() {
     let run = Run::new();
-    let said = run.command("latency --robots 2 --ticks 400 --rounds 2 --pin one-core").finish().succeeded();
-    assert!(CONTENDERS.iter().all(|contender| said.stdout.contains(contender)), "{said:#?}");
+    let printed = run.command("latency --robots 2 --ticks 400 --rounds 2 --pin one-core").finish().succeeded();
+    assert!(CONTENDERS.iter().all(|contender| printed.stdout.contains(contender)), "{printed:#?}");
     assert_eq!(outcome(&run)["warm_up_ticks"], 20);
     check(&run, |count| count == 2 * 380, 2);
 }
 
-/// More than were published where somebody was late; at the ends of a run some may be missing.
+/// More than were published if a node was late; at the ends of a run some may be missing.
 #[test]
 fn in_real_time_every_range_that_was_due_is_counted() {
     let run = Run::new();
@@ -68,7 +68,7 @@ fn ended_or_killed_it_leaves_nothing() {
 }
 
 #[test]
-fn nonsense_is_refused_before_anything_starts() {
+fn invalid_values_are_refused_before_anything_starts() {
     for (words, expected) in [
         ("latency --rounds 0", "--rounds: expected 1 to 1000"),
         ("latency --rate 0", "--rate: expected 0.001 to 10000 Hz"),

@@ -1,4 +1,4 @@
-//! Memory: once a run is under way, a node puts nothing of its own on the heap, and a robot has little of its own.
+//! Memory: after its start a node allocates nothing itself, and a robot has little private memory.
 
 use std::io::Read;
 use std::process::{Child, Command, Stdio};
@@ -11,11 +11,11 @@ use rustix::process::Signal;
 
 use crate::support::Run;
 
-/// Tells a node its run and its role.
+/// Environment variables with the run and the role of a node.
 const RUN: &str = "RANGEHOUND_TEST_NODE_RUN";
 const ROLE: &str = "RANGEHOUND_TEST_NODE_ROLE";
 
-/// A node of the run, which does not outlive its test.
+/// A node of the run, killed with its test.
 struct Node(Child);
 
 impl Drop for Node {
@@ -42,7 +42,7 @@ fn node() {
     println!("allocations {}", counted.count_total);
 }
 
-/// Allocations of simulator, fusion and a robot in a run of so many ticks, start and end included.
+/// Allocations of simulator, fusion and a robot in a run of `ticks` ticks, including start and end.
 fn allocations(ticks: u64) -> Vec<u64> {
     let run = Run::new();
     let text = format!("clock = \"lockstep\"\ntimeout_s = \"forever\"\nticks = {ticks}\n[robots]\ncount = 2\n");
@@ -58,17 +58,18 @@ fn allocations(ticks: u64) -> Vec<u64> {
     });
     run.wait_until("the run has ended", || founded.is_finished());
     let counted = nodes.map(|mut node| {
-        let mut said = String::new();
-        node.0.stdout.take().unwrap().read_to_string(&mut said).unwrap();
-        let count = said.lines().find_map(|line| line.split_once("allocations ")?.1.parse().ok());
-        count.unwrap_or_else(|| panic!("{said}"))
+        let mut output = String::new();
+        node.0.stdout.take().unwrap().read_to_string(&mut output).unwrap();
+        let count = output.lines().find_map(|line| line.split_once("allocations ")?.1.parse().ok());
+        count.unwrap_or_else(|| panic!("{output}"))
     });
     drop(founded);
     run.assert_nothing_left();
     counted[..3].to_vec()
 }
 
-/// Messages that each node sends in a tick: iceoryx2 keeps a state on the heap for each, from its loan until it is sent.
+/// Messages that each node sends in a tick. For each, iceoryx2 has a state on the heap from the loan until the message
+/// is sent.
 const MESSAGES: u64 = 2;
 
 #[test]
@@ -77,7 +78,7 @@ fn a_tick_allocates_nothing_but_the_state_of_each_message_that_is_sent() {
     let [short, long] = ticks.map(allocations);
     for (role, (short, long)) in ["sim", "fusion", "robot"].iter().zip(short.into_iter().zip(long)) {
         println!("{role}: {short} allocations in {} ticks, {long} in {}", ticks[0], ticks[1]);
-        // How a node finds the others as it starts differs from run to run by some thousand; one in each tick would be 100 000 more.
+        // The allocations at the start differ by some thousand from run to run; one in each tick would add 100 000.
         let more_ticks = ticks[1] - ticks[0];
         assert!(long.saturating_sub(short) < MESSAGES * more_ticks + more_ticks / 25, "{role}: {short}, then {long}");
     }
@@ -89,7 +90,7 @@ fn a_robot_has_at_most_3_mb_of_its_own() {
     let process = run.command("run --clock realtime --robots 2 --ticks 1000");
     run.wait_for_ticks(20);
     let status = std::fs::read_to_string(format!("/proc/{}/status", run.pid_of("robot-1", 1))).unwrap();
-    // Pages of program and libraries are shared by all nodes, and those of messages by the team.
+    // All nodes share the pages of program and libraries, and the team shares those of messages.
     let private =
         status.lines().find_map(|line| line.strip_prefix("RssAnon:")?.trim().strip_suffix(" kB")?.parse().ok());
     let private_kib: u64 = private.unwrap_or_else(|| panic!("{status}"));

@@ -1,4 +1,4 @@
-//! What the others do while somebody is missing: the rows of the table in docs/recover.md.
+//! What the other nodes do while a node is missing: the rows of the table in docs/recover.md.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::support::{Process, Run, comm, digest_in_process, is_alive, signal};
 
 const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
-/// Both clocks, with ticks that a busy machine can keep in real time, and no end.
+/// Flags for both clocks.
 const CLOCKS: [&str; 2] = ["--clock lockstep", "--clock realtime"];
 
 fn start(run: &Run, words: &str) -> Process {
@@ -21,7 +21,7 @@ fn start(run: &Run, words: &str) -> Process {
     run.command(&format!("run slow.toml {words}"))
 }
 
-/// All that the simulator has put down.
+/// All ticks that the simulator has recorded.
 fn worlds(run: &Run) -> Vec<WorldRecord> {
     let sealed = std::fs::read(run.path("out/run.sealed")).unwrap();
     let description = RunDescription::open(&sealed).unwrap();
@@ -33,7 +33,7 @@ fn worlds(run: &Run) -> Vec<WorldRecord> {
     records
 }
 
-/// What is known of one robot at each tick.
+/// One robot's record at each tick.
 fn robot(run: &Run, id: usize) -> Vec<RobotRecord> {
     worlds(run).iter().map(|world| world.robots[id]).collect()
 }
@@ -55,12 +55,12 @@ fn counts(run: &Run, key: &str) -> Vec<u64> {
     run.report()["nodes"].as_array().unwrap().iter().map(|node| node[key].as_u64().unwrap()).collect()
 }
 
-/// What `status` says of the run.
+/// The JSON of `status`.
 fn status(run: &Run) -> serde_json::Value {
     serde_json::from_str(&run.node("status --json").finish().succeeded().stdout).unwrap()
 }
 
-/// Time since the last heartbeat of a node, counted as `status` lists them, s.
+/// Time since the last heartbeat of a node, by its place in the list of `status`, s.
 fn silent_s(status: &serde_json::Value, node: usize) -> f64 {
     status["nodes"][node]["silent_s"].as_f64().unwrap()
 }
@@ -76,7 +76,7 @@ fn a_robot_that_left_for_good_stands_still_and_the_others_go_on() {
         let supervisor = start(&run, &format!("{clock} --timeout 0.3 --restart robot=never"));
         run.wait_for_ticks(10);
         signal(run.pid_of("robot-1", 1), Signal::KILL);
-        // Its last drive may have been for the tick after.
+        // Its last drive may have been for the next tick.
         let gone = wait_for_more_ticks(&run, 3);
         wait_for_more_ticks(&run, 20);
         interrupt(supervisor);
@@ -102,15 +102,15 @@ fn a_hung_node_is_killed_after_the_timeout_and_replaced() {
             assert!(!is_alive(hung));
             wait_for_more_ticks(&run, 5);
         }
-        let said = interrupt(supervisor);
-        assert_eq!(counts(&run, "hangs"), [1, 1, 0, 1, 0], "{clock}: {said}");
-        assert_eq!(counts(&run, "kills"), [1, 1, 0, 1, 0], "{clock}: {said}");
-        assert!(said.contains("robot-1 sent no heartbeat for 500ms"), "{said}");
+        let stderr = interrupt(supervisor);
+        assert_eq!(counts(&run, "hangs"), [1, 1, 0, 1, 0], "{clock}: {stderr}");
+        assert_eq!(counts(&run, "kills"), [1, 1, 0, 1, 0], "{clock}: {stderr}");
+        assert!(stderr.contains("robot-1 sent no heartbeat for 500ms"), "{stderr}");
         run.assert_nothing_left();
     }
 }
 
-/// Who waits for simulator or fusion loses nothing.
+/// The other nodes wait for simulator and fusion, so nothing is lost.
 #[test]
 fn in_lock_step_hangs_of_simulator_and_fusion_change_nothing() {
     let words = "--ticks 60000 --timeout 2";
@@ -146,7 +146,7 @@ fn a_node_that_hangs_while_it_starts_is_replaced() {
 }
 
 #[test]
-fn without_a_timeout_nobody_is_killed_for_hanging() {
+fn without_a_timeout_no_node_is_killed_for_hanging() {
     for clock in CLOCKS {
         let run = Run::new();
         let supervisor = start(&run, &format!("{clock} --timeout forever"));
@@ -169,9 +169,10 @@ fn without_a_timeout_nobody_is_killed_for_hanging() {
     }
 }
 
-/// What is left of a wait may be less than the kernel counts in; to round that down to nothing is to wait for ever.
+/// The rest of a wait may be shorter than the kernel's unit of time. Rounded down to zero it would be a wait without
+/// end.
 #[test]
-fn a_sleep_of_next_to_no_time_ends() {
+fn a_very_short_sleep_ends() {
     let run = Run::new();
     let (name, out_dir) = (run.name.parse().unwrap(), run.path("out"));
     let (send, ended) = std::sync::mpsc::channel();
@@ -189,7 +190,7 @@ fn a_sleep_of_next_to_no_time_ends() {
     run.wait_until("the run is gone", || !run.shared_folder().exists());
 }
 
-/// Three ticks of course, then none: whether fusion hangs or is dead.
+/// They hold their headings for three ticks and then stop, whether fusion hangs or is dead.
 #[test]
 fn without_fusion_robots_hold_their_course_and_then_stop() {
     let check = |run: &Run| {
@@ -251,7 +252,7 @@ fn in_real_time_dead_nodes_are_replaced_and_ticks_stay_on_their_grid() {
     run.assert_nothing_left();
 }
 
-/// Later than everybody else, and again after it was gone: both by hand.
+/// It is started by hand, later than all others, and again after a kill.
 #[test]
 fn a_robot_that_comes_late_takes_part_from_then_on() {
     let run = Run::new();
@@ -275,9 +276,9 @@ fn a_robot_that_comes_late_takes_part_from_then_on() {
     run.assert_nothing_left();
 }
 
-/// As a suspended machine would be, with the supervisor and without.
+/// Like a suspended machine, with and without the supervisor.
 #[test]
-fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
+fn a_run_that_was_stopped_as_a_whole_goes_on_with_all_nodes() {
     let words = "--ticks 60000 --timeout 1";
     let oracle = digest_in_process(words);
     for is_supervisor_stopped in [true, false] {
@@ -292,7 +293,7 @@ fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
             stopped.extend(is_supervisor_stopped.then(|| supervisor.pid()));
             stopped.iter().for_each(|pid| signal(*pid, Signal::STOP));
             let is_silent = |node| silent_s(&status(&run), node) > 2.5;
-            run.wait_until("everybody is silent for longer than the time-out", || (0..ROLES.len()).all(is_silent));
+            run.wait_until("every node is silent for longer than the time-out", || (0..ROLES.len()).all(is_silent));
             stopped.iter().for_each(|pid| signal(*pid, Signal::CONT));
             if is_lockstep {
                 supervisor.finish().succeeded();
@@ -309,7 +310,7 @@ fn a_whole_run_that_was_stopped_goes_on_with_everybody() {
     }
 }
 
-/// Who has lost the lead and stays stopped is of no use to anybody, however patient.
+/// A deposed fusion that stays stopped is killed even without a time-out.
 #[test]
 fn a_deposed_fusion_that_stays_stopped_is_replaced() {
     let words = "--ticks 200000 --timeout forever";
@@ -330,7 +331,7 @@ fn a_deposed_fusion_that_stays_stopped_is_replaced() {
     run.assert_nothing_left();
 }
 
-/// Its supervisor knows nothing of a standby that was started by hand, and must not give up what that one leads.
+/// The supervisor does not know a standby that was started by hand, and must not end a run that this standby leads.
 #[test]
 fn a_run_goes_on_with_a_standby_started_by_hand_and_again_without() {
     let run = Run::new();

@@ -1,4 +1,4 @@
-//! Runs with real processes: the same estimates as in one process, whatever happens to them.
+//! Runs with real processes: the estimates are those of one process, whatever happens to the processes.
 
 mod by_hand;
 mod chaos;
@@ -84,11 +84,11 @@ fn real_time_counts_what_it_did() {
     let report = run.report();
     assert_eq!(report["clock"], "realtime");
     assert_eq!(report["ticks"], 100);
-    // The clock never runs ahead: 100 steps of 10 ms take no less.
+    // The clock never runs ahead: 100 steps of 10 ms take at least 1 s.
     assert!(report["wall_s"].as_f64().unwrap() > 0.99, "{report}");
     let count = |table: &str, key: &str| report[table][key].as_u64().unwrap();
     assert!(count("ranges", "published") > 0 && count("latency_us", "count") > 0, "{report}");
-    // Whatever was late, each tick tells of each robot.
+    // Late or not, each tick counts each robot.
     assert_eq!(count("ranges", "fused") + count("ranges", "missing"), 300, "{report}");
     run.assert_nothing_left();
 }
@@ -111,7 +111,7 @@ fn words(text: &str) -> BTreeSet<&str> {
 }
 
 #[test]
-fn the_report_has_the_keys_that_were_agreed_on() {
+fn the_report_has_the_agreed_keys() {
     for words_of_run in ["--ticks 20", "--ticks 20 --in-process"] {
         let run = Run::new();
         run.lockstep(words_of_run).finish().succeeded();
@@ -154,7 +154,7 @@ fn the_report_has_the_keys_that_were_agreed_on() {
     }
 }
 
-/// Rows of a CSV table below its header, which must be this one.
+/// Rows of a CSV table with this header.
 fn rows(text: &str, header: &str) -> Vec<Vec<f64>> {
     let mut lines = text.lines();
     assert_eq!(lines.next(), Some(header));
@@ -165,7 +165,7 @@ fn rows(text: &str, header: &str) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn the_run_folder_holds_what_was_agreed_on_and_a_recording_that_can_be_tracked() {
+fn the_run_folder_has_the_agreed_files_and_a_recording_that_can_be_tracked() {
     let run = Run::new();
     run.lockstep("--ticks 60 --write-recording").finish().succeeded();
     let listing = |folder: &str| -> BTreeSet<String> {

@@ -1,5 +1,5 @@
-//! Shared memory that somebody removes under a run, as systemd does at a user's last logout: the run goes on from its
-//! checkpoints in fresh shared memory, and what it estimates is the same to the bit.
+//! Shared memory that is removed under a run, as systemd does at a user's last logout: the run goes on from its
+//! checkpoints in new shared memory, and its estimates are the same to the bit.
 
 use std::path::PathBuf;
 
@@ -10,17 +10,17 @@ use crate::support::{Process, Run, digest_in_process, is_alive, signal};
 const WORDS: &str = "--ticks 40000 --timeout forever";
 const ROLES: [&str; 5] = ["sim", "fusion", "robot-0", "robot-1", "robot-2"];
 
-/// What lies in shared memory of the run: its folder, and the segments beside it.
+/// The run's segments in shared memory, without its folder.
 fn files(run: &Run) -> Vec<PathBuf> {
     let prefix = run.shared_memory_prefix();
     let entries = std::fs::read_dir("/dev/shm").unwrap().flatten().map(|entry| entry.path());
     entries.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect()
 }
 
-/// Removes all of it.
+/// Removes all of the run's shared memory.
 fn remove_all(run: &Run) {
     let segments = files(run);
-    // A node may be making a file in it.
+    // A node may just be creating a file in the folder.
     let mut result = Ok(());
     for _ in 0..10 {
         result = std::fs::remove_dir_all(run.shared_folder());
@@ -36,11 +36,11 @@ fn remove_all(run: &Run) {
     }
 }
 
-fn removals_told(supervisor: &Process) -> usize {
+fn removals_reported(supervisor: &Process) -> usize {
     supervisor.stderr().lines().filter(|line| line.contains("was removed from outside")).count()
 }
 
-/// Waits until the nodes have been started once more, in order of [`ROLES`], and have come so much further.
+/// Waits until all nodes have been started this many times, and have done 200 more ticks.
 fn wait_for_next(run: &Run, starts: u64) {
     for role in ROLES {
         run.pid_of(role, starts);
@@ -57,9 +57,9 @@ fn a_run_goes_on_however_often_its_shared_memory_is_removed() {
     for removals in 1..=3 {
         let sim = run.pid_of("sim", removals);
         remove_all(&run);
-        run.wait_until("the removal is told", || removals_told(&supervisor) as u64 == removals);
-        assert!(!is_alive(sim), "another one goes on in its place");
-        // A greater incarnation than before: the count goes on.
+        run.wait_until("the removal is reported", || removals_reported(&supervisor) as u64 == removals);
+        assert!(!is_alive(sim), "a new process has replaced it");
+        // The count of starts goes on, so the incarnation is greater than before.
         run.pid_of("sim", removals + 1);
         run.pid_of("robot-2", removals + 1);
         let done = run.ticks_done();
@@ -77,7 +77,7 @@ fn a_run_goes_on_however_often_its_shared_memory_is_removed() {
 }
 
 #[test]
-fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
+fn the_removal_of_any_part_of_shared_memory_is_noticed_before_it_is_needed() {
     let expected = digest_in_process(WORDS);
     for part in [
         "folder",
@@ -109,9 +109,9 @@ fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
                 std::fs::remove_file(found.unwrap_or_else(|| panic!("{ending} in {segments:?}"))).unwrap();
             }
         }
-        // Whoever comes anew makes its own connections.
+        // A new node makes its own connections.
         if part != ".connection" {
-            run.wait_until(&format!("the removal of {part} is told"), || removals_told(&supervisor) == 1);
+            run.wait_until(&format!("the removal of {part} is reported"), || removals_reported(&supervisor) == 1);
             wait_for_next(&run, 2);
         }
         signal(run.pid_of("fusion", if part == ".connection" { 1 } else { 2 }), Signal::KILL);
@@ -147,7 +147,7 @@ fn nodes_without_a_supervisor_end_with_the_cause_and_resume_goes_on() {
     let run = Run::new();
     let sim = run.command(&format!("sim --clock lockstep {WORDS}"));
     let fusion = run.node("fusion");
-    // Before the standby, which would lead if nobody did.
+    // It is started before the standby, which would lead otherwise.
     run.pid_of("fusion", 1);
     let nodes = ["fusion --standby", "robot --id 0", "robot --id 1", "robot --id 2"].map(|words| run.node(words));
     run.wait_for_ticks(200);
@@ -169,7 +169,7 @@ fn without_its_checkpoints_the_run_ends_with_the_cause() {
     let run = Run::new();
     let supervisor = run.lockstep("--ticks 100000000 --timeout forever");
     run.wait_for_ticks(200);
-    // Stopped, so that it makes no checkpoint anew.
+    // It is stopped, so that it writes no new checkpoint.
     signal(run.pid_of("fusion", 1), Signal::STOP);
     for file in ["out/sim.checkpoint", "out/fusion.checkpoint"] {
         std::fs::remove_file(run.path(file)).unwrap();

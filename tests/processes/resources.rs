@@ -1,4 +1,4 @@
-//! What the system has too little of: one clear line, nothing left behind, and the tracking goes on where it can.
+//! Missing resources of the system: one clear line, nothing left behind, and the tracking goes on if possible.
 
 use std::ffi::OsStr;
 use std::io::Write;
@@ -15,7 +15,7 @@ use crate::support::{Outcome, Run, signal, skipped};
 
 const ENDLESS: &str = "run --clock lockstep --ticks 100000000 --timeout forever";
 
-/// Exit code and one complaint that names all of this.
+/// Refused with this exit code, and one complaint with all of these names.
 #[track_caller]
 fn assert_refused(outcome: &Outcome, code: i32, names: &[&str]) {
     assert_eq!(outcome.code, Some(code), "{outcome:#?}");
@@ -29,7 +29,7 @@ fn assert_nothing_made(run: &Run) {
     assert!(!run.path("out").exists() && !run.shared_folder().exists());
 }
 
-/// True if this user may have mounts of his own; else says that a test is not run.
+/// True if this user may mount; otherwise reports that the test is skipped.
 fn may_mount() -> bool {
     let probe = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "none", "/mnt"]).output();
     let may = probe.is_ok_and(|output| output.status.success());
@@ -39,12 +39,12 @@ fn may_mount() -> bool {
     may
 }
 
-/// A script that has mounts of its own.
+/// A script with these mounts in its own mount namespace.
 fn mounted(mounts: &str) -> String {
     format!("exec unshare -m sh -c '{mounts} && exec \"$@\"' sh \"$@\"")
 }
 
-/// The same, with the lines that a command says after it on standard error, each behind a word.
+/// The same; afterwards the output of `list` goes to standard error, each line after `listed: `.
 fn mounted_and_listed(mounts: &str, list: &str) -> String {
     let listed = format!("code=$?; ({list}) 2>&1 | sed \"s/^/listed: /\" >&2; exit $code");
     format!("exec unshare -m sh -c '{mounts} && \"$@\"; {listed}' sh \"$@\"")
@@ -106,14 +106,14 @@ fn with_a_full_disk_the_tracking_goes_on_and_the_user_is_warned() {
     let words = "run --clock lockstep --ticks 300000 --timeout forever";
     let outcome = run.command_by(&script, words).finish();
     assert_refused(&outcome, 1, &["out", "No space left on device"]);
-    // What there was no room for is not there, rather than empty.
+    // A file without space is not created, instead of left empty.
     assert!(!outcome.stderr.contains("listed: "), "{outcome:#?}");
     for file in ["estimate.ticks", "world.ticks"] {
-        let told =
+        let is_reported =
             outcome.stderr.lines().any(|line| line.contains(file) && line.contains("the run goes on without it"));
-        assert!(told, "{file}: {outcome:#?}");
+        assert!(is_reported, "{file}: {outcome:#?}");
     }
-    // It reported what it had, and nobody was started again: the nodes went on to the end.
+    // It wrote the report of the ticks it had, and no node was started again: all went on to the end.
     assert!(outcome.stdout.contains("digest") && !outcome.stdout.contains("starts,"), "{outcome:#?}");
     run.assert_nothing_left();
 }
@@ -125,11 +125,11 @@ fn a_repair_without_disk_space_keeps_the_damaged_file() {
     }
     let run = Run::new();
     run.lockstep("--record --in-process --ticks 2000").finish().succeeded();
-    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
-    run.write("cut", &whole[..whole.len() * 3 / 4]);
+    let complete = std::fs::read(run.path("out/run.mcap")).unwrap();
+    run.write("cut", &complete[..complete.len() * 3 / 4]);
     std::fs::create_dir(run.path("full")).unwrap();
-    let kb = whole.len() / 1_024;
-    // Room for the file that was cut, and for a bit of what it would become; then for nothing.
+    let kb = complete.len() / 1_024;
+    // Room for the cut file and a part of the repaired one; then no room.
     for (room, code) in [(kb, 1), (kb * 3 / 4 + 8, 2)] {
         let mount = format!("mount -t tmpfs -o size={room}k none full && cp cut full/run.mcap.partial");
         let fill = if code == 2 { " && cat /dev/zero > full/filler 2>/dev/null; true" } else { "" };
@@ -160,13 +160,13 @@ fn without_its_folder_a_run_goes_on_until_it_would_need_it() {
     run.wait_for_ticks(100);
     std::fs::remove_dir_all(run.path("out")).unwrap();
     for file in ["estimate.ticks", "world.ticks", "sim.checkpoint", "fusion.checkpoint"] {
-        run.wait_until(&format!("the loss of {file} is told"), || {
+        run.wait_until(&format!("the loss of {file} is reported"), || {
             supervisor.stderr().lines().any(|line| line.contains(file) && line.contains("the run goes on without it"))
         });
     }
     signal(run.pid_of("robot-1", 1), Signal::KILL);
     run.pid_of("robot-1", 2);
-    // A new fusion would know nothing of the ticks so far: it must not start anew.
+    // A new fusion would not know the ticks so far: it must not start from the prior.
     signal(run.pid_of("fusion", 1), Signal::KILL);
     let outcome = supervisor.finish();
     assert_eq!(outcome.code, Some(1), "{outcome:#?}");
@@ -197,12 +197,12 @@ fn shared_memory_that_is_too_small_or_missing_is_reported() {
 }
 
 #[test]
-fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_and_says_why() {
+fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_with_the_cause() {
     if !may_mount() {
         return;
     }
     let run = Run::new();
-    // Files are seen from outside the namespace through /proc.
+    // Files of the namespace are visible from outside through /proc.
     let supervisor = run.command_by(&mounted("mount -t tmpfs -o size=2m none /dev/shm"), ENDLESS);
     run.wait_for_ticks(100);
     let shared_memory = format!("/proc/{}/root/dev/shm", supervisor.pid().as_raw_pid());
@@ -212,11 +212,11 @@ fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_and_says_why() 
     let text = std::fs::read_to_string(role).unwrap();
     let pid = text.trim().split_once(' ').unwrap().1.parse().unwrap();
     signal(rustix::process::Pid::from_raw(pid).unwrap(), Signal::KILL);
-    // What is cleaned up of the dead would make room.
+    // Cleanup after the dead node would free memory, so another thread keeps filling it.
     let is_over = AtomicBool::new(false);
     let outcome = std::thread::scope(|scope| {
         scope.spawn(|| {
-            // Not without end, if the other thread fails.
+            // With a limit, in case the other thread fails.
             let began = Instant::now();
             while !is_over.load(Ordering::Relaxed) && began.elapsed() < Duration::from_secs(150) {
                 while fill.write(&[1; 1 << 12]).is_ok_and(|written| written > 0) {}
@@ -230,10 +230,10 @@ fn shared_memory_that_fills_up_ends_a_run_that_must_start_a_node_and_says_why() 
     assert_refused(&outcome, 1, &["/dev/shm"]);
 }
 
-/// A user that no other process is of.
+/// A user without other processes.
 const NOBODY: u32 = 61_234;
 
-/// A run whose folder is that user's, if this one may become him.
+/// A run whose folder belongs to [`NOBODY`]; `None` if this process may not change its user.
 fn run_of_nobody() -> Option<Run> {
     if !rustix::process::getuid().is_root() {
         println!("skipped: only root may become another user");
@@ -281,13 +281,13 @@ fn a_path_that_is_not_utf_8_is_refused_by_name_before_anything_is_made() {
     ] {
         let args: Vec<&str> = words.split(' ').collect();
         let outcome = run.start_by(&format!("{here}{} {script}", run.name), &args).finish();
-        // A folder that holds no run is refused for that.
+        // A folder without a run is refused for that reason.
         let names: &[&str] = if words == "resume" { &["a"] } else { &["UTF-8", "a\\xFF"] };
         assert_refused(&outcome, 2, names);
         assert_nothing_made(&run);
         assert_eq!(std::fs::read_dir(&strange).unwrap().count(), 2, "{words}");
     }
-    // Where one is.
+    // The working folder.
     let in_it = format!("cd \"$(printf 'a\\377')\" && exec \"$@\" --name {}", run.name);
     for words in ["run", "sim", "track r.csv"] {
         let args: Vec<&str> = words.split(' ').collect();
@@ -297,7 +297,7 @@ fn a_path_that_is_not_utf_8_is_refused_by_name_before_anything_is_made() {
 }
 
 #[test]
-fn what_lies_where_the_run_would_meet_is_told_or_mended() {
+fn files_in_place_of_the_shared_folder_are_reported_or_repaired() {
     let run = Run::new();
     let shared = run.shared_folder();
     std::fs::write(&shared, "mine").unwrap();
@@ -306,7 +306,7 @@ fn what_lies_where_the_run_would_meet_is_told_or_mended() {
     assert_eq!(std::fs::read(&shared).unwrap(), b"mine");
     std::fs::remove_file(&shared).unwrap();
 
-    // A link to a folder of the user's, whose files are not leftovers of a run.
+    // A link to a folder of the user; its files are not leftovers of a run.
     std::fs::create_dir(run.path("mine")).unwrap();
     run.write("mine/thesis.txt", "mine");
     std::os::unix::fs::symlink(run.path("mine"), &shared).unwrap();
@@ -315,7 +315,7 @@ fn what_lies_where_the_run_would_meet_is_told_or_mended() {
     assert_eq!(std::fs::read(run.path("mine/thesis.txt")).unwrap(), b"mine");
     std::fs::remove_file(&shared).unwrap();
 
-    // One that nobody may enter, or everybody may write to.
+    // A folder without permissions, or with too many.
     for mode in [0o000, 0o777] {
         std::fs::create_dir(&shared).unwrap();
         std::fs::set_permissions(&shared, std::fs::Permissions::from_mode(mode)).unwrap();

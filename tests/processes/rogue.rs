@@ -1,4 +1,4 @@
-//! A process of the same user that joins a run and says what it likes, as fast as it can.
+//! A process of the same user that joins a run and sends invalid messages as fast as it can.
 
 use std::fs::File;
 use std::path::Path;
@@ -14,10 +14,10 @@ use rustix::process::Signal;
 
 use crate::support::{Run, digest_in_process, signal};
 
-/// Tells the rogue its run.
+/// Environment variable with the run of the rogue.
 const RUN: &str = "RANGEHOUND_TEST_ROGUE";
 
-/// How long the rogue goes on at most, should nobody end it.
+/// Longest time for which the rogue runs if it is not killed.
 const LIMIT: Duration = Duration::from_secs(100);
 
 /// Not a test: the rogue's process, started by the tests below.
@@ -34,7 +34,7 @@ fn rogue() {
     let drives = bus.publisher::<Drive>(1).unwrap();
     let worlds = bus.publisher::<WorldEntry>(robots).unwrap();
     let notifiers = [WaitGroup::Sim, WaitGroup::Fusion, WaitGroup::Robots].map(|group| bus.notifier_of(group));
-    // A successor of whoever is there, as far as words go.
+    // It claims a greater incarnation than any node has.
     bus.speak_as(1_000);
     println!("joined");
     let began = Instant::now();
@@ -80,15 +80,15 @@ fn a_rogue_at_full_speed_changes_nothing() {
     let words = "--ticks 20000 --timeout forever";
     let run = Run::new();
     let supervisor = run.lockstep(words);
-    // Before that a topic may be half made, and would stay so.
+    // Before that, a topic may be half created, and would stay so.
     run.wait_for_ticks(5);
     let robot = run.pid_of("robot-0", 1);
     signal(robot, Signal::STOP);
     let output = run.path("rogue.out");
     let mut rogue = start_rogue(&run, &output);
-    // The run goes on only under its fire.
+    // The run goes on only while the rogue sends.
     run.wait_until("the rogue has joined", || {
-        std::fs::read_to_string(&output).is_ok_and(|said| said.contains("joined"))
+        std::fs::read_to_string(&output).is_ok_and(|output| output.contains("joined"))
     });
     signal(robot, Signal::CONT);
     let outcome = supervisor.finish();

@@ -98,7 +98,7 @@ fn a_fusion_killed_after_the_last_tick_is_replaced_and_estimates_it() {
 }
 
 #[test]
-fn a_standby_started_by_hand_leads_if_nobody_does() {
+fn a_standby_started_by_hand_leads_if_there_is_no_leader() {
     let run = Run::new();
     let sim = run.command("sim --clock lockstep --ticks 30000 --timeout forever");
     let mut nodes: Vec<_> = (0..3).map(|id| run.node(&format!("robot --id {id}"))).collect();

@@ -29,7 +29,7 @@ fn as_nobody(program: &Path, args: &[&str]) -> Output {
 }
 
 /// The output of a shell script that runs as nobody, given these arguments.
-fn told_by_nobody(script: &str, args: &[String]) -> String {
+fn output_as_nobody(script: &str, args: &[String]) -> String {
     let mut all = vec!["-c", script, "sh"];
     all.extend(args.iter().map(String::as_str));
     String::from_utf8(as_nobody(Path::new("/bin/sh"), &all).stdout).unwrap()
@@ -70,14 +70,14 @@ fn another_user_can_neither_look_nor_touch_nor_signal() {
     let files: Vec<String> = files.into_iter().map(|path| path.display().to_string()).collect();
     let openable = "for file; do if [ -r \"$file\" ] || [ -w \"$file\" ] || [ -x \"$file\" ] || (: < \"$file\") 2> /dev/null; \
                     then echo \"$file\"; fi; done";
-    assert_eq!(told_by_nobody(openable, &files), "");
+    assert_eq!(output_as_nobody(openable, &files), "");
     // The probe itself works.
-    assert_eq!(told_by_nobody(openable, &["/".to_owned()]), "/\n");
+    assert_eq!(output_as_nobody(openable, &["/".to_owned()]), "/\n");
 
     let roles = ["run", "sim", "fusion", "robot-0", "robot-1", "robot-2"];
     let pids: Vec<String> = roles[1..].iter().map(|role| run.pid_of(role, 1).as_raw_pid().to_string()).collect();
     let signalled = "for pid; do kill -0 $pid 2> /dev/null && echo $pid; kill -9 $pid 2> /dev/null && echo $pid; done";
-    assert_eq!(told_by_nobody(signalled, &pids), "");
+    assert_eq!(output_as_nobody(signalled, &pids), "");
 
     // The tool too, started in a folder that nobody can reach.
     let folder = tempfile::tempdir().unwrap();
@@ -89,9 +89,9 @@ fn another_user_can_neither_look_nor_touch_nor_signal() {
         let mut args: Vec<&str> = words.split(' ').collect();
         args.extend(["--name", &run.name]);
         let output = as_nobody(&program, &args);
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!((output.status.code(), said.lines().count()), (Some(2), 1), "{words}: {said}");
-        assert!(said.contains(&run.name), "{words}: {said}");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), stderr.lines().count()), (Some(2), 1), "{words}: {stderr}");
+        assert!(stderr.contains(&run.name), "{words}: {stderr}");
     }
 
     let before = run.ticks_done();
@@ -109,7 +109,7 @@ fn a_place_that_another_user_holds_is_not_used() {
     }
     let run = Run::new();
     let place = run.shared_folder();
-    told_by_nobody("mkdir -m 777 \"$1\"", &[place.display().to_string()]);
+    output_as_nobody("mkdir -m 777 \"$1\"", &[place.display().to_string()]);
     for words in ["run", "sim", "status", "fusion"] {
         let outcome = if ["run", "sim"].contains(&words) {
             run.command(words)
@@ -241,7 +241,7 @@ fn look_for_namespaces() {
 }
 
 #[test]
-fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
+fn a_node_of_another_pid_namespace_is_reported_and_no_other_process_is_signalled() {
     look_for_namespaces();
     let run = Run::new();
     let in_container = format!("{NAMESPACE} --mount-proc sh -c '\"$@\" & wait' sh \"$@\"");
@@ -284,7 +284,7 @@ fn a_node_of_another_pid_namespace_is_told_and_no_stranger_is_touched() {
 
 /// Its own process id differs from the one in `/proc`.
 #[test]
-fn a_run_without_a_proc_of_its_own_gets_to_its_end() {
+fn a_run_without_its_own_proc_finishes() {
     look_for_namespaces();
     let run = Run::new();
     run.command_by(&format!("{NAMESPACE} \"$@\""), "run --clock lockstep --ticks 40").finish().succeeded();

@@ -70,7 +70,7 @@ fn a_good_track_is_sound_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is
     let verdict = &report(&unsound)["verdict"];
     assert!(unsound.status.code() == Some(1) && verdict["sound"] == false, "{unsound:?}");
     assert!(verdict["reasons"][0].as_str().unwrap().contains("range=range_m:mm"), "{verdict}");
-    // As it says.
+    // With the columns that the reason suggests.
     let columns = format!("track mm.csv --columns range=range_m:mm --strict --out again {TRACK}");
     assert!(program(&run, &columns).status.success());
 
@@ -110,5 +110,5 @@ fn a_target_that_stands_still_calibrates_nothing() {
     run.write("r.csv", recording(0.0, [0.3; 4]).0);
     let found = program(&run, "calibrate r.csv --out cal");
     assert_eq!(found.status.code(), Some(1), "{found:?}");
-    assert!(String::from_utf8_lossy(&found.stderr).contains("cannot tell"), "{found:?}");
+    assert!(String::from_utf8_lossy(&found.stderr).contains("cannot determine"), "{found:?}");
 }

@@ -115,14 +115,14 @@ fn a_run_that_is_resumed_plays_its_own_copy_whatever_has_become_of_the_original(
 
 /// No process writes to the pipe: the wait is reported, and can be ended.
 #[test]
-fn a_wait_for_a_pipes_writer_is_told_and_ends_when_asked() {
+fn a_wait_for_a_pipes_writer_is_reported_and_ends_when_asked() {
     for words in ["track fifo --range-std 0.1", "run waits.toml", "sim waits.toml"] {
         for asked in [Signal::INT, Signal::TERM] {
             let run = Run::new();
             assert!(std::process::Command::new("mkfifo").arg(run.path("fifo")).status().unwrap().success());
             run.write("waits.toml", "[recording]\nranges = \"fifo\"\n");
             let waits = run.command(words);
-            run.wait_until("it is told", || waits.stderr().contains("waiting for the writer of"));
+            run.wait_until("it is reported", || waits.stderr().contains("waiting for the writer of"));
             waits.signal(asked);
             let ended = waits.finish();
             assert!(ended.code != Some(0) && ended.stderr.contains("fifo"), "{ended:#?}");
@@ -187,7 +187,7 @@ fn one_sensor_and_a_known_start_are_a_recording() {
 }
 
 #[test]
-fn what_is_no_recording_is_refused_in_one_line() {
+fn files_that_are_no_recordings_are_refused_in_one_line() {
     for input in ["/dev/zero", ".", "empty", "r.csv --target-height 1", "r.csv --start-std 1"] {
         let run = Run::new();
         run.write("r.csv", recording(5, usize::MAX));

@@ -23,7 +23,7 @@ fn headings(page: &str) -> Vec<&str> {
 }
 
 #[test]
-fn a_run_with_a_killed_node_has_all_pictures_and_tells_of_the_fault() {
+fn a_run_with_a_killed_node_has_all_pictures_and_shows_the_fault() {
     let run = Run::new();
     let supervisor = run.lockstep("--ticks 5000 --timeout forever");
     run.wait_for_ticks(300);
@@ -34,14 +34,14 @@ fn a_run_with_a_killed_node_has_all_pictures_and_tells_of_the_fault() {
     let expected = ["Paths", "Position error", "Trace", "NIS", "Latency", "Hops", "Faults"];
     assert_eq!(headings(&page), expected);
     assert_eq!(page.matches("<svg").count(), expected.len());
-    for told in [
+    for expected in [
         "<td>robot-1 killed</td>",
         "<td>robot-1 started</td>",
         "range to heading, p99",
         "<dt>ranges</dt>",
         &run.digest(),
     ] {
-        assert!(page.contains(told), "{told}\n{page}");
+        assert!(page.contains(expected), "{expected}\n{page}");
     }
     assert!(page.find("robot-1 killed") < page.find("robot-1 started"));
     assert!(!page.contains("<td>robot-0"), "{page}");
@@ -53,7 +53,7 @@ fn a_run_with_a_killed_node_has_all_pictures_and_tells_of_the_fault() {
 }
 
 #[test]
-fn what_is_not_known_has_no_section() {
+fn unknown_facts_have_no_section() {
     let run = Run::new();
     run.lockstep("--in-process --ticks 3000 --robots 100 --write-recording").finish().succeeded();
     let page = run.read("report.html");

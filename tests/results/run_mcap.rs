@@ -53,9 +53,9 @@ fn replay(run: &Run, words: &str) -> Outcome {
 fn replayed(run: &Run, file: &str) -> Value {
     let outcome = replay(run, &format!("{file} --json"));
     assert_eq!(outcome.code, Some(0), "{outcome:#?}");
-    let told: Value = serde_json::from_str(&outcome.stdout).unwrap();
-    assert_eq!(told["verdict"], "bit-identical", "{told}");
-    told
+    let json: Value = serde_json::from_str(&outcome.stdout).unwrap();
+    assert_eq!(json["verdict"], "bit-identical", "{json}");
+    json
 }
 
 /// The present recorder of a run, not the one with this pid.
@@ -74,7 +74,7 @@ pub(crate) fn recorder(run: &Run, before: Option<Pid>) -> Pid {
 }
 
 #[test]
-fn others_read_what_a_run_with_kills_was_and_it_replays_to_the_bit() {
+fn other_programs_read_a_run_with_kills_and_it_replays_to_the_bit() {
     let run = Run::new();
     let supervisor = run.lockstep("--record --ticks 8000 --timeout forever");
     for (start, role) in [(1, "fusion"), (2, "fusion"), (1, "sim"), (1, "robot-1"), (3, "fusion")] {
@@ -83,9 +83,9 @@ fn others_read_what_a_run_with_kills_was_and_it_replays_to_the_bit() {
         signal(run.pid_of(role, start), Signal::KILL);
     }
     supervisor.finish().succeeded();
-    let told = replayed(&run, "out/run.mcap");
-    assert_eq!(told["digest"].as_str().unwrap(), run.digest());
-    assert_eq!((&told["ticks"], &told["ranges_in_time"]), (&8_000.into(), &24_000.into()), "{told}");
+    let json = replayed(&run, "out/run.mcap");
+    assert_eq!(json["digest"].as_str().unwrap(), run.digest());
+    assert_eq!((&json["ticks"], &json["ranges_in_time"]), (&8_000.into(), &24_000.into()), "{json}");
 
     let expected: BTreeMap<&str, (&str, u64)> = BTreeMap::from([
         ("/world", ("world.World", 8_001)),
@@ -152,11 +152,11 @@ fn a_real_time_run_with_late_and_lost_ranges_and_a_killed_fusion_replays_to_the_
         }
     }
     supervisor.finish().succeeded();
-    let told = replayed(&run, "out/run.mcap");
+    let json = replayed(&run, "out/run.mcap");
     let ranges = &run.report()["ranges"];
     assert!(ranges["late"].as_u64().unwrap() > 0 && ranges["missing"].as_u64().unwrap() > 0, "{ranges}");
-    assert!(told["ranges_late"].as_u64().unwrap() >= ranges["fused_late"].as_u64().unwrap(), "{told} {ranges}");
-    assert_eq!(told["digest"].as_str().unwrap(), run.digest());
+    assert!(json["ranges_late"].as_u64().unwrap() >= ranges["fused_late"].as_u64().unwrap(), "{json} {ranges}");
+    assert_eq!(json["digest"].as_str().unwrap(), run.digest());
     run.assert_nothing_left();
 }
 
@@ -168,14 +168,14 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
     run.command(&words).finish().succeeded();
     replayed(&run, "out/run.mcap");
     let changed = replay(&run, "out/run.mcap --gate 2 --accel-psd 0.5 --json");
-    let told: Value = serde_json::from_str(&changed.stdout).unwrap();
-    assert_eq!((changed.code, told["verdict"].as_str()), (Some(0), Some("changed")));
-    let rejected = |side: &str| told["comparison"][side]["rejected"].as_u64().unwrap();
-    assert!(rejected("replayed") > rejected("recorded"), "{told}");
-    let psds = ["recorded", "replayed"].map(|side| told["comparison"][side]["noise_psd"].as_f64());
+    let json: Value = serde_json::from_str(&changed.stdout).unwrap();
+    assert_eq!((changed.code, json["verdict"].as_str()), (Some(0), Some("changed")));
+    let rejected = |side: &str| json["comparison"][side]["rejected"].as_u64().unwrap();
+    assert!(rejected("replayed") > rejected("recorded"), "{json}");
+    let psds = ["recorded", "replayed"].map(|side| json["comparison"][side]["noise_psd"].as_f64());
     assert_eq!(psds, [Some(0.05), Some(0.5)]);
     // Sensors of a recording have no planner.
-    assert_eq!(told["comparison"]["replayed"]["lower_bound_mean"], Value::Null);
+    assert_eq!(json["comparison"]["replayed"]["lower_bound_mean"], Value::Null);
     let refused = replay(&run, "out/run.mcap --planner greedy");
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
 
@@ -183,7 +183,7 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
     run.lockstep("--record --in-process --ticks 300").finish().succeeded();
     replayed(&run, "out/run.mcap");
     // Of these planners only the certified one proves a bound.
-    for (words, bound_is_told, psd) in
+    for (words, has_bound, psd) in
         [("--planner greedy", false, "10"), ("--planner certified --accel-psd 0.125", true, "0.125")]
     {
         let changed = replay(&run, &format!("out/run.mcap {words}"));
@@ -194,19 +194,19 @@ fn tracked_recordings_replay_to_the_bit_and_other_flags_show_what_they_change() 
             row.split_whitespace().rev().take(2).collect()
         };
         let [replayed, recorded] = row("its bound")[..] else { panic!("{changed:#?}") };
-        assert_eq!((recorded, replayed != "-"), ("-", bound_is_told), "{changed:#?}");
+        assert_eq!((recorded, replayed != "-"), ("-", has_bound), "{changed:#?}");
         assert_eq!(row("noise psd, m^2/s^3"), [psd, "10"], "{changed:#?}");
     }
     // A recording made from the logs after the run is equal.
     let first = std::fs::read(run.path("out/run.mcap")).unwrap();
-    let told = run.start(&["record", "out", "--out", "again.mcap", "--json"]).finish().succeeded().stdout;
-    let told: Value = serde_json::from_str(&told).unwrap();
-    assert_eq!((&told["file"], &told["ticks"]), (&"again.mcap".into(), &300.into()), "{told}");
+    let json = run.start(&["record", "out", "--out", "again.mcap", "--json"]).finish().succeeded().stdout;
+    let json: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!((&json["file"], &json["ticks"]), (&"again.mcap".into(), &300.into()), "{json}");
     assert!(first == std::fs::read(run.path("again.mcap")).unwrap());
 }
 
 #[test]
-fn a_recorder_that_is_killed_begins_anew_and_one_that_is_asked_to_ends_its_file() {
+fn a_killed_recorder_starts_anew_and_a_terminated_one_completes_its_file() {
     let run = Run::new();
     let supervisor = run.command("run --record --clock realtime --ticks 45");
     let first = recorder(&run, None);
@@ -216,15 +216,15 @@ fn a_recorder_that_is_killed_begins_anew_and_one_that_is_asked_to_ends_its_file(
     run.wait_for_ticks(25);
     signal(second, Signal::TERM);
     supervisor.finish().succeeded();
-    let told = replayed(&run, "out/run.mcap");
-    let ticks = told["ticks"].as_u64().unwrap();
-    assert!((10..45).contains(&ticks), "{told}");
+    let json = replayed(&run, "out/run.mcap");
+    let ticks = json["ticks"].as_u64().unwrap();
+    assert!((10..45).contains(&ticks), "{json}");
     assert!(!run.path("out/run.mcap.partial").exists());
     run.assert_nothing_left();
 }
 
 #[test]
-fn of_a_run_of_which_all_are_killed_there_is_a_recording_up_to_there_and_of_the_resumed_one_all() {
+fn a_run_whose_processes_are_all_killed_has_a_recording_so_far_and_all_of_it_once_resumed() {
     let run = Run::new();
     let supervisor = run.command("run --record --clock realtime --ticks 60");
     let mut all = vec![recorder(&run, None)];
@@ -241,8 +241,8 @@ fn of_a_run_of_which_all_are_killed_there_is_a_recording_up_to_there_and_of_the_
     assert!(cut.stderr.contains("--repair"), "{cut:#?}");
     let repaired = replay(&run, "out/run.mcap.partial --repair --out part.mcap");
     assert_eq!(repaired.code, Some(0), "{repaired:#?}");
-    let told = replayed(&run, "part.mcap");
-    assert!((1..30).contains(&told["ticks"].as_u64().unwrap()), "{told}");
+    let json = replayed(&run, "part.mcap");
+    assert!((1..30).contains(&json["ticks"].as_u64().unwrap()), "{json}");
 
     run.start(&["resume", "out", "--name", &run.name]).finish().succeeded();
     assert_eq!(replayed(&run, "out/run.mcap")["ticks"], 60);
@@ -250,14 +250,14 @@ fn of_a_run_of_which_all_are_killed_there_is_a_recording_up_to_there_and_of_the_
 }
 
 #[test]
-fn a_recording_ends_at_its_limit_and_says_so_and_the_run_goes_on() {
+fn a_recording_ends_at_its_limit_with_a_warning_and_the_run_goes_on() {
     let run = Run::new();
     let outcome = run.lockstep("--record --record-limit 1 --ticks 3000").finish();
     assert_eq!(outcome.code, Some(0), "{outcome:#?}");
-    let told = replayed(&run, "out/run.mcap");
-    let ticks = told["ticks"].as_u64().unwrap();
-    let said = format!("--record-limit): from tick {} on nothing is recorded", ticks + 1);
-    assert!(outcome.stderr.contains(&said), "{said}: {outcome:#?}");
+    let json = replayed(&run, "out/run.mcap");
+    let ticks = json["ticks"].as_u64().unwrap();
+    let warning = format!("--record-limit): from tick {} on nothing is recorded", ticks + 1);
+    assert!(outcome.stderr.contains(&warning), "{warning}: {outcome:#?}");
     assert!(std::fs::metadata(run.path("out/run.mcap")).unwrap().len() < 2_000_000);
     assert_eq!(run.report()["ticks"], 3_000);
     run.assert_nothing_left();
@@ -265,15 +265,15 @@ fn a_recording_ends_at_its_limit_and_says_so_and_the_run_goes_on() {
 
 /// Files that are damaged or that are not recordings.
 #[test]
-fn what_is_no_recording_is_refused_in_one_line() {
+fn files_that_are_no_recordings_are_refused_in_one_line() {
     let run = Run::new();
     run.lockstep("--record --in-process --ticks 500").finish().succeeded();
-    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
-    let mut damaged = whole.clone();
-    damaged[whole.len() / 2] ^= 0x55;
+    let intact = std::fs::read(run.path("out/run.mcap")).unwrap();
+    let mut damaged = intact.clone();
+    damaged[intact.len() / 2] ^= 0x55;
     run.write("damaged.mcap", &damaged);
-    run.write("cut.mcap", &whole[..whole.len() / 2]);
-    run.write("short.mcap", &whole[..300]);
+    run.write("cut.mcap", &intact[..intact.len() / 2]);
+    run.write("short.mcap", &intact[..300]);
     run.write("empty.mcap", b"");
     for file in ["damaged.mcap", "cut.mcap", "short.mcap", "empty.mcap", "nothing.mcap", "out", "out/report.json"] {
         let refused = replay(&run, file);
@@ -282,12 +282,12 @@ fn what_is_no_recording_is_refused_in_one_line() {
         let can_be_repaired = ["damaged.mcap", "cut.mcap"].contains(&file);
         assert_eq!(refused.stderr.contains("--repair"), can_be_repaired, "{refused:#?}");
     }
-    for (file, whole) in [("damaged.mcap", "damaged.repaired.mcap"), ("cut.mcap", "cut.repaired.mcap")] {
+    for (file, intact) in [("damaged.mcap", "damaged.repaired.mcap"), ("cut.mcap", "cut.repaired.mcap")] {
         let repaired = replay(&run, &format!("{file} --repair --json"));
         assert_eq!(repaired.code, Some(0), "{repaired:#?}");
-        let told: Value = serde_json::from_str(&repaired.stdout).unwrap();
-        assert_eq!((&told["whole"], &told["first_tick"]), (&whole.into(), &0.into()), "{told}");
-        assert_eq!(replayed(&run, whole)["ticks"], told["ticks"]);
+        let json: Value = serde_json::from_str(&repaired.stdout).unwrap();
+        assert_eq!((&json["whole"], &json["first_tick"]), (&intact.into(), &0.into()), "{json}");
+        assert_eq!(replayed(&run, intact)["ticks"], json["ticks"]);
     }
     let refused = replay(&run, "short.mcap --repair");
     assert_eq!((refused.code, refused.complaints().len()), (Some(2), 1), "{refused:#?}");
@@ -307,37 +307,37 @@ fn chunks(bytes: &[u8]) -> Vec<usize> {
 
 /// A record of unknown type is skipped, and so are the ticks of a chunk with a damaged type.
 #[test]
-fn ticks_of_a_chunk_that_is_none_any_more_are_missed() {
+fn ticks_of_a_damaged_chunk_are_reported_missing() {
     let run = Run::new();
     run.lockstep("--record --in-process --ticks 3000").finish().succeeded();
-    let whole = std::fs::read(run.path("out/run.mcap")).unwrap();
-    let chunks = chunks(&whole);
+    let intact = std::fs::read(run.path("out/run.mcap")).unwrap();
+    let chunks = chunks(&intact);
     assert!(chunks.len() >= 3, "{chunks:?}");
     for (at, is_last) in [(chunks[0], false), (chunks[1], false), (*chunks.last().unwrap(), true)] {
         for kind in [0x46, mcap::records::op::MESSAGE, mcap::records::op::MESSAGE_INDEX, mcap::records::op::DATA_END] {
-            let mut damaged = whole.clone();
+            let mut damaged = intact.clone();
             damaged[at] = kind;
             run.write("damaged.mcap", &damaged);
-            let told = replay(&run, "damaged.mcap");
-            let case = format!("{at} {kind:#x}: {told:#?}");
+            let json = replay(&run, "damaged.mcap");
+            let case = format!("{at} {kind:#x}: {json:#?}");
             if kind == mcap::records::op::DATA_END && !is_last {
-                assert_eq!((told.code, told.complaints().len()), (Some(2), 1), "{case}");
-                assert!(told.stderr.contains("after the end of the data"), "{case}");
+                assert_eq!((json.code, json.complaints().len()), (Some(2), 1), "{case}");
+                assert!(json.stderr.contains("after the end of the data"), "{case}");
                 continue;
             }
-            assert_eq!((told.code, told.complaints().len()), (Some(1), 1), "{case}");
-            let words: Vec<&str> = told.complaints()[0].split(' ').collect();
+            assert_eq!((json.code, json.complaints().len()), (Some(1), 1), "{case}");
+            let words: Vec<&str> = json.complaints()[0].split(' ').collect();
             let number = words.iter().position(|word| *word == "ticks,").unwrap() - 1;
             let numbers = [words[number], words[number + 2], words[number + 4].trim_end_matches(',')];
             let [count, first, last] = numbers.map(|word| word.parse::<u64>().unwrap());
             assert_eq!(count, last - first + 1, "{case}");
             // The first chunk defines the channels.
             assert_eq!((first == 0, last == 3000), (at == chunks[0], is_last || at == chunks[0]), "{case}");
-            assert!(told.stderr.contains("are missing"), "{case}");
+            assert!(json.stderr.contains("are missing"), "{case}");
         }
     }
     // Only readable ticks of the existing file count: the logs hold more, so they are recorded.
-    let mut damaged = whole.clone();
+    let mut damaged = intact.clone();
     damaged[chunks[1]] = 0x46;
     run.write("out/run.mcap", &damaged);
     let recorded = run.start(&["record", "out"]).finish().succeeded();

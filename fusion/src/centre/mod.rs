@@ -24,7 +24,7 @@ const SILENCE_TICKS_MAX: u64 = 5;
 /// Largest magnitude of a valid estimate, m or m^2: far beyond any real target.
 const BOUND: f64 = 1e18;
 
-/// What became of a report that came after its tick.
+/// Outcome of a report that arrived after its tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Late {
     /// Its range was fused at its own time.
@@ -57,7 +57,7 @@ pub struct Centre {
     time_s: f64,
     digest: Digest,
     fit: Fit,
-    /// What became of each robot's range at the last tick.
+    /// How each robot's range was used at the last tick.
     judged: Vec<Option<Judged>>,
     missing: u64,
     bodies: Vec<Option<Body>>,
@@ -215,8 +215,8 @@ impl Centre {
     /// Fuses one tick: predicts from the tick before, updates with the ranges (k|k), extends the
     /// digest. Tick 0 has no range: its estimate is the prior.
     ///
-    /// `reports` has an entry for each robot, `None` if it has not reported. `time_s` matters for
-    /// recordings, whose steps are as long as their stamps say.
+    /// `reports` has an entry for each robot, `None` if it has not reported. `time_s` matters for recordings: their
+    /// time stamps give the length of each step.
     ///
     /// # Errors
     /// [`Diverged`] if the estimate leaves all bounds.
@@ -280,9 +280,10 @@ impl Centre {
         self.past.as_ref()?.at(tick)?.judged.get(id).copied()?
     }
 
-    /// Takes a report of an earlier tick: goes back to before it and processes it and all ticks since again, so that
-    /// the state is that of a centre which had the report in time, to the bit. What has been published stays as it
-    /// was: this holds from the next prediction on. A position newer than the one known counts for the next plan.
+    /// Takes a report of an earlier tick: restores the state before that tick, and processes it and all later ticks
+    /// again. The state is then that of a centre that had the report in time, to the bit. Published estimates do not
+    /// change; the report counts from the next prediction on. If its position is newer than the one known, the next
+    /// plan uses it.
     pub fn take_late(&mut self, tick: u64, id: usize, report: Measurement) -> Late {
         let Some(past) = &mut self.past else { return Late::Missed };
         let Some(slot) = past.since(tick).next().and_then(|past| past.reports.get_mut(id)) else { return Late::Missed };
@@ -300,7 +301,7 @@ impl Centre {
         if report.range().is_none() {
             return Late::NoRange;
         }
-        match self.tracking.take_again(id, past.since(tick)) {
+        match self.tracking.process_again(id, past.since(tick)) {
             Ok(true) => Late::Fused,
             Ok(false) => Late::Rejected,
             Err(_) => {
@@ -376,7 +377,7 @@ impl Centre {
         })
     }
 
-    /// What the last [`Self::plan`] chose, and what it is worth.
+    /// The result of the last [`Self::plan`].
     #[must_use]
     pub fn last_plan(&self) -> &Plan {
         &self.plan

@@ -22,19 +22,19 @@ fn an_estimate_that_leaves_all_bounds_is_reported() {
 fn a_state_that_no_centre_can_have_is_refused() {
     let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     let heard = Some(Measurement::new(Pose::at([15.0, 0.0]), None));
-    let spoilt: [fn(&mut Centre, &mut Body); 4] = [
+    let corruptions: [fn(&mut Centre, &mut Body); 4] = [
         |centre, _| centre.commands[1].heading_rad = f64::NAN,
         |_, body| body.position_m.x = f64::INFINITY,
         |_, body| body.range_std_m = Some(0.0),
         |_, body| body.heard_at = 1,
     ];
-    for spoil in spoilt {
+    for corrupt in corruptions {
         let mut centre = Centre::new(&scenario).unwrap();
         centre.update(0.0, &[heard; 3]).unwrap();
         centre.plan();
         assert!(Centre::new(&scenario).unwrap().restore(centre.saved().unwrap()).is_ok());
         let mut body = centre.bodies[1].unwrap();
-        spoil(&mut centre, &mut body);
+        corrupt(&mut centre, &mut body);
         centre.bodies[1] = Some(body);
         assert!(Centre::new(&scenario).unwrap().restore(centre.saved().unwrap()).is_err());
     }
@@ -74,7 +74,7 @@ fn from_ranges() -> Centre {
     Centre::new(&scenario).unwrap().keeping_the_past()
 }
 
-/// A target that drives straight on, and three robots on a ring round where it starts.
+/// A target that drives straight on, and three robots on a circle round its start.
 fn report(tick: u64, id: usize, error_m: f64) -> Option<Measurement> {
     let (time_s, noise_m) = (0.1 * tick as f64, 0.8 * (7.3 * tick as f64 + 2.1 * id as f64).sin());
     let position_m = Vector::from_angle(2.1 * id as f64 + 0.02 * tick as f64) * 20.0;
@@ -167,7 +167,7 @@ fn a_range_that_is_too_late_or_an_outlier_changes_no_estimate() {
 
 /// A late report has the robot's position of its own tick; since then the robot has followed its commands.
 #[test]
-fn a_place_heard_late_counts_for_the_plan_if_it_is_newer() {
+fn a_late_position_counts_for_the_plan_if_it_is_newer() {
     let mut centre = of("");
     let stands = |x| Some(Measurement::new(Pose::at([x, 0.0]), None));
     tick(&mut centre, &[stands(15.0); 3]);
@@ -212,7 +212,7 @@ fn a_robot_whose_ranges_fail_is_distrusted_until_they_pass_again() {
     assert_eq!((distrusted.first(), distrusted.last()), (Some(&24), Some(&66)), "{distrusted:?}");
 }
 
-/// What the last plan was posed with: each member's `lambda`.
+/// Each member's `lambda` in the problem of the last plan.
 fn lambdas(centre: &Centre) -> Vec<f64> {
     Problem::of(centre.situation()).arms().iter().map(|arm| arm.lambda).collect()
 }
@@ -261,15 +261,15 @@ fn a_distrusted_robot_is_planned_for_without_information_and_still_led() {
     let sum = problem.sum(&directions);
     let prior = sum + trusted.iter().fold(Vector::default(), |sum, (lambda, u)| sum + *u * -*lambda);
     assert!((prior.norm() - (problem.lambda_sum() - 3.0)).abs() < 1e-9, "{prior:?}");
-    // It is led to where its range would tell most beside theirs.
+    // It is sent to where its range would add most information to theirs.
     let best = problem.arms()[2].nearest(-sum, directions[2]);
     assert!((directions[2] - best).norm() < 1e-6 && centre.commands()[2].speed_mps > 0.0);
-    // All measure as before: what was planned is what comes, but for the target's move.
+    // Its range is still tested, and rejected.
     assert!(centre.estimate().rejected == 1 && centre.estimate().tested == 4);
 }
 
-/// By tick, from 1 on: the trace, and the least that it could have been, of robots that follow their commands. Robot 0 is
-/// not heard at the tick that is missed.
+/// For each tick from 1 on, the trace and the proven least trace, with robots that follow their commands. Robot 0 does
+/// not report at tick `missed`.
 fn traces_m2(planner: &str, missed: u64) -> Vec<(f64, f64)> {
     let mut centre = of(&format!("[prior]\nmean = \"start\"\n[planner]\nname = \"{planner}\"\n"));
     let mut positions_m = [0.0, 2.0, 4.0].map(|angle_rad| Vector::from_angle(angle_rad) * 20.0);
@@ -283,7 +283,7 @@ fn traces_m2(planner: &str, missed: u64) -> Vec<(f64, f64)> {
         tick(&mut centre, &reports);
         let trace_m2 = centre.covariance()[0] + centre.covariance()[5];
         traces_m2.push((trace_m2, least_m2));
-        // What is proven survives a kill.
+        // The certificate survives a kill.
         let mut after = of("");
         after.restore(centre.saved().unwrap()).unwrap();
         least_m2 = after.estimate().least_trace_m2;
@@ -312,7 +312,7 @@ fn a_planner_without_proof_has_no_least_trace() {
     assert!(traces_m2("adaptive", u64::MAX).iter().all(|(_, least_m2)| *least_m2 == 0.0));
 }
 
-/// Three robots of which all read five times as noisy as they say: nobody is blamed, and the estimate keeps to it.
+/// All four robots are much noisier than they report: none is distrusted, and more noise is assumed.
 #[test]
 fn noise_of_all_sensors_distrusts_no_robot() {
     let text = "[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n";
@@ -336,7 +336,7 @@ fn noise_of_all_sensors_distrusts_no_robot() {
     assert!(widened > 130, "{widened}");
 }
 
-/// A target that is elsewhere all at once: the filter is widened and finds it again.
+/// A target that jumps: the covariance is inflated, and the filter finds the target again.
 #[test]
 fn a_lost_estimate_is_widened_until_it_finds_the_target() {
     let mut centre = of("[prior]\nmean = \"start\"\n[robots]\ncount = 4\n[filter]\ngate_sigma = 4.0\n");

@@ -127,7 +127,7 @@ pub struct Intake {
     state: IntakeState,
     reports: Vec<Option<Measurement>>,
     /// Robots that have sent a message of this tick, even a refused one: the tick does not wait for them.
-    spoke: Vec<bool>,
+    has_sent: Vec<bool>,
     /// The tick's time according to each report, s.
     times_s: Vec<f64>,
     counts: IntakeCounts,
@@ -155,7 +155,7 @@ impl Intake {
                 late_reports: Vec::new(),
             },
             reports: vec![None; robots],
-            spoke: vec![false; robots],
+            has_sent: vec![false; robots],
             times_s: Vec::with_capacity(robots),
             counts: IntakeCounts::default(),
             late: Vec::new(),
@@ -205,8 +205,8 @@ impl Intake {
         let id = usize::try_from(range.robot).ok().filter(|id| *id < self.reports.len()).ok_or(Refusal::OutOfRange)?;
         let (tick, next) = (header.tick, centre.next_tick());
         if tick == next {
-            self.spoke[id] = true;
-            self.timing.hear(now_ns);
+            self.has_sent[id] = true;
+            self.timing.add_message(now_ns);
         }
         let report = self.validation.measurement(centre, header, range)?;
         if tick > self.timing.newest_tick(next, self.state.began_ns, now_ns) {
@@ -244,7 +244,7 @@ impl Intake {
         let Some((slot, robot)) = self.reports.get_mut(id).zip(self.state.robots.get_mut(id)) else { return };
         *slot = Some(report);
         robot.incarnation = robot.incarnation.max(header.incarnation);
-        self.timing.take(header, range, now_ns);
+        self.timing.add_report(header, range, now_ns);
         self.times_s.push(header.valid_at_s);
     }
 
@@ -285,9 +285,9 @@ impl Intake {
     /// True if all expected reports of the present tick have arrived, or its deadline has passed.
     #[must_use]
     pub fn is_ready(&self, next: u64, now_ns: u64) -> bool {
-        let has_spoken = |(spoke, robot): (&bool, &RobotState)| *spoke || !self.is_waited_for(robot);
+        let is_done = |(has_sent, robot): (&bool, &RobotState)| *has_sent || !self.is_waited_for(robot);
         !self.is_empty()
-            && (self.spoke.iter().zip(&self.state.robots).all(has_spoken)
+            && (self.has_sent.iter().zip(&self.state.robots).all(is_done)
                 || self.deadline_ns(next).is_some_and(|deadline_ns| deadline_ns <= now_ns))
     }
 
@@ -321,10 +321,10 @@ impl Intake {
     /// Ends the present tick, processed at `now_ns`, and returns the counts since the last one.
     pub fn close(&mut self, next: u64, now_ns: u64) -> IntakeCounts {
         self.state.began_ns = self.timing.close(next, self.state.began_ns, now_ns);
-        for ((robot, report), spoke) in self.state.robots.iter_mut().zip(&self.reports).zip(&mut self.spoke) {
-            robot.misses = if *spoke { 0 } else { robot.misses.saturating_add(1) };
+        for ((robot, report), has_sent) in self.state.robots.iter_mut().zip(&self.reports).zip(&mut self.has_sent) {
+            robot.misses = if *has_sent { 0 } else { robot.misses.saturating_add(1) };
             robot.heard = robot.heard << 1 | u64::from(report.is_some());
-            *spoke = false;
+            *has_sent = false;
         }
         self.state.reports.copy_from_slice(&self.reports);
         self.reports.fill(None);

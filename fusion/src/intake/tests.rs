@@ -27,12 +27,12 @@ impl Team {
         self.leader.centre.next_tick()
     }
 
-    fn say(&mut self, tick: u64, range: Range) {
+    fn send(&mut self, tick: u64, range: Range) {
         let header = Header { tick, valid_at_s: tick as f64 * 0.1, ..Header::default() };
         self.leader.on_range(&header, &[range], self.now_ns);
     }
 
-    /// The tick that is being gathered, with what has come of it.
+    /// Ends the tick that is being gathered, with the reports that have arrived.
     fn process(&mut self) -> IntakeCounts {
         self.leader.end_tick();
         while self.leader.next_action(self.now_ns).unwrap().is_some() {}
@@ -43,28 +43,28 @@ impl Team {
         std::mem::take(&mut self.leader.repeat_asked)
     }
 
-    /// The tick that others are ahead at.
+    /// The tick that other nodes have reached, if they are ahead.
     fn ahead(&self) -> Option<u64> {
         Some(self.leader.over_before).filter(|tick| *tick > self.next())
     }
 
-    /// A tick at which these robots say what is sound.
-    fn tick(&mut self, heard: &[u64]) -> IntakeCounts {
+    /// A tick at which these robots send valid reports.
+    fn tick(&mut self, senders: &[u64]) -> IntakeCounts {
         let tick = self.next();
-        heard.iter().for_each(|robot| self.say(tick, sound(tick, *robot)));
+        senders.iter().for_each(|robot| self.send(tick, valid(tick, *robot)));
         let counts = self.process();
         self.now_ns += DT_NS;
         counts
     }
 }
 
-fn sound(tick: u64, robot: u64) -> Range {
+fn valid(tick: u64, robot: u64) -> Range {
     let tick_began_ns = (1_000 + tick) * DT_NS;
     let measurement = Measurement::new(Pose::at([15.0, 0.0]), (tick > 0).then_some((15.0, 1.0)));
     Range { robot, measurement, tick_began_ns }
 }
 
-/// The same message with something else in its measurement.
+/// The same message with a changed measurement.
 fn with(mut range: Range, change: impl FnOnce(&mut Measurement)) -> Range {
     change(&mut range.measurement);
     range
@@ -75,13 +75,13 @@ fn refused(counts: &IntakeCounts) -> Vec<(Refusal, u64)> {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_and_counted_by_cause() {
+fn invalid_messages_are_refused_and_counted_by_cause() {
     for clock in ["lockstep", "realtime"] {
         let mut team = Team::new(clock);
-        let ok = sound(1, 1);
-        team.say(1, Range { robot: 3, ..ok });
-        team.say(1, Range { robot: u64::MAX, ..ok });
-        for nonsense in [
+        let ok = valid(1, 1);
+        team.send(1, Range { robot: 3, ..ok });
+        team.send(1, Range { robot: u64::MAX, ..ok });
+        for invalid in [
             with(ok, |it| it.has_range = 2),
             with(ok, |it| it.pose.x_m = f64::NAN),
             with(ok, |it| it.pose.y_m = f64::INFINITY),
@@ -93,7 +93,7 @@ fn what_makes_no_sense_is_refused_and_counted_by_cause() {
             with(ok, |it| it.range_std_m = -1.0),
             with(ok, |it| it.range_std_m = 1e-300),
         ] {
-            team.say(1, nonsense);
+            team.send(1, invalid);
         }
         let header = Header { tick: 1, valid_at_s: 0.1, ..Header::default() };
         let Team { leader, now_ns } = &mut team;
@@ -110,40 +110,40 @@ fn what_makes_no_sense_is_refused_and_counted_by_cause() {
     }
 }
 
-/// A target close by, and noise: the paper's own robots measure less than nothing now and then.
+/// A close target and noise: the paper's own robots sometimes measure a negative range.
 #[test]
 fn a_range_a_little_below_zero_is_noise() {
     let mut team = Team::new("lockstep");
-    team.say(1, with(sound(1, 1), |it| it.range_m = -2.5));
+    team.send(1, with(valid(1, 1), |it| it.range_m = -2.5));
     assert_eq!(team.tick(&[0, 2]), IntakeCounts::default());
     assert_eq!(team.leader.centre.estimate().fused, 3);
 }
 
 #[test]
-fn the_first_word_counts_and_what_contradicts_it_is_refused() {
+fn the_first_report_counts_and_a_contradiction_is_refused() {
     let mut team = Team::new("lockstep");
-    let first = sound(1, 1);
-    team.say(1, first);
-    team.say(1, first);
-    team.say(1, with(first, |it| it.range_m = 99.0));
+    let first = valid(1, 1);
+    team.send(1, first);
+    team.send(1, first);
+    team.send(1, with(first, |it| it.range_m = 99.0));
     assert_eq!(team.leader.intake.reports()[1].unwrap().range(), Some((15.0, 1.0)));
     assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Contradiction, 1)]);
     assert!(!team.asks_repeat());
-    // The same of a tick that is over: a repeat asks for the heading, another word is refused.
-    team.say(1, first);
+    // The same for a tick that is over: a repeat asks for the heading, a contradiction is refused.
+    team.send(1, first);
     assert!(team.asks_repeat());
-    team.say(1, with(first, |it| it.pose.x_m = 15.5));
+    team.send(1, with(first, |it| it.pose.x_m = 15.5));
     assert!(!team.asks_repeat());
     let counts = team.tick(&[0, 1, 2]);
     assert_eq!((refused(&counts), counts.late), (vec![(Refusal::Contradiction, 1)], 0));
 }
 
-/// Its sensor does not give the same noise twice, as a simulated one does.
+/// Its sensor has new noise at each measurement, unlike a simulated one.
 #[test]
 fn a_robot_started_again_that_measures_anew_gets_its_heading() {
     let mut team = Team::new("lockstep");
-    let first = sound(1, 1);
-    team.say(1, first);
+    let first = valid(1, 1);
+    team.send(1, first);
     let anew = with(first, |it| it.range_m = 15.5);
     let header = Header { tick: 1, valid_at_s: 0.1, incarnation: 1, ..Header::default() };
     let Team { leader, now_ns } = &mut team;
@@ -157,16 +157,16 @@ fn a_robot_started_again_that_measures_anew_gets_its_heading() {
 }
 
 #[test]
-fn a_jump_is_refused_until_the_robot_can_have_come_there() {
+fn a_jump_is_refused_until_the_robot_can_have_moved_that_far() {
     let mut team = Team::new("lockstep");
     // 10 m/s and 0.1 s: a metre each tick.
-    let away = |tick| with(sound(tick, 1), |it| it.pose.x_m = 19.5);
+    let away = |tick| with(valid(tick, 1), |it| it.pose.x_m = 19.5);
     for tick in 1..5 {
-        team.say(tick, away(tick));
+        team.send(tick, away(tick));
         assert_eq!(refused(&team.tick(&[0, 2])), [(Refusal::Jump, 1)], "tick {tick}");
         assert_eq!(team.leader.centre.estimate().missing, 1);
     }
-    team.say(5, away(5));
+    team.send(5, away(5));
     assert_eq!(team.tick(&[0, 2]), IntakeCounts::default());
     assert_eq!(team.leader.centre.estimate().fused, 3);
 }
@@ -176,7 +176,7 @@ fn in_lock_step_no_robot_is_ahead() {
     let mut team = Team::new("lockstep");
     team.now_ns += 1_000 * DT_NS;
     for tick in [2, 3, 50, 101, u64::MAX] {
-        team.say(tick, sound(1, 1));
+        team.send(tick, valid(1, 1));
     }
     assert_eq!(team.ahead(), None);
     let counts = team.tick(&[0, 1, 2]);
@@ -195,28 +195,28 @@ fn in_real_time_no_robot_is_further_ahead_than_the_elapsed_time() {
         team.now_ns += elapsed * DT_NS;
         let newest = newest(&team);
         let before = team.ahead();
-        team.say(newest + 1, sound(newest + 1, 1));
+        team.send(newest + 1, valid(newest + 1, 1));
         assert_eq!(team.ahead(), before);
-        team.say(newest, sound(newest, 1));
+        team.send(newest, valid(newest, 1));
         assert_eq!(team.ahead(), Some(newest));
     }
     // The run has no tick after its last, however long it takes.
     team.now_ns += 1_000 * DT_NS;
-    team.say(101, sound(101, 1));
+    team.send(101, valid(101, 1));
     assert_eq!(team.ahead(), Some(14));
 }
 
-/// One robot that is as far ahead as it may be, over and over: fusion stays within reach of the others.
+/// One robot is always as far ahead as is accepted: fusion stays close to the others.
 #[test]
 fn a_robot_that_is_always_ahead_does_not_drive_fusion_away_from_the_others() {
     let mut team = Team::new("realtime");
     for tick in 1..50 {
         for ahead in (tick..tick + 10).rev() {
-            team.say(ahead, sound(ahead, 2));
+            team.send(ahead, valid(ahead, 2));
         }
         while team.leader.next_action(team.now_ns).unwrap().is_some() {}
         for robot in [0, 1] {
-            team.say(tick, sound(tick, robot));
+            team.send(tick, valid(tick, robot));
         }
         while team.leader.next_action(team.now_ns + DT_NS * 6 / 10).unwrap().is_some() {}
         assert!(team.next() <= tick + 1 + AHEAD_TICKS_MAX, "tick {tick}: at {}", team.next());
@@ -229,26 +229,26 @@ fn a_tick_does_not_wait_for_a_robot_that_sends_only_nonsense() {
     for clock in ["lockstep", "realtime"] {
         let mut team = Team::new(clock);
         for tick in 1..4 {
-            team.say(tick, sound(tick, 0));
-            team.say(tick, sound(tick, 2));
+            team.send(tick, valid(tick, 0));
+            team.send(tick, valid(tick, 2));
             assert!(!team.leader.intake.is_ready(tick, team.now_ns), "{clock}: robot 1 is waited for");
-            team.say(tick, with(sound(tick, 1), |it| it.range_std_m = f64::NAN));
+            team.send(tick, with(valid(tick, 1), |it| it.range_std_m = f64::NAN));
             assert!(team.leader.intake.is_ready(tick, team.now_ns), "{clock}");
-            // What makes sense after all still counts.
-            team.say(tick, sound(tick, 1));
+            // A valid report after it still counts.
+            team.send(tick, valid(tick, 1));
             team.tick(&[]);
             assert_eq!(team.leader.centre.estimate().fused, 3);
         }
     }
 }
 
-/// However a robot lies about the beginning of a tick, the tick neither ends before its time nor waits for ever.
+/// Whatever start of a tick a robot reports, the tick neither ends early nor waits for ever.
 #[test]
-fn a_lie_about_the_beginning_of_a_tick_moves_no_deadline_far() {
-    for lie_ns in [0, u64::MAX] {
+fn a_false_start_of_a_tick_moves_no_deadline_far() {
+    for false_ns in [0, u64::MAX] {
         let mut team = Team::new("realtime");
         team.tick(&[0, 1, 2]);
-        team.say(2, Range { tick_began_ns: lie_ns, ..sound(2, 1) });
+        team.send(2, Range { tick_began_ns: false_ns, ..valid(2, 1) });
         let deadline_ns = team.leader.intake.deadline_ns(2).unwrap();
         assert_eq!(deadline_ns, team.now_ns + DT_NS / 2);
     }
@@ -262,10 +262,10 @@ fn a_late_range_is_counted_once_and_fused_if_its_tick_is_kept() {
     team.tick(&[0, 2]);
     team.tick(&[0, 1, 2]);
     for _ in 0..3 {
-        team.say(9, sound(9, 1));
-        team.say(1, sound(1, 1));
+        team.send(9, valid(9, 1));
+        team.send(1, valid(1, 1));
     }
-    team.say(9, with(sound(9, 1), |it| it.range_m = 14.0));
+    team.send(9, with(valid(9, 1), |it| it.range_m = 14.0));
     let counts = team.tick(&[0, 1, 2]);
     assert_eq!((counts.late, counts.fused_late, counts.rejected_late), (2, 1, 0));
     assert_eq!(refused(&counts), [(Refusal::Contradiction, 1)]);
@@ -280,24 +280,25 @@ fn a_restored_intake_knows_reports_and_positions() {
     let mut after = Team::new("lockstep");
     after.tick(&[]);
     assert!(after.leader.intake.restore(record, now_ns));
-    after.say(1, sound(1, 1));
+    after.send(1, valid(1, 1));
     assert!(after.asks_repeat());
-    after.say(2, with(sound(2, 2), |it| it.pose.x_m = 17.0));
+    after.send(2, with(valid(2, 2), |it| it.pose.x_m = 17.0));
     let counts = after.tick(&[]);
     assert_eq!((counts.late, refused(&counts)), (0, vec![(Refusal::Jump, 1)]));
 }
 
-/// Seed 52747 of `rangehound explore`: a successor that was stopped before it first looked at the clock left robots out at once.
+/// Seed 52747 of `rangehound explore`: a successor that was suspended before it first read the clock left robots out at
+/// once.
 #[test]
-fn time_for_which_a_successor_stood_still_is_no_silence() {
+fn the_suspension_of_a_successor_is_no_silence() {
     let mut team = Team::new("lockstep");
-    let file = ScenarioFile::parse("clock = \"lockstep\"\nticks = 100\npatience_s = 2.0\n", "test").unwrap();
+    let file = ScenarioFile::parse("clock = \"lockstep\"\nticks = 100\ntimeout_s = 2.0\n", "test").unwrap();
     let scenario = Scenario::from_file(&file, "test").unwrap();
     let mut successor = Leader::new(&scenario).unwrap();
     successor.restore(team.leader.saved().unwrap(), team.now_ns).unwrap();
     team.leader = successor;
-    team.say(1, sound(1, 0));
-    // It stands still for three times the patience.
+    team.send(1, valid(1, 0));
+    // It is suspended for three times the time-out.
     team.now_ns += 60 * DT_NS;
     while team.leader.next_action(team.now_ns).unwrap().is_some() {}
     assert_eq!(team.next(), 1, "the others have not been silent");

@@ -4,8 +4,8 @@ use rangehound_shared::message::{Header, Range};
 use rangehound_shared::protocol::timing::range_deadline_ns;
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
-/// Ticks that a robot may be ahead of what the time since the last tick began makes possible: one for the tick that
-/// the simulator catches up on after it was stopped, one for a tick whose beginning was stamped at its repeat.
+/// Ticks by which a robot may be ahead of the tick that the time since the last start allows: one for a tick that the
+/// simulator catches up on after a suspension, one for a tick whose start was stamped at its repeat.
 pub(super) const AHEAD_TICKS_MAX: u64 = 2;
 
 /// The times of the tick that is being gathered, monotonic ns.
@@ -37,13 +37,13 @@ impl Timing {
         }
     }
 
-    /// Notes a message of the present tick.
-    pub(super) fn hear(&mut self, now_ns: u64) {
+    /// Records the arrival of a message of the present tick.
+    pub(super) fn add_message(&mut self, now_ns: u64) {
         self.first_ns.get_or_insert(now_ns);
     }
 
-    /// Notes a report of the present tick.
-    pub(super) fn take(&mut self, header: &Header, range: &Range, now_ns: u64) {
+    /// Records the time stamps of a report of the present tick.
+    pub(super) fn add_report(&mut self, header: &Header, range: &Range, now_ns: u64) {
         self.began_ns.push(range.tick_began_ns.min(now_ns));
         self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
     }
@@ -63,8 +63,8 @@ impl Timing {
         self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(suspended_ns));
     }
 
-    /// The newest tick that can have begun. In lock step none begins before fusion has answered the last; in real
-    /// time each takes its time, but fusion may have been stopped or started late.
+    /// The newest tick that can have begun. In lock step a tick begins after fusion has answered the one before. In
+    /// real time ticks begin at fixed intervals, and fusion may be behind because it was suspended or started late.
     pub(super) fn newest_tick(&self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
         let newest = match (self.clock, next.checked_sub(1)) {
             (Clock::Realtime, Some(last)) => {
@@ -86,8 +86,8 @@ impl Timing {
             // A robot that sends too early, or reports too early a start, must not shorten the tick.
             (Clock::Realtime, _) => {
                 let reported_ns = self.began_ns.iter().copied().max().unwrap_or(first_ns);
-                // A tick has begun a step after its first range at the latest, even if the ticks before it began in quick succession,
-                // as those do that the simulator catches up on.
+                // The earliest start is a step after the last tick's, but not later than a step after the first
+                // message: the ticks that the simulator catches up on begin in quick succession.
                 let earliest_ns = self.after(last_began_ns).min(first_ns.saturating_add(self.dt_ns()));
                 Some(range_deadline_ns(reported_ns.max(earliest_ns), self.dt_s))
             }
@@ -96,17 +96,18 @@ impl Timing {
         }
     }
 
-    /// Ends the present tick, processed at `now_ns`; returns its start: as most reports have it, or a step after the previous start.
+    /// Ends the present tick, processed at `now_ns`; returns its start: the lower median of the reports if most robots
+    /// have reported, else a step after the previous start.
     pub(super) fn close(&mut self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
         let is_majority = 2 * self.began_ns.len() > self.robots;
         let reported_ns = lower_median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);
         (self.first_ns, self.last_range_ns) = (None, 0);
         self.began_ns.clear();
-        // No tick begins before the simulator has its answer to the first.
+        // The end of tick 0 counts as its start, because tick 1 waits for the answer to tick 0.
         if next == 0 { now_ns } else { reported_ns.unwrap_or_else(|| self.after(last_began_ns)) }
     }
 
-    /// When a real-time tick can have begun, if the one before began then.
+    /// The start of a real-time tick, one step after that of the tick before.
     fn after(&self, last_began_ns: u64) -> u64 {
         last_began_ns.saturating_add(self.dt_ns())
     }
@@ -116,7 +117,7 @@ impl Timing {
     }
 }
 
-/// What most report is at the lower median, whatever a few report.
+/// The lower median: the value of the majority if more than half agree, whatever the others are.
 pub(super) fn lower_median<T: Copy>(values: &mut [T], order: impl Fn(&T, &T) -> std::cmp::Ordering) -> Option<T> {
     let middle = values.len().checked_sub(1)? / 2;
     Some(*values.select_nth_unstable_by(middle, order).1)

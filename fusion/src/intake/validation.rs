@@ -1,4 +1,4 @@
-//! Which numbers can be true: of one message by itself, and of a robot's way since it was last believed.
+//! Plausibility of messages: of the numbers in each, and of a robot's motion since its last accepted report.
 
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Header, Range, Refusal};
@@ -7,20 +7,20 @@ use rangehound_shared::scenario::{Scenario, Source, bounds};
 use crate::centre::Centre;
 use crate::vector::Vector;
 
-/// A range this many standard deviations below zero is no noise of a target close by.
+/// A range more than this many standard deviations below zero is not noise of a close target.
 const NEGATIVE_SIGMA_MAX: f64 = 10.0;
 
-/// Nothing here is farther from anything, m: the filter's arithmetic stays far within bounds.
+/// Largest magnitude of coordinates and ranges, m: the filter's arithmetic stays far within its bounds.
 const DISTANCE_MAX_M: f64 = 1e12;
 
-/// Rounding of positions: a share of their coordinates, and of the way.
+/// Rounding of positions, relative to their coordinates and to the distance moved.
 const JUMP_ROUNDING: f64 = 1e-9;
 
-/// What a run's messages can say.
+/// Limits on the messages of a run.
 #[derive(Debug)]
 pub(super) struct Validation {
     dt_s: f64,
-    /// The most that each robot moves in a tick, m; `None` for recordings, whose sensors move as they please.
+    /// The most that each robot moves in a tick, m; `None` for recordings, whose sensors have no speed limit.
     steps_m: Option<Vec<f64>>,
 }
 
@@ -31,7 +31,7 @@ impl Validation {
         Self { dt_s: scenario.dt_s, steps_m: simulated.then(|| steps_m.collect()) }
     }
 
-    /// The time of a tick, s, where all steps are alike: not in recordings.
+    /// The time of a tick, s, if all steps are of equal length; `None` for recordings.
     pub(super) fn time_s(&self, tick: u64) -> Option<f64> {
         self.steps_m.as_ref().map(|_| tick as f64 * self.dt_s)
     }
@@ -59,7 +59,7 @@ impl Validation {
         if is_valid && is_timely { Ok(Measurement::new(pose, measured)) } else { Err(Refusal::Malformed) }
     }
 
-    /// True if a robot can have come from one place to another between two ticks.
+    /// True if a robot can have moved from one position to another between two ticks.
     pub(super) fn can_reach(&self, id: usize, from: (u64, Vector), to: (u64, Vector)) -> bool {
         let Some(steps_m) = &self.steps_m else { return true };
         let reach_m = steps_m[id] * from.0.abs_diff(to.0) as f64;

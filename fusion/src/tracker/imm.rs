@@ -1,9 +1,9 @@
 //! The tracker of recordings: interacting multiple models, one calm and one manoeuvring.
 //!
-//! One process noise does not fit a target that drives straight most of the time and turns now and
-//! then: what follows the turns is noisy on the straights. Two banks with different noise run side by
-//! side; the likelihood of the ranges says which fits, and each step starts both from what they know
-//! together (Blom & Bar-Shalom, "The Interacting Multiple Model Algorithm", 1988).
+//! One process noise does not fit a target that drives straight most of the time and sometimes turns: a filter that
+//! follows the turns is noisy on the straights. Two banks with different process noise run side by side. The likelihood
+//! of the ranges gives the probability of each, and each step starts both from mixtures of their estimates (Blom &
+//! Bar-Shalom, "The Interacting Multiple Model Algorithm", 1988).
 
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::record::Judged;
@@ -14,17 +14,17 @@ use super::{Fit, Gate, Reading, Tracker};
 use crate::belief::Belief;
 use crate::filter::Gaussian;
 
-/// Noise of the calm model as a share of the given one, which is taken as the manoeuvring target's. The
-/// calmer, the smoother the straights, but the more a range's bias shows.
+/// Process noise of the calm model as a share of the given one, which the manoeuvring model has. A smaller share makes
+/// straights smoother, but biased ranges have more effect.
 const CALM_SHARE: f64 = 0.3;
 
-/// Mean time between a target's changes of mind, s.
+/// Mean time for which a target keeps to one model, s.
 const DWELL_S: f64 = 20.0;
 
-/// Least probability of a model: it must be able to come back.
+/// Least probability of a model, so that it can become probable again.
 const PROBABILITY_MIN: f64 = 1e-6;
 
-/// Two banks and how probable each model is.
+/// Two banks and the probability of each.
 #[derive(Debug, Clone)]
 pub struct Imm<const N: usize> {
     motion: MotionModel,
@@ -39,7 +39,7 @@ struct Mode<const N: usize> {
 }
 
 impl<const N: usize> Imm<N> {
-    /// A tracker that knows nothing of the target but the noise of its manoeuvres.
+    /// A tracker without a prior. `motion` has the process noise of the manoeuvring model.
     #[must_use]
     pub fn new(motion: &MotionModel, gate: Gate) -> Self {
         let calm = match motion {
@@ -53,7 +53,7 @@ impl<const N: usize> Imm<N> {
         Self { motion: motion.clone(), modes, estimate }
     }
 
-    /// The same tracker, but it knows where the target is.
+    /// The same tracker, started from this estimate.
     #[must_use]
     pub fn starting_from(mut self, estimate: Gaussian<N>) -> Self {
         self.modes.iter_mut().for_each(|mode| mode.bank.begin_with(estimate));
@@ -61,9 +61,8 @@ impl<const N: usize> Imm<N> {
         self
     }
 
-    /// Predicts the models' probabilities over a step, and gives each what both know, weighed by how
-    /// probably the target came to it from the other. Before both have settled there is no one
-    /// Gaussian to give.
+    /// Predicts the models' probabilities over a step, and mixes their estimates, weighted by the probabilities that
+    /// the target changed from one model to the other. Estimates are mixed only if each bank has a single hypothesis.
     fn interact(&mut self, dt_s: f64) {
         let stay = 0.5 + 0.5 * (-2.0 * dt_s / DWELL_S).exp();
         let before = [self.modes[0].probability, self.modes[1].probability];
@@ -85,12 +84,12 @@ impl<const N: usize> Imm<N> {
         }
     }
 
-    /// Which of the models is the more probable.
-    fn likelier(&self) -> usize {
+    /// Index of the more probable model.
+    fn more_probable(&self) -> usize {
         usize::from(self.modes[0].probability < self.modes[1].probability)
     }
 
-    /// Weighs the models by how well they foretold the ranges.
+    /// Updates the models' probabilities with the likelihoods of the ranges.
     fn weigh(&mut self) {
         let best = self.modes.iter().map(|mode| mode.bank.log_likelihood()).fold(f64::MIN, f64::max);
         let weights = [0, 1].map(|j| self.modes[j].probability * (self.modes[j].bank.log_likelihood() - best).exp());
@@ -110,15 +109,15 @@ impl<const N: usize> Tracker for Imm<N> {
         self.interact(dt_s);
         let fits = [0, 1].map(|j| self.modes[j].bank.step(dt_s, readings));
         self.weigh();
-        fits[self.likelier()]
+        fits[self.more_probable()]
     }
 
     fn judged(&self) -> &[Judged] {
-        self.modes[self.likelier()].bank.judged()
+        self.modes[self.more_probable()].bank.judged()
     }
 
     fn widen(&mut self, _factor: f64) {
-        // The banks start anew when rejections show that they are locked out.
+        // The banks recover by themselves when rejections show a lock-out.
     }
 
     fn state(&self) -> &[f64] {
@@ -182,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ranges_tell_the_calm_from_the_turning_target() {
+    fn the_ranges_distinguish_the_calm_from_the_turning_target() {
         let (straight, turning) = probabilities_of_the_calm_model();
         assert!(straight > 0.8 && turning < 0.2, "{straight} {turning}");
     }

@@ -19,7 +19,7 @@ pub struct Kalman<const N: usize> {
     estimate: Gaussian<N>,
     /// The transition of the last step: most runs have one step length for all ticks.
     transition: (f64, Transition<N>),
-    /// Of the last step's readings, in their order.
+    /// Innovations of the last step's readings, in their order.
     innovations: Vec<Innovation>,
     judged: Vec<Judged>,
 }
@@ -35,8 +35,8 @@ impl<const N: usize> Kalman<N> {
     }
 }
 
-/// The innovation of a reading. A sensor at another height than the target's says of places beneath it in second order
-/// what a range in the plane says in first, so there the second-order terms count; in the plane the filter is the paper's.
+/// The innovation of a reading. For a sensor at another height than the target, second-order terms are added: straight
+/// beneath it the first-order term of the distance is zero. In the plane the filter is the paper's.
 fn innovation<const N: usize>(estimate: &Gaussian<N>, reading: &Reading) -> Innovation {
     let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
     let mut range = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);

@@ -3,7 +3,7 @@
 //! | tracker | for |
 //! |---|---|
 //! | [`kalman`] | a Gaussian prior: the paper's extended Kalman filter |
-//! | [`imm`] | no prior, as for recordings: a calm and a manoeuvring model side by side, each with a [`bank`] of such filters that starts from the ranges alone |
+//! | [`imm`] | no prior, as for recordings: a calm and a manoeuvring model side by side, each with a [`bank`] of such filters that starts without a prior |
 
 pub mod bank;
 pub mod imm;
@@ -21,20 +21,20 @@ use serde::{Deserialize, Serialize};
 use crate::belief::Belief;
 use crate::filter::Gaussian;
 
-/// One range, as fused: calibrated, with the place it was measured from.
+/// One calibrated range, with the position from which it was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reading {
-    /// Whose it is.
+    /// The robot that measured it.
     pub robot: usize,
-    /// Where the robot was, m.
+    /// Position of the robot, m.
     pub position_m: Vector2<f64>,
     /// Height of its sensor above the plane in which the target moves, m.
     pub height_m: f64,
-    /// What it measured, m.
+    /// The range, m.
     pub range_m: f64,
     /// Standard deviation of the measurement, m.
     pub range_std_m: f64,
-    /// True if it is only to be tested against the gate, not to be fused.
+    /// True if the range is tested against the gate and not fused.
     pub distrusted: bool,
 }
 
@@ -45,27 +45,27 @@ pub struct Fit {
     pub nis: f64,
     /// Ranges fused: the NIS's degrees of freedom.
     pub fused: u32,
-    /// Normalised innovation squared of all ranges, fused or not: of the tick's ranges jointly.
+    /// Normalised innovation squared of all of the tick's ranges, fused or not.
     pub nis_all: f64,
-    /// Ranges in it, its degrees of freedom: all that anything predicted.
+    /// Ranges in [`Self::nis_all`], its degrees of freedom: all ranges that were predicted.
     pub tested: u32,
-    /// Ranges not fused: they failed the gate, or were only to be tested.
+    /// Ranges not fused: they failed the gate, or their robots are distrusted.
     pub rejected: u32,
-    /// Robots whose range speaks against them: it failed the gate, or would have failed the default one where there is none.
+    /// Robots whose ranges failed the gate, or the default gate if there is none.
     pub failed: RobotSet,
 }
 
-/// An estimate of the target that follows its ranges. Does no I/O, knows no clock, and after its
-/// construction allocates nothing.
+/// An estimate of the target that is updated with ranges. A tracker does no I/O, has no clock, and allocates nothing
+/// after its construction.
 pub trait Tracker: std::fmt::Debug + Send {
     /// Predicts over `dt_s` seconds, then updates with the readings, taken in order.
     fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit;
 
-    /// What the last step did with each of its readings, in their order.
+    /// How the last step used each of its readings, in their order.
     fn judged(&self) -> &[Judged];
 
-    /// Takes the estimate to be this many times less certain, in variance: it may be lost. Trackers that find the target
-    /// again by themselves leave it at that.
+    /// Multiplies the estimate's covariance by this factor, because the target may be lost. Trackers that recover by
+    /// themselves ignore it.
     fn widen(&mut self, factor: f64);
 
     /// The state, position first.
@@ -74,16 +74,16 @@ pub trait Tracker: std::fmt::Debug + Send {
     /// The covariance, n x n; symmetric, so its order of storage does not matter.
     fn covariance(&self) -> &[f64];
 
-    /// Appends what [`Self::restore`] needs to go on from here, to the bit.
+    /// Appends the state from which [`Self::restore`] continues, to the bit.
     ///
     /// # Errors
-    /// If it cannot be encoded.
+    /// If the state cannot be encoded.
     fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError>;
 
-    /// Goes on from what a tracker of the same scenario saved.
+    /// Continues from the state that a tracker of the same scenario saved.
     ///
     /// # Errors
-    /// If the bytes are not such.
+    /// If the bytes are not such a state.
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError>;
 
     /// Predicts over `dt_s` seconds (k+1|k), for the planner.
@@ -95,7 +95,7 @@ fn judged_room() -> Vec<Judged> {
     Vec::with_capacity(ROBOTS_MAX)
 }
 
-/// What becomes of a reading that passed the gate or failed it.
+/// How a reading is used that passed the gate or failed it.
 fn use_of(reading: &Reading, passed: bool) -> RangeUse {
     match (reading.distrusted, passed) {
         (true, _) => RangeUse::Distrusted,
@@ -110,7 +110,7 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
     let motion = scenario.filter_motion.clone();
     let gate = Gate::new(scenario.gate_sigma);
     with_state_dim!(motion.state_dim(), N => match &scenario.prior {
-        // A recording whose start is known is tracked as others are, once they have found the target.
+        // A recording with a known start is tracked like other recordings, but from this estimate.
         Prior::Gaussian { mean, covariance } if matches!(scenario.source, Source::Recorded(_)) => {
             let x = SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
             Box::new(imm::Imm::<N>::new(&motion, gate).starting_from(Gaussian { x, p: covariance.to_static() }))
@@ -126,12 +126,12 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gate {
     threshold: f64,
-    /// What counts as a failure when a robot is judged: the gate, or the default one where all ranges are fused.
+    /// Threshold for a robot's failures: the gate's, or the default gate's if all ranges are fused.
     failure_threshold: f64,
 }
 
 impl Gate {
-    /// Passes a range whose innovation is within `sigma` of its standard deviations; `None` passes all.
+    /// A gate that passes ranges whose innovations are within `sigma` standard deviations; `None` passes all.
     #[must_use]
     pub fn new(sigma: Option<f64>) -> Self {
         let square = |sigma: f64| sigma * sigma;
@@ -147,7 +147,7 @@ impl Gate {
         normalised_square <= self.threshold
     }
 
-    /// True if a range with this normalised innovation squared speaks against its robot.
+    /// True if a range with this normalised innovation squared counts as a failure of its robot.
     #[must_use]
     pub fn fails(self, normalised_square: f64) -> bool {
         normalised_square > self.failure_threshold || normalised_square.is_nan()

@@ -1,17 +1,17 @@
-//! What follows from the death of a node, pure: from how it ended, and how long it had lived.
+//! What is done after the end of a node's process, pure: it depends on how the process ended, and how long it had run.
 
 use std::time::Duration;
 
 use super::restart::Policy;
 
-/// A node that fails by itself this often in a row has a reason that starting it again does not mend.
+/// A node that fails by itself this often in a row has a cause that a restart does not remove.
 const FAILURES_MAX: u32 = 5;
 
-/// A node that has lived for this long has got over what ended its predecessor.
+/// After this time, the cause of the last end is over.
 const SETTLED: Duration = Duration::from_secs(1);
 
-/// Wait before the second start in a row of a node that has not settled; it doubles with each further
-/// failure. A kill is somebody else's doing and does not make it longer.
+/// Wait before the second restart in a row of a node that has not settled. It doubles with each further failure. A kill
+/// comes from outside and does not make it longer.
 const BACK_OFF: Duration = Duration::from_millis(10);
 
 const BACK_OFF_MAX: Duration = Duration::from_secs(1);
@@ -23,29 +23,29 @@ pub(crate) enum End {
     InOrder,
     /// By itself, or by a fault of its own.
     Failed,
-    /// By itself, for what only the user can mend.
+    /// By itself, for a reason that only the user can remove.
     Refused,
-    /// Somebody killed it.
+    /// It was killed.
     Killed,
 }
 
 /// How much a run needs a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Need {
-    /// It does not go on without it.
+    /// The run cannot go on without it.
     Cannot,
-    /// It goes on without it, but not if it fails again and again.
+    /// The run goes on without it, but not if it fails again and again.
     Can,
-    /// It goes on without it, however it ended.
+    /// The run goes on without it, however it ended.
     Spare,
 }
 
 /// What is done next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Next {
-    /// It is started again after this time.
+    /// The node is started again after this time.
     StartAgain(Duration),
-    /// The others go on without it.
+    /// The other nodes go on without it.
     GoOnWithout,
     /// The run ends.
     EndRun,
@@ -55,13 +55,13 @@ pub(crate) enum Next {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Deaths {
     all: u32,
-    /// Those among them that were its own: exits and crashes.
+    /// Those without kills: exits and crashes.
     failures: u32,
 }
 
 impl Deaths {
-    /// Counts a death and says what follows from it. `is_taken` if somebody else has its role by now: then what it failed of
-    /// is that.
+    /// Counts a death and returns what is done next. `is_taken` means that another process has its role by now; then
+    /// that is why it failed.
     pub(crate) fn after(&mut self, end: End, lived: Duration, policy: Policy, is_taken: bool, need: Need) -> Next {
         if lived >= SETTLED {
             *self = Self::default();
@@ -83,13 +83,13 @@ impl Deaths {
         }
     }
 
-    /// Counts a start that the system refused: it may have room again before long. `None` if that has been so too often.
+    /// Counts a start that the system refused, and returns the wait before the next try. `None` after too many.
     pub(crate) fn after_failed_start(&mut self) -> Option<Duration> {
         (self.all, self.failures) = (self.all + 1, self.failures + 1);
         (self.failures < FAILURES_MAX).then(|| self.back_off())
     }
 
-    /// Not at all after one death, longer and longer while it fails before it has settled.
+    /// No wait after one death; then longer and longer while the node fails before it has settled.
     fn back_off(&self) -> Duration {
         if self.all <= 1 {
             return Duration::ZERO;
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn who_fails_again_and_again_waits_longer_and_ends_the_run_at_last() {
+    fn a_node_that_fails_again_and_again_waits_longer_and_ends_the_run_at_last() {
         let mut deaths = Deaths::default();
         let mut fail = |end| deaths.after(end, SHORT, Policy::Always, false, Need::Cannot);
         assert_eq!([(); 4].map(|()| fail(End::Failed)), [again(0), again(20), again(40), again(80)]);
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn kills_neither_end_a_run_nor_make_anybody_wait_long_and_a_settled_node_starts_afresh() {
+    fn kills_neither_end_a_run_nor_cause_long_waits_and_a_settled_node_starts_afresh() {
         let mut deaths = Deaths::default();
         for kill in 0..100 {
             let next = deaths.after(End::Killed, SHORT, Policy::Always, false, Need::Cannot);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_only_the_user_can_mend_is_not_tried_again_unless_another_has_the_role() {
+    fn a_refused_node_is_not_tried_again_unless_another_has_the_role() {
         let refused = |is_taken, need| Deaths::default().after(End::Refused, SHORT, Policy::Always, is_taken, need);
         assert_eq!(refused(false, Need::Cannot), Next::EndRun);
         assert_eq!(refused(false, Need::Can), Next::EndRun);
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn policies_say_who_is_started_again() {
+    fn policies_decide_which_nodes_are_started_again() {
         let next = |end, policy, need| Deaths::default().after(end, SHORT, policy, false, need);
         assert_eq!(next(End::InOrder, Policy::OnFailure, Need::Can), Next::GoOnWithout);
         assert_eq!(next(End::Killed, Policy::OnFailure, Need::Can), again(0));

@@ -1,7 +1,7 @@
-//! What a run can no longer write: told to the user at once, because nodes go on without.
+//! Files that a run can no longer write. The user is warned at once, because nodes go on without them.
 //!
-//! Nodes tell it in their logs, which may lie on the same full disk. So the supervisor looks for itself: a file that
-//! nodes write at every tick and that stands still while ticks go by is lost, whatever the reason.
+//! Nodes report it in their logs, which may be on the same full disk. So the supervisor checks by itself: a file that
+//! nodes write at every tick is lost if it does not change while ticks pass, whatever the reason.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
@@ -13,10 +13,10 @@ use rustix::fs::statvfs;
 
 use crate::run::watch::Newest;
 
-/// How often files are looked at.
+/// Interval between two checks of the files.
 const EVERY: Duration = Duration::from_millis(500);
 
-/// Ticks in which a file must have been written: a node writes before it publishes, so 2 would do.
+/// Ticks within which a file must have been written. A node writes before it publishes, so 2 would be enough.
 const TICKS: u64 = 4;
 
 /// The files of a run that are written at every tick.
@@ -29,7 +29,7 @@ struct Watched {
     path: PathBuf,
     role: Role,
     is_log: bool,
-    /// When it was written last, and the tick of its node, as of the look that saw it change.
+    /// Time of its last change, and the tick of its node at the check that noticed the change.
     seen: Option<(SystemTime, u64)>,
     is_lost: bool,
 }
@@ -48,7 +48,7 @@ impl Losses {
         Self { files, looked: Instant::now() }
     }
 
-    /// Looks, now and then, and warns of each loss once.
+    /// Checks the files if the interval is over, and warns of each loss once.
     pub(super) fn look(&mut self, newest: Newest) {
         if self.looked.elapsed() < EVERY {
             return;
@@ -74,11 +74,13 @@ impl Watched {
     fn loss(&mut self, tick: u64) -> Option<String> {
         let written = match std::fs::metadata(&self.path).and_then(|metadata| metadata.modified()) {
             Ok(written) => written,
-            // Before the first ticks it need not be there yet.
+            // Before the first ticks the file may be missing.
             Err(error) => return (tick >= TICKS).then(|| error.to_string()),
         };
         match self.seen {
-            Some((before, at)) if before == written => (tick >= at + TICKS).then(|| standstill(&self.path, self.role)),
+            Some((before, at)) if before == written => {
+                (tick >= at + TICKS).then(|| reason_of_loss(&self.path, self.role))
+            }
             _ => {
                 self.seen = Some((written, tick));
                 None
@@ -87,8 +89,8 @@ impl Watched {
     }
 }
 
-/// Why a file is no longer written, as far as that can be seen from here.
-fn standstill(path: &Path, role: Role) -> String {
+/// Why a file is no longer written, as far as the supervisor can know.
+fn reason_of_loss(path: &Path, role: Role) -> String {
     match path.parent().map(statvfs) {
         Some(Ok(space)) if space.f_bavail == 0 => "the disk is full".to_owned(),
         _ => format!("no longer written, see logs/{role}.log"),

@@ -1,8 +1,8 @@
 //! The supervisor's decisions as a state machine: no process, port, clock, file or log line.
 //!
-//! A driver tells it what it sees ([`Machine::look`], [`Machine::on_end`]), asks for the next [`Action`], carries it out, and asks
-//! again until there is none. [`Action::Start`] is answered by [`Machine::on_start`] or [`Machine::on_refusal`]. Time is an
-//! argument: monotonic, ns. Nodes go by their place in the list of roles.
+//! A driver reports what it sees ([`Machine::look`], [`Machine::on_end`]), asks for the next [`Action`], carries it
+//! out, and asks again until there is none. After [`Action::Start`] it calls [`Machine::on_start`] or
+//! [`Machine::on_refusal`]. Time is an argument: monotonic, ns. A node's number is its place in the list of roles.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use super::deaths::{Deaths, End, Need, Next};
 use super::restart::{Policies, Policy};
 use super::silence::{self, Silence};
 
-/// What the driver does next.
+/// The driver's next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Action {
     /// Start the process of a node.
@@ -23,28 +23,28 @@ pub(crate) enum Action {
     Kill {
         /// The node.
         node: usize,
-        /// It sent no heartbeat for longer than this while others did.
+        /// It has sent no heartbeat for longer than this while others have.
         silence: Duration,
     },
-    /// Tell the user that a node has ended and is started again.
-    TellRestart(usize),
-    /// Tell the user that a node has ended and the others go on without it.
-    TellLoss(usize),
-    /// End the run: a node has ended that it does not go on without.
+    /// Report to the user that a node has ended and is started again.
+    ReportRestart(usize),
+    /// Report to the user that a node has ended and the others go on without it.
+    ReportLoss(usize),
+    /// End the run: it cannot go on without a node that has ended.
     EndRun {
         /// The node.
         node: usize,
-        /// It ended by itself, and not since another has its role.
+        /// It ended by itself, and not because another process has its role.
         is_own: bool,
     },
 }
 
-/// What a look shows of a node's process; `S` is a heartbeat, of which only whether it changes means anything.
+/// What a look shows of a node's process. `S` is a heartbeat, of which only changes matter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Seen<S> {
     /// Its newest heartbeat.
     pub(crate) heartbeat: Option<S>,
-    /// It is the process that took the lead last.
+    /// True if it is the process that took the lead last.
     pub(crate) leads: bool,
 }
 
@@ -60,7 +60,7 @@ struct Node<S> {
     role: Role,
     policy: Policy,
     life: Option<Life<S>>,
-    /// The end of its last process, until it is known what follows.
+    /// The end of its last process, until it is decided what is done.
     death: Option<Death>,
     deaths: Deaths,
     restart_at_ns: Option<u64>,
@@ -102,7 +102,7 @@ impl<S: PartialEq> Machine<S> {
         self.nodes[node].life = Some(life);
     }
 
-    /// The system has refused to start a node's process. False if that has been so too often.
+    /// The system has refused to start a node's process. False after too many refusals.
     #[must_use]
     pub(crate) fn on_refusal(&mut self, node: usize, now_ns: u64) -> bool {
         let node = &mut self.nodes[node];
@@ -110,8 +110,8 @@ impl<S: PartialEq> Machine<S> {
         node.restart_at_ns.is_some()
     }
 
-    /// A node's process has ended; `is_taken` if somebody else has its role by now. What follows is known once all ends are told
-    /// that are seen together.
+    /// A node's process has ended; `is_taken` means that another process has its role by now. The machine decides what
+    /// is done once all ends that were seen together are reported.
     pub(crate) fn on_end(&mut self, node: usize, end: End, is_taken: bool, now_ns: u64) {
         let node = &mut self.nodes[node];
         let Some(life) = node.life.take() else { return };
@@ -119,19 +119,19 @@ impl<S: PartialEq> Machine<S> {
         node.death = Some(Death { end, lived, is_taken });
     }
 
-    /// Looks at every process that runs, once every [`silence::LOOK`]. Who has been silent for too long is killed, to be started again
-    /// like any dead one. One that would not be may come back by itself.
+    /// Looks at every running process, once every [`silence::LOOK`]. A process that has been silent for too long is
+    /// killed, and then started again. A node that would not be started again is not killed: it may recover by itself.
     pub(crate) fn look(&mut self, scenario: &Scenario, mut see: impl FnMut(usize) -> Seen<S>) {
         let count = self.nodes.len();
-        let mut is_anybody_heard = false;
+        let mut has_any_heartbeat = false;
         for (index, node) in self.nodes.iter_mut().enumerate() {
             let Some(life) = &mut node.life else { continue };
             let Seen { heartbeat, leads } = see(index);
             life.has_led |= leads;
             life.is_deposed = life.has_led && !leads;
-            is_anybody_heard |= life.silence.hear(heartbeat);
+            has_any_heartbeat |= life.silence.hear(heartbeat);
         }
-        if !is_anybody_heard {
+        if !has_any_heartbeat {
             return;
         }
         for (index, node) in self.nodes.iter_mut().enumerate() {
@@ -148,7 +148,7 @@ impl<S: PartialEq> Machine<S> {
         }
     }
 
-    /// What to do next; `None` until something happens or [`Self::wakes_at_ns`].
+    /// The next action; `None` until something happens or [`Self::wakes_at_ns`].
     pub(crate) fn next_action(&mut self, now_ns: u64) -> Option<Action> {
         if let Some(action) = self.actions.pop_front() {
             return Some(action);
@@ -163,7 +163,7 @@ impl<S: PartialEq> Machine<S> {
         Some(Action::Start(due))
     }
 
-    /// When it has something to do even if nothing happens, monotonic ns.
+    /// When it must act even if nothing happens, monotonic ns.
     pub(crate) fn wakes_at_ns(&self) -> Option<u64> {
         self.nodes.iter().filter_map(|node| node.restart_at_ns).min()
     }
@@ -175,9 +175,9 @@ impl<S: PartialEq> Machine<S> {
         match node.deaths.after(end, lived, node.policy, is_taken, need) {
             Next::StartAgain(wait) => {
                 node.restart_at_ns = Some(after(now_ns, wait));
-                Action::TellRestart(index)
+                Action::ReportRestart(index)
             }
-            Next::GoOnWithout => Action::TellLoss(index),
+            Next::GoOnWithout => Action::ReportLoss(index),
             Next::EndRun => Action::EndRun { node: index, is_own: end != End::Killed && !is_taken },
         }
     }
@@ -211,7 +211,7 @@ mod tests {
         Scenario::from_file(&file, "test").unwrap()
     }
 
-    /// sim, fusion, standby-1, robot-0, all of which run.
+    /// sim, fusion, standby-1 and robot-0, all running.
     fn machine(rules: &[&str]) -> Machine<u64> {
         let rules: Vec<_> = rules.iter().map(|rule| rule.parse().unwrap()).collect();
         let roles = [Role::Sim, Role::Fusion, Role::Standby(1), Role::Robot(0)];
@@ -225,24 +225,24 @@ mod tests {
     }
 
     #[test]
-    fn who_ended_is_told_of_and_started_again() {
+    fn a_node_that_ended_is_reported_and_started_again() {
         let mut machine = machine(&[]);
         machine.on_end(0, End::Killed, false, 10);
-        assert_eq!(actions(&mut machine, 10), [Action::TellRestart(0), Action::Start(0)]);
+        assert_eq!(actions(&mut machine, 10), [Action::ReportRestart(0), Action::Start(0)]);
         machine.on_start(0, 20);
-        // The second one in a row waits.
+        // The second restart in a row waits.
         machine.on_end(0, End::Killed, false, 30);
-        assert_eq!(actions(&mut machine, 30), [Action::TellRestart(0)]);
+        assert_eq!(actions(&mut machine, 30), [Action::ReportRestart(0)]);
         let at_ns = machine.wakes_at_ns().unwrap();
         assert_eq!((actions(&mut machine, at_ns), machine.wakes_at_ns()), (vec![Action::Start(0)], None));
         assert!(machine.on_refusal(0, at_ns) && machine.wakes_at_ns().unwrap() > at_ns);
     }
 
     #[test]
-    fn of_those_that_can_lead_all_but_one_are_spare_even_if_they_end_together() {
+    fn all_but_one_of_the_fusion_nodes_are_spare_even_if_they_end_together() {
         let mut machine = machine(&["never"]);
         machine.on_end(1, End::Failed, false, 10);
-        assert_eq!(actions(&mut machine, 10), [Action::TellLoss(1)]);
+        assert_eq!(actions(&mut machine, 10), [Action::ReportLoss(1)]);
         machine.on_end(2, End::Failed, false, 20);
         assert_eq!(actions(&mut machine, 20), [Action::EndRun { node: 2, is_own: true }]);
 
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn who_hangs_is_killed_if_it_is_replaced() {
+    fn a_hung_node_is_killed_if_it_is_replaced() {
         let limit = Duration::from_secs(1);
         for (rules, killed) in [(&[][..], vec![Action::Kill { node: 3, silence: limit }]), (&["robot=never"], vec![])] {
             let (mut machine, scenario) = (machine(rules), scenario("1.0"));
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn a_deposed_one_that_hangs_is_killed_whatever_the_timeout() {
+    fn a_hung_deposed_fusion_is_killed_whatever_the_timeout() {
         let (mut machine, scenario) = (machine(&[]), scenario("\"forever\""));
         for look in 0..23 {
             machine.look(&scenario, |node| Seen {

@@ -28,25 +28,25 @@ use crate::run::pin::Pin;
 use crate::run::port;
 use crate::run::recorder;
 use crate::run::watch::Progress;
-use removal::go_on_until_the_end;
+use removal::run_to_the_end;
 use restart::Rule;
 
-/// Who is started beside the nodes of a run, and what is done when one of them ends.
+/// What is started beside the nodes of a run, and what is done when a node ends.
 #[derive(Debug, Default)]
 pub struct Supervision {
-    /// Fusion processes that stand by.
+    /// Number of standbys of fusion.
     pub standbys: usize,
-    /// Who is started again.
+    /// Which nodes are started again.
     pub rules: Vec<Rule>,
-    /// Processors for all.
+    /// Processors for all processes of the run.
     pub pin: Pin,
-    /// Whether a page shows the run, and at which port, if not at any.
+    /// The live page: `None` without one, `Some(None)` at any free port, else at this port.
     pub live: Option<Option<u16>>,
-    /// How large a recording may become, MB; `None` where there is none.
+    /// Largest size of the recording, MB; `None` without a recording.
     pub record_limit_mb: Option<u64>,
 }
 
-/// Goes on with a run all of whose processes are gone.
+/// Continues a run that has no processes any more.
 ///
 /// # Errors
 /// [`Failure`].
@@ -68,16 +68,16 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
 /// # Errors
 /// [`Failure`].
 pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
-    // What has been read is let go of once its copy is written.
+    // The experiment is moved in, so that its recording is freed once its copy is written.
     supervise(supervision, keep, move || {
-        // Only who has the name may touch the folder.
+        // Only the process that has the run's name may change the folder.
         let rendezvous = experiment.found()?;
         let folder = folder::prepare_folder(&experiment)?;
         Ok((rendezvous, folder))
     })
 }
 
-/// Runs an experiment in this process, and records it if its recording may have any megabytes.
+/// Runs an experiment in this process, and records it if `record_limit_mb` is given.
 ///
 /// # Errors
 /// [`Failure`].
@@ -99,7 +99,7 @@ pub fn run_in_process(experiment: &Experiment, record_limit_mb: Option<u64>, kee
     reported.map(drop)
 }
 
-/// Founds a run in its folder, starts its processes, sees to them until it ends, and reports.
+/// Creates a run in its folder, starts its processes, supervises them until the run ends, and writes the report.
 fn supervise(
     supervision: &Supervision,
     keep: &Keep,
@@ -112,10 +112,10 @@ fn supervise(
     }
     let (rendezvous, _folder) = found()?;
     let description = &rendezvous.description().clone();
-    let (summaries, outcome) = go_on_until_the_end(rendezvous, supervision, &termination)?;
+    let (summaries, outcome) = run_to_the_end(rendezvous, supervision, &termination)?;
     let reported = made::report_and_tables(description, keep, summaries);
     out_folder::seal(&description.out_dir);
-    // Why the run ended early comes first.
+    // The reason why the run ended early is reported first.
     outcome?;
     let ticks = reported?.ticks;
     if ticks < description.scenario.ticks {

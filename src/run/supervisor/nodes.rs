@@ -27,17 +27,17 @@ use crate::results::report::{Incident, NodeSummary};
 use crate::run::node::{command_line, this_program};
 use crate::run::watch;
 
-/// How long nodes may take to end by themselves once the run is over, and once they are asked to.
+/// Time in which nodes must end by themselves once the run is over, and once they are asked to.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// For this long after a death, what the dead left half-made is looked for: whoever waits for it
-/// holds it open now and then, as its maker would.
+/// For this long after a death, unfinished shared memory of dead processes is removed. It takes several tries, because
+/// a process that waits for it sometimes holds it open, like its maker would.
 const HALF_MADE: Duration = Duration::from_secs(1);
 
 /// The processes of a run.
 pub(super) struct Nodes<'a> {
     rendezvous: &'a Rendezvous,
-    /// The supervisor's, whose heartbeat this gives for it.
+    /// The supervisor's lease, which this renews.
     lease: &'a RoleLease,
     machine: Machine<SystemTime>,
     cleaner: Cleaner,
@@ -48,29 +48,30 @@ pub(super) struct Nodes<'a> {
     leads: u64,
 }
 
-/// How the nodes of a run came to their end.
+/// Why the nodes of a run have ended.
 #[derive(Debug)]
 pub(super) enum Ended {
-    /// With the run.
+    /// The run is complete.
     Finished,
-    /// Somebody has removed the run's shared memory: this file of it, or more.
+    /// The run's shared memory was removed: this file of it, or more.
     Removed(PathBuf),
 }
 
-/// One role's process, and what has become of its predecessors.
+/// The process of one role, and the history of its predecessors.
 struct Node {
     role: Role,
-    /// True if there are standbys: then fusion is one of those too, for another may lead when it comes back.
+    /// True if there are standbys. Then fusion is started as a standby too, because another may lead when it comes
+    /// back.
     has_standbys: bool,
     running: Option<Running>,
     summary: NodeSummary,
     /// How its last process ended.
-    epitaph: String,
+    last_end: String,
 }
 
 struct Running {
     child: Child,
-    /// Readable once the process has ended; `None` where the kernel gives none.
+    /// Readable once the process has ended; `None` if the kernel has no such descriptor.
     ended: Option<OwnedFd>,
 }
 
@@ -87,7 +88,7 @@ impl<'a> Nodes<'a> {
         let roles = roles.chain((1..=supervision.standbys).map(Role::Standby));
         let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standbys > 0)).collect();
         let machine = Machine::new(nodes.iter().map(|node| node.role), &Policies::new(&supervision.rules));
-        // What has become of each before goes on.
+        // The history of each node continues.
         nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
         let inspection = rendezvous.inspection();
         let mut all = Self { rendezvous, lease, machine, cleaner, nodes, last_death: None, inspection, leads: 0 };
@@ -101,8 +102,8 @@ impl<'a> Nodes<'a> {
         Ok(all)
     }
 
-    /// Watches until the run is complete, its shared memory is removed, a node that is not replaced dies, or an end is asked
-    /// for.
+    /// Watches the nodes until the run is complete, its shared memory is removed, a node that the run needs is given
+    /// up, or termination is requested.
     pub(super) fn supervise(&mut self, termination: &Termination, mut look: impl FnMut()) -> anyhow::Result<Ended> {
         let mut looked = Instant::now();
         let mut listened = Instant::now();
@@ -135,7 +136,7 @@ impl<'a> Nodes<'a> {
         Ok(Ended::Finished)
     }
 
-    /// What has been removed of the run's shared memory, as far as one look shows it.
+    /// A file of the run's shared memory that was removed, if one look finds one.
     fn inspect(&mut self) -> Option<PathBuf> {
         let nodes = self.pids();
         self.inspection.removed(&nodes)
@@ -152,17 +153,18 @@ impl<'a> Nodes<'a> {
         let mut watched: Vec<PollFd<'_>> =
             ended.map(|fd| PollFd::from_borrowed_fd(fd.as_fd(), PollFlags::IN)).collect();
         let timeout = Timespec { tv_sec: wait.as_secs().cast_signed(), tv_nsec: wait.subsec_nanos().into() };
-        // An error is a signal: the loop looks at everything anyway.
+        // An error means that a signal came: the loop checks everything anyway.
         let _ = poll(&mut watched, Some(&timeout));
     }
 
-    /// Takes note of each process's newest heartbeat.
+    /// Reports each process's newest heartbeat to the machine.
     fn listen(&mut self) {
         let Self { rendezvous, nodes, machine, .. } = self;
         machine.look(&rendezvous.description().scenario, |index| nodes[index].see(rendezvous.roster()));
     }
 
-    /// Takes note of nodes that have ended; unless it is what has been removed of the run's shared memory that they have ended of.
+    /// Reports nodes that have ended to the machine. If the run's shared memory was removed, that is why they ended,
+    /// and the removed file is returned instead.
     fn reap(&mut self) -> anyhow::Result<Option<PathBuf>> {
         for index in 0..self.nodes.len() {
             let Some(status) = self.nodes[index].reap(self.rendezvous)? else { continue };
@@ -173,15 +175,16 @@ impl<'a> Nodes<'a> {
             self.rendezvous.remove_half_made();
             self.cleaner.request();
             let node = &mut self.nodes[index];
-            node.epitaph = format!("{} {}", node.summary.title(), describe(status));
-            // One that somebody else has taken the role from meanwhile, by hand, waits for it to be free.
+            node.last_end = format!("{} {}", node.summary.title(), describe(status));
+            // If a process that was started by hand has taken the role meanwhile, the node waits until the role is
+            // free.
             let is_taken = self.rendezvous.roster().is_held(node.role);
             self.machine.on_end(index, end_of(status), is_taken, monotonic_ns());
         }
         Ok(None)
     }
 
-    /// Does what the machine decides.
+    /// Carries out the machine's actions.
     fn act(&mut self) -> anyhow::Result<Option<PathBuf>> {
         while let Some(action) = self.machine.next_action(monotonic_ns()) {
             match action {
@@ -196,18 +199,18 @@ impl<'a> Nodes<'a> {
                     }
                 }
                 Action::Kill { node, silence } => self.nodes[node].kill_as_hung(silence),
-                Action::TellRestart(index) => log::warn!("{}; it is started again", self.nodes[index].epitaph),
-                Action::TellLoss(index) => log::warn!("{}; the others go on without it", self.nodes[index].epitaph),
+                Action::ReportRestart(index) => log::warn!("{}; it is started again", self.nodes[index].last_end),
+                Action::ReportLoss(index) => log::warn!("{}; the others go on without it", self.nodes[index].last_end),
                 Action::EndRun { node, is_own } => {
                     let nodes = self.pids();
-                    // Before one is given up that fails again and again.
+                    // Before a failing node is given up, a removal is looked for more thoroughly.
                     if is_own && let Some(removed) = self.inspection.removed_of_any(&nodes) {
                         return Ok(Some(removed));
                     }
                     let node = &self.nodes[node];
-                    let said = std::fs::read_to_string(node.log_path(self.rendezvous)).unwrap_or_default();
-                    let last = said.lines().last().map_or(String::new(), |line| format!(": {line}"));
-                    return Err(anyhow!("{}{last}", node.epitaph));
+                    let log = std::fs::read_to_string(node.log_path(self.rendezvous)).unwrap_or_default();
+                    let last = log.lines().last().map_or(String::new(), |line| format!(": {line}"));
+                    return Err(anyhow!("{}{last}", node.last_end));
                 }
             }
         }
@@ -217,11 +220,11 @@ impl<'a> Nodes<'a> {
         Ok(None)
     }
 
-    /// Kills all nodes at once, and waits until they are gone: only then may others go on from what they have put down.
+    /// Kills all nodes at once, and waits until they are gone: only then may others go on from their checkpoints.
     pub(super) fn kill(&mut self) -> anyhow::Result<()> {
         for node in &mut self.nodes {
             if let Some(running) = &mut node.running {
-                // One that has seen it first has ended by itself.
+                // A node that noticed the removal first has ended by itself.
                 let is_killed = running.signal(Signal::KILL);
                 node.note(if is_killed { Incident::Killed } else { Incident::Exited });
             }
@@ -234,8 +237,7 @@ impl<'a> Nodes<'a> {
         }
     }
 
-    /// Lets the nodes end by themselves if the run is over, asks those that do not, and kills those
-    /// that will not.
+    /// Lets the nodes end by themselves if the run is over, then asks the others to end, and kills those that do not.
     pub(super) fn end(&mut self, finished: bool) {
         if finished {
             self.wait_for_all();
@@ -266,7 +268,7 @@ impl<'a> Nodes<'a> {
         self.nodes.into_iter().map(|node| node.summary).collect()
     }
 
-    /// How often the lead has been taken, as of the newest look.
+    /// How often the lead has been taken, as of the last look.
     pub(super) fn leads(&self) -> u64 {
         self.leads
     }
@@ -277,7 +279,7 @@ impl Running {
         Pid::from_child(&self.child)
     }
 
-    /// False if it has ended: only a child that runs still has its pid.
+    /// False if it has ended: only a running child still has its pid.
     fn signal(&mut self, signal: Signal) -> bool {
         matches!(self.child.try_wait(), Ok(None)) && kill_process(self.pid(), signal).is_ok()
     }
@@ -286,7 +288,7 @@ impl Running {
 impl Node {
     fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
         let summary = NodeSummary::new(role, scenario, 0);
-        Self { role, has_standbys, running: None, summary, epitaph: String::new() }
+        Self { role, has_standbys, running: None, summary, last_end: String::new() }
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -296,14 +298,14 @@ impl Node {
     fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
         let log_path = self.log_path(rendezvous);
         let log = out_folder::append(&log_path);
-        // Where no log can be kept, the user sees what the node says.
+        // If its log cannot be written, the user sees the node's messages.
         let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
-        // Where others can lead, one that was started as fusion stands by too: another may lead when it comes.
+        // If there are standbys, fusion is started as one too: another may lead by then.
         let role = if self.role == Role::Fusion && self.has_standbys { Role::Standby(1) } else { self.role };
         let mut command = this_program();
         command
             .args(command_line(role, rendezvous.name()))
-            // A group of its own: Ctrl-C reaches the supervisor, which ends the nodes in order.
+            // Its own process group: Ctrl-C reaches the supervisor, which ends the nodes in order.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -321,7 +323,7 @@ impl Node {
         let heartbeat =
             |role| roster.heartbeat_of(role).filter(|(signer, _)| Some(*signer) == pid).map(|(_, heartbeat)| heartbeat);
         match self.role {
-            // Which of them can lead does, is not told by who was started as what.
+            // Any of these may lead, whatever role it was started with.
             Role::Fusion | Role::Standby(_) => {
                 let lead = heartbeat(Role::Fusion);
                 let standing_by = || (1..=STANDBYS_MAX).filter_map(|number| heartbeat(Role::Standby(number))).max();
@@ -343,7 +345,7 @@ impl Node {
         self.running.as_mut().is_some_and(|running| matches!(running.child.try_wait(), Ok(None)))
     }
 
-    /// The end of the process before the run's, told once.
+    /// The end of the process before the end of the run; returned once.
     fn reap(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<Option<ExitStatus>> {
         let Some(running) = &mut self.running else { return Ok(None) };
         let Some(status) = running.child.try_wait()? else { return Ok(None) };
@@ -356,7 +358,7 @@ impl Node {
         Ok(Some(status))
     }
 
-    /// Counts what has happened to it just now.
+    /// Counts an incident and records its time.
     fn note(&mut self, incident: Incident) {
         let NodeSummary { starts, kills, exits, hangs, incidents, .. } = &mut self.summary;
         *match incident {

@@ -1,5 +1,5 @@
-//! The life of a run's processes, and another one when somebody has removed the shared memory that they met in: they all
-//! end, the run is founded again under its own id, and they go on from its checkpoints as after `resume`.
+//! Runs the processes of a run, and runs them again if the run's shared memory is removed. Then all of them end, the
+//! run is created again under its own id, and they go on from its checkpoints as after `resume`.
 
 use anyhow::anyhow;
 use rangehound_node::bus::Bus;
@@ -16,11 +16,11 @@ use crate::results::report::NodeSummary;
 use crate::run::node::input_or_running;
 use crate::run::watch::Watch;
 
-/// Shared memory that is removed so often in a row, each time before a tick is over, is not made again.
+/// Shared memory that is removed this often in a row, each time before a tick is over, is not made again.
 const REMOVALS_MAX: u32 = 5;
 
-/// Runs the nodes until the run ends, and once more from its checkpoints whenever somebody has removed its shared memory.
-pub(super) fn go_on_until_the_end(
+/// Runs the nodes until the run ends, and again from its checkpoints whenever its shared memory was removed.
+pub(super) fn run_to_the_end(
     rendezvous: Rendezvous,
     supervision: &Supervision,
     termination: &Termination,
@@ -30,15 +30,15 @@ pub(super) fn go_on_until_the_end(
     let mut removals_in_a_row = 0;
     let mut removed: Option<String> = None;
     loop {
-        let lived = live_once(&rendezvous, supervision, termination, &mut past);
+        let outcome_of_nodes = run_once(&rendezvous, supervision, termination, &mut past);
         let with_cause = |error: anyhow::Error| match &removed {
             Some(cause) if past.newest_tick.is_none() && !termination.requested() => error.context(cause.clone()),
             _ => error,
         };
-        let path = match lived {
+        let path = match outcome_of_nodes {
             Ok(Ended::Finished) => return Ok((past.summaries, Ok(()))),
             Ok(Ended::Removed(path)) => path,
-            // Before anybody could look for it.
+            // It was removed before the supervisor could check for it.
             Err(Failure::Running(_)) if rendezvous.is_removed() && !termination.requested() => {
                 rendezvous.iceoryx2_config_path()
             }
@@ -69,28 +69,28 @@ pub(super) fn go_on_until_the_end(
     }
 }
 
-/// Starts all processes of the run and sees to them until it ends, or until its shared memory has been removed.
-fn live_once(
+/// Starts all processes of the run and supervises them until the run ends, or until its shared memory is removed.
+fn run_once(
     rendezvous: &Rendezvous,
     supervision: &Supervision,
     termination: &Termination,
     past: &mut Past,
 ) -> Result<Ended, Failure> {
     let description = rendezvous.description();
-    let hold = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
-    past.supervisor_starts = hold.incarnation;
+    let lease = rendezvous.roster().take(Role::Supervisor).map_err(input_or_running)?;
+    past.supervisor_starts = lease.incarnation;
     past.newest_tick = None;
     std::thread::scope(|scope| {
         let bus = Bus::connect(rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let cleaner = Cleaner::start(rendezvous, scope);
-        let mut nodes = Nodes::start(rendezvous, &hold, supervision, cleaner, past.summaries.clone())?;
-        let mut sidecars = Sidecars::of(rendezvous, &hold);
+        let mut nodes = Nodes::start(rendezvous, &lease, supervision, cleaner, past.summaries.clone())?;
+        let mut sidecars = Sidecars::of(rendezvous, &lease);
         if let Some(limit_mb) = supervision.record_limit_mb {
             sidecars.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);
         }
         if let Some(port) = supervision.live {
-            // The page is found where it was.
+            // The page keeps its address.
             if let Some(address) = &past.live_address {
                 let _ = rendezvous.leave_note(LIVE_NOTE, address);
             }
@@ -98,11 +98,11 @@ fn live_once(
             sidecars.start("live", port.into_iter().flatten().collect());
         }
         let mut losses = Losses::new(description);
-        let mut is_blind = false;
+        let mut has_warned = false;
         let outcome = nodes.supervise(termination, || {
-            // What cannot be shown is no reason to end the run.
+            // A run does not end because its progress cannot be shown.
             if let Err(error) = watch.look()
-                && !std::mem::replace(&mut is_blind, true)
+                && !std::mem::replace(&mut has_warned, true)
             {
                 log::warn!("progress cannot be shown: {error}");
             }
@@ -118,7 +118,7 @@ fn live_once(
             sidecars.kill();
             nodes.kill()?;
         } else {
-            // Without the note, whoever looks on takes it for a run whose nodes have died.
+            // Without the note, observers would take it for a run whose nodes have died.
             let _ = rendezvous.leave_note(ENDING_NOTE, "");
             nodes.end(rendezvous.is_finished());
             watch.finish();
@@ -130,12 +130,12 @@ fn live_once(
     })
 }
 
-/// What is known of a run from before its shared memory was removed.
+/// State of a run that outlasts the removal of its shared memory.
 #[derive(Debug, Default)]
 struct Past {
     summaries: Vec<NodeSummary>,
     supervisor_starts: u64,
-    /// How often the lead has been taken: by standbys too.
+    /// How often the lead has been taken, also by standbys.
     leads: u64,
     /// Port and token of the live page.
     live_address: Option<String>,

@@ -61,7 +61,7 @@ impl Policies {
         Self(rules.to_vec())
     }
 
-    /// What to do when a node of this role has ended.
+    /// The policy for a node of this role.
     #[must_use]
     pub fn of(&self, role: Role) -> Policy {
         let kind = match role {
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn later_rules_win_and_nonsense_is_refused() {
+    fn later_rules_win_and_invalid_ones_are_refused() {
         let rules: Vec<Rule> = ["on-failure", "robot=never"].iter().map(|text| text.parse().unwrap()).collect();
         let policies = Policies::new(&rules);
         assert_eq!(policies.of(Role::Robot(3)), Policy::Never);

@@ -1,4 +1,4 @@
-//! Processes beside the nodes of a run that only look on, such as a recorder. The run does not depend on them.
+//! Processes beside the nodes of a run that only observe it, such as a recorder. The run does not depend on them.
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ExitStatus, Stdio};
@@ -12,23 +12,23 @@ use super::nodes::describe;
 use crate::failure::with_causes;
 use crate::run::node::this_program;
 
-/// One that has ended before its run this often is left alone.
+/// A sidecar that has ended before its run this often is not started again.
 const STARTS_MAX: u32 = 5;
 
-/// How long one may take to end once it is asked to.
+/// Time in which a sidecar must end once it is asked to.
 const GRACE: Duration = Duration::from_secs(10);
 
 const POLL: Duration = Duration::from_millis(10);
 
-/// The processes that look on at a run.
+/// The sidecars of a run.
 pub(super) struct Sidecars<'a> {
     rendezvous: &'a Rendezvous,
-    /// The supervisor's.
+    /// The supervisor's lease.
     lease: &'a RoleLease,
     all: Vec<Sidecar>,
 }
 
-/// One of them: a command of this program that takes `--name`, and ends by itself when the run has.
+/// A command of this program that takes `--name`, and ends by itself after the run.
 struct Sidecar {
     command: &'static str,
     args: Vec<String>,
@@ -41,14 +41,14 @@ impl<'a> Sidecars<'a> {
         Self { rendezvous, lease, all: Vec::new() }
     }
 
-    /// Starts one. What it has to say goes where this process's own words go.
+    /// Starts a sidecar. It writes its messages to the standard error of this process.
     pub(super) fn start(&mut self, command: &'static str, args: Vec<String>) {
         let mut sidecar = Sidecar { command, args, starts: 0, child: None };
         sidecar.start(self.rendezvous);
         self.all.push(sidecar);
     }
 
-    /// Starts those again that have been ended; one that failed has said why.
+    /// Starts sidecars again that have failed or were killed. One that failed has reported the reason itself.
     pub(super) fn look(&mut self) {
         for sidecar in &mut self.all {
             if let Some(status) = sidecar.reap()
@@ -66,11 +66,11 @@ impl<'a> Sidecars<'a> {
         }
     }
 
-    /// Waits until all have ended: by themselves after a run that came to its end, otherwise asked to.
+    /// Waits until all have ended: by themselves if the run is finished, otherwise on a signal.
     pub(super) fn end(&mut self, termination: &Termination) {
         let lease = self.lease;
         let sleep = || {
-            // A long recording is no hang.
+            // While a long recording is written, the supervisor must not seem to hang.
             lease.renew();
             std::thread::sleep(POLL);
         };
@@ -85,7 +85,7 @@ impl<'a> Sidecars<'a> {
         self.kill();
     }
 
-    /// Ends all at once: what they were about is begun anew.
+    /// Kills all at once; their work starts anew with the next life of the run.
     pub(super) fn kill(&mut self) {
         self.signal(Signal::KILL);
         for sidecar in &mut self.all {
@@ -111,7 +111,7 @@ impl Sidecar {
             .arg(self.command)
             .args(["--name", &rendezvous.name().to_string(), "--end-with", &std::process::id().to_string()])
             .args(&self.args)
-            // A group of its own: Ctrl-C reaches the supervisor, which ends it in order.
+            // Its own process group: Ctrl-C reaches the supervisor, which ends the sidecar in order.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -129,7 +129,7 @@ impl Sidecar {
         self.child.as_mut().is_some_and(|child| matches!(child.try_wait(), Ok(None)))
     }
 
-    /// How it ended, told once.
+    /// How it ended; returned once.
     fn reap(&mut self) -> Option<ExitStatus> {
         let status = self.child.as_mut()?.try_wait().ok().flatten()?;
         self.child = None;
@@ -140,7 +140,7 @@ impl Sidecar {
         if let Some(child) = &mut self.child
             && matches!(child.try_wait(), Ok(None))
         {
-            // One that has just ended hears nothing, and needs nothing.
+            // It may have just ended: then the signal is not needed.
             let _ = kill_process(Pid::from_child(child), signal);
         }
     }

@@ -3,8 +3,8 @@
 //! | module | what |
 //! |---|---|
 //! | [`model`] | readings by knots of the path, and the models of systematic error |
-//! | [`smoother`] | path and errors at once, robustly |
-//! | [`search`] | from ranges alone to the fits of all models |
+//! | [`smoother`] | robust estimate of path and errors together |
+//! | [`search`] | the fits of all models to the ranges alone |
 //! | [`verdict`] | selection of a model, and what the data cannot determine |
 //! | [`regression`] | errors against a known track |
 //! | `text` | `calibration.toml` |
@@ -39,7 +39,7 @@ use crate::terminal;
 use model::{Measured, Model, Problem, Reading};
 use verdict::Findings;
 
-/// Default folder of the findings.
+/// Default output folder.
 const OUT: &str = "runs/calibrate";
 
 /// `rangehound calibrate`.
@@ -83,8 +83,8 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
     if found {
         return Ok(());
     }
-    let why = findings.untold.first().map_or("nothing was found", String::as_str);
-    Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot tell {why}")))
+    let why = findings.undetermined.first().map_or("nothing was found", String::as_str);
+    Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot determine {why}")))
 }
 
 fn readings(recording: &Recording, target_height_m: Option<f64>) -> Vec<Reading> {
@@ -117,8 +117,8 @@ fn from_ranges(readings: &[Reading], problem: &Problem) -> (Findings, Points) {
     let (findings, chosen) = verdict::judge(problem, &fits);
     let mut points = vec![Vec::new(); problem.sensors];
     if let Some(fit) = chosen {
-        for (observation, left) in problem.observations.iter().zip(&fit.solution.residuals_m) {
-            points[observation.reading.sensor].push((observation.reading.range_m, *left));
+        for (observation, residual) in problem.observations.iter().zip(&fit.solution.residuals_m) {
+            points[observation.reading.sensor].push((observation.reading.range_m, *residual));
         }
     }
     (findings, points)
@@ -126,17 +126,17 @@ fn from_ranges(readings: &[Reading], problem: &Problem) -> (Findings, Points) {
 
 fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Findings, Points) {
     let mut pairs = vec![Vec::new(); names.len()];
-    let mut beside = Vec::new();
+    let mut in_time = Vec::new();
     for reading in readings {
         if let Some(at) = truth.at(reading.time_s) {
             let distance = reading.distance_m([at[0], at[1]]);
             pairs[reading.sensor].push((distance, reading.range_m - distance));
-            beside.push((reading, at));
+            in_time.push((reading, at));
         }
     }
     let mut findings = regression::regress(&pairs, names);
     let value = |measured: Option<Measured>| measured.map_or(0.0, |measured| measured.value);
-    let corrected: Vec<Reading> = beside
+    let corrected: Vec<Reading> = in_time
         .iter()
         .map(|(reading, _)| {
             let errors = &findings.sensors[reading.sensor];
@@ -150,13 +150,13 @@ fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Find
     if !corrected.is_empty() {
         findings.accel_psd = search::manoeuvring(&problem, states);
     } else {
-        findings.untold.insert(0, "anything: no range lies within the true track's time".to_owned());
+        findings.undetermined.insert(0, "anything: no range lies within the true track's time".to_owned());
     }
     let mut points = vec![Vec::new(); names.len()];
     for (sensor, pairs) in pairs.iter().enumerate() {
         let errors = &findings.sensors[sensor];
-        let left = |&(d, e): &(f64, f64)| (d + e, e - value(errors.bias_m) - value(errors.scale) * d);
-        points[sensor] = pairs.iter().map(left).collect();
+        let residual = |&(d, e): &(f64, f64)| (d + e, e - value(errors.bias_m) - value(errors.scale) * d);
+        points[sensor] = pairs.iter().map(residual).collect();
     }
     (findings, points)
 }
@@ -165,7 +165,7 @@ fn report(findings: &Findings, names: &[String], ranges: &str, out: &Path, found
     let title = terminal::TITLE;
     let mut text = format!("{title}calibration of {}{title:#}\n", ranges);
     let cell = |measured: Option<Measured>| {
-        measured.map_or("not told".to_owned(), |m| format!("{:.4} ± {:.4}", m.value, m.half_width))
+        measured.map_or("undetermined".to_owned(), |m| format!("{:.4} ± {:.4}", m.value, m.half_width))
     };
     let _ = writeln!(text, "{:<12} {:>7}  {:>17}  {:>17}  {:>17}", "sensor", "ranges", "bias, m", "scale", "noise, m");
     for (name, errors) in names.iter().zip(&findings.sensors) {
@@ -179,8 +179,8 @@ fn report(findings: &Findings, names: &[String], ranges: &str, out: &Path, found
             psd.value, psd.half_width
         );
     }
-    for line in &findings.untold {
-        let _ = writeln!(text, "cannot tell {line}");
+    for line in &findings.undetermined {
+        let _ = writeln!(text, "cannot determine {line}");
     }
     if found {
         let path = out.join(CALIBRATION);

@@ -19,14 +19,14 @@ impl Measured {
     }
 }
 
-/// One range, as the calibration sees it.
+/// One range for the calibration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
-    /// When, s.
+    /// Time, s.
     pub time_s: f64,
     /// Index of the sensor.
     pub sensor: usize,
-    /// Where the sensor was, m.
+    /// Position of the sensor, m.
     pub position_m: [f64; 2],
     /// Height of the sensor above the target, m.
     pub height_m: f64,
@@ -35,7 +35,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Distance from a place of the target, m.
+    /// Distance of the sensor from a position of the target, m.
     #[must_use]
     pub fn distance_m(&self, place_m: [f64; 2]) -> f64 {
         (place_m[0] - self.position_m[0]).hypot(place_m[1] - self.position_m[1]).hypot(self.height_m)
@@ -68,7 +68,7 @@ pub struct Problem {
     pub observations: Vec<Observation>,
     /// Number of sensors.
     pub sensors: usize,
-    /// Size of the scene, m: the largest relevant distance.
+    /// Size of the scene, m: twice the median range.
     pub span_m: f64,
     /// Readings that were left out to keep the problem small.
     pub thinned: usize,
@@ -78,7 +78,7 @@ pub struct Problem {
 pub const KNOTS_MAX: usize = 5_000;
 
 impl Problem {
-    /// Groups readings in order of time: a knot lasts half of the usual gap between two ranges of one sensor.
+    /// Groups readings in order of time: a knot lasts half of the median gap between two ranges of one sensor.
     #[must_use]
     pub fn new(readings: &[Reading], sensors: usize) -> Self {
         let mut last = vec![f64::NAN; sensors];
@@ -113,7 +113,7 @@ impl Problem {
     }
 }
 
-/// Which systematic errors a model allows.
+/// How the sensors of a model share one kind of systematic error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sharing {
     /// None.
@@ -166,7 +166,7 @@ impl Model {
         }
     }
 
-    /// Standard deviations of the weak priors with mean zero.
+    /// Standard deviations of the errors' weak priors, whose means are zero.
     #[must_use]
     pub fn prior_stds(self, sensors: usize, span_m: f64) -> Vec<f64> {
         let mut stds = vec![0.1 * span_m; count(self.bias, sensors)];

@@ -10,14 +10,14 @@ use crate::files::layout::RESIDUALS;
 const WIDTH: u32 = 1_800;
 const PANEL: u32 = 420;
 
-/// Most panels, and most points in one.
+/// Largest number of panels, and of points in a panel.
 const PANELS_MAX: usize = 16;
 const POINTS_MAX: usize = 1_500;
 
 /// Draws (range, residual) of each sensor into a folder.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If the picture cannot be written.
 pub fn draw(points: &[Vec<(f64, f64)>], names: &[String], folder: &Path) -> anyhow::Result<()> {
     let panels: Vec<(&str, &[(f64, f64)])> = names
         .iter()

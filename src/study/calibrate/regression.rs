@@ -8,16 +8,16 @@ use crate::statistics::{Z_95, median};
 /// Distances and errors of one sensor, in order of time.
 pub type Pairs = Vec<(f64, f64)>;
 
-/// Finds each sensor's errors from (true distance, measured range less true distance).
+/// Finds each sensor's errors from (true distance, measured range minus true distance).
 #[must_use]
 pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
     let counts: Vec<usize> = sensors.iter().map(Vec::len).collect();
     let mut findings = Findings::nothing(&counts, "");
-    findings.untold.clear();
+    findings.undetermined.clear();
     for (sensor, pairs) in sensors.iter().enumerate() {
         if pairs.len() < 10 {
-            findings.untold.push(format!(
-                "sensor {}: {} ranges beside the truth are too few",
+            findings.undetermined.push(format!(
+                "sensor {}: {} ranges within the time of the true track are too few; 10 are needed",
                 names[sensor],
                 pairs.len()
             ));
@@ -32,8 +32,8 @@ pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
             let (level, _) = fit(pairs, false);
             let half_width = Z_95 * (level.variances[0] * time).sqrt();
             errors.bias_m = Some(Measured { value: level.values[0], half_width });
-            findings.untold.push(format!(
-                "sensor {}: scale apart from bias, as its distances hardly change; all is taken as bias",
+            findings.undetermined.push(format!(
+                "sensor {}: scale apart from bias, because its distances hardly change; all of the error is taken as bias",
                 names[sensor]
             ));
         } else {
@@ -53,7 +53,7 @@ struct Line {
     std_m: f64,
 }
 
-/// A line, or a constant, under Student noise; and the residuals.
+/// Fits a line, or a constant, to errors with Student noise; returns it with the residuals.
 fn fit(pairs: &Pairs, sloped: bool) -> (Line, Vec<f64>) {
     let mut level: Vec<f64> = pairs.iter().map(|pair| pair.1).collect();
     let middle = median(&mut level).unwrap_or(0.0);
@@ -64,10 +64,10 @@ fn fit(pairs: &Pairs, sloped: bool) -> (Line, Vec<f64>) {
     for _ in 0..50 {
         let (mut s, mut sx, mut sy, mut sxx, mut sxy, mut square) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         for &(x, y) in pairs {
-            let left = y - a - b * x;
-            let w = student_weight(left / sigma);
+            let residual = y - a - b * x;
+            let w = student_weight(residual / sigma);
             (s, sx, sy, sxx, sxy) = (s + w, sx + w * x, sy + w * y, sxx + w * x * x, sxy + w * x * y);
-            square += w * left * left;
+            square += w * residual * residual;
         }
         sigma = (square / pairs.len() as f64).sqrt().max(1e-9);
         let det = s * sxx - sx * sx;
@@ -79,8 +79,8 @@ fn fit(pairs: &Pairs, sloped: bool) -> (Line, Vec<f64>) {
             variances = [sigma * sigma / s, f64::INFINITY];
         }
     }
-    let left: Vec<f64> = pairs.iter().map(|&(x, y)| y - a - b * x).collect();
+    let residuals: Vec<f64> = pairs.iter().map(|&(x, y)| y - a - b * x).collect();
     let limit = 9.0 * FREEDOM * sigma * sigma;
-    let std_m = (left.iter().map(|r| (r * r).min(limit)).sum::<f64>() / left.len() as f64).sqrt();
-    (Line { values: [a, b], variances, sigma, std_m }, left)
+    let std_m = (residuals.iter().map(|r| (r * r).min(limit)).sum::<f64>() / residuals.len() as f64).sqrt();
+    (Line { values: [a, b], variances, sigma, std_m }, residuals)
 }

@@ -1,9 +1,9 @@
-//! From ranges alone to the model that fits: a rough path, then the path, noise and errors of each model.
+//! Fits all models to the ranges alone: first a rough path, then path, noise and errors of each model.
 
 use nalgebra::Vector4;
 
 use super::model::{Measured, Model, Problem, Reading};
-use super::smoother::{FitParameters, Solution, settle, update_sigmas};
+use super::smoother::{FitParameters, Solution, optimise, update_sigmas};
 use crate::statistics::{Z_95, median};
 
 /// The fit of one model.
@@ -13,14 +13,14 @@ pub struct Fit {
     pub model: Model,
     /// Its estimate.
     pub estimate: FitParameters,
-    /// Its evidence and uncertainty.
+    /// Its evidence, information and residuals.
     pub solution: Solution,
     /// Standard deviation of the logarithm of the manoeuvring noise.
     pub log_psd_std: f64,
 }
 
 impl Fit {
-    /// The manoeuvring noise, m^2/s^3, if this number of successive residuals is worth one independent residual.
+    /// The manoeuvring noise, m^2/s^3, if `time` successive residuals count as one independent residual.
     #[must_use]
     pub fn accel_psd(&self, time: f64) -> Measured {
         let value = self.estimate.accel_psd;
@@ -68,7 +68,8 @@ fn miss(reading: &Reading, place: [f64; 2]) -> f64 {
     (reading.range_m - reading.distance_m(place)).abs()
 }
 
-/// The intersections of two circles, or their points of closest approach.
+/// The intersections of the circles of two sensors' ranges. If they do not intersect, a point on the line through their
+/// centres.
 fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
     let (dx, dy) = (b.position_m[0] - a.position_m[0], b.position_m[1] - a.position_m[1]);
     let apart = dx.hypot(dy);
@@ -85,16 +86,17 @@ fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
     [at(1.0), at(-1.0)]
 }
 
-/// Fits one model from an estimate: noise and manoeuvring noise alternate until the evidence converges.
+/// Fits one model, starting from an estimate: path, errors and the sensors' noise first. Then the manoeuvring noise
+/// changes in steps as long as the evidence improves, and at last goes to the vertex of a parabola.
 fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<Fit> {
     let errors = model.prior_stds(problem.sensors, problem.span_m).len();
     estimate.errors = vec![0.0; errors];
     let least_m = 1e-5 * problem.span_m;
     let with_noise = |mut estimate: FitParameters, turns: usize| -> Option<(FitParameters, Solution)> {
-        let mut solution = settle(problem, model, &mut estimate)?;
+        let mut solution = optimise(problem, model, &mut estimate)?;
         for _ in 0..turns {
             update_sigmas(problem, &solution, &mut estimate.sigmas_m, least_m);
-            solution = settle(problem, model, &mut estimate)?;
+            solution = optimise(problem, model, &mut estimate)?;
         }
         Some((estimate, solution))
     };
@@ -105,7 +107,7 @@ fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<F
                 let mut tried = estimate.clone();
                 tried.accel_psd *= direction;
                 let Some((tried, found)) = with_noise(tried, 4) else { break };
-                if found.unlikelihood >= solution.unlikelihood - 0.1 {
+                if found.neg_log_evidence >= solution.neg_log_evidence - 0.1 {
                     break;
                 }
                 (estimate, solution) = (tried, found);
@@ -115,17 +117,17 @@ fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<F
     (estimate, solution) = with_noise(estimate, 5)?;
     // The evidence as a parabola over the logarithm of the manoeuvring noise.
     let mut beside = [0.0; 2];
-    for (unlikelihood, by) in beside.iter_mut().zip([1.0, -1.0]) {
+    for (neg_log_evidence, by) in beside.iter_mut().zip([1.0, -1.0]) {
         let mut tried = estimate.clone();
         tried.accel_psd *= f64::exp(by * LOG_PSD_STEP);
-        *unlikelihood = settle(problem, model, &mut tried)?.unlikelihood;
+        *neg_log_evidence = optimise(problem, model, &mut tried)?.neg_log_evidence;
     }
     let [above, below] = beside;
-    let curvature = (above + below - 2.0 * solution.unlikelihood) / LOG_PSD_STEP.powi(2);
+    let curvature = (above + below - 2.0 * solution.neg_log_evidence) / LOG_PSD_STEP.powi(2);
     if curvature > 0.0 {
         let step = (below - above) / (2.0 * LOG_PSD_STEP * curvature);
         estimate.accel_psd *= step.clamp(-1.0, 1.0).exp();
-        solution = settle(problem, model, &mut estimate)?;
+        solution = optimise(problem, model, &mut estimate)?;
     }
     Some(Fit { model, estimate, solution, log_psd_std: curvature.max(0.0).sqrt().recip() })
 }
@@ -135,7 +137,7 @@ const LOG_PSD_STEP: f64 = 0.5;
 
 /// An initial estimate from a path.
 fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
-    let mut left: Vec<f64> = problem
+    let mut misses: Vec<f64> = problem
         .observations
         .iter()
         .map(|observation| {
@@ -143,16 +145,16 @@ fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
             miss(&observation.reading, [state[0], state[1]])
         })
         .collect();
-    let sigma = (2.0 * median(&mut left).unwrap_or(1.0)).max(1e-4 * problem.span_m);
+    let sigma = (2.0 * median(&mut misses).unwrap_or(1.0)).max(1e-4 * problem.span_m);
     let mut gaps: Vec<f64> = problem.knots_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let dt = median(&mut gaps).unwrap_or(1.0).max(1e-6);
-    // The target crosses its scene within about a thousand ranges, and turns freely.
+    // The target crosses its scene within some 200 knots, and can change its velocity within 50.
     let accel_psd = (problem.span_m / (200.0 * dt)).powi(2) / (50.0 * dt);
     FitParameters { states, errors: Vec::new(), sigmas_m: vec![sigma; problem.sensors], accel_psd }
 }
 
-/// All models that can be fitted, the most likely first; `tell` receives the number of finished models.
-pub fn search(problem: &Problem, mut tell: impl FnMut(usize)) -> Vec<Fit> {
+/// All models that can be fitted, the one with the most evidence first; `show` receives the number of finished models.
+pub fn search(problem: &Problem, mut show: impl FnMut(usize)) -> Vec<Fit> {
     let mut start = start(problem, rough_path(problem));
     let mut fits: Vec<Fit> = Vec::new();
     for (done, model) in Model::ALL.into_iter().enumerate() {
@@ -160,13 +162,13 @@ pub fn search(problem: &Problem, mut tell: impl FnMut(usize)) -> Vec<Fit> {
             start = fit.estimate.clone();
             fits.push(fit);
         }
-        tell(done + 1);
+        show(done + 1);
     }
-    fits.sort_by(|a, b| a.solution.unlikelihood.total_cmp(&b.solution.unlikelihood));
+    fits.sort_by(|a, b| a.solution.neg_log_evidence.total_cmp(&b.solution.neg_log_evidence));
     fits
 }
 
-/// The manoeuvring noise that fits corrected ranges along a known track.
+/// The manoeuvring noise that fits corrected ranges, with the known track as the first estimate of the path.
 #[must_use]
 pub fn manoeuvring(problem: &Problem, states: Vec<Vector4<f64>>) -> Option<Measured> {
     let start = start(problem, states);

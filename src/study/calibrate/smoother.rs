@@ -1,4 +1,5 @@
-//! The target's complete path and the sensors' errors at once: a robust Gauss-Newton step over a chain of blocks with a border.
+//! Estimates the target's complete path and the sensors' errors together: robust Gauss-Newton steps on a
+//! block-tridiagonal matrix with a border.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix4, Vector4};
 
@@ -9,7 +10,7 @@ pub const FREEDOM: f64 = 4.0;
 
 const STEPS_MAX: usize = 30;
 
-/// The cost of a residual, given as a multiple of the noise's scale.
+/// Weight of a residual in the least squares, given the residual as a multiple of the noise's scale.
 #[must_use]
 pub fn student_weight(ratio: f64) -> f64 {
     (FREEDOM + 1.0) / (FREEDOM + ratio * ratio)
@@ -32,14 +33,14 @@ pub struct FitParameters {
 #[derive(Debug, Clone)]
 pub struct Solution {
     /// Negative logarithm of the evidence (Laplace), up to a constant of the data.
-    pub unlikelihood: f64,
-    /// The same without the errors' prior: of all paths, with the errors as estimated.
+    pub neg_log_evidence: f64,
+    /// The same for fixed errors, at their estimate and without their prior.
     pub misfit: f64,
     /// The information of the data about the errors, without their prior: an inverse covariance.
     pub information: DMatrix<f64>,
     /// Residual of each range, m.
     pub residuals_m: Vec<f64>,
-    /// Variance that the path adds to each residual, m^2.
+    /// Variance of each predicted range, from the uncertainty of path and errors, m^2.
     pub path_variances_m2: Vec<f64>,
 }
 
@@ -48,11 +49,11 @@ struct Normal {
     upper: Vec<Matrix4<f64>>,
     border: Vec<Vec<Vector4<f64>>>,
     corner: DMatrix<f64>,
-    pull: Vec<Vector4<f64>>,
-    errors_pull: DVector<f64>,
+    rhs: Vec<Vector4<f64>>,
+    errors_rhs: DVector<f64>,
 }
 
-/// Distance, direction, bias, scale and residual of one observation.
+/// Residual, distance, direction and scale error of one observation.
 fn residual(problem: &Problem, model: Model, estimate: &FitParameters, index: usize) -> (f64, f64, [f64; 2], f64) {
     let observation = &problem.observations[index];
     let sensor = observation.reading.sensor;
@@ -62,8 +63,8 @@ fn residual(problem: &Problem, model: Model, estimate: &FitParameters, index: us
     let distance = dx.hypot(dy).hypot(observation.reading.height_m).max(1e-6 * problem.span_m);
     let bias = model.bias_index(sensor).map_or(0.0, |at| estimate.errors[at]);
     let scale = model.scale_index(sensor, problem.sensors).map_or(0.0, |at| estimate.errors[at]);
-    let left = observation.reading.range_m - bias - (1.0 + scale) * distance;
-    (left, distance, [dx / distance, dy / distance], scale)
+    let residual_m = observation.reading.range_m - bias - (1.0 + scale) * distance;
+    (residual_m, distance, [dx / distance, dy / distance], scale)
 }
 
 /// Derivative of a range with respect to the state at its knot.
@@ -72,7 +73,7 @@ fn slope_of([ux, uy]: [f64; 2], scale: f64, after_s: f64) -> Vector4<f64> {
     Vector4::new(gx, gy, gx * after_s, gy * after_s)
 }
 
-/// Summed in order: `Vector4::dot` sums in pairs, which would change the last digits of the figures.
+/// Sums in order: `Vector4::dot` sums in pairs, which would change the last digits of the figures.
 fn dot(a: &Vector4<f64>, b: &Vector4<f64>) -> f64 {
     a.component_mul(b).sum()
 }
@@ -81,7 +82,7 @@ fn motion_error(before: &Vector4<f64>, after: &Vector4<f64>, dt: f64) -> Vector4
     after - before - Vector4::new(dt * before[2], dt * before[3], 0.0, 0.0)
 }
 
-/// The parts of an axis' inverse process noise: position, cross, velocity.
+/// The entries of an axis' inverse process noise: position, cross, velocity.
 fn motion_weight(dt: f64, psd: f64) -> (f64, f64, f64) {
     (12.0 / (psd * dt * dt * dt), -6.0 / (psd * dt * dt), 4.0 / (psd * dt))
 }
@@ -118,8 +119,8 @@ fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds:
         upper: vec![Matrix4::zeros(); knots.saturating_sub(1)],
         border: vec![vec![Vector4::zeros(); errors]; knots],
         corner: DMatrix::zeros(errors, errors),
-        pull: vec![Vector4::zeros(); knots],
-        errors_pull: DVector::zeros(errors),
+        rhs: vec![Vector4::zeros(); knots],
+        errors_rhs: DVector::zeros(errors),
     };
     for k in 1..knots {
         let dt = problem.knots_s[k] - problem.knots_s[k - 1];
@@ -128,10 +129,10 @@ fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds:
         for a in 0..2 {
             let b = a + 2;
             let (wp, wv) = (p * e[a] + c * e[b], c * e[a] + v * e[b]);
-            n.pull[k][a] -= wp;
-            n.pull[k][b] -= wv;
-            n.pull[k - 1][a] += wp;
-            n.pull[k - 1][b] += dt * wp + wv;
+            n.rhs[k][a] -= wp;
+            n.rhs[k][b] -= wv;
+            n.rhs[k - 1][a] += wp;
+            n.rhs[k - 1][b] += dt * wp + wv;
             let d = &mut n.diagonal[k];
             d[(a, a)] += p;
             d[(a, b)] += c;
@@ -153,19 +154,19 @@ fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds:
     let tiny = Matrix4::from_diagonal_element(1e-8 / (problem.span_m * problem.span_m));
     n.diagonal.iter_mut().for_each(|diagonal| *diagonal += tiny);
     for (index, observation) in problem.observations.iter().enumerate() {
-        let (left, distance, unit, scale) = residual(problem, model, estimate, index);
+        let (residual_m, distance, unit, scale) = residual(problem, model, estimate, index);
         let sensor = observation.reading.sensor;
         let sigma = estimate.sigmas_m[sensor];
-        let weight = student_weight(left / sigma) / (sigma * sigma);
+        let weight = student_weight(residual_m / sigma) / (sigma * sigma);
         let slope = slope_of(unit, scale, observation.after_s);
         let weighted = slope * weight;
         let k = observation.knot;
         let slots = [(model.bias_index(sensor), 1.0), (model.scale_index(sensor, problem.sensors), distance)];
-        n.pull[k] += weighted * left;
+        n.rhs[k] += weighted * residual_m;
         n.diagonal[k] += weighted * slope.transpose();
         for (at, by) in slots {
             let Some(at) = at else { continue };
-            n.errors_pull[at] += weight * by * left;
+            n.errors_rhs[at] += weight * by * residual_m;
             n.border[k][at] += weighted * by;
             for (other, other_by) in slots {
                 if let Some(other) = other {
@@ -176,7 +177,7 @@ fn normal(problem: &Problem, model: Model, estimate: &FitParameters, prior_stds:
     }
     for (at, std) in prior_stds.iter().enumerate() {
         n.corner[(at, at)] += 1.0 / (std * std);
-        n.errors_pull[at] -= estimate.errors[at] / (std * std);
+        n.errors_rhs[at] -= estimate.errors[at] / (std * std);
     }
     n
 }
@@ -188,7 +189,7 @@ struct Solved {
     errors_log_det: f64,
     inverse_pivots: Vec<Matrix4<f64>>,
     gains: Vec<Vec<Vector4<f64>>>,
-    /// Inverse of the errors' covariance, and that.
+    /// Inverse of the errors' covariance, and the covariance.
     schur: DMatrix<f64>,
     covariance: DMatrix<f64>,
 }
@@ -197,9 +198,9 @@ fn solve(n: &Normal) -> Option<Solved> {
     let (knots, errors) = (n.diagonal.len(), n.corner.nrows());
     let mut path_log_det = 0.0;
     let mut inverse_pivots: Vec<Matrix4<f64>> = Vec::with_capacity(knots);
-    // Column 0 is the gradient, the rest is the border.
+    // Column 0 is the right-hand side, the rest is the border.
     let mut columns: Vec<Vec<Vector4<f64>>> =
-        (0..knots).map(|k| std::iter::once(n.pull[k]).chain(n.border[k].iter().copied()).collect()).collect();
+        (0..knots).map(|k| std::iter::once(n.rhs[k]).chain(n.border[k].iter().copied()).collect()).collect();
     for k in 0..knots {
         let mut pivot = n.diagonal[k];
         if k > 0 {
@@ -226,7 +227,7 @@ fn solve(n: &Normal) -> Option<Solved> {
         }
     }
     let mut schur = n.corner.clone();
-    let mut right = n.errors_pull.clone();
+    let mut right = n.errors_rhs.clone();
     for k in 0..knots {
         for a in 0..errors {
             right[a] -= dot(&n.border[k][a], &columns[k][0]);
@@ -249,8 +250,8 @@ fn solve(n: &Normal) -> Option<Solved> {
     Some(Solved { step, errors_step, path_log_det, errors_log_det, inverse_pivots, gains, schur, covariance })
 }
 
-/// Improves an estimate until it converges; `None` if the numbers become singular.
-pub fn settle(problem: &Problem, model: Model, estimate: &mut FitParameters) -> Option<Solution> {
+/// Improves an estimate until it converges; `None` if a matrix becomes singular.
+pub fn optimise(problem: &Problem, model: Model, estimate: &mut FitParameters) -> Option<Solution> {
     let prior_stds = model.prior_stds(problem.sensors, problem.span_m);
     let mut now = cost(problem, model, estimate, &prior_stds);
     for _ in 0..STEPS_MAX {
@@ -284,7 +285,7 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut FitParameters) -> 
     let mut residuals_m = Vec::with_capacity(problem.observations.len());
     let mut path_variances_m2 = Vec::with_capacity(problem.observations.len());
     for (index, observation) in problem.observations.iter().enumerate() {
-        let (left, distance, unit, scale) = residual(problem, model, estimate, index);
+        let (residual_m, distance, unit, scale) = residual(problem, model, estimate, index);
         let slope = slope_of(unit, scale, observation.after_s);
         let mut variance = dot(&slope, &(path[observation.knot] * slope));
         let mut errors_slope: Vec<f64> = solved.gains[observation.knot].iter().map(|gain| -dot(gain, &slope)).collect();
@@ -297,13 +298,13 @@ pub fn settle(problem: &Problem, model: Model, estimate: &mut FitParameters) -> 
         }
         let errors_slope = DVector::from_vec(errors_slope);
         variance += errors_slope.dot(&(&solved.covariance * &errors_slope));
-        residuals_m.push(left);
+        residuals_m.push(residual_m);
         path_variances_m2.push(variance.max(0.0));
     }
     let priors = prior_stds.iter().map(|std| 1.0 / (std * std));
     let misfit = now - prior_cost(&estimate.errors, &prior_stds) + 0.5 * solved.path_log_det;
     Some(Solution {
-        unlikelihood: now + 0.5 * (solved.path_log_det + solved.errors_log_det),
+        neg_log_evidence: now + 0.5 * (solved.path_log_det + solved.errors_log_det),
         misfit,
         information: solved.schur - DMatrix::from_diagonal(&DVector::from_iterator(prior_stds.len(), priors)),
         residuals_m,
@@ -324,15 +325,16 @@ fn path_covariances(n: &Normal, solved: &Solved) -> Vec<Matrix4<f64>> {
 /// Each sensor's noise from the residuals, as in the expectation-maximisation step of a Student distribution.
 pub fn update_sigmas(problem: &Problem, solution: &Solution, sigmas_m: &mut [f64], least_m: f64) {
     let mut sums = vec![(0.0, 0.0); sigmas_m.len()];
-    let left = solution.residuals_m.iter().zip(&solution.path_variances_m2);
-    for (observation, (left, added)) in problem.observations.iter().zip(left) {
+    let residuals = solution.residuals_m.iter().zip(&solution.path_variances_m2);
+    for (observation, (residual_m, added)) in problem.observations.iter().zip(residuals) {
         let sensor = observation.reading.sensor;
-        let square = left * left + added;
+        let square = residual_m * residual_m + added;
         let weight = student_weight(square.sqrt() / sigmas_m[sensor]);
         sums[sensor].0 += weight * square;
         sums[sensor].1 += 1.0;
     }
-    // Half of it is the noise of all sensors: otherwise two sensors may get no noise and determine the complete path alone.
+    // Half of each variance is that of all sensors. Otherwise two sensors may be given no noise, and determine the
+    // complete path alone.
     let all = sums.iter().fold((0.0, 0.0), |all, one| (all.0 + one.0, all.1 + one.1));
     let usual = all.0 / f64::max(all.1, 1.0);
     for (sigma, (sum, count)) in sigmas_m.iter_mut().zip(sums) {

@@ -1,4 +1,4 @@
-//! Selection of a model, and what the data cannot determine.
+//! Selection and averaging of models, and what the data cannot determine.
 
 use nalgebra::{Cholesky, DMatrix};
 
@@ -31,7 +31,8 @@ pub struct Findings {
     /// Spectral density of the acceleration, m^2/s^3.
     pub accel_psd: Option<Measured>,
     /// What the data cannot determine, and why.
-    pub untold: Vec<String>,
+    #[serde(rename = "untold")]
+    pub undetermined: Vec<String>,
 }
 
 impl Findings {
@@ -39,7 +40,7 @@ impl Findings {
     #[must_use]
     pub fn nothing(counts: &[usize], why: &str) -> Self {
         let none = |&ranges: &usize| SensorErrors { bias_m: None, scale: None, range_std_m: None, ranges };
-        Self { sensors: counts.iter().map(none).collect(), accel_psd: None, untold: vec![why.to_owned()] }
+        Self { sensors: counts.iter().map(none).collect(), accel_psd: None, undetermined: vec![why.to_owned()] }
     }
 }
 
@@ -79,18 +80,19 @@ fn line_spread(points: impl Iterator<Item = [f64; 2]> + Clone) -> (f64, f64) {
     ((middle + half).max(0.0).sqrt(), (middle - half).max(0.0).sqrt())
 }
 
-/// The correlation time of a sensor's residuals, in ranges: this number of successive residuals is worth one independent
-/// residual. It is seen with a memory of the given number of ranges.
+/// The correlation time of the sensors' residuals, in ranges: this number of successive residuals counts as one
+/// independent residual. The weight of a correlation falls exponentially with its lag, with the time constant `memory`
+/// in ranges.
 #[must_use]
 pub(super) fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for left in by_sensor.iter().filter(|left| left.len() >= 20) {
-        let n = left.len();
-        let mean = mean(left.iter().copied());
-        let variance: f64 = left.iter().map(|r| (r - mean).powi(2)).sum();
+    for residuals in by_sensor.iter().filter(|residuals| residuals.len() >= 20) {
+        let n = residuals.len();
+        let mean = mean(residuals.iter().copied());
+        let variance: f64 = residuals.iter().map(|r| (r - mean).powi(2)).sum();
         let mut time = 1.0;
         for lag in 1..=(n / 4).min(500) {
-            let together: f64 = left[lag..].iter().zip(left).map(|(a, b)| (a - mean) * (b - mean)).sum();
+            let together: f64 = residuals[lag..].iter().zip(residuals).map(|(a, b)| (a - mean) * (b - mean)).sum();
             let rho = together / variance.max(f64::MIN_POSITIVE);
             if rho < 2.0 / (n as f64).sqrt() {
                 break;
@@ -103,27 +105,29 @@ pub(super) fn correlation(by_sensor: &[Vec<f64>], memory: f64) -> f64 {
     if count > 0.0 { (sum / count).max(1.0) } else { 1.0 }
 }
 
-/// How many ranges of a sensor a tracker remembers: the time constant of the steady Kalman filter of a target of nearly
-/// constant velocity, `sqrt(2) (R / Q)^(1/4)`, R and Q being the spectral densities of position noise and acceleration.
+/// Number of ranges of a sensor that a tracker remembers. It follows from the time constant of the steady Kalman filter
+/// for nearly constant velocity, `sqrt(2) (R / Q)^(1/4)`, with R and Q the spectral densities of position noise and
+/// acceleration.
 fn memory(problem: &Problem, fit: &Fit) -> f64 {
     let duration_s = problem.knots_s.last().zip(problem.knots_s.first()).map_or(0.0, |(last, first)| last - first);
     let weight: f64 = problem.observations.iter().map(|o| fit.estimate.sigmas_m[o.reading.sensor].powi(-2)).sum();
-    // A range informs about one axis of two.
+    // A range has information about one axis of two.
     let time_s = std::f64::consts::SQRT_2 * (2.0 * duration_s / weight / fit.estimate.accel_psd).powf(0.25);
     time_s * problem.observations.len() as f64 / (problem.sensors as f64 * duration_s.max(1e-9))
 }
 
-/// Residuals by sensor, in order of time, with the weights of the fit: an outlier counts little.
+/// Residuals by sensor, in order of time, times the weights of the fit, so that an outlier counts little.
 fn by_sensor(problem: &Problem, fit: &Fit) -> Vec<Vec<f64>> {
     let mut all = vec![Vec::new(); problem.sensors];
-    for (observation, left) in problem.observations.iter().zip(&fit.solution.residuals_m) {
+    for (observation, residual) in problem.observations.iter().zip(&fit.solution.residuals_m) {
         let sensor = observation.reading.sensor;
-        all[sensor].push(left * student_weight(left / fit.estimate.sigmas_m[sensor]));
+        all[sensor].push(residual * student_weight(residual / fit.estimate.sigmas_m[sensor]));
     }
     all
 }
 
-/// Judges the fits: selects the best one whose errors are all determined, or gives the reason why there is none.
+/// Judges the fits. Of those whose errors are all determined, it averages the errors by evidence, and returns the
+/// findings with the best fit. If there is none, the findings have the reason.
 #[must_use]
 pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) {
     let counts: Vec<usize> = (0..problem.sensors)
@@ -135,7 +139,7 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
     let noise_m = best.estimate.sigmas_m.iter().sum::<f64>() / problem.sensors.max(1) as f64;
     let extent = line_spread(best.estimate.states.iter().map(|state| [state[0], state[1]]));
     if extent.0 < noise_m.max(0.01 * problem.span_m) {
-        let why = "bias and scale: the target stands still, so they cannot be told from its position; let it move \
+        let why = "bias and scale: the target stands still, so they cannot be distinguished from its position; let it move \
                    through the scene, or give --truth";
         let mut findings = Findings::nothing(&counts, why);
         // Whatever the bias is, the spread of the ranges about it is the noise.
@@ -145,12 +149,12 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
     let time = correlation(&by_sensor(problem, best), f64::INFINITY);
     let mut judged: Vec<Judged<'_>> = fits.iter().filter_map(|fit| Judged::new(problem, fit, time)).collect();
     judged.sort_by(|a, b| a.score.total_cmp(&b.score));
-    let mut untold = Vec::new();
+    let mut undetermined = Vec::new();
     judged.retain(|one| {
         let open = one.open(problem);
-        let is_told = open.is_empty();
-        untold.extend(open);
-        is_told
+        let is_determined = open.is_empty();
+        undetermined.extend(open);
+        is_determined
     });
     let Some(first) = judged.first() else {
         return (Findings::nothing(&counts, "bias and scale: their intervals are too wide to be of use"), None);
@@ -158,30 +162,30 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
     let (fit, least) = (first.fit, first.score);
     judged.retain(|one| one.score < least - WEIGHT_MIN.ln());
     let mut findings = Findings::nothing(&counts, "");
-    findings.untold = untold;
+    findings.undetermined = undetermined;
     for (sensor, errors) in findings.sensors.iter_mut().enumerate() {
         errors.bias_m = averaged(&judged, |model| model.bias_index(sensor));
         errors.scale = averaged(&judged, |model| model.scale_index(sensor, problem.sensors));
     }
     set_noise(&mut findings, fit, problem, time);
-    // Lasting errors do not average out, but the tracker assumes independent errors. With more variance of noise and of
-    // manoeuvres alike it follows as fast, and its covariance matches its error. The tails' share of the
-    // variance is already included.
-    let (mut core, mut whole) = (0.0, 0.0);
+    // Correlated errors do not average out, but the tracker assumes independent errors. If the variances of noise and
+    // manoeuvres are both increased by one factor, the tracker responds as fast, and its covariance matches its error.
+    // The factor is for the core of the noise: outliers are not correlated.
+    let (mut core, mut total) = (0.0, 0.0);
     for (errors, sigma_m) in findings.sensors.iter().zip(&fit.estimate.sigmas_m) {
         let Some(std_m) = errors.range_std_m else { continue };
         core += errors.ranges as f64 * sigma_m.powi(2).min(std_m.value.powi(2));
-        whole += errors.ranges as f64 * std_m.value.powi(2);
+        total += errors.ranges as f64 * std_m.value.powi(2);
     }
-    let lasting = (correlation(&by_sensor(problem, fit), memory(problem, fit)) * core
-        / f64::max(whole, f64::MIN_POSITIVE))
+    let correlated = (correlation(&by_sensor(problem, fit), memory(problem, fit)) * core
+        / f64::max(total, f64::MIN_POSITIVE))
     .max(1.0);
     for std_m in findings.sensors.iter_mut().filter_map(|errors| errors.range_std_m.as_mut()) {
-        *std_m = std_m.scaled(lasting.sqrt());
+        *std_m = std_m.scaled(correlated.sqrt());
     }
-    findings.accel_psd = Some(fit.accel_psd(time).scaled(lasting));
+    findings.accel_psd = Some(fit.accel_psd(time).scaled(correlated));
     if findings.sensors.iter().all(|errors| errors.bias_m.is_none() && errors.scale.is_none()) {
-        findings.untold.push("bias and scale: none that the ranges would show".to_owned());
+        findings.undetermined.push("bias and scale: none that the ranges would show".to_owned());
     }
     (findings, Some(fit.clone()))
 }
@@ -210,14 +214,15 @@ impl<'a> Judged<'a> {
         Some(Self { fit, prior_stds, score, covariance: factored.inverse() })
     }
 
-    /// Errors about which the data hardly say more than the prior.
+    /// The errors that the data determine hardly better than the prior.
     fn open(&self, problem: &Problem) -> Vec<String> {
         let model = self.fit.model;
         let biases = model.scale_index(0, problem.sensors).unwrap_or(self.prior_stds.len());
         let is_open = |at: usize| self.covariance[(at, at)].sqrt() > 0.5 * self.prior_stds[at];
         let shared = |sharing| if sharing == Sharing::Each { "of each sensor" } else { "common to all" };
-        let told = [("bias", model.bias, 0..biases), ("scale", model.scale, biases..self.prior_stds.len())];
-        told.into_iter()
+        let kinds = [("bias", model.bias, 0..biases), ("scale", model.scale, biases..self.prior_stds.len())];
+        kinds
+            .into_iter()
             .filter(|(_, _, slots)| slots.clone().any(is_open))
             .map(|(what, sharing, _)| format!("{what} {}: interval too wide", shared(sharing)))
             .collect()
@@ -241,7 +246,8 @@ fn averaged(judged: &[Judged<'_>], index: impl Fn(Model) -> Option<usize>) -> Op
     Some(Measured { value, half_width: Z_95 * variance.sqrt() })
 }
 
-/// The standard deviation from the Student scale and the path's share.
+/// Sets each sensor's standard deviation from its residuals and the variances of the predicted ranges. The squares of
+/// outliers are limited.
 fn set_noise(findings: &mut Findings, fit: &Fit, problem: &Problem, time: f64) {
     for (sensor, errors) in findings.sensors.iter_mut().enumerate() {
         let sum: f64 = problem
@@ -249,7 +255,9 @@ fn set_noise(findings: &mut Findings, fit: &Fit, problem: &Problem, time: f64) {
             .iter()
             .zip(fit.solution.residuals_m.iter().zip(&fit.solution.path_variances_m2))
             .filter(|(observation, _)| observation.reading.sensor == sensor)
-            .map(|(_, (left, added))| (left * left + added).min(9.0 * FREEDOM * fit.estimate.sigmas_m[sensor].powi(2)))
+            .map(|(_, (residual, added))| {
+                (residual * residual + added).min(9.0 * FREEDOM * fit.estimate.sigmas_m[sensor].powi(2))
+            })
             .sum();
         if errors.ranges >= 10 {
             let std_m = (sum / errors.ranges as f64).sqrt();
@@ -293,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_hold_the_biases_that_were_put_in() {
+    fn intervals_contain_the_true_biases() {
         let biases_m = [0.1, 0.3, -0.2, 0.5];
         let (mut inside, mut all) = (0, 0);
         for seed in 1..=3 {
@@ -318,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn residuals_that_last_count_for_less_and_within_the_memory_only() {
+    fn correlated_residuals_count_less_and_only_within_the_memory() {
         let steps: Vec<f64> = (0..1_000).map(|i| if (i / 20) % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let alternating: Vec<f64> = (0..1_000).map(|i| if i % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let (all, short) =
@@ -328,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scale_error_of_all_is_found_as_one() {
+    fn a_common_scale_error_is_found_as_one() {
         let (findings, _) = findings(&simulated(4, [0.0; 4], 0.06, 0.05, true));
         let scale = findings.sensors[0].scale.unwrap();
         assert!((scale.value - 0.06).abs() < 0.01 && findings.sensors[0].bias_m.is_none(), "{findings:?}");
@@ -346,7 +354,7 @@ mod tests {
     #[test]
     fn undetermined_errors_are_not_reported() {
         let (findings, fit) = findings(&simulated(6, [0.2; 4], 0.0, 0.05, false));
-        assert!(fit.is_none() && findings.untold[0].contains("stands still"), "{findings:?}");
+        assert!(fit.is_none() && findings.undetermined[0].contains("stands still"), "{findings:?}");
         let mut readings = simulated(7, [0.0; 4], 0.0, 0.05, true);
         assert_eq!(obstacle(&readings, 4), None);
         assert!(obstacle(&readings[..40], 4).unwrap().contains("too few"));

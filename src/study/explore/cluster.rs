@@ -1,5 +1,4 @@
-//! The whole team in one process on simulated time: what happens next, and who is told. All that is random comes from the
-//! plan's seed.
+//! The whole team in one process on simulated time: handles events in order. All randomness comes from the plan's seed.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -17,64 +16,64 @@ use super::network::{GroupState, Message};
 use super::plan::Plan;
 use super::process::{Node, Process};
 use super::roles::sim::SIM;
-use super::story::StoryLine;
 use super::supervisor::Supervisor;
+use super::trace::TraceLine;
 use super::witness::Witness;
 use crate::run::supervisor::silence;
 
-/// When the team is started: late enough for clocks that go wrong to have gone apart.
+/// Time at which the team is started: late enough for clocks of different rates to have diverged.
 const START_NS: u64 = 1_000_000_000;
 
-/// Time in which a run must end once faults have ceased, beside its ticks.
+/// Time within which a run must end after the last fault, in addition to its ticks.
 const CALM_NS: u64 = 60_000_000_000;
 
-/// Most happenings without any time between.
+/// Most events at one time.
 const AT_ONCE_MAX: u32 = 100_000;
 
-/// Time in which an undisturbed run in lock step ends: for the start, and for each tick.
+/// Time within which an undisturbed run in lock step ends: for the start, and for each tick.
 const SMOOTH_START_NS: u64 = 40_000_000;
 const SMOOTH_TICK_NS: u64 = 500_000;
 
-/// What was seen to be wrong.
+/// A broken invariant.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Violation {
     /// When, ns since the start.
     pub(super) at_ns: u64,
-    /// The node, if it is one's.
+    /// The node that broke it, if any.
     pub(super) node: Option<usize>,
-    /// What.
+    /// Description.
     pub(super) what: String,
 }
 
-/// What an exploration went through.
+/// Counts of an exploration.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Counts {
-    /// Ticks, times the nodes that took part in them.
+    /// Ticks times nodes.
     pub(super) node_ticks: u64,
     /// Faults that took effect.
     pub(super) faults: u64,
-    /// Times that another process took the lead.
+    /// How often another process took the lead.
     pub(super) successions: u64,
 }
 
-/// What happens at a time.
+/// An event in simulated time.
 #[derive(Debug)]
-pub(super) enum Happening {
-    Arrives { to: usize, message: Message, is_garbled: bool },
+pub(super) enum SimEvent {
+    Arrival { to: usize, message: Message, is_garbled: bool },
     Wakes { node: usize, event: Option<Event> },
-    Begins(usize),
-    ComesUp { node: usize, life: u32 },
-    Continues { node: usize, life: u32 },
-    Heals(usize),
-    Looks,
-    Supervises,
+    FaultBegins(usize),
+    ProcessStarts { node: usize, life: u32 },
+    ProcessContinues { node: usize, life: u32 },
+    PartitionEnds(usize),
+    SupervisorLooks,
+    SupervisorActs,
     SupervisorContinues,
 }
 
 struct Due {
     at_ns: u64,
     order: u64,
-    happening: Happening,
+    sim_event: SimEvent,
 }
 
 impl PartialEq for Due {
@@ -105,18 +104,18 @@ pub(super) struct Cluster<'a> {
     pub(super) now_ns: u64,
     pub(super) calm_from_ns: u64,
     order: u64,
-    /// Happenings without any time between.
-    at_once: u32,
+    /// Events at the present time.
+    events_at_once: u32,
     due: BinaryHeap<Reverse<Due>>,
     pub(super) nodes: Vec<Node>,
     pub(super) partitions: Vec<(usize, u64)>,
     pub(super) sim_starts: u64,
     pub(super) lead: Lead,
-    /// What is to become of those who take the lead, by fault.
-    pub(super) heirs_dooms: Vec<usize>,
+    /// Faults of processes that will take the lead.
+    pub(super) successor_faults: Vec<usize>,
     pub(super) sim_disk: Disk,
     pub(super) sim_turns: Turns,
-    /// Fusion's checkpoint files; the last one has the name.
+    /// Fusion's checkpoint files; the last one is the one with the name.
     pub(super) disks: Vec<Disk>,
     /// By [`WaitGroup`](rangehound_shared::protocol::wake::WaitGroup).
     pub(super) groups: [GroupState; 3],
@@ -124,26 +123,26 @@ pub(super) struct Cluster<'a> {
     pub(super) is_finished: bool,
     pub(super) witness: Witness,
     pub(super) counts: Counts,
-    story: Option<Vec<StoryLine>>,
+    trace: Option<Vec<TraceLine>>,
 }
 
 /// How an exploration ended.
 pub(super) struct Outcome {
-    /// What was wrong, if anything.
+    /// The broken invariant, if any.
     pub(super) violation: Option<Violation>,
-    /// What it went through.
+    /// Its counts.
     pub(super) counts: Counts,
-    /// Its story, if that was asked for.
-    pub(super) story: Vec<StoryLine>,
+    /// Its trace, if it was kept.
+    pub(super) trace: Vec<TraceLine>,
 }
 
 impl<'a> Cluster<'a> {
-    /// A team before its start; `undisturbed` has the digests of a run to which nothing happens.
+    /// A team before its start; `undisturbed` has the digests of a run without faults.
     pub(super) fn new(
         plan: &'a Plan,
         scenario: &'a Scenario,
         undisturbed: Rc<Vec<[u64; 2]>>,
-        tells_story: bool,
+        keeps_trace: bool,
     ) -> Self {
         Self {
             plan,
@@ -152,13 +151,13 @@ impl<'a> Cluster<'a> {
             now_ns: START_NS,
             calm_from_ns: START_NS + plan.calm_from_ns(),
             order: 0,
-            at_once: 0,
+            events_at_once: 0,
             due: BinaryHeap::new(),
             nodes: plan.clock_rates.iter().map(|clock_rate| Node::new(*clock_rate)).collect(),
             partitions: Vec::new(),
             sim_starts: 0,
             lead: Lead::default(),
-            heirs_dooms: Vec::new(),
+            successor_faults: Vec::new(),
             sim_disk: Disk::default(),
             sim_turns: Turns::default(),
             disks: vec![Disk::default()],
@@ -167,28 +166,28 @@ impl<'a> Cluster<'a> {
             is_finished: false,
             witness: Witness::new(scenario, undisturbed, plan),
             counts: Counts::default(),
-            story: tells_story.then(Vec::new),
+            trace: keeps_trace.then(Vec::new),
         }
     }
 
-    /// Lets it go on to its end.
+    /// Runs the team to its end.
     pub(super) fn explore(mut self) -> Outcome {
         let violation = self.go_on().err();
         self.counts.node_ticks = (self.witness.last_estimate().unwrap_or(0) + 1) * self.nodes.len() as u64;
-        Outcome { violation, counts: self.counts, story: self.story.unwrap_or_default() }
+        Outcome { violation, counts: self.counts, trace: self.trace.unwrap_or_default() }
     }
 
     fn go_on(&mut self) -> Result<(), Violation> {
         self.start_all();
         for (index, fault) in self.plan.faults.iter().enumerate() {
-            self.after(fault.at_ns, Happening::Begins(index));
+            self.after(fault.at_ns, SimEvent::FaultBegins(index));
         }
         let ends_ns = self.calm_from_ns + CALM_NS + self.plan.ticks * 2 * (self.scenario.dt_s * 1e9) as u64;
         while !self.has_ended() {
-            let Some(Reverse(Due { at_ns, happening, .. })) = self.due.pop() else { break };
-            self.at_once = if at_ns == self.now_ns { self.at_once + 1 } else { 0 };
-            if self.at_once > AT_ONCE_MAX {
-                return Err(self.violation(None, "time stands still".to_owned()));
+            let Some(Reverse(Due { at_ns, sim_event, .. })) = self.due.pop() else { break };
+            self.events_at_once = if at_ns == self.now_ns { self.events_at_once + 1 } else { 0 };
+            if self.events_at_once > AT_ONCE_MAX {
+                return Err(self.violation(None, "simulated time does not advance".to_owned()));
             }
             self.now_ns = at_ns;
             if at_ns > ends_ns {
@@ -196,17 +195,17 @@ impl<'a> Cluster<'a> {
                 let what = format!("the run did not end once faults ceased: no estimate of tick {tick}");
                 return Err(self.violation(None, what));
             }
-            self.happen(happening)?;
+            self.handle(sim_event)?;
         }
         self.check_smoothness()
     }
 
-    /// The simulator has ended, and every tick has its estimate; or the supervisor has given up.
+    /// True if the simulator has ended and every tick has its estimate, or if the supervisor has given up.
     fn has_ended(&self) -> bool {
         self.supervisor.has_given_up || self.is_finished && self.witness.last_estimate() == Some(self.plan.ticks)
     }
 
-    /// To an undisturbed team nothing happens that a repeat or a look must mend.
+    /// An undisturbed team never depends on a repeat or a time-out.
     fn check_smoothness(&self) -> Result<(), Violation> {
         if !self.plan.is_undisturbed() {
             return Ok(());
@@ -216,18 +215,18 @@ impl<'a> Cluster<'a> {
             return Err(self.violation(None, "an undisturbed run waited for repeats".to_owned()));
         }
         if !self.witness.is_complete() {
-            return Err(self.violation(None, "in an undisturbed run somebody was missing".to_owned()));
+            return Err(self.violation(None, "in an undisturbed run a robot was missing".to_owned()));
         }
         Ok(())
     }
 
-    fn happen(&mut self, happening: Happening) -> Result<(), Violation> {
-        match happening {
-            Happening::Arrives { to, message, is_garbled } => {
+    fn handle(&mut self, sim_event: SimEvent) -> Result<(), Violation> {
+        match sim_event {
+            SimEvent::Arrival { to, message, is_garbled } => {
                 let is_woken = self.arrive(to, message, is_garbled);
                 if is_woken { self.run(to) } else { Ok(()) }
             }
-            Happening::Wakes { node, event } => {
+            SimEvent::Wakes { node, event } => {
                 if let (Some(Event::Hello), Process::Sim(machine)) = (event, &mut self.nodes[node].process) {
                     machine.on_hello();
                     self.witness.timing.hello_ns = self.now_ns;
@@ -237,27 +236,27 @@ impl<'a> Cluster<'a> {
                 }
                 self.run(node)
             }
-            Happening::Begins(fault) => self.begin(fault),
-            Happening::Heals(fault) => {
+            SimEvent::FaultBegins(fault) => self.begin(fault),
+            SimEvent::PartitionEnds(fault) => {
                 self.partitions.retain(|(index, _)| *index != fault);
-                self.tell(None, || "the network is whole again".to_owned());
+                self.trace(None, || "the network is connected again".to_owned());
                 Ok(())
             }
-            Happening::ComesUp { node, life } if self.nodes[node].life == life => self.come_up(node),
-            Happening::Continues { node, life } if self.nodes[node].life == life => self.carry_on(node),
-            Happening::ComesUp { .. } | Happening::Continues { .. } => Ok(()),
-            Happening::Looks => {
-                self.after(silence::LOOK.as_nanos() as u64, Happening::Looks);
-                self.look_for_signs()
+            SimEvent::ProcessStarts { node, life } if self.nodes[node].life == life => self.start_process(node),
+            SimEvent::ProcessContinues { node, life } if self.nodes[node].life == life => self.continue_process(node),
+            SimEvent::ProcessStarts { .. } | SimEvent::ProcessContinues { .. } => Ok(()),
+            SimEvent::SupervisorLooks => {
+                self.after(silence::LOOK.as_nanos() as u64, SimEvent::SupervisorLooks);
+                self.check_heartbeats()
             }
-            Happening::Supervises => self.supervise(),
-            Happening::SupervisorContinues => self.continue_supervisor(),
+            SimEvent::SupervisorActs => self.supervise(),
+            SimEvent::SupervisorContinues => self.continue_supervisor(),
         }
     }
 
-    /// A process comes up and takes its role.
-    fn come_up(&mut self, node: usize) -> Result<(), Violation> {
-        self.tell(Some(node), || "starts".to_owned());
+    /// A process starts and takes its role.
+    fn start_process(&mut self, node: usize) -> Result<(), Violation> {
+        self.trace(Some(node), || "starts".to_owned());
         let process = if node == SIM {
             self.start_sim()?
         } else if self.plan.fusion_nodes().contains(&node) {
@@ -266,25 +265,25 @@ impl<'a> Cluster<'a> {
             self.start_robot(node)
         };
         let now_ns = self.now_ns;
-        self.nodes[node].come_up(process, now_ns);
+        self.nodes[node].start_process(process, now_ns);
         self.run(node)
     }
 
-    /// Something happens after a time.
-    pub(super) fn after(&mut self, after_ns: u64, happening: Happening) {
+    /// Schedules an event.
+    pub(super) fn after(&mut self, after_ns: u64, sim_event: SimEvent) {
         self.order += 1;
-        self.due.push(Reverse(Due { at_ns: self.now_ns + after_ns, order: self.order, happening }));
+        self.due.push(Reverse(Due { at_ns: self.now_ns + after_ns, order: self.order, sim_event }));
     }
 
-    /// What is wrong, now.
+    /// A violation at the present time.
     pub(super) fn violation(&self, node: Option<usize>, what: String) -> Violation {
         Violation { at_ns: self.now_ns - START_NS, node, what }
     }
 
-    /// Tells a line of the story, if it is told.
-    pub(super) fn tell(&mut self, node: Option<usize>, what: impl FnOnce() -> String) {
-        if let Some(story) = &mut self.story {
-            story.push(StoryLine { at_ns: self.now_ns - START_NS, node, what: what() });
+    /// Adds a line to the trace, if one is kept.
+    pub(super) fn trace(&mut self, node: Option<usize>, what: impl FnOnce() -> String) {
+        if let Some(trace) = &mut self.trace {
+            trace.push(TraceLine { at_ns: self.now_ns - START_NS, node, what: what() });
         }
     }
 }

@@ -1,99 +1,99 @@
-//! What can go wrong with a team, drawn from a seed.
+//! Faults of a team, drawn from a seed.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::plan::Plan;
 
-/// A hang that nobody ends but the supervisor, ns.
+/// A hang that only the supervisor ends, ns.
 const FOR_EVER_NS: u64 = 1_000_000_000_000;
 
-/// Longest time in which whoever hangs is started again: silence of 2 s, 0.1 s for each node, and some looks, ns.
+/// Longest time until a hung process is started again: silence of 2 s, 0.1 s for each node, and some looks, ns.
 const HANG_MAX_NS: u64 = 5_000_000_000;
 
-/// Something that goes wrong.
+/// A fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
     /// When, ns.
     pub(super) at_ns: u64,
-    /// What.
+    /// Kind of fault.
     pub(super) kind: FaultKind,
 }
 
 /// A kind of fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum FaultKind {
-    /// A node is killed once it has done so many more actions; so is each process that follows it, as often as it says.
+    /// A node is killed after some actions, and so are its next processes, `times` in all.
     Kill {
-        /// Which.
+        /// The node.
         node: usize,
-        /// Actions before that.
+        /// Number of actions before that.
         after_actions: u32,
         /// If that action is to write the checkpoint, this share of it is written.
         written: f64,
-        /// It is no kill but a failure of its own.
+        /// It is not a kill but a failure of its own.
         is_own: bool,
-        /// Processes.
+        /// Number of processes.
         times: u32,
-        /// What the next process takes to come up, ns.
+        /// Time that the next process takes to start, ns.
         up_ns: u64,
     },
-    /// Whoever takes the lead next is killed so many actions later.
-    KillHeir {
-        /// Actions before that.
+    /// The next process that takes the lead is killed after some actions.
+    KillSuccessor {
+        /// Number of actions before that.
         after_actions: u32,
     },
-    /// A node is stopped once it has done so many more actions, and continued later.
+    /// A node is stopped after some actions, and continued later.
     Stop {
-        /// Which.
+        /// The node.
         node: usize,
-        /// Actions before that.
+        /// Number of actions before that.
         after_actions: u32,
-        /// For how long, ns.
+        /// Duration, ns.
         for_ns: u64,
     },
-    /// Whoever leads is stopped the same.
+    /// The leader is stopped in the same way.
     StopLeader {
-        /// Actions before that.
+        /// Number of actions before that.
         after_actions: u32,
-        /// For how long, ns.
+        /// Duration, ns.
         for_ns: u64,
     },
-    /// All nodes are stopped at once, the supervisor too or not.
+    /// All nodes are stopped at once, with or without the supervisor.
     StopAll {
-        /// The supervisor too.
+        /// The supervisor is stopped too.
         with_supervisor: bool,
-        /// For how long, ns.
+        /// Duration, ns.
         for_ns: u64,
     },
     /// The supervisor is stopped.
     StopSupervisor {
-        /// For how long, ns.
+        /// Duration, ns.
         for_ns: u64,
     },
     /// The system refuses to start processes.
     RefuseStarts {
-        /// How many.
+        /// Number of starts.
         times: u32,
     },
-    /// Each process of a node fails from now on, so many actions after its start.
+    /// From now on each process of a node fails some actions after its start.
     Break {
-        /// Which.
+        /// The node.
         node: usize,
-        /// Actions before that.
+        /// Number of actions before that.
         after_actions: u32,
     },
-    /// Nothing gets from these nodes to the others, or from those to these.
+    /// No message passes between these nodes and the others.
     Partition {
         /// Bit i for node i.
         nodes: u64,
-        /// For how long, ns.
+        /// Duration, ns.
         for_ns: u64,
     },
 }
 
 impl Fault {
-    /// When its effects are over, ns.
+    /// Time at which its effects are over, ns.
     pub(super) fn ends_ns(&self) -> u64 {
         let lasts_ns = match self.kind {
             FaultKind::Kill { times, up_ns, .. } => u64::from(times) * (up_ns + 20_000_000),
@@ -102,12 +102,12 @@ impl Fault {
             | FaultKind::StopAll { for_ns, .. }
             | FaultKind::StopSupervisor { for_ns }
             | FaultKind::Partition { for_ns, .. } => for_ns.min(HANG_MAX_NS),
-            FaultKind::KillHeir { .. } | FaultKind::RefuseStarts { .. } | FaultKind::Break { .. } => 0,
+            FaultKind::KillSuccessor { .. } | FaultKind::RefuseStarts { .. } | FaultKind::Break { .. } => 0,
         };
         self.at_ns + lasts_ns
     }
 
-    /// True if it makes processes fail by themselves, or as good as that.
+    /// How many failures of a node's own it causes: a refused start counts as one.
     fn own_failures(&self) -> u32 {
         match self.kind {
             FaultKind::Kill { is_own: true, times, .. } | FaultKind::RefuseStarts { times } => times,
@@ -127,22 +127,22 @@ impl Fault {
     }
 }
 
-/// Own failures in a run that no run may end of.
+/// Largest number of own failures in a run that must not end because of them.
 const OWN_FAILURES_MAX: u32 = 4;
 
-/// What goes wrong in a plan, in order of time.
+/// The faults of a plan, in order of time.
 pub(super) fn draw(random: &mut ChaCha8Rng, plan: &Plan, span_ns: u64) -> Vec<Fault> {
     let mut faults: Vec<Fault> = Vec::new();
     for _ in 0..random.random_range(0..=6) {
         let fault = Fault { at_ns: random.random_range(0..span_ns), kind: kind(random, plan) };
         let own_failures: u32 = faults.iter().map(Fault::own_failures).sum::<u32>() + fault.own_failures();
-        // Where nobody else could take its place, one that hangs twice would never be waited for again.
+        // At most one hang and one broken node: a second one might leave no node that can take its place.
         let is_twice = |is: fn(&Fault) -> bool| is(&fault) && faults.iter().any(is);
         if own_failures <= OWN_FAILURES_MAX && !is_twice(Fault::is_hang) && !is_twice(Fault::is_break) {
             faults.push(fault);
         }
     }
-    // Whoever fails by itself for ever is given up for that alone, and takes nobody's place.
+    // A node whose every process fails is given up, and that must have no other cause.
     if faults.iter().any(Fault::is_break) {
         faults.retain(|fault| fault.own_failures() == 0 && !fault.is_hang());
     }
@@ -152,12 +152,12 @@ pub(super) fn draw(random: &mut ChaCha8Rng, plan: &Plan, span_ns: u64) -> Vec<Fa
 
 fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
     let (nodes, can_lead) = (plan.nodes(), 2 + plan.standbys);
-    // Half of all faults at those that have a state, or may come to have it.
+    // Half of all faults concern the nodes that have state, or may get it.
     let node = if random.random_bool(0.5) { random.random_range(0..can_lead) } else { random.random_range(0..nodes) };
     let after_actions = random.random_range(0..24);
     let few_actions = random.random_range(0..6);
     let short_ns = random.random_range(0..300_000_000);
-    // Long enough to be deposed.
+    // Long enough for a leader to be deposed.
     let long_ns = random.random_range(300_000_000..2_000_000_000);
     let slow_ns = random.random_range(300_000_000..2_600_000_000);
     let up_ns = if random.random_bool(0.8) { short_ns / 10 } else { slow_ns };
@@ -172,7 +172,7 @@ fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
             let times = random.random_range(2..=9);
             FaultKind::Kill { node, after_actions: few_actions, written, is_own: false, times, up_ns: short_ns / 100 }
         }
-        39..45 => FaultKind::KillHeir { after_actions: few_actions },
+        39..45 => FaultKind::KillSuccessor { after_actions: few_actions },
         45..62 => FaultKind::Stop { node, after_actions, for_ns },
         62..74 => FaultKind::StopLeader { after_actions, for_ns },
         74..80 if !plan.is_endless => FaultKind::Stop { node, after_actions, for_ns: FOR_EVER_NS },

@@ -1,15 +1,16 @@
-//! `rangehound explore`: whole teams in one process on simulated time, with faults drawn from a seed, checked as they go on.
+//! `rangehound explore`: whole teams in one process on simulated time, with faults drawn from a seed and checks at
+//! every step.
 //!
 //! | module | what |
 //! |---|---|
 //! | `plan`, `faults` | what happens to a team, from a seed |
-//! | `cluster` | the team: what happens next in simulated time |
+//! | `cluster` | the team: events in the order of simulated time |
 //! | `roles` | the roles' machines, driven in it |
 //! | `process` | processes that are started, stopped and killed between two actions |
-//! | `network`, `disk`, `lead` | messages that get lost, checkpoints that are torn, the lock of whoever leads |
+//! | `network`, `disk`, `lead` | messages that get lost, half-written checkpoints, the lock of the lead |
 //! | `supervisor` | the supervisor's machine, driven in it |
 //! | `witness` | the invariants |
-//! | `story` | what happened, as a table |
+//! | `trace` | what happened, as a table |
 
 mod cluster;
 mod disk;
@@ -19,8 +20,8 @@ mod network;
 mod plan;
 mod process;
 mod roles;
-mod story;
 mod supervisor;
+mod trace;
 mod witness;
 
 use std::collections::HashMap;
@@ -35,34 +36,34 @@ use crate::run::in_process::Team;
 use crate::run::watch::Progress;
 use cluster::{Cluster, Counts, Outcome, Violation};
 use plan::{Network, Plan};
-use story::table;
+use trace::table;
 
-/// Ticks after which no exploration goes on.
+/// Largest number of ticks of an exploration.
 const TICKS_MAX: u64 = 16;
 
-/// Seeds between two looks at the progress.
+/// Seeds between two updates of the shown progress.
 const SHOW: u64 = 64;
 
-/// `rangehound explore`: so many seeds from the first on, with what each node did if that is to be told.
+/// `rangehound explore`: explores `seeds` seeds from `first` on, and prints what each node did if `prints_trace`.
 ///
 /// # Errors
 /// [`Failure`]; also if a seed breaks a promise.
-pub fn explore(first: u64, seeds: u64, tells: bool) -> Result<(), Failure> {
+pub fn explore(first: u64, seeds: u64, prints_trace: bool) -> Result<(), Failure> {
     let mut stage = Stage::default();
     let mut total = Total { began: Instant::now(), first, seeds: 0, counts: Counts::default() };
     let mut progress = Progress::new("seed", seeds);
     for index in 0..seeds {
         let plan = Plan::new(first.wrapping_add(index));
-        let Outcome { violation, counts, story } = stage.explore(&plan, tells)?;
+        let Outcome { violation, counts, trace } = stage.explore(&plan, prints_trace)?;
         total.add(&counts);
         if let Some(violation) = violation {
             progress.finish();
-            let failure = stage.tell_violation(&plan, &violation)?;
+            let failure = stage.report_violation(&plan, &violation)?;
             failure::print(total.summary("1 violation"))?;
             return Err(failure);
         }
-        if tells {
-            failure::print(table(&plan, &story))?;
+        if prints_trace {
+            failure::print(table(&plan, &trace))?;
         }
         if index % SHOW == 0 || index + 1 == seeds {
             progress.show(index + 1, "");
@@ -72,7 +73,7 @@ pub fn explore(first: u64, seeds: u64, tells: bool) -> Result<(), Failure> {
     failure::print(total.summary("0 violations"))
 }
 
-/// What all seeds together went through.
+/// Counts over all seeds.
 struct Total {
     began: Instant,
     first: u64,
@@ -98,7 +99,7 @@ impl Total {
     }
 }
 
-/// Scenarios and undisturbed runs, by what they depend on.
+/// Scenarios and undisturbed runs, each made once.
 #[derive(Default)]
 struct Stage {
     scenarios: HashMap<(usize, bool, bool), Scenario>,
@@ -106,12 +107,12 @@ struct Stage {
 }
 
 impl Stage {
-    fn explore(&mut self, plan: &Plan, tells_story: bool) -> Result<Outcome, Failure> {
+    fn explore(&mut self, plan: &Plan, keeps_trace: bool) -> Result<Outcome, Failure> {
         let is_realtime = plan.clock == Clock::Realtime;
         let scenario = self.scenario(plan.robots, is_realtime, plan.is_endless)?;
         let scenario = Scenario { ticks: plan.ticks, ..scenario };
         let undisturbed = self.undisturbed(plan.robots)?;
-        Ok(Cluster::new(plan, &scenario, undisturbed, tells_story).explore())
+        Ok(Cluster::new(plan, &scenario, undisturbed, keeps_trace).explore())
     }
 
     fn scenario(&mut self, robots: usize, is_realtime: bool, is_endless: bool) -> Result<Scenario, Failure> {
@@ -131,7 +132,7 @@ impl Stage {
         Ok(scenario)
     }
 
-    /// Digests by tick of a run to which nothing happens.
+    /// Digests by tick of a run without faults.
     fn undisturbed(&mut self, robots: usize) -> Result<Rc<Vec<[u64; 2]>>, Failure> {
         if let Some(digests) = self.undisturbed.get(&robots) {
             return Ok(Rc::clone(digests));
@@ -149,12 +150,12 @@ impl Stage {
         Ok(digests)
     }
 
-    /// Tells of a broken promise: by the fewest faults that break one.
-    fn tell_violation(&mut self, plan: &Plan, violation: &Violation) -> Result<Failure, Failure> {
+    /// Reports a broken promise, with the fewest faults that break one.
+    fn report_violation(&mut self, plan: &Plan, violation: &Violation) -> Result<Failure, Failure> {
         let fewest = self.shrink(plan)?;
-        let Outcome { violation: shrunk, story, .. } = self.explore(&fewest, true)?;
+        let Outcome { violation: shrunk, trace, .. } = self.explore(&fewest, true)?;
         let shrunk = shrunk.as_ref().unwrap_or(violation);
-        failure::print(table(&fewest, &story))?;
+        failure::print(table(&fewest, &trace))?;
         let faults = fewest.faults.iter().fold(String::new(), |mut text, fault| {
             let _ = writeln!(text, "  {fault:?}");
             text
@@ -172,7 +173,7 @@ impl Stage {
         )))
     }
 
-    /// The same plan with as little as still breaks a promise.
+    /// The plan reduced to the fewest faults and disturbances that still break a promise.
     fn shrink(&mut self, plan: &Plan) -> Result<Plan, Failure> {
         let mut fewest = plan.clone();
         loop {
@@ -217,12 +218,12 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_tells_the_same_story_each_time() {
+    fn a_seed_gives_the_same_trace_each_time() {
         for seed in 0..20 {
             let (first, second) = (outcome(seed), outcome(seed));
             assert_eq!(first.violation, second.violation);
-            assert_eq!(first.story, second.story, "seed {seed}");
-            assert!(!first.story.is_empty());
+            assert_eq!(first.trace, second.trace, "seed {seed}");
+            assert!(!first.trace.is_empty());
         }
     }
 
@@ -237,7 +238,7 @@ mod tests {
             total.faults += counts.faults;
             total.successions += counts.successions;
         }
-        // It is no test of a team that nothing happens to.
+        // Without faults the test would show nothing.
         assert!(total.faults > 2_000 && total.successions > 200, "{total:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! What travels between nodes: messages that are lost, doubled, late, garbled or cut off; wake-ups.
+//! The network between nodes: messages that are lost, doubled, slow, garbled or cut off; wake-ups.
 
 use std::rc::Rc;
 
@@ -7,23 +7,23 @@ use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
 use rangehound_shared::protocol::wake::{Answers, Event, Notification, WaitGroup, When};
 use rangehound_shared::scenario::Clock;
 
-use super::cluster::{Cluster, Happening};
+use super::cluster::{Cluster, SimEvent};
 use super::process::Process;
 
-/// What a message takes at least, and what a wake-up takes.
+/// Least delay of a message, and the delay of a wake-up.
 const MESSAGE_NS: u64 = 2_000;
 pub(super) const WAKE_NS: u64 = 5_000;
 
-/// Messages that wait for a process; the newest displace the oldest.
+/// Size of a process's inbox; new messages displace the oldest.
 const INBOX: usize = 64;
 
-/// A tick that no run comes to.
+/// More ticks than any run has.
 const NO_TICK: u64 = 1_000;
 
-/// A robot that no team has here.
+/// The id of a robot that no team has.
 const NO_ROBOT: u64 = 200;
 
-/// What one node tells another.
+/// A message from one node to another.
 #[derive(Debug, Clone)]
 pub(super) enum Message {
     World(Header, Rc<[WorldEntry]>),
@@ -32,7 +32,7 @@ pub(super) enum Message {
     Drive(u64, Drive),
 }
 
-/// One wait group: how many answers it waits for, and which came.
+/// One wait group: how many answers it waits for, and how many have come.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct GroupState {
     pub(super) expected: usize,
@@ -40,7 +40,7 @@ pub(super) struct GroupState {
 }
 
 impl Message {
-    /// With nonsense in it, of one kind or another: whoever it reaches must act as if it had not come.
+    /// An invalid copy, of some kind: its receiver must act as if it had not arrived.
     fn garbled(self, kind: u32) -> Self {
         match self {
             Self::World(header, entries) => {
@@ -77,7 +77,7 @@ fn message_of((message, _): (Message, bool)) -> Message {
 }
 
 impl Cluster<'_> {
-    /// Sends a message, which may get lost.
+    /// Sends a message through the network with its faults.
     pub(super) fn send(&mut self, from: usize, to: usize, message: impl Fn() -> Message) {
         let cut = |(_, nodes): &(usize, u64)| (nodes >> from & 1) != (nodes >> to & 1);
         if self.partitions.iter().any(cut) {
@@ -85,7 +85,7 @@ impl Cluster<'_> {
         }
         let network = &self.plan.network;
         if self.now_ns >= self.calm_from_ns {
-            self.after(MESSAGE_NS, Happening::Arrives { to, message: message(), is_garbled: false });
+            self.after(MESSAGE_NS, SimEvent::Arrival { to, message: message(), is_garbled: false });
             return;
         }
         if self.random.random_bool(network.loss) {
@@ -95,26 +95,26 @@ impl Cluster<'_> {
         for _ in 0..copies {
             let is_slow = self.random.random_bool(network.slow);
             let late_ns = if is_slow { self.random.random_range(0..network.slow_max_ns) } else { 0 };
-            self.after(MESSAGE_NS + late_ns, Happening::Arrives { to, message: message(), is_garbled: false });
+            self.after(MESSAGE_NS + late_ns, SimEvent::Arrival { to, message: message(), is_garbled: false });
             if self.random.random_bool(network.garbled) {
-                // In real time a tick may begin with the copy: what it says is not known to be nonsense then.
+                // In real time a tick may begin with the copy; then its content cannot be recognised as invalid.
                 let kinds = if self.plan.clock == Clock::Realtime { 0..2 } else { 0..5 };
                 let message = message().garbled(self.random.random_range(kinds));
-                self.after(MESSAGE_NS + late_ns, Happening::Arrives { to, message, is_garbled: true });
+                self.after(MESSAGE_NS + late_ns, SimEvent::Arrival { to, message, is_garbled: true });
             }
         }
     }
 
-    /// A message reaches a node, whose process looks at it if that wakes it.
+    /// A message reaches a node; true if that wakes its process.
     pub(super) fn arrive(&mut self, to: usize, message: Message, is_garbled: bool) -> bool {
         let node = &mut self.nodes[to];
-        // One that starts may hear what was said before it knew who leads.
+        // A starting process may receive messages that were sent before it knew the leader.
         if matches!(node.process, Process::None) {
             return false;
         }
         if node.inbox.len() == INBOX {
             node.inbox.remove(0);
-            // Nonsense goes with what it is a copy of: alone it could not be told.
+            // An invalid copy is dropped with its original: without it, the copy could not be recognised as invalid.
             while node.inbox.first().is_some_and(|(_, is_garbled)| *is_garbled) {
                 node.inbox.remove(0);
             }
@@ -129,22 +129,23 @@ impl Cluster<'_> {
         self.plan.network.wakes_on_arrival && node.process.is_woken()
     }
 
-    /// What has come; nothing yet for a process that was interrupted, which looks again at once.
+    /// The messages that have arrived. A process that was interrupted gets none yet, and reads them at once after its
+    /// actions.
     pub(super) fn take_inbox(&mut self, node: usize) -> impl Iterator<Item = Message> + use<> {
         if std::mem::take(&mut self.nodes[node].is_interrupted) {
-            self.after(0, Happening::Wakes { node, event: Some(Event::World) });
+            self.after(0, SimEvent::Wakes { node, event: Some(Event::World) });
             return Vec::new().into_iter().map(message_of);
         }
         std::mem::take(&mut self.nodes[node].inbox).into_iter().map(message_of)
     }
 
-    /// Wakes whom a role asks for.
+    /// Wakes the nodes that a role notifies.
     pub(super) fn notify(&mut self, from: usize, Notification { to, event, when }: Notification) {
         if let When::LastAnswer { tick, or_first } = when {
             let group = &mut self.groups[to as usize];
             let answers = group.answers.with(tick);
             group.answers = answers.unwrap_or(group.answers);
-            // Of a tick that is over: whoever needs it waits for nothing else.
+            // For an answer of a past tick the group is always notified: the node that needs it waits for nothing else.
             if answers.is_some_and(|answers| !answers.wakes(group.expected as u64, or_first)) {
                 return;
             }
@@ -154,16 +155,16 @@ impl Cluster<'_> {
             WaitGroup::Fusion => self.plan.fusion_nodes(),
             WaitGroup::Robots => self.plan.robot_nodes(),
         };
-        // What arrives wakes its receiver anyway.
+        // A message that arrives wakes its receiver anyway.
         let is_needed = matches!(event, Event::Hello | Event::Finished) || !self.plan.network.wakes_on_arrival;
         for node in members.filter(|node| is_needed && *node != from) {
             if !matches!(self.nodes[node].process, Process::Standby(_)) {
-                self.after(WAKE_NS, Happening::Wakes { node, event: Some(event) });
+                self.after(WAKE_NS, SimEvent::Wakes { node, event: Some(event) });
             }
         }
     }
 
-    /// The header of what a node sends.
+    /// The header of a node's message.
     pub(super) fn header(&self, node: usize, tick: u64, valid_at_s: f64) -> Header {
         let incarnation = self.nodes[node].incarnation;
         Header { run_id: 1, incarnation, tick, valid_at_s, sent_ns: self.local_ns(node) }

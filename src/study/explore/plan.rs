@@ -1,4 +1,4 @@
-//! What happens to a team, drawn from a seed: its size, its network, its faults.
+//! The plan of an exploration, drawn from a seed: team, network and faults.
 
 use std::ops::Range;
 
@@ -13,9 +13,9 @@ use super::faults::{self, Fault};
 /// One exploration.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Plan {
-    /// The seed of all that is random in it.
+    /// The seed of all random values.
     pub(super) seed: u64,
-    /// The team's clock.
+    /// Lock step or real time.
     pub(super) clock: Clock,
     /// Lock step waits for silent robots for ever.
     pub(super) is_endless: bool,
@@ -23,34 +23,34 @@ pub(super) struct Plan {
     pub(super) robots: usize,
     /// Standbys of fusion.
     pub(super) standbys: usize,
-    /// Robots that end are not started again.
+    /// True if robots that end are not started again.
     pub(super) leaves_robots: bool,
-    /// A robot that is started again within a tick does not measure what it measured before.
+    /// True if a robot that is started again within a tick has another range than before.
     pub(super) measures_anew: bool,
     /// Ticks after tick 0.
     pub(super) ticks: u64,
     /// How messages travel.
     pub(super) network: Network,
-    /// How fast each node's clock goes.
+    /// Rate of each node's clock.
     pub(super) clock_rates: Vec<f64>,
-    /// What goes wrong, in order of time.
+    /// The faults, in order of time.
     pub(super) faults: Vec<Fault>,
 }
 
-/// How messages travel until the faults cease; after that none is lost.
+/// How messages travel until the faults are over; after that none is lost.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Network {
     /// Share of messages that are lost.
     pub(super) loss: f64,
-    /// Share that come twice.
+    /// Share that arrive twice.
     pub(super) duplicates: f64,
-    /// Share that take long, and so may be overtaken.
+    /// Share that are slow, and so may be overtaken.
     pub(super) slow: f64,
-    /// Longest time that a slow one takes, ns.
+    /// Longest delay of a slow message, ns.
     pub(super) slow_max_ns: u64,
-    /// Share that are followed by a copy with nonsense in it.
+    /// Share that are followed by an invalid copy.
     pub(super) garbled: f64,
-    /// What arrives wakes its receiver; otherwise only a notification does.
+    /// True if a message wakes its receiver; otherwise only a notification does.
     pub(super) wakes_on_arrival: bool,
 }
 
@@ -59,7 +59,7 @@ impl Plan {
     pub(super) fn new(seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let clock = if random.random_bool(0.6) { Clock::Lockstep } else { Clock::Realtime };
-        // Small teams mostly: most faults need no more, and are seen sooner.
+        // Mostly small teams: they are enough for most faults, and faster.
         let robots = if random.random_bool(0.8) { random.random_range(1..=4) } else { random.random_range(1..=20) };
         let standbys = random.random_range(0..=2);
         let nodes = 2 + standbys + robots;
@@ -75,7 +75,8 @@ impl Plan {
         };
         let mut clock_rate = || if is_quiet { 1.0 } else { random.random_range(0.995..1.005) };
         let clock_rates = (0..nodes).map(|_| clock_rate()).collect();
-        // Lock step takes some milliseconds a tick, or the time of a repeat; real time its own.
+        // A tick of lock step takes some milliseconds, or the time until a repeat; one of real time takes its fixed
+        // time.
         let span_ns = match clock {
             Clock::Lockstep => ticks * random.random_range(1_000_000..40_000_000),
             Clock::Realtime => (ticks + 1) * 100_000_000,
@@ -101,7 +102,7 @@ impl Plan {
         Self { faults, ..plan }
     }
 
-    /// How many nodes there are: sim, fusion, standbys, robots.
+    /// Number of nodes: sim, fusion, standbys, robots.
     pub(super) fn nodes(&self) -> usize {
         2 + self.standbys + self.robots
     }
@@ -126,17 +127,17 @@ impl Plan {
         }
     }
 
-    /// What a node is called.
+    /// A node's name.
     pub(super) fn name_of(&self, node: usize) -> String {
         self.role_of(node).to_string()
     }
 
-    /// When the last fault is over, ns.
+    /// Time at which the last fault is over, ns.
     pub(super) fn calm_from_ns(&self) -> u64 {
         self.faults.iter().map(Fault::ends_ns).max().unwrap_or(0)
     }
 
-    /// Nothing goes wrong, and no message is lost, late or doubled.
+    /// True if there are no faults, no message is lost, slow, doubled or garbled, and all clocks agree.
     pub(super) fn is_undisturbed(&self) -> bool {
         let Network { loss, duplicates, slow, garbled, .. } = self.network;
         self.faults.is_empty()

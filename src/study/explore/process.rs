@@ -1,4 +1,4 @@
-//! The processes of nodes: started, stopped, killed between two actions, asleep.
+//! The processes of nodes: started, stopped, killed between two actions, or asleep.
 
 use rand::RngExt as _;
 use rangehound_robot::sensor::Sensor;
@@ -6,93 +6,93 @@ use rangehound_shared::protocol::timing::ROUND_MAX_NS;
 use rangehound_shared::protocol::wake::Event;
 use rangehound_sim::machine as sim;
 
-use super::cluster::{Cluster, Happening, Violation};
+use super::cluster::{Cluster, SimEvent, Violation};
 use super::faults::FaultKind;
-use super::lead::SIGN_NS;
+use super::lead::HEARTBEAT_NS;
 use super::network::{Message, WAKE_NS};
-use super::roles::fusion::{Heir, Leading, StandingBy};
+use super::roles::fusion::{Leading, StandingBy, Successor};
 use super::witness::robot::RobotWitness;
 use crate::run::supervisor::deaths::End;
 
-/// A process looks at everything once in so long, called or not.
+/// Interval in which a process checks everything even if nothing wakes it.
 const IDLE_NS: u64 = 100_000_000;
 
-/// Most actions of a process before it sleeps.
+/// Largest number of actions of a process before it sleeps.
 const ACTIONS_MAX: u32 = 10_000;
 
-/// A machine in its part of a robot.
+/// A robot's machine, sensor and checks.
 pub(super) struct Robot {
     pub(super) machine: rangehound_robot::machine::Machine,
     pub(super) sensor: Sensor,
     pub(super) witness: RobotWitness,
 }
 
-/// What runs on a node.
+/// The process of a node.
 pub(super) enum Process {
     None,
     /// It has not taken its role yet.
     Starting,
     Sim(Box<sim::Machine>),
     Standby(Box<StandingBy>),
-    Heir(Box<Heir>),
+    Successor(Box<Successor>),
     Leader(Box<Leading>),
     Robot(Box<Robot>),
 }
 
 impl Process {
-    /// False for one that leaves what comes where it is.
+    /// False for a process that does not read messages.
     pub(super) fn is_woken(&self) -> bool {
         matches!(self, Self::Sim(_) | Self::Leader(_) | Self::Robot(_))
     }
 }
 
-/// A node, whatever process runs on it.
+/// A node, and the history of its processes.
 pub(super) struct Node {
     pub(super) clock_rate: f64,
     pub(super) process: Process,
-    /// Counts its processes, and their ends.
+    /// Counts the starts and ends of its processes.
     pub(super) life: u32,
     pub(super) is_stopped: bool,
-    /// It was stopped between two actions: as a process does, it does what it has to do before it looks at what has come.
+    /// It was stopped between two actions: it finishes its actions before it reads messages, like a real process.
     pub(super) is_interrupted: bool,
-    /// Its process has come up, and has not ended.
+    /// Its process has started, and has not ended.
     takes_part: bool,
-    /// What becomes of its process after some more actions.
-    doom: Option<Doom>,
-    /// What is to become of processes that follow.
-    dooms_to_come: Vec<Doom>,
-    /// What has come, and whether it is garbled.
+    /// The fault of its process after some more actions.
+    pending_fault: Option<PendingFault>,
+    /// Faults of its later processes.
+    later_faults: Vec<PendingFault>,
+    /// Messages that have arrived, and whether each is garbled.
     pub(super) inbox: Vec<(Message, bool)>,
-    /// The newest tick of which a range came, when the first one did, and from which node.
+    /// The newest tick of which a range has arrived, the time of the first such range, and the node that sent it.
     pub(super) first_arrival: Option<(u64, u64, usize)>,
-    /// What it has done since it last slept.
+    /// Actions since it last slept.
     actions: u32,
     pub(super) wakes_at_ns: u64,
     pub(super) incarnation: u64,
     /// Its process's last heartbeat, in a role of its own.
     pub(super) heartbeat_ns: Option<u64>,
-    /// Since when its process has been in its state: taking part, stopped, starting.
+    /// Time since which its process has been in its state: taking part, stopped or starting.
     pub(super) state_since_ns: u64,
     /// Time for which its process was stopped.
     pub(super) stopped_ns: u64,
-    /// The part of that which it can notice: a process that runs may be asleep for as long as the rest.
+    /// The part of that time which it can notice: a running process may sleep for as long as the rest.
     pub(super) suspended_ns: u64,
-    /// What its next process takes to come up.
+    /// Time that its next process takes to start.
     pub(super) up_ns: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Doom {
+struct PendingFault {
     after_actions: u32,
     fault: usize,
 }
 
-/// What becomes of a node at an action.
+/// Effect of a fault on a node at an action.
 pub(super) enum Fate {
     Lives,
-    /// It does this action still, and is stopped then.
+    /// It still does this action, and is then stopped.
     Stops,
-    /// It does not do it; or this share of it, if it is to write a checkpoint.
+    /// It does not do this action. If the action is to write a checkpoint, this share of it is written.
     Dies {
         written: f64,
     },
@@ -107,8 +107,8 @@ impl Node {
             is_stopped: false,
             is_interrupted: false,
             takes_part: false,
-            doom: None,
-            dooms_to_come: Vec::new(),
+            pending_fault: None,
+            later_faults: Vec::new(),
             inbox: Vec::new(),
             first_arrival: None,
             actions: 0,
@@ -122,53 +122,53 @@ impl Node {
         }
     }
 
-    /// For how long its process has taken part undisturbed, ns.
+    /// Time for which its process has taken part undisturbed, ns.
     pub(super) fn well_for_ns(&self, now_ns: u64) -> u64 {
         if self.takes_part && !self.is_stopped { now_ns - self.state_since_ns } else { 0 }
     }
 
-    /// For how long its process has been stopped, ns.
+    /// Time for which its process has been stopped, ns.
     pub(super) fn stopped_for_ns(&self, now_ns: u64) -> u64 {
         if self.is_stopped { now_ns - self.state_since_ns } else { 0 }
     }
 
-    /// Its process has come up.
-    pub(super) fn come_up(&mut self, process: Process, now_ns: u64) {
+    /// Its process has started.
+    pub(super) fn start_process(&mut self, process: Process, now_ns: u64) {
         self.process = process;
         (self.takes_part, self.heartbeat_ns, self.state_since_ns) = (true, Some(now_ns), now_ns);
     }
 }
 
 impl Cluster<'_> {
-    /// A process is made, which comes up in a while.
+    /// Spawns a process, which starts after a delay.
     pub(super) fn spawn(&mut self, node: usize, soon_ns: u64) {
         let up_ns = soon_ns + std::mem::take(&mut self.nodes[node].up_ns);
         let spawned = &mut self.nodes[node];
         spawned.life += 1;
         spawned.process = Process::Starting;
         (spawned.heartbeat_ns, spawned.state_since_ns) = (None, self.now_ns);
-        if spawned.doom.is_none() {
-            spawned.doom = spawned.dooms_to_come.pop();
+        if spawned.pending_fault.is_none() {
+            spawned.pending_fault = spawned.later_faults.pop();
         }
         let life = spawned.life;
-        self.after(up_ns, Happening::ComesUp { node, life });
+        self.after(up_ns, SimEvent::ProcessStarts { node, life });
     }
 
-    /// Something goes wrong with a node, now or soon.
+    /// A fault begins: it takes effect now or after some actions.
     pub(super) fn begin(&mut self, fault: usize) -> Result<(), Violation> {
         match self.plan.faults[fault].kind {
             FaultKind::Kill { node, after_actions, times, .. } => {
-                self.nodes[node].doom = Some(Doom { after_actions, fault });
-                self.nodes[node].dooms_to_come.extend((1..times).map(|_| Doom { after_actions, fault }));
+                self.nodes[node].pending_fault = Some(PendingFault { after_actions, fault });
+                self.nodes[node].later_faults.extend((1..times).map(|_| PendingFault { after_actions, fault }));
             }
             FaultKind::Break { node, after_actions } | FaultKind::Stop { node, after_actions, .. } => {
-                self.nodes[node].doom = Some(Doom { after_actions, fault });
+                self.nodes[node].pending_fault = Some(PendingFault { after_actions, fault });
             }
             FaultKind::StopLeader { after_actions, .. } => {
                 let Some(node) = self.lead.holder else { return Ok(()) };
-                self.nodes[node].doom = Some(Doom { after_actions, fault });
+                self.nodes[node].pending_fault = Some(PendingFault { after_actions, fault });
             }
-            FaultKind::KillHeir { .. } => self.heirs_dooms.push(fault),
+            FaultKind::KillSuccessor { .. } => self.successor_faults.push(fault),
             FaultKind::RefuseStarts { times } => self.supervisor.refusals += times,
             FaultKind::StopSupervisor { for_ns } => {
                 self.counts.faults += 1;
@@ -189,42 +189,42 @@ impl Cluster<'_> {
             FaultKind::Partition { nodes, for_ns } => {
                 self.counts.faults += 1;
                 self.partitions.push((fault, nodes));
-                self.tell(None, || format!("nodes {nodes:#b} are cut off"));
-                self.after(for_ns, Happening::Heals(fault));
+                self.trace(None, || format!("nodes {nodes:#b} are cut off"));
+                self.after(for_ns, SimEvent::PartitionEnds(fault));
             }
         }
         Ok(())
     }
 
-    /// A process has taken the lead: what was to become of the next one that does.
-    pub(super) fn doom_heir(&mut self, node: usize) {
-        if let Some(fault) = self.heirs_dooms.pop()
-            && let FaultKind::KillHeir { after_actions } = self.plan.faults[fault].kind
+    /// A process has taken the lead: gives it the fault that is planned for the next leader.
+    pub(super) fn apply_successor_fault(&mut self, node: usize) {
+        if let Some(fault) = self.successor_faults.pop()
+            && let FaultKind::KillSuccessor { after_actions } = self.plan.faults[fault].kind
         {
-            self.nodes[node].doom = Some(Doom { after_actions, fault });
+            self.nodes[node].pending_fault = Some(PendingFault { after_actions, fault });
         }
     }
 
-    /// Counts an action of a node, and says what becomes of it before that.
-    pub(super) fn meet_doom(&mut self, node: usize) -> Result<Fate, Violation> {
+    /// Counts an action of a node, and returns what a fault does to the node at it.
+    pub(super) fn before_action(&mut self, node: usize) -> Result<Fate, Violation> {
         self.nodes[node].actions += 1;
         if self.nodes[node].actions > ACTIONS_MAX {
-            return Err(self.violation(Some(node), "it acts and acts, and comes to no rest".to_owned()));
+            return Err(self.violation(Some(node), "it acts again and again without a sleep".to_owned()));
         }
         Ok(self.fate(node))
     }
 
     fn fate(&mut self, node: usize) -> Fate {
-        let Some(doom) = &mut self.nodes[node].doom else { return Fate::Lives };
-        if let Some(fewer) = doom.after_actions.checked_sub(1) {
-            doom.after_actions = fewer;
+        let Some(pending_fault) = &mut self.nodes[node].pending_fault else { return Fate::Lives };
+        if let Some(fewer) = pending_fault.after_actions.checked_sub(1) {
+            pending_fault.after_actions = fewer;
             return Fate::Lives;
         }
-        let fault = doom.fault;
+        let fault = pending_fault.fault;
         if self.plan.leaves_robots && !self.may_leave(node) {
             return Fate::Lives;
         }
-        self.nodes[node].doom = None;
+        self.nodes[node].pending_fault = None;
         self.counts.faults += 1;
         match self.plan.faults[fault].kind {
             FaultKind::Kill { written, is_own, up_ns, .. } => {
@@ -232,12 +232,12 @@ impl Cluster<'_> {
                 self.die(node, if is_own { End::Failed } else { End::Killed });
                 Fate::Dies { written }
             }
-            FaultKind::KillHeir { .. } => {
+            FaultKind::KillSuccessor { .. } => {
                 self.die(node, End::Killed);
                 Fate::Dies { written: 0.0 }
             }
             FaultKind::Break { after_actions, .. } => {
-                self.nodes[node].dooms_to_come.push(Doom { after_actions, fault });
+                self.nodes[node].later_faults.push(PendingFault { after_actions, fault });
                 self.die(node, End::Failed);
                 Fate::Dies { written: 0.0 }
             }
@@ -249,73 +249,74 @@ impl Cluster<'_> {
         }
     }
 
-    /// Robots that are not started again may leave once the whole team has been there; one stays.
+    /// Robots that are not started again may end once the whole team has taken part; the first one stays.
     fn may_leave(&self, node: usize) -> bool {
         let robots = self.plan.robot_nodes();
         !robots.contains(&node) || node != robots.start && self.witness.newest_world() > 0
     }
 
     fn stop(&mut self, node: usize, for_ns: u64) {
-        self.tell(Some(node), || "is stopped".to_owned());
+        self.trace(Some(node), || "is stopped".to_owned());
         let stopped = &mut self.nodes[node];
         if !std::mem::replace(&mut stopped.is_stopped, true) {
             stopped.state_since_ns = self.now_ns;
         }
         stopped.is_interrupted = true;
         let life = stopped.life;
-        self.after(for_ns, Happening::Continues { node, life });
+        self.after(for_ns, SimEvent::ProcessContinues { node, life });
     }
 
-    /// A stopped process goes on.
-    pub(super) fn carry_on(&mut self, node: usize) -> Result<(), Violation> {
+    /// A stopped process continues.
+    pub(super) fn continue_process(&mut self, node: usize) -> Result<(), Violation> {
         let stopped = &mut self.nodes[node];
         if std::mem::take(&mut stopped.is_stopped) {
             let stopped_ns = self.now_ns - stopped.state_since_ns;
             stopped.stopped_ns += stopped_ns;
             stopped.suspended_ns += stopped_ns.saturating_sub(ROUND_MAX_NS);
             stopped.state_since_ns = self.now_ns;
-            self.tell(Some(node), || "continues".to_owned());
+            self.trace(Some(node), || "continues".to_owned());
             self.forget_first_range();
             self.run(node)?;
         }
         Ok(())
     }
 
-    /// A process is gone.
+    /// A process ends.
     pub(super) fn die(&mut self, node: usize, end: End) {
-        self.tell(Some(node), || if end == End::Killed { "is killed".to_owned() } else { "fails".to_owned() });
+        self.trace(Some(node), || if end == End::Killed { "is killed".to_owned() } else { "fails".to_owned() });
         let dead = &mut self.nodes[node];
         dead.life += 1;
         (dead.takes_part, dead.is_stopped, dead.is_interrupted) = (false, false, false);
-        dead.doom = None;
+        dead.pending_fault = None;
         dead.inbox.clear();
         dead.wakes_at_ns = u64::MAX;
         let lock = match std::mem::replace(&mut dead.process, Process::None) {
             Process::Leader(leading) => Some(leading.lease.lock),
-            Process::Heir(heir) => Some(heir.lease.lock),
+            Process::Successor(successor) => Some(successor.lease.lock),
             _ => None,
         };
-        let lock = if self.lead.let_go(node, self.now_ns) { Some(self.lead.lock) } else { lock };
+        let lock = if self.lead.release(node, self.now_ns) { Some(self.lead.lock) } else { lock };
         if let Some(lock) = lock {
             self.free(lock);
         }
         self.supervisor.ends.push((node, end));
-        self.after(WAKE_NS, Happening::Supervises);
+        self.after(WAKE_NS, SimEvent::SupervisorActs);
     }
 
-    /// A lock is free: those who wait for it wake up. If it is that of a deposed one, they wait for the one that counts.
+    /// A lock is free: the standbys that wait for it wake up. If it is a deposed leader's lock, they then wait for the
+    /// current one.
     pub(super) fn free(&mut self, lock: u64) {
         for node in self.plan.fusion_nodes() {
             if let Process::Standby(standing_by) = &mut self.nodes[node].process
                 && standing_by.waits_for == lock
             {
                 standing_by.waits_for = self.lead.lock;
-                self.after(WAKE_NS, Happening::Wakes { node, event: Some(Event::Range) });
+                self.after(WAKE_NS, SimEvent::Wakes { node, event: Some(Event::Range) });
             }
         }
     }
 
-    /// Lets a process look at what has come, and do all that it has to do.
+    /// Lets a process read its messages and do all of its actions.
     pub(super) fn run(&mut self, node: usize) -> Result<(), Violation> {
         let running = &mut self.nodes[node];
         if running.is_stopped || matches!(running.process, Process::None | Process::Starting) {
@@ -324,9 +325,9 @@ impl Cluster<'_> {
         let process = std::mem::replace(&mut running.process, Process::None);
         let life = running.life;
         running.actions = 0;
-        // Who leads signs for the lead.
+        // A leader sends its heartbeats for the lead instead.
         if matches!(process, Process::Sim(_) | Process::Robot(_) | Process::Standby(_))
-            && running.heartbeat_ns.is_none_or(|heartbeat_ns| self.now_ns >= heartbeat_ns + SIGN_NS)
+            && running.heartbeat_ns.is_none_or(|heartbeat_ns| self.now_ns >= heartbeat_ns + HEARTBEAT_NS)
         {
             running.heartbeat_ns = Some(self.now_ns);
         }
@@ -334,23 +335,23 @@ impl Cluster<'_> {
             Process::None | Process::Starting => process,
             Process::Sim(machine) => self.run_sim(machine)?,
             Process::Standby(standing_by) => self.run_standby(node, standing_by)?,
-            Process::Heir(heir) => self.run_heir(node, heir)?,
+            Process::Successor(successor) => self.run_successor(node, successor)?,
             Process::Leader(leading) => self.run_leader(node, leading)?,
             Process::Robot(robot) => self.run_robot(node, robot)?,
         };
-        // It has died meanwhile.
+        // Unless it has died meanwhile.
         if self.nodes[node].life == life {
             self.nodes[node].process = process;
         }
         Ok(())
     }
 
-    /// Sleeps until a time by its own clock, or for a while.
+    /// Sleeps until a time of its own clock, at most for [`IDLE_NS`].
     pub(super) fn sleep_until(&mut self, node: usize, local_ns: Option<u64>) -> Result<(), Violation> {
         let now_local_ns = self.local_ns(node);
         let left_ns = local_ns.map_or(IDLE_NS, |local_ns| local_ns.saturating_sub(now_local_ns));
         if left_ns == 0 {
-            let what = "it is past the time at which it had something to do, and does nothing";
+            let what = "it had something to do before now, and does nothing";
             return Err(self.violation(Some(node), what.to_owned()));
         }
         let left_ns = ((left_ns as f64 / self.nodes[node].clock_rate) as u64 + 1).min(IDLE_NS);
@@ -361,19 +362,19 @@ impl Cluster<'_> {
     /// Sleeps for a time.
     pub(super) fn sleep(&mut self, node: usize, left_ns: u64) {
         let wakes_at_ns = self.now_ns + left_ns;
-        // A sooner one, or one of a process before it, is looked at when it comes.
+        // An earlier wake-up stays scheduled; one that has passed is replaced.
         if wakes_at_ns < self.nodes[node].wakes_at_ns || self.nodes[node].wakes_at_ns <= self.now_ns {
             self.nodes[node].wakes_at_ns = wakes_at_ns;
-            self.after(left_ns, Happening::Wakes { node, event: None });
+            self.after(left_ns, SimEvent::Wakes { node, event: None });
         }
     }
 
-    /// The time by a node's own clock, ns.
+    /// The time of a node's own clock, ns.
     pub(super) fn local_ns(&self, node: usize) -> u64 {
         (self.now_ns as f64 * self.nodes[node].clock_rate) as u64
     }
 
-    /// How far clocks may have gone apart, and how late a node that runs may see a deadline pass, ns.
+    /// How far clocks may have diverged, and how late a running node may notice that a deadline has passed, ns.
     pub(super) fn late_ns(&self) -> u64 {
         let has_clocks_apart = self.plan.clock_rates.iter().any(|rate| *rate != 1.0);
         1_000_000 + if has_clocks_apart { self.now_ns / 80 } else { 0 }

@@ -1,8 +1,8 @@
-//! The supervisor's machine in simulated time: it sees processes end and signs stay away, starts and kills.
+//! The supervisor's machine in simulated time: it notices ends and hangs of processes, starts them and kills them.
 
 use rand::RngExt as _;
 
-use super::cluster::{Cluster, Happening, Violation};
+use super::cluster::{Cluster, SimEvent, Violation};
 use super::plan::Plan;
 use super::process::Process;
 use super::witness::supervision::Supervision;
@@ -18,12 +18,12 @@ const START_NS: u64 = 5_000_000;
 pub(super) struct Supervisor {
     machine: Machine<u64>,
     is_stopped: bool,
-    /// Starts that the system will refuse.
+    /// Number of starts that the system will refuse.
     pub(super) refusals: u32,
-    /// Processes that have ended and whose end it has not seen.
+    /// Ends of processes that it has not noticed yet.
     pub(super) ends: Vec<(usize, End)>,
     witness: Supervision,
-    /// It has ended the run.
+    /// True if it has ended the run.
     pub(super) has_given_up: bool,
 }
 
@@ -43,44 +43,44 @@ impl Supervisor {
 }
 
 impl Cluster<'_> {
-    /// The team is started, each of its nodes within some milliseconds.
+    /// Starts the team, each node within some milliseconds.
     pub(super) fn start_all(&mut self) {
         for node in 0..self.nodes.len() {
             self.supervisor.machine.on_start(node, self.now_ns);
             let soon_ns = self.random.random_range(0..20_000_000);
             self.spawn(node, soon_ns);
         }
-        self.after(silence::LOOK.as_nanos() as u64, Happening::Looks);
+        self.after(silence::LOOK.as_nanos() as u64, SimEvent::SupervisorLooks);
     }
 
     pub(super) fn stop_supervisor(&mut self, for_ns: u64) {
-        self.tell(None, || "the supervisor is stopped".to_owned());
+        self.trace(None, || "the supervisor is stopped".to_owned());
         self.supervisor.is_stopped = true;
-        self.after(for_ns, Happening::SupervisorContinues);
+        self.after(for_ns, SimEvent::SupervisorContinues);
     }
 
     pub(super) fn continue_supervisor(&mut self) -> Result<(), Violation> {
-        self.tell(None, || "the supervisor continues".to_owned());
+        self.trace(None, || "the supervisor continues".to_owned());
         self.supervisor.is_stopped = false;
-        self.look_for_signs()
+        self.check_heartbeats()
     }
 
-    /// Its look at every process's heartbeats.
-    pub(super) fn look_for_signs(&mut self) -> Result<(), Violation> {
+    /// Checks every process's heartbeat.
+    pub(super) fn check_heartbeats(&mut self) -> Result<(), Violation> {
         if self.supervisor.is_stopped {
             return Ok(());
         }
         let Self { supervisor, nodes, lead, scenario, .. } = self;
         supervisor.machine.look(scenario, |node| {
             let leads = lead.last == Some((node, nodes[node].life));
-            Seen { leads, heartbeat: if leads { lead.renew() } else { nodes[node].heartbeat_ns } }
+            Seen { leads, heartbeat: if leads { lead.heartbeat() } else { nodes[node].heartbeat_ns } }
         });
         let looked = supervisor.witness.looks(nodes, lead, self.now_ns);
         looked.map_err(|(node, what)| self.violation(Some(node), what))?;
         self.supervise()
     }
 
-    /// It does what there is to do.
+    /// Reports ends to the machine, and carries out its actions.
     pub(super) fn supervise(&mut self) -> Result<(), Violation> {
         if self.supervisor.is_stopped {
             return Ok(());
@@ -96,18 +96,18 @@ impl Cluster<'_> {
                     let killed = self.supervisor.witness.kills(&self.nodes, &self.lead, node, self.now_ns);
                     killed.map_err(|what| self.violation(Some(node), what))?;
                     if !matches!(self.nodes[node].process, Process::None) {
-                        self.tell(Some(node), || "hangs".to_owned());
+                        self.trace(Some(node), || "hangs".to_owned());
                         self.die(node, End::Killed);
                     }
                 }
-                Action::TellRestart(_) => {}
-                Action::TellLoss(node) => {
-                    self.tell(Some(node), || "is not started again".to_owned());
+                Action::ReportRestart(_) => {}
+                Action::ReportLoss(node) => {
+                    self.trace(Some(node), || "is not started again".to_owned());
                     let lost = self.supervisor.witness.loses(node);
                     lost.map_err(|what| self.violation(Some(node), what))?;
                 }
                 Action::EndRun { node, .. } => {
-                    self.tell(Some(node), || "is given up: the run ends".to_owned());
+                    self.trace(Some(node), || "is given up: the run ends".to_owned());
                     let given_up = self.supervisor.witness.gives_up(&self.nodes, node);
                     given_up.map_err(|what| self.violation(Some(node), what))?;
                     self.supervisor.has_given_up = true;
@@ -116,7 +116,7 @@ impl Cluster<'_> {
             }
         }
         if let Some(at_ns) = self.supervisor.machine.wakes_at_ns() {
-            self.after(at_ns.saturating_sub(self.now_ns).max(1), Happening::Supervises);
+            self.after(at_ns.saturating_sub(self.now_ns).max(1), SimEvent::SupervisorActs);
         }
         Ok(())
     }
@@ -125,7 +125,7 @@ impl Cluster<'_> {
         if let Some(fewer) = self.supervisor.refusals.checked_sub(1) {
             self.counts.faults += 1;
             self.supervisor.refusals = fewer;
-            self.tell(Some(node), || "the system refuses to start it".to_owned());
+            self.trace(Some(node), || "the system refuses to start it".to_owned());
             self.supervisor.witness.refused(node, self.now_ns);
             if !self.supervisor.machine.on_refusal(node, self.now_ns) {
                 return Err(self.violation(Some(node), "it was given up, though the system had room again".to_owned()));

@@ -30,14 +30,14 @@ fn a_recording_that_another_tool_has_compressed_with_zstd_replays_to_the_bit() {
 }
 
 #[test]
-fn no_damage_to_zstd_passes_for_what_was_recorded() {
+fn damaged_zstd_is_never_read_as_recorded() {
     let (description, all) = frames("paper.toml", 300);
-    let whole = with_zstd(&recorded(&description, &all));
-    let begin = whole.windows(4).position(|window| window == b"zstd").unwrap() + 12;
+    let complete = with_zstd(&recorded(&description, &all));
+    let begin = complete.windows(4).position(|window| window == b"zstd").unwrap() + 12;
     let mut refused = 0;
     for n in 0..400 {
-        let mut bytes = whole.clone();
-        let at = begin + n * (whole.len() - begin - 60) / 400;
+        let mut bytes = complete.clone();
+        let at = begin + n * (complete.len() - begin - 60) / 400;
         bytes[at] ^= 1 << (n % 8);
         let Ok(mut reader) = FrameReader::open(&bytes[..]) else {
             refused += 1;
@@ -51,7 +51,8 @@ fn no_damage_to_zstd_passes_for_what_was_recorded() {
                 Err(error) => break Some(error.to_string()),
             }
         };
-        // A record whose kind is damaged may be passed over with its ticks; what is read must be what was recorded.
+        // A record with a damaged type may be skipped with its ticks; all frames that are read must equal the recorded
+        // ones.
         let is_recorded = |frame: &Frame| {
             let recorded = all.iter().find(|recorded| recorded.tick == frame.tick);
             recorded.is_some_and(|recorded| format!("{recorded:?}") == format!("{frame:?}"))
@@ -63,13 +64,13 @@ fn no_damage_to_zstd_passes_for_what_was_recorded() {
 }
 
 #[test]
-fn a_window_beyond_all_measure_is_refused() {
+fn a_huge_window_is_refused() {
     let (description, all) = frames("paper.toml", 3);
     let mut bytes = recorded(&description, &all);
-    let whole = with_zstd(&bytes);
-    let begin = whole.windows(4).position(|window| window == b"zstd").unwrap() - 41;
-    bytes = whole[..begin].to_vec();
-    // A window of a terabyte, and a block of one byte over and over.
+    let complete = with_zstd(&bytes);
+    let begin = complete.windows(4).position(|window| window == b"zstd").unwrap() - 41;
+    bytes = complete[..begin].to_vec();
+    // A window of a terabyte, and a block that repeats one byte.
     bytes.extend(chunk_of(1 << 20, 0, b"\x28\xb5\x2f\xfd\0\xf0\x03\0\x10x"));
     let mut reader = match FrameReader::open(&bytes[..]) {
         Ok(reader) => reader,

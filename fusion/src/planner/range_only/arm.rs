@@ -55,7 +55,8 @@ impl Arm {
         self.end_before(goal).unwrap_or_else(|| goal.normalised().unwrap_or(held))
     }
 
-    /// The end of the arc that is nearest to the direction of `v` (of any length), if that is outside.
+    /// The end of the arc that is nearest to the direction of `v` (of any length), if that direction is outside the
+    /// arc.
     #[inline]
     pub(super) fn end_before(&self, v: Vector) -> Option<Vector> {
         if self.extent == Extent::Circle {
@@ -64,7 +65,7 @@ impl Arm {
         // Less than half a turn from the centre on either side: the sign of a sine decides.
         let (end, sine) =
             if self.centre.cross(v) >= 0.0 { (self.high, v.cross(self.high)) } else { (self.low, self.low.cross(v)) };
-        // An arc of no width has not the direction opposite.
+        // An arc of no width does not contain the opposite direction.
         let is_inside = sine > 0.0 || (sine == 0.0 && v.dot(self.centre) >= 0.0);
         (!is_inside).then_some(end)
     }

@@ -42,8 +42,8 @@ impl Grid {
             }
         };
         let step = 2.0 * self.step_rad;
-        let whole_steps = (width / step).floor() as usize;
-        for index in 0..=whole_steps {
+        let full_steps = (width / step).floor() as usize;
+        for index in 0..=full_steps {
             let angle = index as f64 * step;
             if arm.extent == Extent::Circle && angle >= width - 1e-9 {
                 break;
@@ -56,7 +56,7 @@ impl Grid {
         self.ends.push(self.points.len());
     }
 
-    /// Counts through all combinations; the last robot's bearings are the innermost loop.
+    /// Goes through all combinations; the last robot's bearings are the innermost loop.
     fn search(&mut self, problem: &Problem, best: &mut [Vector]) {
         let Some((last, outer)) = problem.arms.split_last() else { return };
         let start = |robot: usize| robot.checked_sub(1).map_or(0, |before| self.ends[before]);

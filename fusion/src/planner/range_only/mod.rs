@@ -1,7 +1,7 @@
 //! Planners of teams that measure ranges of constant noise.
 //!
-//! [`Problem`] reduces a situation to the minimisation of `|S|`, the length of a sum of vectors of which each robot turns one
-//! within an arc; a [`Solver`] solves it, one file each:
+//! [`Problem`] reduces a situation to the minimisation of `|S|`, the length of a sum of vectors: each robot turns one
+//! of them within an arc. There is a file for each [`Solver`]:
 //!
 //! | solver | method |
 //! |---|---|
@@ -63,7 +63,7 @@ pub fn solver(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn Sol
 #[derive(Debug)]
 pub struct RangeOnly {
     solver: Box<dyn Solver>,
-    /// Of the situation at hand, as its solution: memory only.
+    /// Problem and solution of the present situation: reused memory.
     problem: Problem,
     solution: Solution,
 }
@@ -191,7 +191,7 @@ mod tests {
         }
     }
 
-    /// Where one robot knows nearly all, the trace hangs on the last digits of `|S|`.
+    /// If one robot has nearly all information, the trace depends on the last digits of `|S|`.
     #[test]
     fn a_robot_far_better_than_the_others_costs_no_digits_of_the_trace() {
         let team = [

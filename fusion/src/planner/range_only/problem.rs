@@ -8,10 +8,10 @@ use super::reach::{Limit, Reach, stand_off_m};
 use crate::planner::{RangeNoise, Situation, TeamMember};
 use crate::vector::Vector;
 
-/// Part of `T - |S|` that rounding of `|S|` may make up before `T - |S|` itself is what is compared.
+/// Largest share of `T - |S|` that may be rounding of `|S|`. Above it, `T - |S|` itself is compared.
 const ROUNDED_MAX: f64 = 1e-8;
 
-/// Determinant of a covariance over the product of its variances below which the products cancel.
+/// Ratio of a covariance's determinant to the product of its variances below which the products cancel.
 const FLAT: f64 = 1e-4;
 
 /// Minimise `|S|`, `S = V_0 + sum_i lambda_i u_i`, each unit vector `u_i` within its arc (Eqs. 25, 26).
@@ -86,7 +86,7 @@ impl Problem {
         }
     }
 
-    /// Leaves to each robot its part of the room between it and its neighbours.
+    /// Restricts each robot to its part of the space between it and its neighbours.
     fn separate(&mut self, separation_m: f64) {
         let Self { arms, reaches, corners_m, positions_m, scratch_m, .. } = self;
         let robots = positions_m.len();
@@ -111,8 +111,8 @@ impl Problem {
         self.arms.is_empty()
     }
 
-    /// Doubled bearing of robot `i` after a step along this heading, which is turned if it would not keep clear, and the
-    /// command for it.
+    /// Doubled bearing of robot `i` after a step along this heading, and the command for it. If it would violate a
+    /// clearance, the nearest bearing in the arc is taken instead.
     pub(super) fn after_heading(&self, i: usize, heading_rad: f64) -> (Vector, Command) {
         let reach = &self.reaches[i];
         let heading = Vector::from_angle(heading_rad);
@@ -160,17 +160,16 @@ impl Problem {
         self.least_information(directions, self.sum(directions))
     }
 
-    /// True if of a plan of this trace (m^2) the difference `T - |S|` is so small that rounding of `|S|` would tell in
-    /// the trace.
+    /// True if `T - |S|` of a plan with this trace (m^2) is so small that rounding of `|S|` would show in the trace.
     pub(super) fn is_lopsided_at(&self, position_trace_m2: f64) -> bool {
         // T - |S| is at least twice the inverse of the trace.
         let rounding = 4.0 * f64::EPSILON * self.len() as f64 * self.information_trace;
         rounding * position_trace_m2 > ROUNDED_MAX
     }
 
-    /// [`Self::uncertainty`] of directions whose sum is known, as a sum of positive terms: where one direction is known
-    /// far better than the other, the difference itself is nothing but rounding.
-    // Every plan ends with it: within its caller, the root of the sum's square is taken once.
+    /// [`Self::uncertainty`] of directions with a known sum, as a sum of positive terms: if one direction is known far
+    /// better than the other, the difference itself would be nothing but rounding.
+    // Inlined because every plan ends with it: it then shares the root of the sum's square with its caller.
     #[inline(always)]
     pub(super) fn least_information(&self, directions: &[Vector], sum: Vector) -> f64 {
         let along = sum.normalised().unwrap_or(Vector::new(1.0, 0.0));
@@ -214,7 +213,7 @@ pub(super) fn trace_m2(least: f64, length: f64) -> f64 {
     4.0 * (least + length) / (least * (least + 2.0 * length))
 }
 
-/// `|P|` of a symmetric matrix; where the products cancel, what they have rounded away is put back (Kahan).
+/// `|P|` of a symmetric matrix; if the products cancel, their rounding is compensated (Kahan).
 fn determinant(p: &Matrix2<f64>) -> f64 {
     let square = p[(0, 1)] * p[(0, 1)];
     if is_flat(p) {
@@ -278,7 +277,7 @@ mod tests {
             prop_assert!((problem.max_eigenvalue_m2(objective) / largest - 1.0).abs() < 1e-8);
         }
 
-        /// Trace and largest eigenvalue put any two plans into the same order: same solution.
+        /// Trace and largest eigenvalue put any two plans into the same order, so they have the same solution.
         #[test]
         fn what_is_better_in_trace_is_better_in_the_largest_eigenvalue(
             a in 0.1..20.0_f64, c in 0.1..20.0_f64, correlation in -0.95..0.95_f64,

@@ -10,7 +10,7 @@ use super::{Problem, Solution, Solver};
 #[derive(Debug, Clone)]
 pub struct Random {
     draws: Draws,
-    /// Memory only.
+    /// Reused memory.
     drawn: Vec<f64>,
 }
 

@@ -3,8 +3,8 @@
 use super::{Problem, Solution, Solver};
 use crate::vector::Vector;
 
-/// The paper's solver: turns one robot's vector after the other to where `|S + V|` is least, the
-/// others held, with the perturbation `V = -alpha S_old` of the cycle's start against local minima.
+/// The paper's solver. It turns one robot's vector after the other to where `|S + V|` is least, while the others stay.
+/// The perturbation `V = -alpha S_old` of the cycle's start works against local minima.
 ///
 /// The one-robot problem is closed form: the direction in the arc nearest to `-(rest)`. The cycle
 /// runs from the last robot to the first and uses the newest directions at once, as the paper's
@@ -14,7 +14,7 @@ pub struct Relaxation {
     name: &'static str,
     iterations: u32,
     alpha: f64,
-    /// `lambda_i u_i` of each robot; memory only, nothing is kept from one step to the next.
+    /// `lambda_i u_i` of each robot: reused memory, without state between steps.
     vectors: Vec<Vector>,
 }
 
@@ -33,7 +33,7 @@ impl Relaxation {
 
     /// Improves `directions` in place; they must lie in their arcs.
     pub fn relax(&mut self, problem: &Problem, directions: &mut [Vector]) {
-        // One robot alone has a closed form and no local minimum to be shaken out of.
+        // A single robot has a closed form and no local minimum to escape from.
         let alpha = if problem.len() == 1 { 0.0 } else { self.alpha };
         let kept = 1.0 - alpha;
         self.vectors.clear();
@@ -46,8 +46,8 @@ impl Relaxation {
             let robots = problem.arms.iter().zip(&mut self.vectors).zip(&mut *directions);
             for ((arm, vector), direction) in robots.rev() {
                 let goal = *vector - pull;
-                // The new direction, what it adds to `pull`, and to `next`: three products at once, for
-                // every robot waits for the one before.
+                // The new direction, and what it adds to `pull` and to `next`. The three products are independent,
+                // because each robot depends on the one before.
                 let lengths = [1.0, arm.lambda, arm.lambda * kept];
                 let [turned, after, kept_after] = match arm.end_before(goal) {
                     Some(end) if end == *direction => continue,

@@ -20,7 +20,7 @@ pub struct Solution {
     pub lower_bound: f64,
     /// Trace of the position covariance after the next ranges, m^2.
     pub position_trace_m2: f64,
-    /// `T - |S|`, twice the least eigenvalue of the information, 1/m^2: the trace hangs on it, and the difference of
+    /// `T - |S|`, twice the least eigenvalue of the information, 1/m^2: the trace depends on it, and the difference of
     /// the two may be nothing but rounding.
     pub least_information: f64,
     /// No directions in the arcs reach more than this; infinite from solvers that prove nothing.
@@ -109,7 +109,7 @@ impl Solution {
 pub fn hull_certificate(problem: &Problem, worth: &Worth) -> Certificate {
     let Worth { objective, least_information_per_m2: least_information, position_trace_m2 } = *worth;
     let mut solution = Solution { objective, least_information, position_trace_m2, ..Solution::default() };
-    // With room for what its sums have rounded away.
+    // Lowered by the rounding of its sums.
     let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * problem.lambda_sum();
     solution.prove((certified::hull_bound(problem) - rounding).max(0.0));
     solution.proven(problem)

@@ -1,7 +1,8 @@
 //! The likelihood of a range as a sum of Gaussians along its circle.
 //!
-//! A slant range `r` of a sensor at height `h` has the circle of radius `sqrt(r^2 - h^2)` in the target's plane, on which
-//! its noise is `r / radius` times as wide. Near the sensor's foot, where that is wider than the circle, it is a disc.
+//! A slant range `r` of a sensor at height `h` puts the target on the circle of radius `sqrt(r^2 - h^2)` in its plane,
+//! and the noise across that circle is `r / radius` times the noise of the range. Near the sensor's foot, where that
+//! noise is greater than the radius, the likelihood is a disc.
 
 use std::f64::consts::TAU;
 
@@ -10,7 +11,8 @@ use super::super::Reading;
 /// Most hypotheses on one circle. With 64 the circle bends by 3e-4 of its radius within one of them.
 pub(super) const CIRCLE_MAX: usize = 64;
 
-/// The same bend within a new hypothesis: below [`BEND_MAX`](super::BEND_MAX), or it would be split again at once.
+/// The same bend within a new hypothesis. It is below [`BEND_MAX`](super::BEND_MAX), so that the hypothesis is not
+/// split again at once.
 const BEND_SPLIT: f64 = 0.5;
 
 /// Spacing of the hypotheses on a circle, in their standard deviations: their sum has a ripple of
@@ -23,7 +25,7 @@ const ASPECT_MIN: f64 = 1e-8;
 /// Mean of the absolute value of a standard normal.
 const HALF_NORMAL_MEAN: f64 = 0.797_884_560_802_865_4;
 
-/// A range shorter than the height by more of its standard deviations is taken as one shorter by so many.
+/// The square of the horizontal distance is taken to be at most this many standard deviations below zero.
 const DISC_SIGMA_MAX: f64 = 5.0;
 
 /// Gaussians along the circle of a range that sum up to its likelihood.
@@ -32,7 +34,7 @@ pub(super) struct Circle {
     pub(super) radius_m: f64,
     pub(super) radial_variance_m2: f64,
     pub(super) tangential_variance_m2: f64,
-    /// From one centre to the next, m.
+    /// Integral of one Gaussian, m: in the plane, the arc from one centre to the next.
     pub(super) arc_m: f64,
 }
 
@@ -44,7 +46,7 @@ impl Circle {
         let Reading { range_m, range_std_m, .. } = *reading;
         let variance_m2 = range_std_m * range_std_m;
         if range_m < range_std_m {
-            // Smaller than its own noise: one Gaussian about the sensor.
+            // The range is smaller than its noise: one Gaussian round the sensor.
             let variance_m2 = variance_m2 + 0.5 * range_m * range_m;
             let (radial_variance_m2, tangential_variance_m2) = (variance_m2, variance_m2);
             let arc_m = TAU * range_std_m;
@@ -61,14 +63,15 @@ impl Circle {
 
     fn of_slant_range(reading: &Reading) -> Self {
         let Reading { height_m, range_m, range_std_m, .. } = *reading;
-        // Not less than the height by more than its noise: what is known of the foot's neighbourhood is this.
+        // A range shorter than the height is noise: the target is near the foot.
         let slant_m = range_m.max(height_m.abs());
         // The square of the horizontal distance, and its standard deviation.
         let square_m2 = (range_m - height_m) * (range_m + height_m);
         let square_std_m2 = 2.0 * slant_m * range_std_m;
         if square_m2 < 0.5 * square_std_m2 {
-            // A disc round the foot: half of the mean square of the distance each way, of a square that is Gaussian and
-            // not below zero; this form has its value at zero and its ends to either side.
+            // A disc round the foot. Its variance on each axis is half of the mean square of the distance. That square
+            // is a Gaussian cut off at zero; this formula has its exact mean at zero, and the right limits on both
+            // sides.
             let square_m2 = square_m2.max(-DISC_SIGMA_MAX * square_std_m2);
             let spread_m2 = square_std_m2 * HALF_NORMAL_MEAN;
             let mean_square_m2 = 0.5 * (square_m2 + square_m2.hypot(2.0 * spread_m2));
@@ -85,7 +88,7 @@ impl Circle {
         let bend_m = tangential_variance_m2 / (2.0 * radius_m);
         let radial_variance_m2 =
             (radial_std_m * radial_std_m + bend_m * bend_m).max(ASPECT_MIN * tangential_variance_m2);
-        // The likelihood has the slant range's circle as its integral over the plane.
+        // The integral of the likelihood over the plane is the circumference for the slant range.
         let arc_m = TAU * slant_m / count as f64;
         Self { count, radius_m, radial_variance_m2, tangential_variance_m2, arc_m }
     }

@@ -1,12 +1,12 @@
-//! The tracker for no prior: a bank of extended Kalman filters, a Gaussian sum.
+//! The tracker without a prior: a bank of extended Kalman filters, a Gaussian sum.
 //!
-//! A range puts the target on a circle. Where an estimate is so wide that the circle bends within it,
-//! the likelihood `p(z|X)` is no Gaussian of the position but a sum of Gaussians along the circle, and
-//! the product of both is a bank of narrower estimates: the hypotheses. The start from nothing is the
-//! widest estimate; one after a long gap, or with a single sensor in reach, differs in degree alone.
-//! The ranges weigh the hypotheses, each range being an outlier with some probability; the unlikely
-//! are dropped and those that meet are merged, until one is left: an extended Kalman filter with a
-//! gate. What no range tells apart, such as the mirror images beside two fixed sensors, stays a bank.
+//! A range puts the target on a circle. If an estimate is so wide that the circle bends within it, the likelihood
+//! `p(z|X)` is not a Gaussian of the position but a sum of Gaussians along the circle. The product of the two is a bank
+//! of narrower estimates: the hypotheses. The start is the widest estimate; an estimate after a long gap, or with a
+//! single sensor in reach, differs only in degree. The ranges weight the hypotheses; each range is an outlier with some
+//! probability. Unlikely hypotheses are dropped and close ones are merged, until one is left: an extended Kalman filter
+//! with a gate. The bank keeps hypotheses that the ranges cannot distinguish, such as the mirror images beside two
+//! fixed sensors.
 
 mod circle;
 mod rejections;
@@ -29,58 +29,58 @@ use sight::Sight;
 /// Most hypotheses at a time, a bound on memory and time: two full circles.
 const HYPOTHESES_MAX: usize = 128;
 
-/// A hypothesis is split where the circle bends by more than this within its standard deviation, in
-/// standard deviations of the range. Below, the second-order terms stand in for the bend.
+/// A hypothesis is split if the circle bends by more than this within its standard deviation, in standard deviations of
+/// the range. Below, the second-order terms account for the bend.
 const BEND_MAX: f64 = 1.0;
 
-/// An update less than `exp` of this likelier than an outlier leaves a copy without it: about 1.8
-/// standard deviations off, or a hypothesis so wide that one outlier would move it far.
+/// If an update is less than `exp` of this more likely than an outlier, a copy of the hypothesis without the update is
+/// kept. That is the case for a range about 1.8 standard deviations off, or for a hypothesis so wide that one outlier
+/// would move it far.
 const BRANCH_LOG_RATIO: f64 = 4.5;
 
-/// Hypotheses of a lower log weight are dropped: two outliers, 12, and some bad luck.
+/// Hypotheses of a lower log weight are dropped. Two outliers cost 12; the rest is margin.
 const LOG_WEIGHT_MIN: f64 = -16.0;
 
 /// Hypotheses within this squared Mahalanobis distance are merged: the sum of both has one peak.
 const MERGE_SQUARE: f64 = 1.0;
 
-/// The target's velocity at the start is what its noise drives up in this time, s: a manoeuvre's
-/// length. A tenfold change of it changes no recording's error by more than 2 %.
+/// The variance of the target's velocity at the start is what its process noise adds in this time, s: the length of a
+/// manoeuvre. A tenfold change of it changes no recording's error by more than 2 %.
 const START_S: f64 = 10.0;
 
-/// Least variance of velocity, (m/s)^2, and further derivatives at the start: a walk.
+/// Least variance of velocity, (m/s)^2, and further derivatives at the start: walking speed.
 const START_VARIANCE_MIN: f64 = 1.0;
 
-/// Standard deviation of the position before the start's range, in lengths of it: no information.
+/// Standard deviation of the position before the start's range, in multiples of that range: no information.
 const START_SPREAD: f64 = 1e3;
 
-/// Standard deviation of the state before the first range, and of the position, m, above which a
-/// hypothesis is as good as none.
+/// Standard deviation of the state before the first range. Hypotheses with a wider position, m, are dropped.
 const UNKNOWN_STD: f64 = 1e6;
 
 /// Least standard deviation of a range, m: keeps its information finite.
 const RANGE_STD_MIN_M: f64 = 1e-6;
 
-/// Relative inflation of the variances in each step: above their rounding and of no other effect.
+/// Relative inflation of the variances in each step. It exceeds their rounding and has no other effect.
 const ROUNDING: f64 = 1e-12;
 
-/// Weight of a new start beside an estimate that may be locked out: small, the ranges are to decide.
+/// Weight of a new start beside an estimate that may be locked out: small, so that the ranges decide.
 const RESTART_WEIGHT: f64 = 1e-4;
 
-/// A bank of extended Kalman filters that starts from the ranges alone.
+/// A bank of extended Kalman filters that starts without a prior.
 #[derive(Debug, Clone)]
 pub struct Bank<const N: usize> {
     motion: MotionModel,
     gate: Gate,
     /// The transition of the last step.
     transition: (f64, Transition<N>),
-    /// By falling weight, but for merged ones; the weights sum to one. Empty: nothing is known.
+    /// Sorted by falling weight, except merged ones. The weights sum to one. Empty without an estimate.
     hypotheses: Vec<Hypothesis<N>>,
-    /// Mean and covariance of the sum: of all estimates the one of the least mean square error.
+    /// Mean and covariance of the sum: the estimate with the least mean square error.
     estimate: Gaussian<N>,
     rejections: Rejections,
     /// `ln p(z)` of the last step's ranges given all before.
     log_likelihood: f64,
-    /// Of the last step's readings, in their order.
+    /// How the last step used its readings, in their order.
     judged: Vec<Judged>,
 }
 
@@ -91,7 +91,7 @@ pub(super) struct Hypothesis<const N: usize> {
     pub(super) estimate: Gaussian<N>,
 }
 
-/// What [`Bank::restore`] needs: borrowed as it is written, owned as it is read.
+/// State for [`Bank::restore`]: borrowed for writing, owned after reading.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct SavedBank<'a, const N: usize> {
     hypotheses: Cow<'a, [Hypothesis<N>]>,
@@ -101,23 +101,23 @@ pub(super) struct SavedBank<'a, const N: usize> {
 }
 
 impl<const N: usize> Bank<N> {
-    /// Begins with this, rather than with nothing.
+    /// Starts from this estimate.
     pub(super) fn begin_with(&mut self, estimate: Gaussian<N>) {
         self.hypotheses.clear();
         self.hypotheses.push(Hypothesis { log_weight: 0.0, estimate });
         self.estimate = estimate;
     }
 
-    /// What [`Self::restore`] needs to go on from here.
+    /// State from which [`Self::restore`] continues.
     pub(super) fn saved(&self) -> SavedBank<'_, N> {
         let Self { ref hypotheses, estimate, rejections, log_likelihood, .. } = *self;
         SavedBank { hypotheses: Cow::Borrowed(hypotheses), estimate, rejections, log_likelihood }
     }
 
-    /// Goes on from what a bank of the same scenario saved.
+    /// Continues from the saved state of a bank of the same scenario.
     pub(super) fn restore(&mut self, restored: SavedBank<'_, N>) {
         let SavedBank { hypotheses, estimate, rejections, log_likelihood } = restored;
-        // Into the memory that is there: steps allocate nothing.
+        // Reuses the memory, so that steps allocate nothing.
         self.hypotheses.clear();
         self.hypotheses.extend(hypotheses.iter().take(HYPOTHESES_MAX));
         self.estimate = estimate;
@@ -125,7 +125,7 @@ impl<const N: usize> Bank<N> {
         self.log_likelihood = log_likelihood;
     }
 
-    /// A bank that knows nothing of the target.
+    /// A bank without an estimate.
     #[must_use]
     pub fn new(motion: MotionModel, gate: Gate) -> Self {
         let transition = (0.0, motion.transition(0.0));
@@ -164,17 +164,18 @@ impl<const N: usize> Bank<N> {
         fit
     }
 
-    /// What the last step did with its readings, in their order.
+    /// How the last step used its readings, in their order.
     pub(super) fn judged(&self) -> &[Judged] {
         &self.judged
     }
 
-    /// Notes what becomes of a reading, and how well the likeliest hypothesis that it may belong to foretold it.
+    /// Records how a reading is used, with its normalised innovation squared for the heaviest hypothesis whose gate it
+    /// passed, or else for the heaviest of all.
     fn judge(&mut self, reading: &Reading, passed: bool, normalised_square: Option<f64>, fit: &mut Fit) {
         let used = use_of(reading, passed);
-        // A range of which the gate let most of the weight pass may still be far from the likeliest hypothesis.
-        let speaks_against = normalised_square.is_some_and(|square| self.gate.fails(square));
-        fit.failed.set(reading.robot, !passed || speaks_against);
+        // Without a gate every range passes, but it may still count as a failure.
+        let is_failure = normalised_square.is_some_and(|square| self.gate.fails(square));
+        fit.failed.set(reading.robot, !passed || is_failure);
         if used == RangeUse::Fused {
             fit.fused += 1;
         } else {
@@ -187,7 +188,7 @@ impl<const N: usize> Bank<N> {
         self.judged.push(Judged { used, normalised_square });
     }
 
-    /// The one hypothesis that is left, if only one is.
+    /// The hypothesis, if there is only one.
     pub(super) fn settled(&mut self) -> Option<&mut Gaussian<N>> {
         match &mut self.hypotheses[..] {
             [only] => Some(&mut only.estimate),
@@ -200,7 +201,7 @@ impl<const N: usize> Bank<N> {
         &self.estimate
     }
 
-    /// `ln p(z)` of the last step's ranges given all before, to compare models by.
+    /// `ln p(z)` of the last step's ranges given all before, for the comparison of models.
     pub(super) fn log_likelihood(&self) -> f64 {
         self.log_likelihood
     }
@@ -217,7 +218,7 @@ impl<const N: usize> Bank<N> {
         });
     }
 
-    /// Tests a range against the gate. Where nothing is known, nothing speaks against it.
+    /// Tests a range against the gate. Without a hypothesis it passes.
     fn test(&mut self, reading: &Reading, fit: &mut Fit) {
         let (mut first, mut passing, mut passed_weight) = (None, None, 0.0);
         for hypothesis in &self.hypotheses {
@@ -232,7 +233,7 @@ impl<const N: usize> Bank<N> {
         self.judge(reading, passed, if passed { passing } else { first }, fit);
     }
 
-    /// Weighs all hypotheses by a range and updates, branches or splits them.
+    /// Weights all hypotheses by a range, and updates, branches or splits them.
     fn fuse(&mut self, reading: &Reading, fit: &mut Fit) {
         if self.hypotheses.is_empty() {
             self.start(reading, 1.0);
@@ -266,7 +267,7 @@ impl<const N: usize> Bank<N> {
         }
     }
 
-    /// Multiplies a hypothesis by `p(z|X) + p(outlier)`, as far as either term weighs anything.
+    /// Multiplies a hypothesis by `p(z|X) + p(outlier)`; a negligible term is left out.
     fn apply(&mut self, index: usize, reading: &Reading, sight: &Sight) {
         let Hypothesis { log_weight, estimate } = self.hypotheses[index];
         let room = self.hypotheses.len() < HYPOTHESES_MAX;
@@ -321,7 +322,7 @@ impl<const N: usize> Bank<N> {
         let sight = estimate.position() - reading.position_m;
         let towards_rad = sight.y.atan2(sight.x);
         for k in 0..circle.count.min(HYPOTHESES_MAX - self.hypotheses.len()) {
-            // Both ways round from the side of the estimate.
+            // Alternately both ways round, from the side of the estimate.
             let turn = if k % 2 == 0 { k / 2 } else { circle.count - k.div_ceil(2) };
             let (sin, cos) = (towards_rad + TAU * turn as f64 / circle.count as f64).sin_cos();
             let (radial, tangential) = (Vector2::new(cos, sin), Vector2::new(-sin, cos));
@@ -346,7 +347,7 @@ impl<const N: usize> Bank<N> {
         }
     }
 
-    /// Makes the weights sum to one, drops the unlikely, merges the near.
+    /// Normalises the weights, drops unlikely hypotheses, and merges close ones.
     fn reduce(&mut self) {
         if let [only] = &mut self.hypotheses[..] {
             only.log_weight = 0.0;
@@ -365,7 +366,7 @@ impl<const N: usize> Bank<N> {
         }
     }
 
-    /// Merges into a hypothesis the lighter ones near it.
+    /// Merges lighter hypotheses into a close heavier one.
     fn merge_into(&mut self, heavy: usize) {
         let Gaussian { x, p } = self.hypotheses[heavy].estimate;
         let Some(root) = Cholesky::new(p) else { return };
@@ -386,7 +387,7 @@ fn unknown<const N: usize>() -> Gaussian<N> {
     Gaussian { x: SVector::zeros(), p: SMatrix::identity() * (UNKNOWN_STD * UNKNOWN_STD) }
 }
 
-/// Lifts the covariance clear of rounding. False if it is not positive definite or not all is finite.
+/// Inflates the covariance against rounding. False if it is not positive definite, or if a value is not finite.
 fn make_valid<const N: usize>(estimate: &mut Gaussian<N>) -> bool {
     inflate(&mut estimate.p);
     let finite = estimate.x.iter().chain(estimate.p.iter()).all(|value| value.is_finite());

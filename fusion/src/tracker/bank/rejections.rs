@@ -5,26 +5,26 @@ use serde::{Deserialize, Serialize};
 
 use super::super::Reading;
 
-/// Weight of a range in the account of rejections after each later range: a memory of ten ranges.
+/// Factor on the weight of earlier ranges with each new range: a memory of ten ranges.
 const REJECTION_DECAY: f64 = 0.9;
 
-/// Rejected share of the ranges, of those remembered, from which on the estimate may be locked out:
-/// the mirror image of the target beside two of three sensors makes the third reject.
+/// Rejected share of the remembered ranges above which the estimate may be locked out. If the estimate is the mirror
+/// image of the target beside two of three sensors, the ranges of the third are rejected.
 const REJECTED_SHARE: f64 = 0.3;
 
-/// Rejections that must be remembered as well: two outliers in a row are no lock-out.
+/// Remembered rejections of a lock-out are more than this: two outliers in a row are no lock-out.
 const REJECTED_MIN: f64 = 2.0;
 
-/// Successive ranges from places within this share of the range are taken to be of one sensor. Such a
-/// run counts once: by itself a bad sensor cannot show a lock-out.
+/// Successive ranges from positions closer together than this share of the range are taken to be from one sensor. Such
+/// a series counts once, so that a faulty sensor by itself cannot show a lock-out.
 const SAME_SENSOR_SHARE: f64 = 0.05;
 
-/// The account of rejected ranges, with exponential forgetting.
+/// Counts of ranges and of rejected ones, with exponential forgetting.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Rejections {
     ranges: f64,
     rejected: f64,
-    /// Where the last range that counted was measured from, m.
+    /// Position from which the last range that counted was measured, m.
     position_m: Vector2<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! One range as one hypothesis sees it.
+//! One range compared with one hypothesis.
 
 use std::f64::consts::TAU;
 
@@ -8,11 +8,11 @@ use crate::filter::{Gaussian, Innovation};
 /// Share of the ranges taken to be outliers: that of radio ranges without a line of sight.
 const OUTLIER_SHARE: f64 = 0.05;
 
-/// Spread of an outlier beyond that of the hypothesis, in standard deviations of the range. One
-/// outlier then costs the right hypothesis a factor of 400, not its life.
+/// Spread of an outlier beyond that of the hypothesis, in standard deviations of the range. One outlier then divides
+/// the weight of the right hypothesis by 400, and does not remove it.
 const OUTLIER_SPREAD: f64 = 50.0;
 
-/// A range as a hypothesis sees it, to second order.
+/// A range compared with a hypothesis, to second order.
 pub(super) struct Sight {
     pub(super) innovation: Innovation,
     /// How far the circle bends within the hypothesis's standard deviation, `tr((I - e e^T) P_11) / (2 d)`, m.
@@ -26,8 +26,9 @@ pub(super) struct Sight {
 }
 
 impl Sight {
-    /// With the second-order terms of `d(X)`: mean `d + bend`, variance `2 bend^2` in the plane, where only one
-    /// direction bends; [`Gaussian::bend`] for a sensor at another height, round which all do.
+    /// Compares with the second-order terms of `d(X)`. In the plane, where the distance is curved in one direction
+    /// only, the mean is `d + bend` and the added variance `2 bend^2`. For a sensor at another height, where it is
+    /// curved in all directions, they come from [`Gaussian::bend`].
     pub(super) fn of<const N: usize>(estimate: &Gaussian<N>, reading: &Reading) -> Self {
         let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
         let mut innovation = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
@@ -48,7 +49,7 @@ impl Sight {
         innovation.noise_variance_m2 += bend_variance_m2;
         let variance_m2 = innovation.variance_m2(&covariance);
         let normalised_square = innovation.normalised_square(&covariance);
-        // A range well within a wide estimate has the density r / across, less than 1 / sqrt(S).
+        // A range that is short beside a wide estimate has the density `r / across_m2`, less than `1 / sqrt(S)`.
         let spread_m = OUTLIER_SPREAD * range_std_m + (TAU * variance_m2).sqrt() + across_m2 / range_m.max(range_std_m);
         let log_outlier = (OUTLIER_SHARE / spread_m).ln();
         Self { innovation, bend_m, variance_m2, normalised_square, log_outlier }

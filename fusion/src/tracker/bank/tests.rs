@@ -11,7 +11,7 @@ fn bank() -> Bank<4> {
     Bank::new(MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 }, Gate::new(Some(4.0)))
 }
 
-/// Steps through one range each 0.1 s, of the sensors in turn, with a noise of 1.7 sigma at most.
+/// Feeds a bank with single ranges that have a noise of 1.7 sigma at most.
 struct Run {
     bank: Bank<4>,
     count: u32,
@@ -60,16 +60,16 @@ fn the_range_of_a_distrusted_robot_is_tested_and_moves_nothing() {
     let mut run = Run::new();
     run.square(3, [16.0, 3.0], 0.0);
     for (error_m, fails) in [(0.0, false), (3.0, true)] {
-        let (mut heard, mut alone) = (run.bank.clone(), run.bank.clone());
+        let (mut tested, mut untouched) = (run.bank.clone(), run.bank.clone());
         let range_m = 16.0_f64.hypot(3.0) + error_m;
         let reading = Reading { robot: 7, range_m, range_std_m: STD_M, distrusted: true, ..Reading::default() };
-        let fit = heard.step(0.1, &[reading]);
+        let fit = tested.step(0.1, &[reading]);
         assert_eq!((fit.fused, fit.rejected, fit.failed.contains(7)), (0, 1, fails));
-        alone.step(0.1, &[]);
-        assert_eq!((heard.hypotheses, heard.estimate), (alone.hypotheses, alone.estimate));
+        untouched.step(0.1, &[]);
+        assert_eq!((tested.hypotheses, tested.estimate), (untouched.hypotheses, untouched.estimate));
     }
     let fit = bank().step(0.1, &[Reading { range_m: 5.0, range_std_m: STD_M, distrusted: true, ..Reading::default() }]);
-    assert_eq!((fit.fused, fit.failed.is_empty()), (0, true), "where nothing is known, nothing fails");
+    assert_eq!((fit.fused, fit.failed.is_empty()), (0, true), "without a hypothesis nothing fails");
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn outliers_are_rejected_the_very_first_range_included() {
 }
 
 #[test]
-fn it_leaves_the_lock_out_after_a_jump() {
+fn it_recovers_from_a_lock_out_after_a_jump() {
     let mut run = Run::new();
     run.square(10, [16.0, 3.0], 0.0);
     let (error_m, std_m) = run.square(4, [-40.0, 70.0], 0.0);
@@ -142,7 +142,7 @@ fn hostile(order: usize, steps: &[(f64, f64, f64, f64, f64)]) -> Result<(), Test
 
 fn survives<const N: usize>(mut bank: Bank<N>, steps: &[(f64, f64, f64, f64, f64)]) -> Result<(), TestCaseError> {
     for &(dt_s, x, y, range_m, range_std_m) in steps {
-        // Every fifth or so stands right on the estimate.
+        // Some sensors are exactly at the estimated position.
         let position_m = if x > 0.6e8 { bank.estimate.position() } else { Vector2::new(x, y) };
         bank.step(dt_s, &[Reading { position_m, range_m, range_std_m, ..Reading::default() }]);
         prop_assert!(bank.estimate().x.iter().all(|value| value.is_finite()));

@@ -1,4 +1,4 @@
-//! Fusion before it leads, in simulated time: it stands by, takes the lead, and reads what its predecessor left.
+//! Fusion before it leads, in simulated time: it stands by, takes the lead, and reads its predecessor's checkpoint.
 
 use rangehound_fusion::leader::{Leader, Saved};
 use rangehound_fusion::standby::{LOOK, Standby};
@@ -6,26 +6,26 @@ use rangehound_node::rendezvous::tenure::needs_own_checkpoint;
 use rangehound_shared::protocol::wake::{Event, WaitGroup};
 use rangehound_shared::sealed::slots::Turns;
 
-use crate::study::explore::cluster::{Cluster, Happening, Violation};
+use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::lead::Lease;
 use crate::study::explore::process::{Fate, Process};
 use crate::study::explore::witness::succession;
 
-/// A process that is ready to lead.
+/// A standby.
 pub(in crate::study::explore) struct StandingBy {
     standby: Standby<u64, u64>,
-    /// The lock that the kernel will give it.
+    /// The lock that it waits for.
     pub(in crate::study::explore) waits_for: u64,
     since_ns: u64,
     looks_at_ns: u64,
-    /// It is about to depose whoever gave this sign last.
+    /// The last heartbeat of a leader that it is about to depose.
     deposes: Option<u64>,
 }
 
-/// A process that has taken the lead and does not lead yet.
-pub(in crate::study::explore) struct Heir {
+/// A process that has taken the lead but does not lead yet.
+pub(in crate::study::explore) struct Successor {
     pub(in crate::study::explore) lease: Lease,
-    /// What it goes on from, once it has read that.
+    /// The state that it goes on from, once it has read it.
     read: Option<(Leader, Turns)>,
 }
 
@@ -37,28 +37,28 @@ pub(in crate::study::explore) struct Leading {
     pub(in crate::study::explore) disk: Option<usize>,
     pub(in crate::study::explore) turns: Turns,
     pub(in crate::study::explore) since_ns: u64,
-    /// When the first range of a tick came, by its own clock, if neither it nor the simulator was stopped since.
+    /// A tick and when its first range arrived, by its own clock; `None` if a process was stopped since.
     pub(in crate::study::explore) first_range: Option<(u64, u64)>,
-    /// The same in time for which it ran, whoever was stopped.
+    /// The same in time for which it ran, whichever process was stopped.
     pub(in crate::study::explore) ran_at_first_ns: Option<(u64, u64)>,
-    /// It has made sure that it leads since it last commanded.
+    /// True if it has checked that it leads since it last sent headings.
     pub(in crate::study::explore) has_looked: bool,
-    /// The newest tick of which a range came.
+    /// The newest tick of which a range has arrived.
     pub(in crate::study::explore) newest_heard: u64,
 }
 
 impl Cluster<'_> {
-    /// Where others can lead, one that is started as fusion stands by too.
+    /// If there are standbys, fusion is started as a standby too.
     pub(in crate::study::explore) fn start_fusion(&mut self, node: usize) -> Process {
         if self.plan.standbys == 0 && self.lead.is_free(self.lead.lock) {
-            self.inherit(node, None)
+            self.take_lead(node, None)
         } else {
             self.stand_by()
         }
     }
 
     pub(in crate::study::explore) fn stand_by(&mut self) -> Process {
-        let standby = Standby::new(self.scenario, self.lead.renew(), Some(self.lead.lock));
+        let standby = Standby::new(self.scenario, self.lead.heartbeat(), Some(self.lead.lock));
         let (waits_for, looks_at_ns) = (self.lead.lock, self.now_ns + LOOK.as_nanos() as u64);
         Process::Standby(Box::new(StandingBy { standby, waits_for, since_ns: self.now_ns, looks_at_ns, deposes: None }))
     }
@@ -68,7 +68,7 @@ impl Cluster<'_> {
         node: usize,
         mut standing_by: Box<StandingBy>,
     ) -> Result<Process, Violation> {
-        match self.meet_doom(node)? {
+        match self.before_action(node)? {
             Fate::Dies { .. } => return Ok(Process::None),
             Fate::Stops => return Ok(Process::Standby(standing_by)),
             Fate::Lives => {}
@@ -78,13 +78,13 @@ impl Cluster<'_> {
         waited.map_err(|what| self.violation(Some(node), what))?;
         let StandingBy { standby, waits_for, looks_at_ns, deposes, .. } = &mut *standing_by;
         if self.lead.is_free(*waits_for) {
-            return Ok(self.inherit(node, None));
+            return Ok(self.take_lead(node, None));
         }
         if *looks_at_ns <= self.now_ns {
             *looks_at_ns = self.now_ns + LOOK.as_nanos() as u64;
-            *deposes = standby.look(self.lead.renew());
+            *deposes = standby.look(self.lead.heartbeat());
             if deposes.is_some() {
-                match self.meet_doom(node)? {
+                match self.before_action(node)? {
                     Fate::Dies { .. } => return Ok(Process::None),
                     Fate::Stops => return Ok(Process::Standby(standing_by)),
                     Fate::Lives => {}
@@ -97,13 +97,13 @@ impl Cluster<'_> {
             if let Some(lease) = self.lead.depose(silent_since, node, life, self.now_ns) {
                 let is_right = succession::deposes(&self.nodes, deposed, self.now_ns);
                 is_right.map_err(|what| self.violation(Some(node), what))?;
-                return Ok(self.inherit(node, Some(lease)));
+                return Ok(self.take_lead(node, Some(lease)));
             }
         }
         if standby.waits_anew(Some(self.lead.lock)) {
             *waits_for = self.lead.lock;
             if self.lead.is_free(*waits_for) {
-                return Ok(self.inherit(node, None));
+                return Ok(self.take_lead(node, None));
             }
         }
         let left_ns = looks_at_ns.saturating_sub(self.now_ns).max(1);
@@ -111,35 +111,35 @@ impl Cluster<'_> {
         Ok(Process::Standby(standing_by))
     }
 
-    /// The process of a node that takes the lead, or has just taken it by deposing the predecessor.
-    fn inherit(&mut self, node: usize, lease: Option<Lease>) -> Process {
+    /// Takes the lead, unless `lease` says that it was just taken by deposing the predecessor.
+    fn take_lead(&mut self, node: usize, lease: Option<Lease>) -> Process {
         let life = self.nodes[node].life;
         let lease = lease.unwrap_or_else(|| self.lead.take(node, life, self.now_ns));
         self.counts.successions += u64::from(lease.incarnation > 1);
         self.nodes[node].incarnation = lease.incarnation;
-        self.tell(Some(node), || format!("takes the lead as incarnation {}", lease.incarnation));
-        self.doom_heir(node);
-        self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
-        Process::Heir(Box::new(Heir { lease, read: None }))
+        self.trace(Some(node), || format!("takes the lead as incarnation {}", lease.incarnation));
+        self.apply_successor_fault(node);
+        self.after(0, SimEvent::Wakes { node, event: Some(Event::Range) });
+        Process::Successor(Box::new(Successor { lease, read: None }))
     }
 
-    /// It reads the checkpoint, and then gives it a file of its own.
-    pub(in crate::study::explore) fn run_heir(
+    /// Reads the checkpoint, and then moves it to a new file.
+    pub(in crate::study::explore) fn run_successor(
         &mut self,
         node: usize,
-        mut heir: Box<Heir>,
+        mut successor: Box<Successor>,
     ) -> Result<Process, Violation> {
-        let fate = self.meet_doom(node)?;
+        let fate = self.before_action(node)?;
         if let Fate::Dies { .. } = fate {
             return Ok(Process::None);
         }
-        self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
-        let Heir { lease, read } = &mut *heir;
+        self.after(0, SimEvent::Wakes { node, event: Some(Event::Range) });
+        let Successor { lease, read } = &mut *successor;
         let Some((machine, turns)) = read.take() else {
             *read = Some(self.read_checkpoint(node)?);
-            return Ok(Process::Heir(heir));
+            return Ok(Process::Successor(successor));
         };
-        // Deposed itself: the file is its successor's.
+        // If it has been deposed meanwhile, the file is its successor's.
         let mut disk = Some(self.disks.len() - 1);
         if needs_own_checkpoint(lease.incarnation) {
             disk = self.lead.is_current(*lease).then_some(self.disks.len());
@@ -149,7 +149,7 @@ impl Cluster<'_> {
             }
         }
         let tick = machine.centre().next_tick();
-        self.tell(Some(node), || format!("leads from tick {tick}"));
+        self.trace(Some(node), || format!("leads from tick {tick}"));
         let is_behind = self.lead.is_current(*lease) && tick <= self.witness.newest_headings().unwrap_or(0);
         if is_behind && self.witness.newest_headings().is_some() {
             return Err(
@@ -190,7 +190,7 @@ impl Cluster<'_> {
         Ok((machine, turns))
     }
 
-    /// The tick that is gathered is held for as long as somebody stood still.
+    /// After a stop, the time since the first range no longer limits how long fusion may gather the tick.
     pub(in crate::study::explore) fn forget_first_range(&mut self) {
         for node in &mut self.nodes {
             if let Process::Leader(leading) = &mut node.process {

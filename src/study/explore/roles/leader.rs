@@ -1,4 +1,4 @@
-//! Fusion that leads, in simulated time.
+//! The leading fusion in simulated time.
 
 use std::rc::Rc;
 
@@ -8,12 +8,12 @@ use rangehound_shared::protocol::wake::{Event, WaitGroup};
 
 use super::fusion::Leading;
 use super::sim::SIM;
-use crate::study::explore::cluster::{Cluster, Happening, Violation};
+use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::network::Message;
 use crate::study::explore::process::{Fate, Node, Process};
 use crate::study::explore::witness::timing::{Closing, Missing};
 
-/// Ticks after which nobody is missing any more for what was before.
+/// Ticks after a fault from which on no robot may be missing because of it.
 const CALM_TICKS: u64 = 6;
 
 impl Cluster<'_> {
@@ -51,7 +51,7 @@ impl Cluster<'_> {
                 leading.machine.finish();
                 continue;
             };
-            let fate = self.meet_doom(node)?;
+            let fate = self.before_action(node)?;
             if let Fate::Dies { written } = fate {
                 if action == Action::Save {
                     self.save_leader(node, &mut leading, written)?;
@@ -77,23 +77,23 @@ impl Cluster<'_> {
         Ok(Process::Leader(leading))
     }
 
-    /// True while nobody has taken the lead from it. Sends a heartbeat.
+    /// True while it holds the lead; then it sends a heartbeat.
     fn holds_lead(&mut self, leading: &Leading) -> bool {
         let holds = self.lead.is_current(leading.lease);
         if holds {
-            self.lead.sign_at(self.now_ns);
+            self.lead.send_heartbeat(self.now_ns);
         }
         holds
     }
 
-    /// It lets go of a lock that counts for nothing, and stands by.
+    /// A deposed leader releases its lock and stands by.
     fn is_deposed(&mut self, node: usize, leading: &Leading) -> Process {
-        self.tell(Some(node), || "sees that it was deposed; stands by".to_owned());
+        self.trace(Some(node), || "sees that it was deposed; stands by".to_owned());
         self.nodes[node].heartbeat_ns = Some(self.now_ns);
         // It connects anew, and finds no old message.
         self.nodes[node].inbox.clear();
         self.free(leading.lease.lock);
-        self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
+        self.after(0, SimEvent::Wakes { node, event: Some(Event::Range) });
         self.stand_by()
     }
 
@@ -108,7 +108,7 @@ impl Cluster<'_> {
                 let is_current = self.lead.is_current(leading.lease);
                 let witnessed = self.witness.headings(tick, commands, is_current);
                 witnessed.map_err(|what| self.violation(Some(node), what))?;
-                self.tell(Some(node), || format!("heading({tick})"));
+                self.trace(Some(node), || format!("heading({tick})"));
                 let header = self.header(node, tick, machine.centre().time_s());
                 let commands: Rc<[Command]> = commands.into();
                 for robot in self.plan.robot_nodes() {
@@ -126,16 +126,16 @@ impl Cluster<'_> {
                 closed.map_err(|what| self.violation(Some(node), what))?;
                 self.groups[WaitGroup::Fusion as usize].expected = leading.machine.expected();
             }
-            Action::Tell(notice) => {
+            Action::Report(notice) => {
                 if let Notice::Missed { first, last } = notice {
-                    self.tell(Some(node), || format!("missed ticks {first} to {last}"));
+                    self.trace(Some(node), || format!("missed ticks {first} to {last}"));
                 }
             }
         }
         Ok(())
     }
 
-    /// A tick is put down. Robots are missing for a reason: something has been in the way not long ago.
+    /// A tick is recorded. Robots may be missing only if there was a recent fault.
     fn record(&mut self, node: usize, leading: &Leading, tick: u64) -> Result<Missing, String> {
         let Self { witness, nodes, plan, .. } = self;
         let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
@@ -147,15 +147,15 @@ impl Cluster<'_> {
         witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
     }
 
-    /// How a tick came to its end.
+    /// How a tick was closed.
     fn closing(&self, node: usize, leading: &Leading, tick: u64, missing: Missing) -> Closing {
         let began_ns = leading.machine.stages().began_ns;
         let of_tick = |first: Option<(u64, u64)>| first.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns);
         let ran_ns = self.now_ns - self.nodes[node].suspended_ns;
-        // A wake-up may come before a slow message, which is seen at the next look then.
+        // A wake-up may come before a slow message, which is then read at the next wake-up.
         let is_seen_at_once = self.plan.network.wakes_on_arrival || self.plan.network.slow == 0.0;
         let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);
-        // One that is stopped or killed just after it has sent wakes nobody.
+        // A robot that is stopped or killed just after it has sent its range does not notify fusion.
         let first_arrival = fusion.first_arrival.filter(|(.., from)| {
             is_seen_at_once && self.nodes[*from].well_for_ns(self.now_ns) > (self.scenario.dt_s * 1e9) as u64
         });

@@ -1,4 +1,4 @@
-//! The roles' machines, driven in simulated time.
+//! The roles' machines in simulated time.
 
 pub(super) mod fusion;
 mod leader;

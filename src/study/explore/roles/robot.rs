@@ -10,13 +10,13 @@ use crate::study::explore::process::{Fate, Process, Robot};
 use crate::study::explore::roles::sim::SIM;
 use crate::study::explore::witness::robot::RobotWitness;
 
-/// What the range of a robot that measures anew differs by, m.
+/// Change of the range of a robot that measures anew, m.
 const ANEW_M: f64 = 0.01;
 
 impl Cluster<'_> {
     pub(in crate::study::explore) fn start_robot(&mut self, node: usize) -> Process {
         let id = node - self.plan.robot_nodes().start;
-        // As its process does, it asks how often the lead has been taken.
+        // Like the real process, it reads how often the lead has been taken.
         let fusion_incarnation = self.lead.starts();
         let started = (Machine::new(self.scenario, id, fusion_incarnation), Sensor::new(self.scenario, id));
         let (Some(machine), Some(sensor)) = started else { return Process::None };
@@ -59,7 +59,7 @@ impl Cluster<'_> {
                 robot.machine.before_sleep();
                 continue;
             };
-            let fate = self.meet_doom(node)?;
+            let fate = self.before_action(node)?;
             if let Fate::Dies { .. } = fate {
                 return Ok(Process::None);
             }
@@ -82,8 +82,8 @@ impl Cluster<'_> {
         let now_ns = self.local_ns(node);
         match action {
             Action::Measure { tick, entry } => {
-                let told = witness.measures(tick, self.now_ns);
-                told.map_err(|what| self.violation(Some(node), what))?;
+                let checked = witness.measures(tick, self.now_ns);
+                checked.map_err(|what| self.violation(Some(node), what))?;
                 let (range_m, std_m) = measure(sensor, tick, &entry);
                 let incarnation = self.nodes[node].incarnation;
                 let anew_m = if self.plan.measures_anew { ANEW_M * (incarnation - 1) as f64 } else { 0.0 };
@@ -106,7 +106,7 @@ impl Cluster<'_> {
                 let history = &mut self.witness.robots[id];
                 let driven = witness.drives(history, tick, command, entry.heading_held_ns);
                 if driven.map_err(|what| self.violation(Some(node), what))? {
-                    self.tell(Some(node), || format!("obeys heading({tick})"));
+                    self.trace(Some(node), || format!("obeys heading({tick})"));
                 }
                 self.send(node, SIM, || Message::Drive(tick, entry));
             }

@@ -30,7 +30,7 @@ impl Cluster<'_> {
         }
         self.sim_turns = turns;
         self.sim_starts += 1;
-        // The tick begins once more.
+        // The tick begins again.
         self.forget_first_range();
         self.nodes[SIM].incarnation = self.sim_starts;
         self.witness.timing.sim_starts();
@@ -45,7 +45,7 @@ impl Cluster<'_> {
         }
         let now_ns = self.local_ns(SIM);
         while let Some(action) = machine.next_action(now_ns) {
-            let fate = self.meet_doom(SIM)?;
+            let fate = self.before_action(SIM)?;
             if let Fate::Dies { written } = fate {
                 if action == Action::Save {
                     self.save_sim(&mut machine, written)?;
@@ -75,7 +75,7 @@ impl Cluster<'_> {
                     .and_then(|()| self.witness.timing.world(tick, self.now_ns, [ran_ns, counted_ns], self.late_ns()));
                 seen.map_err(|what| self.violation(Some(SIM), what))?;
                 self.groups[WaitGroup::Sim as usize].expected = machine.expected();
-                self.tell(Some(SIM), || format!("world({tick})"));
+                self.trace(Some(SIM), || format!("world({tick})"));
                 let header = self.header(SIM, tick, world.time_s());
                 let entries: Rc<[WorldEntry]> = world.entries().into();
                 for robot in self.plan.robot_nodes() {
@@ -84,16 +84,16 @@ impl Cluster<'_> {
             }
             Action::Notify(notification) => self.notify(SIM, notification),
             Action::ReportSilent(id) => {
-                self.tell(Some(SIM), || format!("goes on without robot-{id}"));
+                self.trace(Some(SIM), || format!("goes on without robot-{id}"));
                 let sim = &self.nodes[SIM];
                 let counted_ns = self.now_ns - sim.suspended_ns;
-                let told = self.witness.timing.leaves_out(tick, counted_ns);
-                told.map_err(|what| self.violation(Some(SIM), what))?;
+                let checked = self.witness.timing.leaves_out(tick, counted_ns);
+                checked.map_err(|what| self.violation(Some(SIM), what))?;
                 self.witness.leaves_out(id);
             }
             Action::Finish => {
                 self.is_finished = true;
-                self.tell(Some(SIM), || "the run is over".to_owned());
+                self.trace(Some(SIM), || "the run is over".to_owned());
             }
             Action::Record => {
                 self.witness.drives(tick, machine.drives()).map_err(|what| self.violation(Some(SIM), what))?;

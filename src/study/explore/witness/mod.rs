@@ -1,12 +1,12 @@
-//! The invariants, checked as a team goes on: what each node does is told to the witness.
+//! The invariants, checked during an exploration: every action of a node is reported to the witness.
 //!
 //! | module | what |
 //! |---|---|
-//! | this one | worlds, ranges, headings, estimates: whatever there is one of for each tick |
-//! | `robot` | what robots obey, hold and drive |
-//! | `timing` | when ticks begin and end, who is waited for |
-//! | `succession` | who takes the lead when |
-//! | `supervision` | whom the supervisor kills, starts and gives up |
+//! | this one | worlds, ranges, headings and estimates: there is one of each for a tick |
+//! | `robot` | which headings robots obey, hold and drive |
+//! | `timing` | when ticks begin and end, and which robots they wait for |
+//! | `succession` | when a standby takes the lead |
+//! | `supervision` | which nodes the supervisor kills, starts and gives up |
 
 pub(super) mod robot;
 pub(super) mod succession;
@@ -25,38 +25,39 @@ use super::plan::Plan;
 use robot::RobotHistory;
 use timing::{Missing, Timing};
 
-/// All that has been seen of a team.
+/// All that has been observed of a team.
 #[derive(Debug)]
 pub(super) struct Witness {
     /// Digests of the undisturbed run by tick.
     undisturbed: Rc<Vec<[u64; 2]>>,
-    /// The last tick up to which nobody was missing and all robots obeyed: so far the run must be the undisturbed one.
-    whole_until: u64,
+    /// The last tick up to which no robot was missing and all robots obeyed: up to it the run must equal the
+    /// undisturbed one.
+    complete_until: u64,
     is_realtime: bool,
-    /// The simulator has put down a tick.
+    /// The simulator has recorded a tick.
     has_drives: bool,
-    /// Robots that the simulator goes on without.
+    /// Robots without which the simulator goes on.
     is_left_out: Vec<bool>,
-    /// Nobody is ever left out.
+    /// True if no robot is ever left out.
     waits_for_all: bool,
     /// Causes for which messages may be refused.
     may_refuse: [bool; Refusal::ALL.len()],
-    /// What robots did.
+    /// The robots' actions.
     pub(super) robots: Vec<RobotHistory>,
     /// When ticks began and ended.
     pub(super) timing: Timing,
-    /// When each robot was last heard in time.
+    /// The last tick at which each robot reported in time.
     heard_at: Vec<Option<u64>>,
     worlds: HashMap<u64, Vec<WorldEntry>>,
     newest_world: u64,
-    /// What each robot has said of each tick: one range, unless it measures anew.
+    /// The ranges of each robot and tick: one, unless robots measure anew.
     ranges: HashMap<(u64, u64), Vec<Range>>,
     measures_anew: bool,
     digests: HashMap<u64, [u64; 2]>,
     last_estimate: Option<u64>,
     headings: HashMap<u64, Vec<Command>>,
     newest_headings: Option<u64>,
-    /// At which tick a robot's range of a tick was fused.
+    /// The tick at which a robot's range of a tick was fused.
     fused: HashMap<(usize, u64), u64>,
 }
 
@@ -66,12 +67,12 @@ impl Witness {
         let robots = scenario.robots.len();
         let is_realtime = scenario.clock == Clock::Realtime;
         let mut may_refuse = [plan.network.garbled > 0.0; Refusal::ALL.len()];
-        // Clocks that are apart make a tick come before its time.
+        // With different clocks a tick may come before its time.
         may_refuse[Refusal::Future as usize] |= plan.clock_rates.iter().any(|rate| *rate != 1.0);
         Self {
-            // One that measures anew is another run.
+            // If robots measure anew, the run differs from the undisturbed one.
             undisturbed: if plan.measures_anew { Rc::default() } else { undisturbed },
-            whole_until: u64::MAX,
+            complete_until: u64::MAX,
             is_realtime,
             has_drives: false,
             is_left_out: vec![false; robots],
@@ -104,10 +105,10 @@ impl Witness {
 
     /// A robot publishes its range.
     pub(super) fn range(&mut self, tick: u64, range: &Range) -> Result<(), String> {
-        let said = Range { tick_began_ns: 0, ..*range };
+        let measured = Range { tick_began_ns: 0, ..*range };
         let ranges = self.ranges.entry((range.robot, tick)).or_default();
-        if !ranges.contains(&said) {
-            ranges.push(said);
+        if !ranges.contains(&measured) {
+            ranges.push(measured);
         }
         if ranges.len() > 1 && !self.measures_anew {
             return Err(format!("robot-{} measured twice at tick {tick}", range.robot));
@@ -115,7 +116,7 @@ impl Witness {
         Ok(())
     }
 
-    /// Whoever leads publishes headings.
+    /// A fusion publishes headings.
     pub(super) fn headings(&mut self, tick: u64, commands: &[Command], is_current: bool) -> Result<(), String> {
         if is_current {
             if let Some(newest) = self.newest_headings.filter(|newest| tick < *newest) {
@@ -127,19 +128,19 @@ impl Witness {
         if first != commands { Err(format!("two different headings for tick {tick}")) } else { Ok(()) }
     }
 
-    /// Whoever leads publishes an estimate.
+    /// A fusion publishes an estimate.
     pub(super) fn estimate(&mut self, tick: u64, estimate: &Estimate) -> Result<(), String> {
         if *self.digests.entry(tick).or_insert(estimate.digest) != estimate.digest {
             return Err(format!("two different estimates of tick {tick}"));
         }
         let refused = estimate.refused.iter().zip(self.may_refuse).zip(Refusal::ALL);
         match refused.into_iter().find(|((count, may), _)| **count > 0 && !may) {
-            Some((_, refusal)) => Err(format!("a sound range was refused at tick {tick}: {}", refusal.name())),
+            Some((_, refusal)) => Err(format!("a valid range was refused at tick {tick}: {}", refusal.name())),
             None => Ok(()),
         }
     }
 
-    /// The simulator ends a tick with what robots drive.
+    /// The simulator ends a tick with the robots' drives.
     pub(super) fn drives(&mut self, tick: u64, drives: &[Option<Drive>]) -> Result<(), String> {
         self.has_drives = true;
         for (robot, drive) in drives.iter().enumerate() {
@@ -150,23 +151,23 @@ impl Witness {
         }
         let is_complete = drives.iter().all(|drive| drive.is_some_and(|drive| drive.heading_held_ns != 0));
         if !is_complete {
-            self.whole_until = self.whole_until.min(tick);
+            self.complete_until = self.complete_until.min(tick);
         }
         Ok(())
     }
 
-    /// The simulator goes on without a robot until that speaks.
+    /// The simulator goes on without a robot until that robot sends a message.
     pub(super) fn leaves_out(&mut self, robot: usize) {
         self.is_left_out[robot] = true;
     }
 
-    /// True if the simulator has put down a tick.
+    /// True if the simulator has recorded a tick.
     pub(super) fn has_drives(&self) -> bool {
         self.has_drives
     }
 
-    /// Whoever leads records a tick: each range is one that was measured, and fused once. Says who is missing.
-    /// `is_calm` tells for which robots nothing has been in the way for long.
+    /// A fusion records a tick: each range must have been measured, and is fused once. Returns which robots are
+    /// missing. `is_calm` is true for robots without a recent fault.
     pub(super) fn record(
         &mut self,
         tick: u64,
@@ -180,7 +181,7 @@ impl Witness {
         }
         self.last_estimate = self.last_estimate.max(Some(tick));
         let missing = self.hear(tick, leader, is_calm)?;
-        let digest = self.undisturbed.get(tick as usize).filter(|_| tick <= self.whole_until);
+        let digest = self.undisturbed.get(tick as usize).filter(|_| tick <= self.complete_until);
         if digest.is_some_and(|digest| *digest != leader.estimate().digest) {
             return Err(format!("the digest of tick {tick} is not that of the undisturbed run"));
         }
@@ -188,7 +189,7 @@ impl Witness {
         Ok(missing)
     }
 
-    /// Takes note of who was heard in time.
+    /// Records which robots reported in time.
     fn hear(&mut self, tick: u64, leader: &Leader, is_calm: impl Fn(usize) -> bool) -> Result<Missing, String> {
         let mut missing = Missing::Nobody;
         for (robot, exchange) in leader.exchanges().enumerate() {
@@ -199,8 +200,8 @@ impl Witness {
             if self.waits_for_all || is_calm(robot) {
                 return Err(format!("tick {tick} went on without robot-{robot}"));
             }
-            self.whole_until = self.whole_until.min(tick.saturating_sub(1));
-            // After so many misses in a row nobody waits for it.
+            self.complete_until = self.complete_until.min(tick.saturating_sub(1));
+            // After this many misses in a row a tick no longer waits for the robot.
             let misses_max = if self.is_realtime { 3 } else { 1 };
             let is_new =
                 tick == 0 || self.heard_at[robot].is_some_and(|heard| heard < tick && heard + misses_max >= tick);
@@ -229,7 +230,7 @@ impl Witness {
         Ok(())
     }
 
-    /// The newest tick of the simulator's.
+    /// The simulator's newest tick.
     pub(super) fn newest_world(&self) -> u64 {
         self.newest_world
     }
@@ -239,9 +240,9 @@ impl Witness {
         self.newest_headings
     }
 
-    /// True if so far nobody was missing, and all robots obeyed.
+    /// True if so far no robot was missing, and all robots obeyed.
     pub(super) fn is_complete(&self) -> bool {
-        self.whole_until == u64::MAX
+        self.complete_until == u64::MAX
     }
 
     /// The last tick whose estimate has been recorded, if any has.

@@ -1,14 +1,14 @@
-//! What a robot is told and does.
+//! What a robot receives and does.
 
 use std::collections::HashMap;
 
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{Clock, Scenario};
 
-/// Headings that are remembered of those that reached a process.
+/// Number of received headings that are remembered.
 const REMEMBERED: usize = 16;
 
-/// For so many ticks after its own a heading is held.
+/// Ticks for which a heading is held after its own tick.
 const HELD_TICKS: u64 = 3;
 
 /// Part of a tick after which a robot goes on without a heading.
@@ -17,38 +17,38 @@ const HEADING_DEADLINE: f64 = 0.8;
 /// What one robot has done, in all its processes.
 #[derive(Debug, Default)]
 pub(in crate::study::explore) struct RobotHistory {
-    /// What it drove by a heading of each tick.
+    /// The command that it obeyed at each tick.
     obeyed: HashMap<u64, Command>,
     /// The greatest incarnation of fusion whose command it carried out.
     newest_obeyed: u64,
 }
 
-/// What one process of a robot has been told, and what it owes.
+/// What one process of a robot has received, and what it must still do.
 #[derive(Debug, Clone)]
 pub(in crate::study::explore) struct RobotWitness {
     is_realtime: bool,
     dt_ns: f64,
-    /// Greatest incarnation of fusion that it knows of.
+    /// Greatest incarnation of fusion that it knows.
     fusion_incarnation: u64,
-    /// The newest headings that reached it from whoever led as far as it could know.
+    /// The newest headings that reached it from the newest fusion that it knew.
     valid: Vec<Heading>,
-    /// Of the simulator whose world was heard last.
+    /// Incarnation of the simulator whose world it received last.
     sim_incarnation: u64,
     newest_tick: Option<(u64, u64)>,
-    /// When it saw the newest tick, ns; until it has decided what to drive.
+    /// When it saw the newest tick, ns; `None` once it has decided what to drive.
     undecided_since_ns: Option<u64>,
-    /// When it saw the newest tick, ns, if it moves since.
+    /// When it saw the newest tick, ns, if it is moving.
     moves_since_ns: Option<u64>,
     seen_ns: u64,
     obeyed: Option<u64>,
-    /// The heading that it drove by last, with its tick.
+    /// The heading that it obeyed last, with its tick.
     held: Option<(u64, Command)>,
-    /// What the actuator was asked to carry out and nobody was told yet.
+    /// The command that the actuator carried out, until it is reported.
     carried: Option<Command>,
-    /// The newest tick for which it has said what it drives without a heading.
+    /// The newest tick for which it has reported what it drives without a heading.
     provided: Option<u64>,
     /// The tick of the heading that it reported last, and when it took it, by its own clock.
-    told_held: (u64, u64),
+    reported_held: (u64, u64),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -59,7 +59,7 @@ struct Heading {
 }
 
 impl RobotWitness {
-    /// A robot that starts and knows of this incarnation of fusion.
+    /// A robot that starts, and knows this incarnation of fusion.
     pub(in crate::study::explore) fn new(scenario: &Scenario, fusion_incarnation: u64) -> Self {
         Self {
             is_realtime: scenario.clock == Clock::Realtime,
@@ -75,7 +75,7 @@ impl RobotWitness {
             held: None,
             carried: None,
             provided: None,
-            told_held: (0, 0),
+            reported_held: (0, 0),
         }
     }
 
@@ -95,7 +95,8 @@ impl RobotWitness {
         self.sim_incarnation = incarnation;
     }
 
-    /// It wakes up, having taken part for so long: in real time it has decided, once a heading was overdue.
+    /// The robot wakes up, after it has taken part for `well_for_ns`: in real time it must have decided if a heading
+    /// was overdue.
     pub(in crate::study::explore) fn wakes(&self, now_ns: u64, well_for_ns: u64, late_ns: u64) -> Result<(), String> {
         let is_overdue = |since_ns: u64| {
             let waited_ns = now_ns - since_ns;
@@ -110,11 +111,12 @@ impl RobotWitness {
         Ok(())
     }
 
-    /// It falls asleep: in real time it has said what it drives if no heading comes, and it does not move on and on without a tick.
+    /// The robot falls asleep: in real time it must have reported what it drives without a heading, and it must not
+    /// keep moving without ticks.
     pub(in crate::study::explore) fn sleeps(&self, now_ns: u64, late_ns: u64) -> Result<(), String> {
         let tick = self.newest_tick.map(|(_, tick)| tick).filter(|tick| self.is_realtime && *tick > 0);
         if tick.is_some() && self.undecided_since_ns.is_some() && self.provided != tick {
-            return Err("it sleeps and has not said what it drives without a heading".to_owned());
+            return Err("it sleeps and has not reported what it drives without a heading".to_owned());
         }
         let longest_ns = (HELD_TICKS + 1) as f64 * self.dt_ns + late_ns as f64;
         if self.is_realtime && self.moves_since_ns.is_some_and(|since_ns| (now_ns - since_ns) as f64 > longest_ns) {
@@ -123,7 +125,7 @@ impl RobotWitness {
         Ok(())
     }
 
-    /// The robot asks its sensor: once a tick, of the newest simulator.
+    /// The robot measures: once a tick, for the newest simulator.
     pub(in crate::study::explore) fn measures(&mut self, tick: u64, now_ns: u64) -> Result<(), String> {
         let newest = (self.sim_incarnation, tick);
         if self.newest_tick.is_some_and(|before| before >= newest) {
@@ -137,14 +139,14 @@ impl RobotWitness {
         Ok(())
     }
 
-    /// Its actuator is asked to carry out a command.
+    /// Its actuator carries out a command.
     pub(in crate::study::explore) fn carries_out(&mut self, command: Command) {
         self.moves_since_ns = (command != Command::default()).then_some(self.seen_ns);
         self.undecided_since_ns = None;
         self.carried = Some(command);
     }
 
-    /// The robot says what it drives; true if it obeys a heading which it has not obeyed before.
+    /// The robot reports what it drives; true if it obeys a heading that it has not obeyed before.
     pub(in crate::study::explore) fn drives(
         &mut self,
         history: &mut RobotHistory,
@@ -165,7 +167,7 @@ impl RobotWitness {
                 Ok(false)
             };
         }
-        let is_repeat = std::mem::replace(&mut self.told_held, (tick, held_ns)) == (tick, held_ns);
+        let is_repeat = std::mem::replace(&mut self.reported_held, (tick, held_ns)) == (tick, held_ns);
         if is_repeat && carried.is_none_or(|carried| carried != command || carried == Command::default()) {
             return Ok(false);
         }

@@ -1,4 +1,4 @@
-//! What the supervisor does to whom.
+//! What the supervisor does to nodes.
 
 use crate::run::supervisor::deaths::End;
 use crate::study::explore::faults::FaultKind;
@@ -6,41 +6,41 @@ use crate::study::explore::lead::Lead;
 use crate::study::explore::plan::Plan;
 use crate::study::explore::process::{Node, Process};
 
-/// Silence that is no hang, ns: the time-out, or what a deposed one has, but for the look that begins it.
+/// Silence that is not a hang, ns: the time-out, or that of a deposed fusion, less the first look.
 const SILENCE_MIN_NS: u64 = 1_900_000_000;
 
-/// Looks after which whoever hangs has been killed; one that has not come up has one more for each node.
+/// SupervisorLooks within which a hung process must be killed; one that has not started has one more for each node.
 const LOOKS_MAX: u64 = 32;
 
-/// One that has taken part for this long has given signs of it, ns.
-const SIGNS_NS: u64 = 500_000_000;
+/// A process that has taken part for this long has sent heartbeats, ns.
+const HEARTBEATS_NS: u64 = 500_000_000;
 
-/// Of the looks in which one hangs that is killed for it, others were heard in so many at least.
+/// Before a process is killed as hung, others must have sent heartbeats in at least this many looks.
 const OTHERS_HEARD_MIN: u64 = 5;
 
-/// What each node adds to the time that any of them may take to come up, ns.
+/// Time that each node adds to the time that a node may take to start, ns.
 const START_NS: u64 = 100_000_000;
 
-/// One that has lived for so long is started again at once, ns.
+/// A process that has run for this long is started again at once, ns.
 const SETTLED_NS: u64 = 1_000_000_000;
 
-/// Longest wait before a start, ns: at once, after kills alone, and at all.
+/// Longest wait before a start, ns: at once, after kills only, and in any case.
 const WAIT_AT_ONCE_NS: u64 = 1_000_000;
 const WAIT_AFTER_KILLS_NS: u64 = 11_000_000;
 const WAIT_MAX_NS: u64 = 1_001_000_000;
 
-/// A node that fails so often in a row is given up.
+/// A node that fails this often in a row is given up.
 const FAILURES_MAX: u32 = 5;
 
-/// What the supervisor has seen and done.
+/// What the supervisor has observed and done.
 #[derive(Debug)]
 pub(in crate::study::explore) struct Supervision {
     is_endless: bool,
     leaves_robots: bool,
     robots_from: usize,
-    /// It is stopped now and then: what it does late is no fault of its.
+    /// True if it is stopped at times: then it may be late.
     is_stopped_at_times: bool,
-    /// Nodes whose every process fails.
+    /// Nodes of which every process fails.
     broken: Vec<usize>,
     nodes: Vec<Record>,
 }
@@ -49,16 +49,16 @@ pub(in crate::study::explore) struct Supervision {
 struct Record {
     own_failures: u32,
     started_ns: u64,
-    /// It had not ended before, or had lived for long.
+    /// It had not ended before, or had run for long.
     is_settled: bool,
     has_ended: bool,
-    /// When the end of its last process was seen, or its start refused.
+    /// When the end of its last process was noticed, or its start refused.
     down_since_ns: u64,
-    /// The process that was seen to lead, by life.
+    /// The life of the process that was seen to lead.
     led: Option<u32>,
-    /// Its newest sign, and looks since then in which others were heard.
+    /// Its newest heartbeat, and the looks since then in which others sent heartbeats.
     silent: (Option<u64>, u64),
-    /// Since when it hangs, whether it was deposed, and looks in which it did and others did not.
+    /// Since when it hangs, whether it was deposed, and the looks in which it hung while others did not.
     hung: (u64, bool, u64),
 }
 
@@ -78,7 +78,7 @@ impl Supervision {
         }
     }
 
-    /// It looks for heartbeats: nobody hangs that it should have killed.
+    /// The supervisor checks heartbeats: no process may hang that it should have killed.
     pub(in crate::study::explore) fn looks(
         &mut self,
         nodes: &[Node],
@@ -87,16 +87,16 @@ impl Supervision {
     ) -> Result<(), (usize, String)> {
         let heartbeats = nodes.iter().enumerate().map(|(index, node)| {
             let leads = lead.last == Some((index, node.life));
-            if leads { lead.renew() } else { node.heartbeat_ns }
+            if leads { lead.heartbeat() } else { node.heartbeat_ns }
         });
-        let mut is_anybody_heard = false;
+        let mut has_any_heartbeat = false;
         for (record, heartbeat) in self.nodes.iter_mut().zip(heartbeats) {
             let is_new = record.silent.0 != heartbeat;
-            is_anybody_heard |= is_new && heartbeat.is_some();
+            has_any_heartbeat |= is_new && heartbeat.is_some();
             record.silent = (heartbeat, if is_new { 0 } else { record.silent.1 });
         }
-        self.nodes.iter_mut().for_each(|record| record.silent.1 += u64::from(is_anybody_heard));
-        let well = nodes.iter().filter(|node| node.well_for_ns(now_ns) > SIGNS_NS).count();
+        self.nodes.iter_mut().for_each(|record| record.silent.1 += u64::from(has_any_heartbeat));
+        let well = nodes.iter().filter(|node| node.well_for_ns(now_ns) > HEARTBEATS_NS).count();
         for (index, node) in nodes.iter().enumerate() {
             let leads = lead.last == Some((index, node.life));
             let record = &mut self.nodes[index];
@@ -111,15 +111,15 @@ impl Supervision {
             let looks = if goes_on { looks } else { 0 } + u64::from(hangs && well > 0);
             record.hung = (node.state_since_ns, is_deposed, looks);
             let looks_max = LOOKS_MAX + if is_starting { nodes.len() as u64 } else { 0 };
-            let is_left_alone = self.leaves_robots && index >= self.robots_from || self.is_endless && !is_deposed;
-            if looks > looks_max && !is_left_alone {
+            let may_hang = self.leaves_robots && index >= self.robots_from || self.is_endless && !is_deposed;
+            if looks > looks_max && !may_hang {
                 return Err((index, "it hangs, and is not killed".to_owned()));
             }
         }
         Ok(())
     }
 
-    /// It kills a node as hung.
+    /// The supervisor kills a node as hung.
     pub(in crate::study::explore) fn kills(
         &self,
         nodes: &[Node],
@@ -133,15 +133,15 @@ impl Supervision {
         }
         let leads = lead.last == Some((index, node.life));
         let is_deposed = self.nodes[index].led == Some(node.life) && !leads;
-        let sign_ns = if leads { lead.renew() } else { node.heartbeat_ns };
+        let heartbeat_ns = if leads { lead.heartbeat() } else { node.heartbeat_ns };
         let is_starting = matches!(node.process, Process::Starting);
         let silence_min_ns = SILENCE_MIN_NS + if is_starting { nodes.len() as u64 * START_NS } else { 0 };
-        if node.well_for_ns(now_ns) > SIGNS_NS {
+        if node.well_for_ns(now_ns) > HEARTBEATS_NS {
             Err("it was killed as hung, but sends heartbeats".to_owned())
-        } else if now_ns - sign_ns.unwrap_or(node.state_since_ns) < silence_min_ns {
+        } else if now_ns - heartbeat_ns.unwrap_or(node.state_since_ns) < silence_min_ns {
             Err("it was killed as hung before its time".to_owned())
         } else if self.nodes[index].silent.1 < OTHERS_HEARD_MIN {
-            Err("it was killed as hung, though nobody else was heard".to_owned())
+            Err("it was killed as hung, though no other node sent heartbeats".to_owned())
         } else if self.is_endless && !is_deposed {
             Err("it was killed as hung, though there is no time-out".to_owned())
         } else if self.leaves_robots && index >= self.robots_from {
@@ -151,7 +151,7 @@ impl Supervision {
         }
     }
 
-    /// It sees that a node's process has ended.
+    /// The supervisor notices that a node's process has ended.
     pub(in crate::study::explore) fn ends(&mut self, node: usize, end: End, now_ns: u64) {
         let record = &mut self.nodes[node];
         record.own_failures += u32::from(end != End::Killed);
@@ -166,7 +166,7 @@ impl Supervision {
         self.nodes[node].is_settled = false;
     }
 
-    /// It starts a node again.
+    /// The supervisor starts a node again.
     pub(in crate::study::explore) fn starts(&mut self, nodes: &[Node], node: usize, now_ns: u64) -> Result<(), String> {
         if !matches!(nodes[node].process, Process::None) {
             return Err("it was started twice".to_owned());
@@ -184,14 +184,14 @@ impl Supervision {
         Ok(())
     }
 
-    /// It lets the others go on without a node.
+    /// The supervisor lets the others go on without a node.
     pub(in crate::study::explore) fn loses(&self, node: usize) -> Result<(), String> {
         let may_leave = self.leaves_robots && node >= self.robots_from;
         let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
         if may_leave || is_hopeless { Ok(()) } else { Err("it was not started again".to_owned()) }
     }
 
-    /// It ends the run for a node: not for one whose place another could take.
+    /// The supervisor ends the run because of a node: it must not if another node can take its place.
     pub(in crate::study::explore) fn gives_up(&self, nodes: &[Node], node: usize) -> Result<(), String> {
         let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
         let can_lead = 1..self.robots_from;

@@ -1,17 +1,17 @@
-//! When ticks begin and end, and who is waited for.
+//! When ticks begin and end, and which robots they wait for.
 
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
-/// What a node's clock may differ by within a time-out, ns.
+/// Difference of a node's clock within a time-out, ns.
 const CLOCK_NS: u64 = 15_000_000;
 
 /// Part of a real-time tick after which fusion goes on without the ranges that are missing.
 const RANGE_DEADLINE: f64 = 0.5;
 
-/// Ticks after which whoever takes part has found into the grid.
+/// Ticks after which a node is synchronised with the ticks.
 const SETTLED_TICKS: u64 = 5;
 
-/// How late fusion sees its own clock pass a deadline, ns.
+/// How late fusion may notice that a deadline has passed on its own clock, ns.
 const LATE_NS: u64 = 1_000_000;
 
 /// When ticks began and ended.
@@ -19,15 +19,15 @@ const LATE_NS: u64 = 1_000_000;
 pub(in crate::study::explore) struct Timing {
     is_realtime: bool,
     dt_ns: u64,
-    /// What lock step waits for somebody, ns; `None` if for ever.
+    /// How long lock step waits for a robot, ns; `None` if for ever.
     timeout_ns: Option<u64>,
     /// When each tick was published first.
     worlds_ns: Vec<u64>,
     /// The newest tick of the present simulator.
     sim_tick: Option<SimTick>,
-    /// When somebody last asked for the present tick.
+    /// When a fusion last asked for the present tick.
     pub(in crate::study::explore) hello_ns: u64,
-    /// The last tick at which nobody was missing.
+    /// The last tick at which no robot was missing.
     last_full: Option<u64>,
 }
 
@@ -36,24 +36,24 @@ pub(in crate::study::explore) struct Timing {
 struct SimTick {
     tick: u64,
     at_ns: u64,
-    /// The time for which it had run, whenever it was stopped.
+    /// The time for which it had run, without its stops.
     ran_ns: u64,
-    /// The same, with the part of each stop that it cannot notice.
+    /// The same, including the part of each stop that it cannot notice.
     counted_ns: u64,
 }
 
-/// Who is missing at a tick.
+/// Which robots are missing at a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(in crate::study::explore) enum Missing {
-    /// Nobody.
+    /// None.
     Nobody,
-    /// Only who was missing before.
+    /// Only robots that were missing before.
     AsBefore,
-    /// Somebody who was heard at the tick before.
+    /// A robot that was not missing before.
     Another,
 }
 
-/// How a tick of fusion's came to its end.
+/// How fusion closed a tick.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::study::explore) struct Closing {
     pub(in crate::study::explore) tick: u64,
@@ -63,15 +63,15 @@ pub(in crate::study::explore) struct Closing {
     pub(in crate::study::explore) is_cut: bool,
     /// When it ended, ns.
     pub(in crate::study::explore) at_ns: u64,
-    /// When its first range came, whenever it was looked at, ns.
+    /// When its first range arrived, read or not, ns.
     pub(in crate::study::explore) arrived_ns: Option<u64>,
-    /// Time since its first range, if nobody was stopped since, ns.
+    /// Time since its first range, if no process was stopped since, ns.
     pub(in crate::study::explore) held_ns: Option<u64>,
     /// The same, without the time for which fusion was stopped.
     pub(in crate::study::explore) ran_ns: Option<u64>,
-    /// For how long simulator and fusion have taken part undisturbed, ns.
+    /// Time for which simulator and fusion have taken part undisturbed, ns.
     pub(in crate::study::explore) well_for_ns: u64,
-    /// How far clocks may be apart, ns.
+    /// How far clocks may have diverged, ns.
     pub(in crate::study::explore) late_ns: u64,
 }
 
@@ -91,12 +91,13 @@ impl Timing {
         }
     }
 
-    /// Another simulator goes on.
+    /// A new simulator process starts.
     pub(in crate::study::explore) fn sim_starts(&mut self) {
         self.sim_tick = None;
     }
 
-    /// The simulator publishes a tick, having run for so long, without its stops and with what it cannot notice of them: in real time neither late nor in a burst.
+    /// The simulator publishes a tick, after it has run for `ran_ns` without its stops, or `counted_ns` with the parts
+    /// of stops that it cannot notice. In real time a tick must be neither late nor in a burst.
     pub(in crate::study::explore) fn world(
         &mut self,
         tick: u64,
@@ -130,7 +131,8 @@ impl Timing {
         Ok(())
     }
 
-    /// The simulator goes on without a robot, having run for so long with what it cannot notice of its stops.
+    /// The simulator goes on without a robot, after it has run for `counted_ns`, including the parts of stops that it
+    /// cannot notice.
     pub(in crate::study::explore) fn leaves_out(&self, tick: u64, counted_ns: u64) -> Result<(), String> {
         let waited_ns = self.sim_tick.map_or(0, |began| counted_ns - began.counted_ns);
         let is_over = self.timeout_ns.is_some_and(|timeout_ns| waited_ns + CLOCK_NS >= timeout_ns);
@@ -140,10 +142,10 @@ impl Timing {
         Ok(())
     }
 
-    /// Fusion has ended a tick: not before its time, nor after.
+    /// Fusion has closed a tick: it must be neither early nor late.
     pub(in crate::study::explore) fn closes(&mut self, closing: &Closing) -> Result<(), String> {
         let Closing { tick, missing, is_cut, at_ns, arrived_ns, held_ns, ran_ns, well_for_ns, late_ns } = *closing;
-        // Of a tick that was closed by a predecessor nobody knows when.
+        // If a predecessor closed the tick, the time is unknown.
         let Some(world_ns) = self.worlds_ns.get(tick as usize).copied().filter(|_| at_ns > 0) else { return Ok(()) };
         let has_newly_missing = missing == Missing::Another;
         if has_newly_missing && tick == 0 {
@@ -170,12 +172,12 @@ impl Timing {
         if missing == Missing::Nobody {
             self.last_full = Some(tick);
         }
-        // A tick that nobody told of before may have begun up to a whole one after its first range.
+        // Without an earlier report, a tick may be taken to begin up to one step after its first range.
         let longest_ns = ((1.0 + RANGE_DEADLINE) * self.dt_ns as f64) as u64 + LATE_NS;
         if held_ns.is_some_and(|held_ns| held_ns > longest_ns) {
             return Err(format!("tick {tick} was held beyond its deadline"));
         }
-        // Whoever asks for a tick has it begin once more.
+        // A fusion that asks for a tick makes it begin again.
         let is_settled = well_for_ns > SETTLED_TICKS * self.dt_ns
             && before_is_full
             && self.hello_ns < self.worlds_ns[tick as usize - 1];

@@ -2,15 +2,16 @@
 
 use crate::vector::Vector;
 
-/// Nodes closer than this to the best answer are not looked into, relative to `T - |S|`, which makes it an error of the trace.
+/// Nodes whose bounds are closer than this to the best answer are not examined. It is relative to `T - |S|`, so it is a
+/// relative error of the trace too.
 pub(super) const TRACE: f64 = 1e-8;
 
-/// What is made as small as can be; values and bounds of a search are in it.
+/// The quantity that a search minimises. Its values and bounds are in this measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Measure {
     /// `|S|`.
     Length,
-    /// `|S| - T`, less the least information: the same, but not as a difference.
+    /// `|S| - T`, computed without the difference, so without its rounding.
     Information,
 }
 
@@ -25,7 +26,7 @@ pub(super) struct Answer<'a> {
 }
 
 impl Answer<'_> {
-    /// A bound from which on a node holds nothing worth looking for.
+    /// From this bound on, a node cannot improve the answer by more than the tolerance.
     pub(super) fn enough(&self) -> f64 {
         self.best - self.tolerance
     }

@@ -45,17 +45,17 @@ impl Hull {
     pub(super) fn start(&mut self, prior: Vector, arms: &[Arm]) {
         self.corners = 0;
         self.bound = 0.0;
-        // The middles of the arcs tell roughly where the sum lies.
+        // The middles of the arcs show roughly where the sum lies.
         self.nearest = arms.iter().fold(prior, |sum, arm| sum + arm.centre * arm.lambda);
     }
 
-    /// Comes nearer to the origin until the bounds are `tolerance` apart, or until it is clear on which
-    /// side of `enough` the distance lies. Returns the lower bound; [`Self::direction`] then tells the
-    /// nearest point, and another call with the same arcs goes on from there.
+    /// Approaches the origin until the bounds are `tolerance` apart, or until it is clear on which side of `enough` the
+    /// distance lies. Returns the lower bound. [`Self::direction`] then gives the nearest point, and another call with
+    /// the same arcs continues from there.
     pub(super) fn approach(&mut self, prior: Vector, arms: &[Arm], enough: Option<f64>, tolerance: f64) -> f64 {
         for _ in 0..QUERIES_MAX {
             let distance = self.nearest.norm();
-            // Where even the distance from above is not enough, the bound only puts nodes in order.
+            // If even the upper bound on the distance is below `enough`, the lower bound only puts nodes in order.
             let near_enough = enough.map_or(tolerance, |enough| tolerance.max(0.05 * (enough - distance)));
             let is_known = self.corners > 0 && distance - self.bound <= near_enough;
             if is_known || enough.is_some_and(|enough| self.bound >= enough) {
@@ -69,16 +69,18 @@ impl Hull {
         self.bound
     }
 
-    /// An upper bound on `T - |S|` over these arcs, for the same reason: for unit `n` it is at most `T - x . n` of the lowest point
-    /// `x`, which is a sum of positive terms. So no digit is lost where `|S|` is all but `T`. Halves the range of `n` until
-    /// floating point ends it, or until the bound is `enough`. [`Self::direction`] then tells the nearest point.
+    /// An upper bound on `T - |S|` over these arcs, for the same reason: for unit `n` it is at most `T - x . n` of the
+    /// lowest point `x`, which is a sum of positive terms. So no digit is lost if `|S|` nearly equals `T`. Halves the
+    /// range of `n` down to the resolution of floating point, or until the bound is at most `enough`.
+    /// [`Self::direction`] then gives the nearest point.
     pub(super) fn approach_information(&mut self, problem: &Problem, arms: &[Arm], enough: f64) -> f64 {
         self.corners = 0;
         let towards = arms.iter().fold(problem.prior, |sum, arm| sum + arm.centre * arm.lambda);
         let mut normal = towards.normalised().unwrap_or(Vector::new(1.0, 0.0));
-        let (mut bound, lowest) = self.look_along(problem, arms, normal);
+        let (mut bound, lowest) = self.evaluate_along(problem, arms, normal);
         let Some(start) = lowest.normalised() else { return bound };
-        // A better `n` has `x . n > 0` for every lowest point `x`, and lies on the side of `normal` to which its own points.
+        // A better `n` has `x . n > 0` for every lowest point `x`, and lies on the side of `normal` on which the lowest
+        // point of `normal` lies.
         let quarter = Vector::new(0.0, 1.0);
         let mut range = [start.rotated_by(-quarter), start.rotated_by(quarter)];
         let mut is_known = [false; 2];
@@ -87,7 +89,7 @@ impl Hull {
             if bound <= enough {
                 break;
             }
-            let (value, lowest) = self.look_along(problem, arms, normal);
+            let (value, lowest) = self.evaluate_along(problem, arms, normal);
             bound = bound.min(value);
             let side = usize::from(normal.cross(lowest) < 0.0);
             range[side] = normal;
@@ -100,7 +102,7 @@ impl Hull {
             }
             normal = middle;
         }
-        // The nearest point is where the line through the two lowest points leaves neither side.
+        // The nearest point is the mixture of the two lowest points that lies along `normal`.
         let [left, right] = [0, 1].map(|side| normal.cross(self.points[side]).abs());
         let share = if left + right > 0.0 { (left / (left + right)).clamp(0.05, 0.95) } else { 0.5 };
         self.shares = [1.0 - share, share, 0.0];
@@ -116,8 +118,9 @@ impl Hull {
         bound
     }
 
-    /// `T - x . n` of the lowest point `x` along the unit vector `n`, and `x`; each arm's direction is left in the last corner.
-    fn look_along(&mut self, problem: &Problem, arms: &[Arm], n: Vector) -> (f64, Vector) {
+    /// `T - x . n` of the lowest point `x` along the unit vector `n`, and `x`; each arm's direction is stored in the
+    /// last corner.
+    fn evaluate_along(&mut self, problem: &Problem, arms: &[Arm], n: Vector) -> (f64, Vector) {
         let directions = &mut self.directions[2];
         directions.clear();
         let (mut value, mut sum) = (problem.prior_across(n), problem.prior);
@@ -164,7 +167,7 @@ impl Hull {
                     self.shares = [pbc / abc, apc / abc, abp / abc];
                     return Vector::default();
                 }
-                // The nearest of the edges at the new corner, or the old one if rounding says so.
+                // The nearest of the edges at the new corner, or the old edge if rounding makes it the nearest.
                 let edges = [(0, 2), (1, 2), (0, 1)];
                 let solved = edges.map(|(i, j)| nearest_of_segment(self.points[i], self.points[j]));
                 let best =
@@ -222,11 +225,10 @@ impl Hull {
 
 /// Lower bound with one arm taken as the arc that it is, the others as hulls; for small teams.
 ///
-/// For a fixed sum `R` of the others, the best direction of the arm is an end of its arc, or `-R` over
-/// `|R|` if that is inside, which leaves `lambda - |R|` at least. So the bound is the least of two distance
-/// queries with the arm held at its ends, and of `lambda` less the longest `R` opposite to its arc. Decides
-/// what hulls cannot: a robot that outweighs the others points away from the origin, where its hull
-/// is far from its arc.
+/// For a fixed sum `R` of the others, the best direction of the arm is an end of its arc, or `-R` over `|R|` if that is
+/// inside, which leaves `lambda - |R|` at least. So the bound is the least of two distance queries with the arm held at
+/// its ends, and of `lambda` less the longest `R` opposite to its arc. It decides what hulls cannot: a robot that
+/// outweighs the others and points away from the origin, so that its hull is far from its arc.
 pub(super) fn arc_bound(hull: &mut Hull, prior: Vector, arms: &mut [Arm], which: usize, enough: f64) -> f64 {
     let arm = arms[which];
     let others = arms.iter().enumerate().filter(|(i, _)| *i != which).map(|(_, other)| other);
@@ -244,11 +246,11 @@ pub(super) fn arc_bound(hull: &mut Hull, prior: Vector, arms: &mut [Arm], which:
     bound
 }
 
-/// [`arc_bound`] as an upper bound on `T - |S|`: returns it, and leaves in `best` the directions that suggest it.
+/// [`arc_bound`] as an upper bound on `T - |S|`: returns it, and stores in `best` the directions that correspond to it.
 pub(super) fn arc_information(problem: &Problem, arms: &[Arm], which: usize, best: &mut Vec<Vector>) -> f64 {
     let arm = arms[which];
     let others = || arms.iter().enumerate().filter(|(i, _)| *i != which).map(|(_, other)| other);
-    // What the others can know across the axis on which this one measures.
+    // The most information of the others across the axis along which this one measures.
     let value = |n: Vector| {
         let known = |other: &Arm| 0.5 * other.lambda * (other.farthest_along(-n) - n).norm_squared();
         others().fold(problem.prior_across(n), |sum, other| sum + known(other))
@@ -368,6 +370,6 @@ fn nearest_of_segment(a: Vector, b: Vector) -> (f64, Vector) {
     if point.norm_squared() >= length_squared {
         return (share, point);
     }
-    // A long segment near the origin: its normal is known better than the point, which has cancelled.
+    // A long segment near the origin: its normal is more precise than the point, in which digits have cancelled.
     (share, Vector::new(along.y, -along.x) * (a.cross(b) / length_squared))
 }

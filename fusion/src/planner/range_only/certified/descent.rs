@@ -1,19 +1,19 @@
-//! Downhill from given directions to where no robot, no pair and no small step of all is better.
+//! Local descent from given directions: by single robots, by pairs, and by Newton steps of all robots.
 
 use crate::planner::range_only::Problem;
 use crate::planner::range_only::pair::best_pair;
 use crate::vector::Vector;
 
-/// A sum that is zero but for rounding, relative to the sum of all lambda.
+/// A sum that is zero up to rounding, relative to the sum of all lambda.
 const CLOSED: f64 = 1e-15;
 
-/// Cycles of a descent; each ends where it no longer moves, which is mostly sooner.
+/// Largest number of cycles of a descent. It usually ends earlier, when nothing moves.
 const CYCLES_MAX: usize = 20;
 
 /// Newton converges in a few steps or not at all.
 const NEWTON_STEPS_MAX: usize = 12;
 
-/// A sum this small, relative to the sum of all lambda, may be one that can be closed.
+/// From a sum this small, relative to the sum of all lambda, a sum of zero may be in reach.
 const NEARLY_CLOSED: f64 = 0.05;
 
 /// Teams up to this size try all pairs of robots, larger ones each robot with the next.
@@ -46,8 +46,8 @@ pub(super) fn descend(problem: &Problem, directions: &mut [Vector], trial: &mut 
     value
 }
 
-/// Turns one robot after the other as [`descend`] does, with each rest added up anew: a difference from the sum would
-/// have lost the robots that know little. Returns `|S| - T`.
+/// Turns one robot after the other as [`descend`] does, but adds up the others' vectors each time: in a difference from
+/// the sum, robots with little information would be lost to rounding. Returns `|S| - T`.
 pub(super) fn settle(problem: &Problem, directions: &mut [Vector]) -> f64 {
     let mut value = -problem.uncertainty(directions);
     for _ in 0..CYCLES_MAX {
@@ -65,9 +65,9 @@ pub(super) fn settle(problem: &Problem, directions: &mut [Vector]) -> f64 {
     value
 }
 
-/// Where a sum of zero seems within reach, goes there by Newton's method on all directions at once, the
-/// shortest such step: turning one or two at a time takes very long where many are nearly aligned.
-/// Returns `|S|`; `directions` are left as they are unless that is less.
+/// Tries to reach a sum of zero by Newton's method on all directions at once, with the shortest such step: turning one
+/// or two robots at a time converges slowly if many are nearly aligned. Returns `|S|`; `directions` change only if it
+/// becomes less.
 fn close(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>, value: f64) -> f64 {
     trial.clear();
     trial.extend_from_slice(directions);
@@ -102,7 +102,7 @@ fn close(problem: &Problem, directions: &mut [Vector], trial: &mut Vec<Vector>, 
     best
 }
 
-/// Turns pairs of robots where that helps, but for the robot `held`; returns `|S|`.
+/// Turns pairs of robots if that reduces `|S|`, but not the robot `held`; returns `|S|`.
 pub(super) fn turn_pairs(problem: &Problem, directions: &mut [Vector], held: Option<usize>) -> f64 {
     let robots = problem.len();
     let mut sum = problem.sum(directions);

@@ -26,14 +26,14 @@ pub const TRACE_GAP_MAX: f64 = 1e-6;
 
 /// Branch and bound over the arcs, started from adaptive relaxation.
 ///
-/// One and two robots have closed forms ([`super::pair`]); more are searched until the proven gap is
-/// at most [`GAP_MAX`] of the sum of all lambda and [`TRACE_GAP_MAX`] of the trace, or until `nodes` nodes have been looked at. Deterministic,
-/// and without allocation once its buffers have grown.
+/// One and two robots have closed forms ([`super::pair`]); more are searched until the proven gap is at most
+/// [`GAP_MAX`] of the sum of all lambda and [`TRACE_GAP_MAX`] of the trace, or until `nodes` nodes have been examined.
+/// Deterministic, and without allocation once its buffers have grown.
 #[derive(Debug, Clone)]
 pub struct Certified {
     start: Relaxation,
     search: Search,
-    /// An answer to go back to; memory only.
+    /// The answer of the search by `|S|`; reused memory.
     found: Vec<Vector>,
 }
 
@@ -68,8 +68,9 @@ impl Solver for Certified {
 }
 
 impl Certified {
-    /// Solves where next to all is known along one axis: `T - |S|` and with it the trace hang on what rounding leaves of
-    /// `|S|`. So `T - |S|` itself is searched for, from the better of relaxation and what was found by `|S|`.
+    /// Solves problems with nearly all information along one axis. There, rounding of `|S|` dominates `T - |S|` and
+    /// with it the trace. So the search maximises `T - |S|` itself, from the better of relaxation's answer and the one
+    /// found by `|S|`.
     #[cold]
     fn solve_lopsided(&mut self, problem: &Problem, solution: &mut Solution) {
         let found = solution.least_information;
@@ -83,7 +84,7 @@ impl Certified {
         let bound = self.search.improve_information(problem, &mut solution.directions);
         solution.complete(problem);
         solution.least_information_bound = bound.max(solution.least_information);
-        // As a length the bound has what rounding leaves of it.
+        // The same bound on `|S|`, lowered by its rounding.
         let sum = solution.least_information + solution.objective;
         let rounding = 4.0 * f64::EPSILON * (problem.len() as f64 + 1.0) * sum;
         solution.lower_bound = (sum - solution.least_information_bound - rounding).clamp(0.0, solution.objective);

@@ -10,9 +10,9 @@ use crate::vector::Vector;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Parts {
     nodes: Vec<Node>,
-    /// The arcs of the root. Of several equal arms that are free, each has an arc of a whole turn. All of these begin at the
-    /// same direction, so that cuts can keep the arms in order.
-    whole: Vec<Arm>,
+    /// The arcs of the root. Of several equal arms that are free, each has an arc of a full turn. All of these begin at
+    /// the same direction, so that cuts can keep the arms in order.
+    root_arms: Vec<Arm>,
     /// The arcs of the node that was restored last.
     pub(super) arms: Vec<Arm>,
     /// The arms' numbers, sorted so that equal arms are neighbours, and the position of each arm in that order.
@@ -56,7 +56,7 @@ impl Parts {
         self.nodes.clear();
         self.put_in_order(arms);
         self.arms.clear();
-        self.arms.extend_from_slice(&self.whole);
+        self.arms.extend_from_slice(&self.root_arms);
     }
 
     /// Adds a node; returns its number.
@@ -81,14 +81,14 @@ impl Parts {
         });
         self.place.clear();
         self.place.resize(arms.len(), 0);
-        self.whole.clear();
-        self.whole.extend_from_slice(arms);
+        self.root_arms.clear();
+        self.root_arms.extend_from_slice(arms);
         for (place, &arm) in self.order.iter().enumerate() {
             self.place[arm] = place;
             let neighbours = [place.wrapping_sub(1), place + 1];
             let is_alike = |other: usize| self.order.get(other).is_some_and(|&other| arms[other] == arms[arm]);
             if arms[arm].extent == Extent::Circle && neighbours.into_iter().any(is_alike) {
-                self.whole[arm].extent = Extent::Wide;
+                self.root_arms[arm].extent = Extent::Wide;
             }
         }
     }
@@ -102,9 +102,9 @@ impl Parts {
             self.path.push(self.nodes[at].cut);
             at = self.nodes[at].parent;
         }
-        self.arms.copy_from_slice(&self.whole);
+        self.arms.copy_from_slice(&self.root_arms);
         while let Some(Cut { arm, at, side }) = self.path.pop() {
-            let alike = |other: usize| self.whole[other] == self.whole[arm];
+            let alike = |other: usize| self.root_arms[other] == self.root_arms[arm];
             let place = self.place[arm];
             self.arms[arm] = self.arms[arm].part(at, side);
             let (before, after) = (self.order[..place].iter().rev(), self.order[place + 1..].iter());
@@ -242,7 +242,7 @@ mod tests {
                 run.iter().zip(sorted).for_each(|(&i, share)| shares[i] = share);
             }
             let configuration: Vec<Vector> = (0..problem.len())
-                .map(|i| parts.whole[i].low.rotated_by(Vector::from_angle((shares[i] * widths[i]).min(TAU - 1e-9))))
+                .map(|i| parts.root_arms[i].low.rotated_by(Vector::from_angle((shares[i] * widths[i]).min(TAU - 1e-9))))
                 .collect();
             let is_in = |arm: &Arm, u: Vector| (arm.nearest(u, u) - u).norm() < 1e-9;
             let nowhere = Cut { arm: 0, at: Vector::default(), side: Side::Before };

@@ -12,15 +12,14 @@ use crate::planner::range_only::arm::{Arm, Extent};
 use crate::planner::range_only::pair::best_pair;
 use crate::vector::Vector;
 
-/// Nodes closer than this to the best answer are not looked into, relative to the sum of all lambda: a
-/// tenth of what a certificate allows.
+/// Nodes whose bounds are closer than this to the best answer are not examined. It is relative to the sum of all
+/// lambda, and a tenth of what a certificate allows.
 const PRUNE: f64 = 1e-10;
 
-/// What sums of positive terms can have rounded away of `T - |S|`, the prior's share among them, where its covariance is as
-/// good as singular.
+/// Relative rounding of `T - |S|` as a sum of positive terms, with the prior's term of a nearly singular covariance.
 const ROUNDED: f64 = 1e-9;
 
-/// Memory reserved at once; larger budgets grow into theirs.
+/// Nodes for which memory is reserved at the start; larger searches grow.
 const RESERVED_NODES_MAX: usize = 10_000;
 
 /// The search and its memory.
@@ -31,14 +30,14 @@ pub(super) struct Search {
     parts: Parts,
     open: BinaryHeap<Open>,
     hull: Hull,
-    /// The node's hulls' nearest point, by arm.
+    /// The nearest point of the node's hulls: each arm's vector in it.
     in_hull: Vec<Vector>,
     candidate: Vec<Vector>,
     trial: Vec<Vector>,
-    looked_into: usize,
+    examined: usize,
 }
 
-/// A node that may hold something better; the heap gives the one with the least bound first.
+/// A node that may contain a better answer; the heap returns the one with the least bound first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Open {
     bound: f64,
@@ -71,14 +70,14 @@ impl Search {
             in_hull: Vec::new(),
             candidate: Vec::new(),
             trial: Vec::new(),
-            looked_into: 0,
+            examined: 0,
         }
     }
 
-    /// Nodes that the last search looked into; 0 if it needed none.
+    /// Nodes that the last search examined; 0 if it needed none.
     #[cfg(test)]
-    pub(super) fn looked_into(&self) -> usize {
-        self.looked_into
+    pub(super) fn examined(&self) -> usize {
+        self.examined
     }
 
     /// Improves `directions`, which must lie in their arcs, to the optimum as far as the budget
@@ -97,14 +96,14 @@ impl Search {
             _ => {}
         }
         let total = problem.lambda_sum();
-        // What adding up M vectors can have rounded away: a bound must hold in spite of it.
+        // Rounding of a sum of M vectors: the bound must hold in spite of it.
         let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * total;
         let bound = self.search(problem, directions, total, rounding);
         (bound - rounding).max(0.0)
     }
 
-    /// [`Self::improve`] where `T - |S|` is so small beside `T` that rounding of `|S|` would tell in it. Returns an upper
-    /// bound on every `T - |S|`.
+    /// [`Self::improve`] for problems in which `T - |S|` is so small beside `T` that rounding of `|S|` would dominate
+    /// it. Returns an upper bound on every `T - |S|`.
     pub(super) fn improve_information(&mut self, problem: &Problem, directions: &mut [Vector]) -> f64 {
         self.measure = Measure::Information;
         self.candidate.clear();
@@ -119,8 +118,8 @@ impl Search {
 
     fn search(&mut self, problem: &Problem, directions: &mut [Vector], total: f64, rounding: f64) -> f64 {
         self.measure = Measure::Length;
-        self.looked_into = 0;
-        // One vector that outweighs all others: what they cannot make up for.
+        self.examined = 0;
+        // If one vector is longer than all others together, the difference remains.
         let heaviest = problem.arms.iter().fold(problem.prior.norm(), |heaviest, arm| heaviest.max(arm.lambda));
         let floor = (heaviest - (total - heaviest)).max(0.0);
         let mut best = problem.sum(directions).norm();
@@ -128,7 +127,7 @@ impl Search {
             return floor;
         }
         best = descend(problem, directions, &mut self.trial);
-        // The trace goes with 1 / (T - |S|): where one robot knows nearly all, the last digits of |S| count.
+        // The trace goes with 1 / (T - |S|): if one robot has nearly all information, the last digits of |S| count.
         let tolerance = (PRUNE * total).min(TRACE * problem.uncertainty(directions)).max(rounding);
         if best - floor <= tolerance {
             return floor;
@@ -137,18 +136,18 @@ impl Search {
         self.branch(problem, floor, &mut answer)
     }
 
-    /// Improves the answer until nothing better can be left, or the budget is spent. Returns the bound.
+    /// Improves the answer until no better one can exist, or the budget is spent. Returns the bound.
     fn branch(&mut self, problem: &Problem, floor: f64, answer: &mut Answer) -> f64 {
         self.open.clear();
         self.parts.begin(&problem.arms);
         let nowhere = Cut { arm: 0, at: Vector::default(), side: Side::Before };
-        self.look_into(problem, 0, nowhere, floor, answer);
-        self.looked_into = 1;
+        self.examine(problem, 0, nowhere, floor, answer);
+        self.examined = 1;
         if !self.open.is_empty() && self.measure == Measure::Length && problem.len() <= ALL_PAIRS_MAX {
             self.try_ends(problem, answer);
         }
         while let Some(Open { bound, node }) = self.open.pop() {
-            if bound >= answer.enough() || self.looked_into >= self.nodes_max {
+            if bound >= answer.enough() || self.examined >= self.nodes_max {
                 answer.set_aside(bound);
                 break;
             }
@@ -156,15 +155,15 @@ impl Search {
             for side in [Side::Before, Side::After] {
                 let cut = Cut { arm, at, side };
                 self.parts.restrict(node, cut);
-                self.look_into(problem, node, cut, bound, answer);
-                self.looked_into += 1;
+                self.examine(problem, node, cut, bound, answer);
+                self.examined += 1;
             }
         }
         answer.least.min(answer.best)
     }
 
-    /// Tries each robot at each end of its arc with the others turned to suit: an optimum that one
-    /// descent misses mostly has a robot there.
+    /// Tries each robot at each end of its arc, and descends from there: an optimum that the first descent misses
+    /// usually has a robot at an end.
     fn try_ends(&mut self, problem: &Problem, answer: &mut Answer) {
         for (i, arm) in problem.arms.iter().enumerate() {
             for end in [arm.low, arm.high] {
@@ -181,9 +180,9 @@ impl Search {
         }
     }
 
-    /// Bounds the node whose arcs are in place, tries the answer that its hulls suggest, and opens it if
-    /// it may hold a better one.
-    fn look_into(&mut self, problem: &Problem, parent: usize, cut: Cut, parents_bound: f64, answer: &mut Answer) {
+    /// Bounds the node whose arcs were restored last, tries the answer that its hulls suggest, and adds the node to the
+    /// heap if it may contain a better one.
+    fn examine(&mut self, problem: &Problem, parent: usize, cut: Cut, parents_bound: f64, answer: &mut Answer) {
         self.hull.start(problem.prior, &self.parts.arms);
         let mut bound = parents_bound;
         let (mut largest_loss, mut split);
@@ -211,13 +210,13 @@ impl Search {
                 }
                 self.candidate.push(original.nearest(self.in_hull[i], arm.centre));
             }
-            // A better answer asks for a better bound, and may close the node that led to it.
+            // With a better answer the bound is improved again: it may now exclude this node.
             if !self.offer_candidate(problem, answer) {
                 break;
             }
         }
         if self.measure == Measure::Information && (largest_loss == 0.0 || bound <= -problem.information_trace) {
-            // The hulls hold the origin, and tell nothing of where they do.
+            // The hulls contain the origin, so their nearest point does not show which arm to split.
             for (i, arm) in self.parts.arms.iter().enumerate() {
                 let loss = 0.5 * arm.lambda * (arm.centre - arm.low).norm_squared();
                 if loss > largest_loss {

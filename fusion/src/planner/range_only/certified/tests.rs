@@ -12,7 +12,7 @@ use super::*;
 use crate::belief::Belief;
 use crate::planner::{Situation, TeamMember};
 
-/// Arcs, lengths and prior at random, as hard as they come.
+/// Random arcs, lengths and prior: hard problems.
 fn hard_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
     let arms: Vec<Arm> = (0..robots)
         .map(|_| {
@@ -66,9 +66,9 @@ fn hard_problems_are_solved_and_proven() {
             let mut problem = hard_problem(&mut random, robots);
             twist(&mut problem);
             let solution = solve(&mut solver, &problem);
-            nodes_max = nodes_max.max(solver.search.looked_into());
+            nodes_max = nodes_max.max(solver.search.examined());
             assert!(solution.is_certified(&problem), "{} {} {problem:?}", solution.objective, solution.lower_bound);
-            // What relaxation is worth on the problems that are hard without a twist.
+            // The trace of relaxation on the problems without a twist.
             let compared = relaxations.clone().into_iter().zip(&mut excesses).filter(|_| k < problems && robots <= 10);
             for (mut relaxation, excesses) in compared {
                 let relaxed = solve(&mut relaxation, &problem);
@@ -101,9 +101,9 @@ fn a_search_cut_short_is_honest_about_its_gap() {
     for robots in [3, 4, 5, 8, 20] {
         for _ in 0..300 {
             let problem = hard_problem(&mut random, robots);
-            let (cut, whole) = (solve(&mut short, &problem), solve(&mut certified(), &problem));
+            let (cut, full) = (solve(&mut short, &problem), solve(&mut certified(), &problem));
             let slack = GAP_MAX * problem.lambda_sum();
-            assert!(cut.lower_bound <= whole.objective + slack && cut.objective >= whole.lower_bound - slack);
+            assert!(cut.lower_bound <= full.objective + slack && cut.objective >= full.lower_bound - slack);
             uncertified += u32::from(!cut.is_certified(&problem));
         }
     }
@@ -122,9 +122,9 @@ fn the_answer_is_the_same_to_the_bit_whatever_was_solved_before() {
     }
 }
 
-/// A heavy robot that can only point away from the origin: its hull is nowhere near its arc.
+/// A heavy robot that can only point away from the origin: its hull is far from its arc.
 #[test]
-fn a_robot_that_outweighs_the_others_is_no_trouble() {
+fn a_robot_that_outweighs_the_others_needs_few_nodes() {
     let arm = |lambda, centre, half_width| {
         Arm::with_half_width(lambda, Vector::from_angle(centre), Vector::from_angle(half_width))
     };
@@ -132,10 +132,10 @@ fn a_robot_that_outweighs_the_others_is_no_trouble() {
     let mut solver = certified();
     let problem = Problem::of_arms(Vector::new(1.2, 1.2), arms);
     assert!(solve(&mut solver, &problem).is_certified(&problem));
-    assert!(solver.search.looked_into() < 20, "{}", solver.search.looked_into());
+    assert!(solver.search.examined() < 20, "{}", solver.search.examined());
 }
 
-/// Groups of robots that are alike, with arcs of more than half a turn: cut in order, none may be lost.
+/// Groups of equal robots with arcs of more than half a turn: ordered cuts must not lose the solution.
 #[test]
 fn groups_of_alike_robots_with_wide_arcs_reach_zero() {
     let groups = [
@@ -161,8 +161,8 @@ fn decades(random: &mut impl rand::Rng, low: f64, high: f64) -> f64 {
     10.0_f64.powf(random.random_range(low..high))
 }
 
-/// Robots of sensors that have nothing in common: standard deviations from 1e-4 to 1e5 m, places near and far, speeds down to
-/// none, priors weak and strong and all but singular.
+/// Robots with very different sensors: standard deviations from 1e-4 to 1e5 m, positions near and far, speeds down to
+/// zero, and weak, strong and nearly singular priors.
 fn lopsided_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
     let larger = decades(random, -6.0, 12.0);
     let ratio = if random.random_bool(0.5) { decades(random, -12.0, 0.0) } else { random.random_range(0.1..1.0) };
@@ -184,7 +184,7 @@ fn lopsided_problem(random: &mut impl rand::Rng, robots: usize) -> Problem {
     Problem::of(&Situation { belief, team, step_s: 0.1, ..Situation::default() })
 }
 
-/// The trace counts, not `|S|`, of which rounding leaves nothing here.
+/// Compares traces, because rounding dominates `|S|` here.
 #[test]
 fn nothing_is_better_in_trace_however_unequal_the_robots() {
     let cases = std::env::var("RANGEHOUND_LOPSIDED_CASES").ok().and_then(|text| text.parse().ok()).unwrap_or(400);
@@ -195,7 +195,7 @@ fn nothing_is_better_in_trace_however_unequal_the_robots() {
         for _ in 0..cases {
             let problem = lopsided_problem(&mut random, robots);
             let solution = solve(&mut solver, &problem);
-            nodes_max = nodes_max.max(solver.search.looked_into());
+            nodes_max = nodes_max.max(solver.search.examined());
             lopsided += u32::from(problem.is_lopsided_at(solution.position_trace_m2));
             certified_count += u32::from(solution.is_certified(&problem));
             assert!(
@@ -253,7 +253,7 @@ fn a_precise_robot_does_not_hide_what_the_others_know() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// Neither the paper's planner nor its yardstick finds anything better, and nothing is below the bound.
+    /// Neither the paper's planner nor exhaustive search finds a better answer, and none is below the bound.
     #[test]
     fn nothing_else_is_better(seed in any::<u64>(), robots in 1..4_usize) {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);

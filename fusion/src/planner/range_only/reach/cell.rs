@@ -9,16 +9,16 @@ use super::polygon::{DISC_CORNERS, edges};
 use crate::planner::range_only::arm::Arm;
 use crate::vector::Vector;
 
-/// Marks of a cell that need no heap: three for each corner, of a disc among some hundred neighbours.
+/// Marks of a cell that fit without the heap: three for each corner, for a disc with up to 256 neighbours.
 const MARKS: usize = 3 * (DISC_CORNERS + 256);
 
 impl Reach {
-    /// [`Self::motion`] in a cell; by itself, so that teams without neighbours need not fetch its code.
+    /// [`Self::motion`] in a cell. Not inlined, so that teams without neighbours do not load its code.
     #[inline(never)]
     pub(super) fn motion_in_cell(&self, bearing: Vector, cell_m: &[Vector]) -> (Vector, f64) {
         let chord = self.chord(bearing, cell_m);
         let place = chord.map(|(near, far)| self.to_target_m - bearing * self.clear_of_target(near, far));
-        // Rounding can make the line of an end of the arc miss the cell: then the corner nearest to it.
+        // Rounding can make the line of an end of the arc miss the cell: then the corner nearest to the line is taken.
         let off_line = |corner: &Vector| bearing.cross(self.to_target_m - *corner).abs();
         let nearest = || cell_m.iter().min_by(|a, b| off_line(a).total_cmp(&off_line(b))).copied();
         self.motion_to(place.or_else(nearest).unwrap_or_default())
@@ -42,11 +42,11 @@ impl Reach {
         (near_m <= far_m).then_some((near_m, far_m))
     }
 
-    /// The arc of the bearings at which the cell has a place clear of the target: of several such arcs
-    /// the one nearest to the line of sight. If there is none, the bearing of the farthest corner.
+    /// The arc of the bearings for which the cell has a place outside the stand-off. Of several such arcs, the one
+    /// nearest to the line of sight; without any, the bearing of the corner farthest from the target.
     #[inline(never)]
     pub(super) fn arm_of_cell(&self, lambda: f64, cell_m: &[Vector]) -> Arm {
-        // Offsets from the line of sight between which nothing changes, in order.
+        // Angles from the line of sight, in order. Between two of them, the answer is the same for all bearings.
         let mut marks: SmallVec<[f64; MARKS]> = SmallVec::new();
         let mut mark = |place_m: Vector| {
             let bearing = (self.to_target_m - place_m).rotated_by(self.sight.conjugate());

@@ -99,18 +99,18 @@ impl Reach {
         self.to_target_m == Vector::default() && self.step_m == 0.0
     }
 
-    /// Half-width `eta` of the bearings round the line of sight as a unit vector, less than a quarter
-    /// turn; `None` if all bearings can be had.
+    /// Half-width `eta` of the bearings round the line of sight as a unit vector, less than a quarter turn; `None` if
+    /// all bearings are possible.
     fn half_width(&self) -> Option<Vector> {
         let (d, r, s) = (self.to_target_m.norm(), self.step_m, self.stand_off_m);
         if d == 0.0 {
             // On the target all directions are equivalent.
             (r == 0.0).then_some(Vector::new(1.0, 0.0))
         } else if s == 0.0 && (d - r).abs() <= ONE_STEP * r {
-            // All bearings but the one across, which only the target itself would have.
+            // All bearings except the perpendicular one, which only the target's own position would have.
             Some(Vector::new(ON_TARGET, ((1.0 - ON_TARGET) * (1.0 + ON_TARGET)).sqrt()))
         } else if s >= d + r {
-            // Straight out is all that is left.
+            // Only the motion straight away from the target is left.
             Some(Vector::new(1.0, 0.0))
         } else if d > r && s * s <= (d - r) * (d + r) {
             // Eq. 18: the tangents from the target to the disc.
@@ -119,7 +119,7 @@ impl Reach {
         } else if s <= r - d {
             None
         } else {
-            // Where the disc's edge leaves the stand-off: triangle of sides d, s, r.
+            // The edge of the disc meets the stand-off's circle: triangle of sides d, s, r.
             let cos = ((d * d + s * s - r * r) / (2.0 * d * s)).min(1.0);
             (cos > 0.0).then(|| Vector::new(cos, ((1.0 - cos) * (1.0 + cos)).sqrt()))
         }
@@ -131,9 +131,9 @@ impl Reach {
         Command { heading_rad: heading.angle_rad(), speed_mps }
     }
 
-    /// Heading, as a unit vector, and speed after which the predicted target bears along `direction` (a
-    /// doubled bearing): of all places on that line the nearest to the target that the clearances
-    /// allow, at full speed without them (Eq. 16).
+    /// Heading, as a unit vector, and speed after which the predicted target bears along `direction` (a doubled
+    /// bearing). The robot goes to the place on that line nearest to the target that the clearances allow; without
+    /// clearances, that is at full speed (Eq. 16).
     fn motion(&self, direction: Vector, corners_m: &[Vector]) -> (Vector, f64) {
         if self.step_m == 0.0 {
             return (self.sight, 0.0);
@@ -148,7 +148,7 @@ impl Reach {
     }
 
     fn motion_in_disc(&self, bearing: Vector) -> (Vector, f64) {
-        // To end on the line through the target, the move's part across the bearing is given: xi.
+        // The move must end on the line through the target, so its component across the bearing is given: xi.
         let xi = (bearing.cross(self.to_target_m) / self.step_m).clamp(-1.0, 1.0);
         let along = ((1.0 - xi) * (1.0 + xi)).sqrt();
         let middle_m = bearing.dot(self.to_target_m);
@@ -163,8 +163,8 @@ impl Reach {
         }
     }
 
-    /// Of the distances from `near_m` to `far_m` (negative beyond the target) the least that keeps the
-    /// stand-off, on this side of the target if it can be; the farthest if none does.
+    /// The least distance from `near_m` to `far_m` (negative beyond the target) that keeps the stand-off, on this side
+    /// of the target if possible. If none keeps it, the farthest.
     fn clear_of_target(&self, near_m: f64, far_m: f64) -> f64 {
         let s = self.stand_off_m;
         if s == 0.0 && near_m.abs() <= ON_TARGET * self.step_m {

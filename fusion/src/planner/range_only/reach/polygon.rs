@@ -8,12 +8,12 @@ use crate::vector::Vector;
 /// the speed given away at worst, is 0.2 % less.
 pub(super) const DISC_CORNERS: usize = 48;
 
-/// The polygon that stands for a disc round the robot.
+/// The polygon that approximates a disc round the robot.
 pub(super) fn disc(radius_m: f64) -> impl Iterator<Item = Vector> {
     (0..DISC_CORNERS).map(move |k| Vector::from_angle(2.0 * PI * k as f64 / DISC_CORNERS as f64) * radius_m)
 }
 
-/// A half-plane that a robot stays in: `normal . offset <= offset_m`, offset from where it is.
+/// A half-plane that a robot stays in: `normal . offset <= offset_m`, offset from its position.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::planner) struct Limit {
     pub(super) normal: Vector,

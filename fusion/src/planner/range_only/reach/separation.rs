@@ -1,4 +1,4 @@
-//! The room that neighbours leave to a robot, and where it goes if they leave none.
+//! The space that neighbours leave to a robot, and its way out if they leave none.
 
 use std::f64::consts::PI;
 
@@ -28,7 +28,7 @@ impl Limit {
 }
 
 impl Reach {
-    /// Clips the room by what the neighbours leave: the buffered Voronoi cell. Appends its corners.
+    /// Clips the places to the buffered Voronoi cell that the neighbours leave. Appends its corners.
     pub(in super::super) fn separate(
         &mut self,
         limits: impl Iterator<Item = Limit> + Clone,

@@ -14,7 +14,7 @@ fn reach(x: f64, y: f64, speed_mps: f64, stand_off_m: f64) -> Reach {
     Reach::new(&TeamMember::ranging(Vector::new(x, y), speed_mps, 1.0), Vector::default(), DT_S, stand_off_m)
 }
 
-/// The problem of a team round a target that is known alike in all directions.
+/// The problem of a team round a target that is known equally well in all directions.
 fn problem(positions_m: &[Vector], speed_mps: f64, target_m: Vector, clearance: Clearance) -> Problem {
     Problem::of(&Situation {
         belief: Belief::of_position(target_m, &Matrix2::identity()),
@@ -31,7 +31,7 @@ fn offset_m(problem: &Problem, i: usize, direction: Vector) -> Vector {
     heading * (speed_mps * DT_S)
 }
 
-/// From where the robot is after this motion to the target.
+/// The vector from the robot's position after this motion to the target.
 fn sight_after(reach: &Reach, (heading, speed_mps): (Vector, f64)) -> Vector {
     reach.to_target_m - heading * (speed_mps * DT_S)
 }
@@ -129,7 +129,7 @@ proptest! {
     }
 }
 
-/// Two robots that are too close, the one between the other and the target.
+/// Two robots that are too close; one is between the other and the target.
 #[test]
 fn a_robot_that_makes_way_keeps_its_stand_off() {
     let mut positions_m = [Vector::new(5.2, 0.0), Vector::new(6.2, 0.0)];
