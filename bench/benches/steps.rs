@@ -50,7 +50,7 @@ fn filter(criterion: &mut Criterion) {
     }
 }
 
-/// Every planner whose work grows slower than exponentially, from a problem to commands.
+/// From a problem to commands, for every planner that does not take exponential time.
 fn planners(criterion: &mut Criterion) {
     for spec in PLANNERS {
         let mut group = criterion.benchmark_group(spec.name());
@@ -115,8 +115,8 @@ fn pose_and_plan(criterion: &mut Criterion) {
     }
 }
 
-/// The paper's reference against the proven optimum of (25) without (26): no speed limit and so no
-/// headings. Their objectives are printed beside the times: the grid at its step is the coarser of the two. Four robots would take the grid seconds a step.
+/// The paper's grid search against the proven optimum of (25) without (26): no speed limit, and so no headings. Also
+/// prints their objectives; the grid is the less accurate of the two. With four robots the grid takes seconds per step.
 fn grid(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("without constraints");
     group.sample_size(10);

@@ -63,18 +63,32 @@ fn main() -> Result<()> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
     let args = Args::parse();
     if args.format != Format::Plain && args.anchor.is_none() {
-        let complaint =
-            format!("--format {}: expected --anchor ID, the anchor that measures this robot's range", args.format);
+        let complaint = format!(
+            "--anchor is missing for --format {}: expected the id of the anchor that measures this robot's range",
+            args.format
+        );
         Args::command().error(ErrorKind::MissingRequiredArgument, complaint).exit();
     }
-    ensure!(bounds::BIAS_M.contains(&args.range_bias), "--range-bias: expected {:?} m", bounds::BIAS_M);
-    ensure!(bounds::SCALE.contains(&args.range_scale), "--range-scale: expected {:?}", bounds::SCALE);
+    ensure!(
+        bounds::BIAS_M.contains(&args.range_bias),
+        "--range-bias is {}: expected {:?} m",
+        args.range_bias,
+        bounds::BIAS_M
+    );
+    ensure!(
+        bounds::SCALE.contains(&args.range_scale),
+        "--range-scale is {}: expected {:?}",
+        args.range_scale,
+        bounds::SCALE
+    );
     let termination = Termination::listen()?;
     Role::Robot(args.id).name_process();
     let waiting = || log::warn!("waiting for run {}; `rangehound sim --name {0}` starts it", args.name);
     let run = Rendezvous::join(&args.name, &termination, waiting)?;
     let scenario = &run.description().scenario;
-    let robot = scenario.robots.get(args.id).context("--id: the run has no such robot")?;
+    let robot = scenario.robots.get(args.id).with_context(|| {
+        format!("robot {} (--id) is not in the run: expected 0 to {}", args.id, scenario.robots.len() - 1)
+    })?;
 
     let port = || format!("--port {}", args.port.display());
     let calibration = Calibration { bias_m: args.range_bias, scale: args.range_scale };
@@ -86,7 +100,7 @@ fn main() -> Result<()> {
     let command_port = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
     let drive = args.drive.unwrap_or(command_port);
     let mut actuator =
-        SerialActuator::open(&drive).with_context(|| format!("where commands go: {}", drive.display()))?;
+        SerialActuator::open(&drive).with_context(|| format!("cannot send commands to {}", drive.display()))?;
     Ok(run_with(&run, args.id, &mut sensor, &mut actuator, &termination)?)
 }
 

@@ -18,7 +18,7 @@ use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 use crate::failure::one_short_line;
 use crate::files::input::COMMAND_LINE;
 
-/// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
+/// Answers lines. It keeps planners and memory between lines, but no answer depends on earlier lines.
 #[derive(Debug)]
 pub struct LineSolver {
     table: PlannerTable,
@@ -61,22 +61,21 @@ impl Serialize for EachOf<'_> {
 }
 
 impl LineSolver {
-    /// Answers with the planner of this table unless a line names another. Of the table's keys those
-    /// that a line has are ignored.
+    /// Uses the planner of this table for lines that name none. Keys of a line override the table's.
     ///
     /// # Errors
-    /// [`ScenarioError`] if the table makes no sense.
+    /// [`ScenarioError`] if the table is invalid.
     pub fn new(table: PlannerTable, seed: u64) -> Result<Self, ScenarioError> {
         PlannerSpec::from_table(&table, COMMAND_LINE)?;
         let (situation, plan, problem) = Default::default();
         Ok(Self { table, seed, kept: Vec::new(), situation, plan, problem })
     }
 
-    /// Appends the answer to this line, itself one line; if the line makes no sense its answer says why,
-    /// as does the value.
+    /// Appends the answer to this line, which is also one line. If the line is invalid, the answer has the reason, which is
+    /// also returned.
     ///
-    /// But for `plan_us` the answer is a function of the arguments: the random planner takes the line's
-    /// number for the tick.
+    /// Except for `plan_us`, the answer is a function of the arguments: the random planner uses the line's number as the
+    /// tick.
     pub fn answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Option<String> {
         let problem = self.try_answer(number, line, answer).err().map(|problem| one_short_line(&problem))?;
         refuse(number, &problem, answer);
@@ -92,7 +91,7 @@ impl LineSolver {
         let plan_us = began.elapsed().as_nanos() as f64 / 1e3;
 
         let Worth { objective_per_m2: objective, position_trace_m2, .. } = plan.worth;
-        // A bound for those too who prove none.
+        // Planners that prove no bound get this one.
         let proven = plan.certificate.unwrap_or_else(|| {
             problem.pose(situation);
             hull_certificate(problem, &plan.worth)
@@ -100,7 +99,7 @@ impl LineSolver {
         let Certificate { lower_bound_per_m2: lower_bound, is_optimal: certified, .. } = proven;
         let commanded = plan.commands.iter().flat_map(|command| [command.heading_rad, command.speed_mps]);
         if !commanded.chain([objective, lower_bound, position_trace_m2]).all(f64::is_finite) {
-            return Err("expected numbers whose products are finite, got others".to_owned());
+            return Err("the answer is not finite: expected numbers whose products are finite".to_owned());
         }
         let answered = Answer {
             planner: spec.name(),
@@ -116,12 +115,12 @@ impl LineSolver {
         Ok(())
     }
 
-    /// Checks every value, and leaves them in `self.situation`.
+    /// Checks every value, and stores them in `self.situation`.
     fn check(&mut self, raw: &ProblemLine) -> Result<PlannerSpec, String> {
         let covariance_m2 = covariance(raw.prior_position_covariance)?;
         self.situation.belief.set_position(place("target", raw.target)?, &covariance_m2);
         self.situation.step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
-        let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "nothing"))?;
+        let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "missing"))?;
         self.situation.team.clear();
         for (i, Object(robot)) in robots.iter().enumerate() {
             self.situation.team.push(member(robot).map_err(|problem| format!("robots[{i}].{problem}"))?);
@@ -138,14 +137,18 @@ impl LineSolver {
         let clearance = Clearance::from_table(&table, "").map_err(of_line)?;
         if clearance.separation_m > 0.0 && robots.len() > ROBOTS_MAX {
             let none = format!("0 in a team of more than {ROBOTS_MAX} robots");
-            return Err(expected("separation_m", none, format!("{} with {}", clearance.separation_m, robots.len())));
+            return Err(expected(
+                "separation_m",
+                none,
+                format!("{} for {} robots", clearance.separation_m, robots.len()),
+            ));
         }
         self.situation.clearance = clearance;
         Ok(spec)
     }
 }
 
-/// Appends the answer to a line that makes no sense.
+/// Appends the answer to an invalid line.
 pub fn refuse(line: u64, error: &str, answer: &mut Vec<u8>) {
     #[derive(Serialize)]
     struct Refusal<'a> {
@@ -156,12 +159,12 @@ pub fn refuse(line: u64, error: &str, answer: &mut Vec<u8>) {
 }
 
 fn write_line(value: &impl Serialize, answer: &mut Vec<u8>) {
-    // Structs of numbers and texts always have a JSON, and a vector takes it.
+    // Structs of numbers and texts always have a JSON form, and writing to a vector cannot fail.
     let _ = serde_json::to_writer(&mut *answer, value);
     answer.push(b'\n');
 }
 
-/// The planner of the line before if it serves this team, else a new one in its place.
+/// The planner of an earlier line if it serves this team, else a new one in its place.
 fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u64) -> Result<&mut Kept, String> {
     let at = kept.iter().position(|known| known.spec == spec).unwrap_or(kept.len());
     if kept.get(at).is_none_or(|known| known.robots != robots) {
@@ -178,7 +181,7 @@ fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u6
 fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> {
     let key = "prior_position_covariance";
     let Some(Pair([Pair([Number(xx), Number(xy)]), Pair([Number(yx), Number(yy)])])) = rows else {
-        return Err(expected(key, "two rows of two numbers", "nothing"));
+        return Err(expected(key, "two rows of two numbers", "missing"));
     };
     for variance in [xx, yy] {
         number(key, Some(Number(variance)), bounds::VARIANCE)?;
@@ -189,8 +192,8 @@ fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> 
     let minimum = Matrix::from_rows(&[vec![xx, xy], vec![yx, yy]]).and_then(|matrix| matrix.relative_min_eigenvalue());
     match minimum {
         Some(minimum) if minimum > bounds::RELATIVE_EIGENVALUE_MIN => {}
-        Some(_) => return Err(expected(key, "a positive definite matrix", "an indefinite or singular one")),
-        None => return Err(expected(key, "a symmetric matrix", "an asymmetric one")),
+        Some(_) => return Err(expected(key, "a positive definite matrix", "indefinite or singular")),
+        None => return Err(expected(key, "a symmetric matrix", "asymmetric")),
     }
     let across = 0.5 * (xy + yx);
     Ok(Matrix2::new(xx, across, across, yy))
@@ -204,7 +207,7 @@ fn member(robot: &RobotLine) -> Result<TeamMember, String> {
 }
 
 fn place(key: &str, pair: Option<Pair<Number>>) -> Result<Vector, String> {
-    let Pair([x, y]) = pair.ok_or_else(|| expected(key, "a list of two numbers", "nothing"))?;
+    let Pair([x, y]) = pair.ok_or_else(|| expected(key, "a list of two numbers", "missing"))?;
     Ok(Vector::new(number(key, Some(x), bounds::COORDINATE)?, number(key, Some(y), bounds::COORDINATE)?))
 }
 
@@ -213,18 +216,18 @@ fn number(key: &str, value: Option<Number>, bounds: RangeInclusive<f64>) -> Resu
     match value {
         Some(Number(value)) if bounds.contains(&value) => Ok(value),
         Some(Number(value)) => Err(expected(key, what(), value)),
-        None => Err(expected(key, what(), "nothing")),
+        None => Err(expected(key, what(), "missing")),
     }
 }
 
 fn expected(key: &str, expected: impl Display, got: impl Display) -> String {
-    format!("{key}: expected {expected}, got {got}")
+    format!("{key} is {got}: expected {expected}")
 }
 
-/// A complaint of the scenario's checks, in the keys of a line.
+/// An error of the scenario's checks, in the keys of a line.
 fn of_line(error: ScenarioError) -> String {
     match error {
-        ScenarioError::Senseless { key, expected: what, got, .. } => {
+        ScenarioError::WrongValue { key, expected: what, got, .. } => {
             let key = if key == "planner.name" { "planner" } else { key.trim_start_matches("planner.") };
             expected(key, what, got)
         }

@@ -84,7 +84,7 @@ fn a_part_of_shared_memory_that_is_removed_is_missed_before_it_is_needed() {
         "segments",
         "run",
         "members",
-        "door",
+        "membership.lock",
         "iceoryx2.toml",
         "sim.role",
         "wait_groups.dyn",
