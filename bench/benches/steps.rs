@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
 use rangehound_fusion::filter::{Gaussian, RangeInformation};
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
-use rangehound_fusion::planner::{self, Plan, Sensor, Situation};
+use rangehound_fusion::planner::{self, Plan, Situation};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{Clearance, PlannerSpec};
@@ -31,9 +31,9 @@ fn filter(criterion: &mut Criterion) {
     let start = Gaussian { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() };
     for robots in [3, 10, 100, 1_000] {
         let readings: Vec<_> = team(robots)
-            .map(|robot| {
-                let Sensor::Range { std_m } = robot.sensor;
-                (Vector2::new(robot.position_m.x, robot.position_m.y), robot.position_m.norm(), std_m)
+            .filter_map(|robot| {
+                let position_m = Vector2::new(robot.position_m.x, robot.position_m.y);
+                Some((position_m, robot.position_m.norm(), robot.sensor.range?.std_m))
             })
             .collect();
         group.throughput(Throughput::Elements(robots as u64));

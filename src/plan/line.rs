@@ -1,17 +1,19 @@
 //! One line in, one line out: a problem and its answer, without I/O.
 
+use std::f64::consts::TAU;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::time::Instant;
 
 use nalgebra::Matrix2;
-use rangehound_fusion::planner::range_only::{Problem, hull_certificate};
-use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Worth};
+use rangehound_fusion::planner::{
+    self, Certificate, Plan, Planner, RangeNoise, Sensor, Situation, TeamMember, Worth, hull_certificate,
+};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::message::Command;
 use rangehound_shared::motion::matrix::Matrix;
-use rangehound_shared::scenario::{Clearance, PlannerSpec, PlannerTable, ScenarioError, bounds};
+use rangehound_shared::scenario::{Clearance, Criterion, PlannerSpec, PlannerTable, ScenarioError, bounds};
 use serde::{Serialize, Serializer};
 
 use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
@@ -26,7 +28,6 @@ pub struct LineSolver {
     kept: Vec<Kept>,
     situation: Situation,
     plan: Plan,
-    problem: Problem,
 }
 
 /// A planner and the team size that it was made for.
@@ -47,6 +48,7 @@ struct Answer<'a> {
     lower_bound: f64,
     certified: bool,
     position_trace_m2: f64,
+    lower_bound_trace_m2: f64,
     plan_us: f64,
 }
 
@@ -67,8 +69,8 @@ impl LineSolver {
     /// [`ScenarioError`] if the table is invalid.
     pub fn new(table: PlannerTable, seed: u64) -> Result<Self, ScenarioError> {
         PlannerSpec::from_table(&table, COMMAND_LINE)?;
-        let (situation, plan, problem) = Default::default();
-        Ok(Self { table, seed, kept: Vec::new(), situation, plan, problem })
+        let (situation, plan) = Default::default();
+        Ok(Self { table, seed, kept: Vec::new(), situation, plan })
     }
 
     /// Appends the answer to this line, which is also one line. If the line is invalid, the answer has the reason, which is
@@ -84,21 +86,18 @@ impl LineSolver {
 
     fn try_answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Result<(), String> {
         let spec = self.check(&ProblemLine::parse(line)?)?;
-        let Self { kept, situation, plan, problem, .. } = self;
+        let Self { kept, situation, plan, .. } = self;
         let kept = kept_planner(kept, spec, situation.team.len(), self.seed)?;
         let began = Instant::now();
         kept.planner.plan(number, situation, plan);
         let plan_us = began.elapsed().as_nanos() as f64 / 1e3;
 
-        let Worth { objective_per_m2: objective, position_trace_m2, .. } = plan.worth;
+        let Worth { objective, position_trace_m2, .. } = plan.worth;
         // Planners that prove no bound get this one.
-        let proven = plan.certificate.unwrap_or_else(|| {
-            problem.pose(situation);
-            hull_certificate(problem, &plan.worth)
-        });
-        let Certificate { lower_bound_per_m2: lower_bound, is_optimal: certified, .. } = proven;
+        let proven = plan.certificate.unwrap_or_else(|| hull_certificate(situation, plan));
+        let Certificate { lower_bound, is_optimal: certified, least_trace_m2: lower_bound_trace_m2 } = proven;
         let commanded = plan.commands.iter().flat_map(|command| [command.heading_rad, command.speed_mps]);
-        if !commanded.chain([objective, lower_bound, position_trace_m2]).all(f64::is_finite) {
+        if !commanded.chain([objective, lower_bound, position_trace_m2, lower_bound_trace_m2]).all(f64::is_finite) {
             return Err("the answer is not finite: expected numbers whose products are finite".to_owned());
         }
         let answered = Answer {
@@ -109,6 +108,7 @@ impl LineSolver {
             lower_bound,
             certified,
             position_trace_m2,
+            lower_bound_trace_m2,
             plan_us,
         };
         write_line(&answered, answer);
@@ -117,7 +117,7 @@ impl LineSolver {
 
     /// Checks every value, and stores them in `self.situation`.
     fn check(&mut self, raw: &ProblemLine) -> Result<PlannerSpec, String> {
-        let covariance_m2 = covariance(raw.prior_position_covariance)?;
+        let covariance_m2 = covariance("prior_position_covariance", raw.prior_position_covariance, bounds::VARIANCE)?;
         self.situation.belief.set_position(place("target", raw.target)?, &covariance_m2);
         self.situation.step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
         let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "missing"))?;
@@ -144,6 +144,13 @@ impl LineSolver {
             ));
         }
         self.situation.clearance = clearance;
+        self.situation.criterion = match &raw.criterion {
+            Some(name) => criterion(name)?,
+            None => Criterion::default(),
+        };
+        if matches!(spec, PlannerSpec::Grid { .. }) && !self.situation.is_range_only() {
+            return Err(expected("planner", "another planner for sensors other than ranges of constant noise", "grid"));
+        }
         Ok(spec)
     }
 }
@@ -178,20 +185,26 @@ fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u6
     Ok(&mut kept[at])
 }
 
-fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> {
-    let key = "prior_position_covariance";
+/// A covariance whose variances are within bounds; it may be singular if they may be zero.
+fn covariance(
+    key: &str,
+    rows: Option<Pair<Pair<Number>>>,
+    variances: RangeInclusive<f64>,
+) -> Result<Matrix2<f64>, String> {
     let Some(Pair([Pair([Number(xx), Number(xy)]), Pair([Number(yx), Number(yy)])])) = rows else {
         return Err(expected(key, "two rows of two numbers", "missing"));
     };
     for variance in [xx, yy] {
-        number(key, Some(Number(variance)), bounds::VARIANCE)?;
+        number(key, Some(Number(variance)), variances.clone())?;
     }
     for entry in [xy, yx] {
         number(key, Some(Number(entry)), bounds::MATRIX_ENTRY)?;
     }
+    // The least eigenvalue of a singular matrix is zero up to rounding.
+    let least = if *variances.start() == 0.0 { -1e-12 } else { bounds::RELATIVE_EIGENVALUE_MIN };
     let minimum = Matrix::from_rows(&[vec![xx, xy], vec![yx, yy]]).and_then(|matrix| matrix.relative_min_eigenvalue());
     match minimum {
-        Some(minimum) if minimum > bounds::RELATIVE_EIGENVALUE_MIN => {}
+        Some(minimum) if minimum > least => {}
         Some(_) => return Err(expected(key, "a positive definite matrix", "indefinite or singular")),
         None => return Err(expected(key, "a symmetric matrix", "asymmetric")),
     }
@@ -202,8 +215,49 @@ fn covariance(rows: Option<Pair<Pair<Number>>>) -> Result<Matrix2<f64>, String> 
 fn member(robot: &RobotLine) -> Result<TeamMember, String> {
     let position_m = place("position", robot.position)?;
     let max_speed_mps = number("max_speed", robot.max_speed, bounds::SPEED_MPS)?;
-    let range_std_m = number("range_std", robot.range_std, bounds::STD_M)?;
-    Ok(TeamMember::ranging(position_m, max_speed_mps, range_std_m))
+    let optional = |key, value: Option<Number>, bounds, absent| match value {
+        Some(value) => number(key, Some(value), bounds),
+        None => Ok(absent),
+    };
+    let bearing_std_rad = match robot.bearing_std_rad {
+        Some(value) => Some(number("bearing_std_rad", Some(value), bounds::BEARING_STD_RAD)?),
+        None => None,
+    };
+    // A robot with bearings need not measure ranges.
+    let std_m = match robot.range_std {
+        None if bearing_std_rad.is_some() => None,
+        value => Some(number("range_std", value, bounds::STD_M)?),
+    };
+    let std_per_m = optional("range_std_per_m", robot.range_std_per_m, bounds::STD_PER_M, 0.0)?;
+    if std_m.is_none() && robot.range_std_per_m.is_some() {
+        return Err(expected("range_std_per_m", "range_std beside it", std_per_m));
+    }
+    let position_covariance_m2 = match robot.position_covariance {
+        Some(rows) => {
+            let variances = 0.0..=*bounds::VARIANCE.end();
+            covariance("position_covariance", Some(rows), variances)?
+        }
+        None => Matrix2::zeros(),
+    };
+    Ok(TeamMember {
+        position_m,
+        position_covariance_m2,
+        heading_std_rad: optional("heading_std_rad", robot.heading_std_rad, bounds::HEADING_STD_RAD, 0.0)?,
+        max_speed_mps,
+        sensor: Sensor {
+            range: std_m.map(|std_m| RangeNoise { std_m, std_per_m }),
+            bearing_std_rad,
+            max_range_m: optional("max_range_m", robot.max_range_m, bounds::MAX_RANGE_M, f64::INFINITY)?,
+            field_of_view_rad: optional("field_of_view_rad", robot.field_of_view_rad, bounds::FIELD_OF_VIEW_RAD, TAU)?,
+        },
+        is_fused: true,
+    })
+}
+
+fn criterion(name: &str) -> Result<Criterion, String> {
+    let names = Criterion::ALL.map(Criterion::name).join(", ");
+    let found = Criterion::ALL.into_iter().find(|criterion| criterion.name() == name);
+    found.ok_or_else(|| expected("criterion", format!("one of {names}"), format!("{name:?}")))
 }
 
 fn place(key: &str, pair: Option<Pair<Number>>) -> Result<Vector, String> {

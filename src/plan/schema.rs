@@ -26,6 +26,8 @@ pub(super) struct ProblemLine {
     pub separation_m: Option<Number>,
     #[serde(default, deserialize_with = "given")]
     pub planner: Option<String>,
+    #[serde(default, deserialize_with = "given")]
+    pub criterion: Option<String>,
 }
 
 /// One of `robots`.
@@ -38,6 +40,18 @@ pub(super) struct RobotLine {
     pub max_speed: Option<Number>,
     #[serde(default, deserialize_with = "given")]
     pub range_std: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub range_std_per_m: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub bearing_std_rad: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub max_range_m: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub field_of_view_rad: Option<Number>,
+    #[serde(default, deserialize_with = "given")]
+    pub position_covariance: Option<Pair<Pair<Number>>>,
+    #[serde(default, deserialize_with = "given")]
+    pub heading_std_rad: Option<Number>,
 }
 
 /// `null` is not the same as no key: some programs write it for NaN.

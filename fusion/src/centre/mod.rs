@@ -12,7 +12,7 @@ use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
 use crate::past::Past;
-use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Sensor, Situation, TeamMember, Worth};
+use crate::planner::{self, Certificate, Plan, Planner, PlannerError, Situation, TeamMember, Worth};
 use crate::tracker::Fit;
 use crate::tracking::Tracking;
 use crate::trust::Trust;
@@ -331,12 +331,9 @@ impl Centre {
         let (distrusted, noise_scale) = (self.tracking.trust.distrusted(), self.tracking.trust.noise_scale());
         let team = self.planned.iter().filter_map(|&id| {
             let Body { position_m, range_std_m, .. } = self.bodies[id]?;
-            Some(TeamMember {
-                position_m,
-                max_speed_mps: self.speed_limits_mps[id],
-                sensor: Sensor::Range { std_m: range_std_m.unwrap_or(self.reported_stds_m[id]) * noise_scale },
-                is_fused: !distrusted.contains(id),
-            })
+            let std_m = range_std_m.unwrap_or(self.reported_stds_m[id]) * noise_scale;
+            let member = TeamMember::ranging(position_m, self.speed_limits_mps[id], std_m);
+            Some(TeamMember { is_fused: !distrusted.contains(id), ..member })
         });
         self.situation.team.clear();
         self.situation.team.extend(team);
@@ -429,8 +426,8 @@ impl Centre {
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
             distrusted: self.distrusted().to_bits(),
-            objective: self.plan.worth.objective_per_m2,
-            lower_bound: certificate.map_or(f64::NEG_INFINITY, |proven| proven.lower_bound_per_m2),
+            objective: self.plan.worth.objective,
+            lower_bound: certificate.map_or(f64::NEG_INFINITY, |proven| proven.lower_bound),
             least_trace_m2: certificate.map_or(0.0, |proven| proven.least_trace_m2),
             digest: [digest as u64, (digest >> 64) as u64],
             ..Estimate::default()

@@ -8,6 +8,7 @@
 //! A planner is a pure function of (tick, situation): nothing is kept from one step to the next, so
 //! a restarted fusion plans as the old one would have.
 
+pub mod curves;
 pub mod range_only;
 mod situation;
 
@@ -15,7 +16,9 @@ use rangehound_shared::message::Command;
 use rangehound_shared::scenario::PlannerSpec;
 use serde::{Deserialize, Serialize};
 
-pub use situation::{Sensor, Situation, TeamMember};
+use curves::Curves;
+use range_only::RangeOnly;
+pub use situation::{RangeNoise, Sensor, Situation, TeamMember};
 
 /// A way to choose headings.
 pub trait Planner: std::fmt::Debug + Send {
@@ -37,12 +40,14 @@ pub struct Plan {
     pub certificate: Option<Certificate>,
 }
 
-/// Predicted information about the target's position: the eigenvalues of its information matrix.
+/// What a plan is worth: predicted information about the target's position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Worth {
-    /// Their difference, the paper's `|S|`, 1/m^2: of range-only teams the less, the better.
-    pub objective_per_m2: f64,
-    /// Twice the lesser, `T - |S|`, 1/m^2: the trace hangs on it, and the difference of the two may be nothing but rounding.
+    /// What was minimised. For teams of ranges alone the paper's `|S|`, the difference of the eigenvalues of the information,
+    /// 1/m^2; for others the criterion's value.
+    pub objective: f64,
+    /// Twice the lesser eigenvalue, `T - |S|`, 1/m^2: the trace hangs on it, and the difference of the two may be nothing but
+    /// rounding.
     pub least_information_per_m2: f64,
     /// Trace of the position covariance, m^2.
     pub position_trace_m2: f64,
@@ -51,8 +56,8 @@ pub struct Worth {
 /// A proof of how good commands can be at best.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Certificate {
-    /// No commands reach less of [`Worth::objective_per_m2`].
-    pub lower_bound_per_m2: f64,
+    /// No commands reach less of [`Worth::objective`].
+    pub lower_bound: f64,
     /// No commands lead to a lesser trace of the position covariance, m^2.
     pub least_trace_m2: f64,
     /// True if the plan reaches both bounds, but for what the planner states as its gap.
@@ -84,5 +89,38 @@ pub enum PlannerError {
 /// # Errors
 /// [`PlannerError`] if it could not serve a team of this size.
 pub fn for_team(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn Planner>, PlannerError> {
-    Ok(Box::new(range_only::RangeOnly::new(range_only::solver(spec, robots, seed)?)))
+    let range_only = RangeOnly::new(range_only::solver(spec, robots, seed)?);
+    Ok(Box::new(ForAnyTeam { range_only, curves: Curves::new(spec) }))
+}
+
+/// A bound for commands of any planner, with proof: that of the convex hulls.
+#[must_use]
+pub fn hull_certificate(situation: &Situation, plan: &Plan) -> Certificate {
+    let problem = range_only::Problem::of(situation);
+    if situation.is_range_only() {
+        range_only::hull_certificate(&problem, &plan.worth)
+    } else {
+        curves::hull_certificate(situation, &problem, plan)
+    }
+}
+
+/// Plans for teams of ranges alone as the paper does, and for all others over their curves.
+#[derive(Debug)]
+struct ForAnyTeam {
+    range_only: RangeOnly,
+    curves: Curves,
+}
+
+impl Planner for ForAnyTeam {
+    fn name(&self) -> &'static str {
+        self.range_only.name()
+    }
+
+    fn plan(&mut self, tick: u64, situation: &Situation, plan: &mut Plan) {
+        if situation.is_range_only() {
+            self.range_only.plan(tick, situation, plan);
+        } else {
+            self.curves.plan(tick, situation, &mut self.range_only, plan);
+        }
+    }
 }

@@ -7,7 +7,7 @@ const RANGE_DEADLINE: f64 = 0.5;
 const HEADING_DEADLINE: f64 = 0.8;
 
 /// Longest time between two checks of a running process: above the longest sleep.
-const ROUND_MAX_NS: u64 = 250_000_000;
+pub const ROUND_MAX_NS: u64 = 250_000_000;
 
 /// Measures how long this process was suspended: stopped, or on a suspended machine. Such time does not count as silence.
 #[derive(Debug, Clone, Copy, Default)]

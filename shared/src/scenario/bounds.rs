@@ -12,6 +12,16 @@ pub const DT_S: RangeInclusive<f64> = 1e-4..=1e4;
 pub const SPEED_MPS: RangeInclusive<f64> = 0.0..=1e5;
 /// Standard deviation of a range, m.
 pub const STD_M: RangeInclusive<f64> = 1e-4..=1e5;
+/// Growth of that with the distance.
+pub const STD_PER_M: RangeInclusive<f64> = 0.0..=10.0;
+/// Standard deviation of a bearing, rad.
+pub const BEARING_STD_RAD: RangeInclusive<f64> = 1e-5..=3.2;
+/// Standard deviation of a heading, rad.
+pub const HEADING_STD_RAD: RangeInclusive<f64> = 0.0..=3.2;
+/// Distance up to which a sensor measures, m.
+pub const MAX_RANGE_M: RangeInclusive<f64> = 1e-3..=1e8;
+/// Angle in which a sensor measures, rad.
+pub const FIELD_OF_VIEW_RAD: RangeInclusive<f64> = 1e-3..=6.3;
 /// Spectral density of a target's noise.
 pub const NOISE_PSD: RangeInclusive<f64> = 0.0..=1e9;
 /// A gate, in standard deviations of an innovation.

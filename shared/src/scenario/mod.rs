@@ -176,6 +176,36 @@ pub struct Clearance {
     pub separation_m: f64,
 }
 
+/// What a planner makes as small as it can, of the covariance of the target's position after the next measurements.
+///
+/// Teams that measure ranges of constant noise alone have the same best plans by all three.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Criterion {
+    /// Its trace, m^2.
+    #[default]
+    Trace,
+    /// Its largest eigenvalue, m^2.
+    Eigenvalue,
+    /// Its determinant, m^4.
+    Determinant,
+}
+
+impl Criterion {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Trace, Self::Eigenvalue, Self::Determinant];
+
+    /// The name in problems.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Trace => "trace",
+            Self::Eigenvalue => "eigenvalue",
+            Self::Determinant => "determinant",
+        }
+    }
+}
+
 /// The planners' names.
 pub const PLANNERS: [&str; 7] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random"];
 

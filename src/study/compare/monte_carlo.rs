@@ -227,7 +227,7 @@ impl Yardstick {
         self.problem.pose(situation);
         let best = best.unwrap_or_else(|| hull_certificate(&self.problem, &plan.worth));
         Distance {
-            gap: ((plan.worth.objective_per_m2 - best.lower_bound_per_m2) / self.problem.lambda_sum()).max(0.0),
+            gap: ((plan.worth.objective - best.lower_bound) / self.problem.lambda_sum()).max(0.0),
             trace_excess: (plan.worth.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
             certified: best.is_optimal,
         }

@@ -2,6 +2,7 @@
 
 use rand::RngExt as _;
 use rangehound_robot::sensor::Sensor;
+use rangehound_shared::protocol::timing::ROUND_MAX_NS;
 use rangehound_shared::protocol::wake::Event;
 use rangehound_sim::machine as sim;
 
@@ -74,6 +75,8 @@ pub(super) struct Node {
     pub(super) state_since_ns: u64,
     /// Time for which its process was stopped.
     pub(super) stopped_ns: u64,
+    /// The part of that which it can notice: a process that runs may be asleep for as long as the rest.
+    pub(super) suspended_ns: u64,
     /// What its next process takes to come up.
     pub(super) up_ns: u64,
 }
@@ -114,6 +117,7 @@ impl Node {
             heartbeat_ns: None,
             state_since_ns: 0,
             stopped_ns: 0,
+            suspended_ns: 0,
             up_ns: 0,
         }
     }
@@ -266,7 +270,9 @@ impl Cluster<'_> {
     pub(super) fn carry_on(&mut self, node: usize) -> Result<(), Violation> {
         let stopped = &mut self.nodes[node];
         if std::mem::take(&mut stopped.is_stopped) {
-            stopped.stopped_ns += self.now_ns - stopped.state_since_ns;
+            let stopped_ns = self.now_ns - stopped.state_since_ns;
+            stopped.stopped_ns += stopped_ns;
+            stopped.suspended_ns += stopped_ns.saturating_sub(ROUND_MAX_NS);
             stopped.state_since_ns = self.now_ns;
             self.tell(Some(node), || "continues".to_owned());
             self.forget_first_range();

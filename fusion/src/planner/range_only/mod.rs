@@ -22,7 +22,7 @@ pub mod pair;
 mod problem;
 pub mod pursue;
 pub mod random;
-mod reach;
+pub(super) mod reach;
 pub mod relaxation;
 mod solution;
 
@@ -248,7 +248,7 @@ mod tests {
                 // The bound of the hulls holds too, and is no better than the search's.
                 let hull = hull_certificate(&problem, &plan.worth);
                 let best = plan.certificate.unwrap_or(hull);
-                assert!(hull.lower_bound_per_m2 <= best.lower_bound_per_m2);
+                assert!(hull.lower_bound <= best.lower_bound);
                 assert!(best.least_trace_m2 > 0.0 && best.least_trace_m2 <= plan.worth.position_trace_m2);
             }
         }

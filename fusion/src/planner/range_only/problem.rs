@@ -5,7 +5,7 @@ use rangehound_shared::message::Command;
 
 use super::arm::Arm;
 use super::reach::{Limit, Reach, stand_off_m};
-use crate::planner::{Sensor, Situation, TeamMember};
+use crate::planner::{RangeNoise, Situation, TeamMember};
 use crate::vector::Vector;
 
 /// Part of `T - |S|` that rounding of `|S|` may make up before `T - |S|` itself is what is compared.
@@ -29,9 +29,9 @@ pub struct Problem {
     inverse_determinant: f64,
     is_flat: bool,
     pub(super) arms: Vec<Arm>,
-    pub(super) reaches: Vec<Reach>,
+    pub(in crate::planner) reaches: Vec<Reach>,
     /// Corners of the cells that neighbours leave to robots, m.
-    pub(super) corners_m: Vec<Vector>,
+    pub(in crate::planner) corners_m: Vec<Vector>,
     positions_m: Vec<Vector>,
     scratch_m: Vec<Vector>,
 }
@@ -202,8 +202,10 @@ impl Problem {
 
 /// Information of a robot's measurement, `sigma^-2`, 1/m^2.
 fn lambda(member: &TeamMember) -> f64 {
-    let Sensor::Range { std_m } = member.sensor;
-    if member.is_fused { 1.0 / (std_m * std_m) } else { 0.0 }
+    match member.sensor.range {
+        Some(RangeNoise { std_m, .. }) if member.is_fused => 1.0 / (std_m * std_m),
+        _ => 0.0,
+    }
 }
 
 /// `tr(P+_11) = 4 T / (T^2 - |S|^2)` from `T - |S|` and `|S|`, m^2.

@@ -84,7 +84,7 @@ impl Solution {
     /// The plan's worth.
     pub(super) fn worth(&self) -> Worth {
         Worth {
-            objective_per_m2: self.objective,
+            objective: self.objective,
             least_information_per_m2: self.least_information,
             position_trace_m2: self.position_trace_m2,
         }
@@ -97,7 +97,7 @@ impl Solution {
 
     fn proven(&self, problem: &Problem) -> Certificate {
         Certificate {
-            lower_bound_per_m2: self.lower_bound,
+            lower_bound: self.lower_bound,
             least_trace_m2: self.least_trace_m2(),
             is_optimal: self.is_certified(problem),
         }
@@ -107,7 +107,7 @@ impl Solution {
 /// The bound of the arcs' hulls for directions of this worth; it holds for every solver.
 #[must_use]
 pub fn hull_certificate(problem: &Problem, worth: &Worth) -> Certificate {
-    let Worth { objective_per_m2: objective, least_information_per_m2: least_information, position_trace_m2 } = *worth;
+    let Worth { objective, least_information_per_m2: least_information, position_trace_m2 } = *worth;
     let mut solution = Solution { objective, least_information, position_trace_m2, ..Solution::default() };
     // With room for what its sums have rounded away.
     let rounding = 4.0 * f64::EPSILON * problem.len() as f64 * problem.lambda_sum();

@@ -32,7 +32,7 @@ impl Cluster<'_> {
                     leading.first_range = Some((header.tick, now_ns));
                 }
                 if is_other(leading.ran_at_first_ns) {
-                    leading.ran_at_first_ns = Some((header.tick, self.now_ns - self.nodes[node].stopped_ns));
+                    leading.ran_at_first_ns = Some((header.tick, self.now_ns - self.nodes[node].suspended_ns));
                 }
             }
             if header.tick <= self.plan.ticks {
@@ -90,6 +90,8 @@ impl Cluster<'_> {
     fn is_deposed(&mut self, node: usize, leading: &Leading) -> Process {
         self.tell(Some(node), || "sees that it was deposed; stands by".to_owned());
         self.nodes[node].heartbeat_ns = Some(self.now_ns);
+        // It connects anew, and finds no old message.
+        self.nodes[node].inbox.clear();
         self.free(leading.lease.lock);
         self.after(0, Happening::Wakes { node, event: Some(Event::Range) });
         self.stand_by()
@@ -149,7 +151,7 @@ impl Cluster<'_> {
     fn closing(&self, node: usize, leading: &Leading, tick: u64, missing: Missing) -> Closing {
         let began_ns = leading.machine.stages().began_ns;
         let of_tick = |first: Option<(u64, u64)>| first.filter(|(first, _)| *first == tick).map(|(_, at_ns)| at_ns);
-        let ran_ns = self.now_ns - self.nodes[node].stopped_ns;
+        let ran_ns = self.now_ns - self.nodes[node].suspended_ns;
         // A wake-up may come before a slow message, which is seen at the next look then.
         let is_seen_at_once = self.plan.network.wakes_on_arrival || self.plan.network.slow == 0.0;
         let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);

@@ -70,7 +70,9 @@ impl Cluster<'_> {
                 let sim = &self.nodes[SIM];
                 let ran_ns = self.now_ns - sim.stopped_ns;
                 let seen = self.witness.world(tick, world.entries());
-                let seen = seen.and_then(|()| self.witness.timing.world(tick, self.now_ns, ran_ns, self.late_ns()));
+                let counted_ns = self.now_ns - sim.suspended_ns;
+                let seen = seen
+                    .and_then(|()| self.witness.timing.world(tick, self.now_ns, [ran_ns, counted_ns], self.late_ns()));
                 seen.map_err(|what| self.violation(Some(SIM), what))?;
                 self.groups[WaitGroup::Sim as usize].expected = machine.expected();
                 self.tell(Some(SIM), || format!("world({tick})"));
@@ -83,8 +85,9 @@ impl Cluster<'_> {
             Action::Notify(notification) => self.notify(SIM, notification),
             Action::ReportSilent(id) => {
                 self.tell(Some(SIM), || format!("goes on without robot-{id}"));
-                let ran_ns = self.now_ns - self.nodes[SIM].stopped_ns;
-                let told = self.witness.timing.leaves_out(tick, ran_ns);
+                let sim = &self.nodes[SIM];
+                let counted_ns = self.now_ns - sim.suspended_ns;
+                let told = self.witness.timing.leaves_out(tick, counted_ns);
                 told.map_err(|what| self.violation(Some(SIM), what))?;
                 self.witness.leaves_out(id);
             }

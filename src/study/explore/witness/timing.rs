@@ -2,8 +2,8 @@
 
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
-/// A process that runs looks at the clock at least this often, ns: time beyond it may pass for a suspension.
-const ROUND_NS: u64 = 260_000_000;
+/// What a node's clock may differ by within a time-out, ns.
+const CLOCK_NS: u64 = 15_000_000;
 
 /// Part of a real-time tick after which fusion goes on without the ranges that are missing.
 const RANGE_DEADLINE: f64 = 0.5;
@@ -38,6 +38,8 @@ struct SimTick {
     at_ns: u64,
     /// The time for which it had run, whenever it was stopped.
     ran_ns: u64,
+    /// The same, with the part of each stop that it cannot notice.
+    counted_ns: u64,
 }
 
 /// Who is missing at a tick.
@@ -94,18 +96,18 @@ impl Timing {
         self.sim_tick = None;
     }
 
-    /// The simulator publishes a tick, having run for so long: in real time neither late nor in a burst.
+    /// The simulator publishes a tick, having run for so long, without its stops and with what it cannot notice of them: in real time neither late nor in a burst.
     pub(in crate::study::explore) fn world(
         &mut self,
         tick: u64,
         now_ns: u64,
-        ran_ns: u64,
+        [ran_ns, counted_ns]: [u64; 2],
         late_ns: u64,
     ) -> Result<(), String> {
         let index = tick as usize;
         let before = self.sim_tick;
         if before.is_none_or(|before| before.tick != tick) {
-            self.sim_tick = Some(SimTick { tick, at_ns: now_ns, ran_ns });
+            self.sim_tick = Some(SimTick { tick, at_ns: now_ns, ran_ns, counted_ns });
         }
         if index < self.worlds_ns.len() {
             return Ok(());
@@ -128,10 +130,10 @@ impl Timing {
         Ok(())
     }
 
-    /// The simulator goes on without a robot, having run for so long.
-    pub(in crate::study::explore) fn leaves_out(&self, tick: u64, ran_ns: u64) -> Result<(), String> {
-        let waited_ns = self.sim_tick.map_or(0, |began| ran_ns - began.ran_ns);
-        let is_over = self.timeout_ns.is_some_and(|timeout_ns| waited_ns + ROUND_NS >= timeout_ns);
+    /// The simulator goes on without a robot, having run for so long with what it cannot notice of its stops.
+    pub(in crate::study::explore) fn leaves_out(&self, tick: u64, counted_ns: u64) -> Result<(), String> {
+        let waited_ns = self.sim_tick.map_or(0, |began| counted_ns - began.counted_ns);
+        let is_over = self.timeout_ns.is_some_and(|timeout_ns| waited_ns + CLOCK_NS >= timeout_ns);
         if tick == 0 || self.is_realtime || !is_over {
             return Err(format!("a robot was left out at tick {tick} before its time"));
         }
@@ -150,7 +152,7 @@ impl Timing {
         if !self.is_realtime {
             let is_over = self
                 .timeout_ns
-                .is_some_and(|timeout_ns| ran_ns.is_none_or(|ran_ns| ran_ns + ROUND_NS + late_ns >= timeout_ns));
+                .is_some_and(|timeout_ns| ran_ns.is_none_or(|ran_ns| ran_ns + CLOCK_NS + late_ns >= timeout_ns));
             return if has_newly_missing && !is_over && !is_cut {
                 Err(format!("tick {tick} did not wait for a robot"))
             } else {

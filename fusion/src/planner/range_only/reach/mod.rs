@@ -15,7 +15,7 @@ use rangehound_shared::scenario::Clearance;
 use super::arm::Arm;
 use crate::planner::TeamMember;
 use crate::vector::Vector;
-pub(super) use polygon::Limit;
+pub(in crate::planner) use polygon::{Limit, is_inside};
 
 /// A place nearer to the predicted target than this, in steps, has a degenerate bearing.
 const ON_TARGET: f64 = 1e-6;
@@ -28,7 +28,7 @@ const ONE_STEP: f64 = 1e-12;
 /// Bearings are written as offsets from the line of sight; a place after the step is named by its
 /// bearing `b` and its signed distance `rho` to the predicted target: `target - rho b`.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Reach {
+pub(in crate::planner) struct Reach {
     /// From the robot to the predicted target, m.
     pub to_target_m: Vector,
     /// The same with length one; (1, 0) if the robot is on the target.
@@ -44,7 +44,7 @@ pub(super) struct Reach {
 
 /// The places that the robot can get to, relative to where it is.
 #[derive(Debug, Clone, PartialEq)]
-enum Room {
+pub(in crate::planner) enum Room {
     /// All within its step.
     Disc,
     /// A convex polygon: the part of the disc that its neighbours leave it.
@@ -54,7 +54,7 @@ enum Room {
 }
 
 impl Reach {
-    pub(super) fn new(member: &TeamMember, target_m: Vector, time_step_s: f64, stand_off_m: f64) -> Self {
+    pub(in crate::planner) fn new(member: &TeamMember, target_m: Vector, time_step_s: f64, stand_off_m: f64) -> Self {
         let to_target_m = target_m - member.position_m;
         let step_m = member.max_speed_mps * time_step_s;
         Self {
@@ -66,6 +66,16 @@ impl Reach {
             stand_off_m: if stand_off_m < ON_TARGET * step_m { 0.0 } else { stand_off_m },
             room: Room::Disc,
         }
+    }
+
+    /// Least distance to the predicted target after the step, m.
+    pub(in crate::planner) fn stand_off_m(&self) -> f64 {
+        self.stand_off_m
+    }
+
+    /// The places that the robot can get to.
+    pub(in crate::planner) fn room(&self) -> &Room {
+        &self.room
     }
 
     /// Constraint (18), narrowed by the clearances: the bearings that the robot can have after the step.
@@ -173,7 +183,8 @@ impl Reach {
         }
     }
 
-    fn motion_to(&self, offset_m: Vector) -> (Vector, f64) {
+    /// Heading and speed that lead to this place, relative to where the robot is.
+    pub(in crate::planner) fn motion_to(&self, offset_m: Vector) -> (Vector, f64) {
         let length_m = offset_m.norm();
         let heading = offset_m.normalised().unwrap_or(self.sight);
         (heading, if self.step_m > 0.0 { self.speed_mps * (length_m / self.step_m).min(1.0) } else { 0.0 })

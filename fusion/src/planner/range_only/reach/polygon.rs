@@ -15,7 +15,7 @@ pub(super) fn disc(radius_m: f64) -> impl Iterator<Item = Vector> {
 
 /// A half-plane that a robot stays in: `normal . offset <= offset_m`, offset from where it is.
 #[derive(Debug, Clone, Copy)]
-pub(in super::super) struct Limit {
+pub(in crate::planner) struct Limit {
     pub(super) normal: Vector,
     pub(super) offset_m: f64,
 }
@@ -24,7 +24,7 @@ pub(super) fn edges(polygon: &[Vector]) -> impl Iterator<Item = (Vector, Vector)
     polygon.iter().copied().zip(polygon.iter().copied().cycle().skip(1))
 }
 
-pub(super) fn is_inside(polygon: &[Vector], place: Vector) -> bool {
+pub(in crate::planner) fn is_inside(polygon: &[Vector], place: Vector) -> bool {
     edges(polygon).all(|(corner, next)| (next - corner).cross(place - corner) >= 0.0)
 }
 

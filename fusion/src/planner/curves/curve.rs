@@ -1,0 +1,246 @@
+//! One robot's curve: the places from which its measurement can tell most.
+//!
+//! On each ray from the target a measurement tells the more the nearer it is taken, in the Loewner order: neither
+//! `1 / (sigma_r(d)^2 + e^T P e)` nor `1 / (d^2 sigma_b^2 + e_p^T P e_p)` grows with the distance. So of all places that the
+//! robot can reach those remain that are nearest to the target on their ray and keep the stand-off: the near side of the
+//! edge, and the stand-off's circle.
+
+use std::f64::consts::PI;
+
+use smallvec::SmallVec;
+
+use super::information::Information;
+use super::leaf::Leaf;
+use super::noise::Noise;
+use super::piece::Piece;
+use crate::planner::TeamMember;
+use crate::planner::range_only::reach::{Reach, Room};
+use crate::vector::Vector;
+
+/// Least distance to the target for which it is planned, in steps: a bearing from the target itself would tell everything.
+const NEAREST: f64 = 1e-3;
+
+/// Pieces on each side of a bound of the field of view, by which that is found.
+const VIEWS: usize = 16;
+
+/// Pieces without neighbours need no heap.
+type Pieces = SmallVec<[Piece; 8]>;
+
+/// The places that count for one robot, by a parameter: the piece's number plus the parameter within it.
+#[derive(Debug, Clone)]
+pub(super) struct Curve {
+    pub(super) pieces: Pieces,
+    pub(super) noise: Noise,
+    /// Of each piece.
+    pub(super) leaves: SmallVec<[Leaf; 8]>,
+}
+
+impl Curve {
+    /// The curve of a robot with this reach; `corners_m` are the corners of all cells.
+    pub(super) fn of(member: &TeamMember, reach: &Reach, corners_m: &[Vector]) -> Self {
+        let noise = Noise::of(member);
+        let mut pieces = places(reach, corners_m);
+        if noise.max_range_m().is_finite() {
+            restrict(&mut pieces, |piece| piece.parts_within(noise.max_range_m()).collect());
+        }
+        if member.sensor.field_of_view_rad < 2.0 * PI && reach.step_m > 0.0 {
+            let half_rad = 0.5 * member.sensor.field_of_view_rad;
+            restrict(&mut pieces, |piece| parts_in_view(piece, reach.to_target_m, half_rad));
+        }
+        if pieces.is_empty() {
+            // It sees nothing after any step, and comes as near as it may, to see later.
+            return Self::blind(reach, noise, places(reach, corners_m));
+        }
+        let leaves = pieces.iter().map(|piece| Leaf::of(&noise, piece, 0.0, 1.0)).collect();
+        Self { pieces, noise, leaves }
+    }
+
+    fn blind(reach: &Reach, noise: Noise, pieces: Pieces) -> Self {
+        let ends = pieces.iter().flat_map(|piece| [0.0, 0.5, 1.0].map(|u| piece.sight_m(u)));
+        let nearest = ends.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(reach.to_target_m);
+        let noise = Noise { range: None, bearing_rad2: None, ..noise };
+        let piece = Piece::segment(nearest, nearest);
+        Self {
+            leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(),
+            pieces: [piece].into_iter().collect(),
+            noise,
+        }
+    }
+
+    /// The end of the parameter's interval, which begins at 0.
+    pub(super) fn end(&self) -> f64 {
+        self.pieces.len() as f64
+    }
+
+    /// The piece at a parameter, and the parameter within it.
+    pub(super) fn piece_at(&self, at: f64) -> (usize, f64) {
+        let index = (at.max(0.0) as usize).min(self.pieces.len() - 1);
+        (index, (at - index as f64).clamp(0.0, 1.0))
+    }
+
+    /// From the place at a parameter to the target, m.
+    pub(super) fn sight_m(&self, at: f64) -> Vector {
+        let (index, u) = self.piece_at(at);
+        self.pieces[index].sight_m(u)
+    }
+
+    /// What a measurement from the place at a parameter tells.
+    pub(super) fn information(&self, at: f64) -> Information {
+        self.noise.information(self.sight_m(at))
+    }
+
+    /// The parameter of the place nearest to the straight way to the target.
+    pub(super) fn straight(&self, sight: Vector) -> f64 {
+        let places = (0..=2 * self.pieces.len()).map(|k| 0.5 * k as f64);
+        let turned = |at: &f64| self.sight_m(*at).normalised().map_or(1.0, |after| -after.dot(sight));
+        places.min_by(|a, b| turned(a).total_cmp(&turned(b))).unwrap_or(0.0)
+    }
+}
+
+/// The near side of the edge of the places that a robot can reach, as far as it keeps the stand-off, and the stand-off's
+/// circle within them.
+fn places(reach: &Reach, corners_m: &[Vector]) -> Pieces {
+    let stand_off_m = reach.stand_off_m().max(NEAREST * reach.step_m);
+    let to_target_m = reach.to_target_m;
+    let mut pieces = match reach.room() {
+        Room::Out(offset_m) => point(to_target_m - *offset_m),
+        Room::Disc if reach.step_m == 0.0 => point(to_target_m),
+        Room::Disc => disc(to_target_m, reach.sight, reach.step_m, stand_off_m),
+        Room::Cell(corners) => cell(to_target_m, &corners_m[corners.clone()], stand_off_m),
+    };
+    if pieces.is_empty() {
+        // It is within the stand-off after any step: straight out.
+        let out = match reach.room() {
+            Room::Cell(corners) => {
+                let sights = corners_m[corners.clone()].iter().map(|corner| to_target_m - *corner);
+                sights.max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(to_target_m)
+            }
+            _ => to_target_m + reach.sight * reach.step_m,
+        };
+        pieces = point(out);
+    }
+    pieces
+}
+
+fn point(sight_m: Vector) -> Pieces {
+    [Piece::segment(sight_m, sight_m)].into_iter().collect()
+}
+
+/// For a robot at distance `D` from the target, with step `r` and stand-off `s`.
+fn disc(to_target_m: Vector, sight: Vector, r: f64, s: f64) -> Pieces {
+    let d = to_target_m.norm();
+    let bearing_rad = sight.angle_rad();
+    let angle = |adjacent: f64, other: f64, opposite: f64| {
+        ((adjacent * adjacent + other * other - opposite * opposite) / (2.0 * adjacent * other)).clamp(-1.0, 1.0).acos()
+    };
+    let mut pieces = Pieces::new();
+    if s >= d + r {
+        return pieces;
+    }
+    if s <= r - d {
+        pieces.extend(Piece::arcs(Vector::default(), s, bearing_rad + PI, bearing_rad - PI));
+        return pieces;
+    }
+    // On the way out to the tangents from the target the near side is the full step: headings from the line of sight.
+    let tangent_rad = if d > r && s * s < (d - r) * (d + r) { (r / d).acos() } else { 0.0 };
+    let near = |from_rad: f64, to_rad: f64| {
+        Piece::arcs(to_target_m, r, bearing_rad + PI + from_rad, bearing_rad + PI + to_rad)
+    };
+    if s <= d - r {
+        pieces.extend(near(-tangent_rad, tangent_rad));
+        return pieces;
+    }
+    let (heading_rad, turned_rad) = (angle(d, r, s), angle(d, s, r));
+    if tangent_rad > heading_rad {
+        pieces.extend(near(-tangent_rad, -heading_rad));
+    }
+    pieces.extend(Piece::arcs(Vector::default(), s, bearing_rad + turned_rad, bearing_rad - turned_rad));
+    if tangent_rad > heading_rad {
+        pieces.extend(near(heading_rad, tangent_rad));
+    }
+    pieces
+}
+
+/// For a robot whose neighbours leave it a convex polygon, counter-clockwise.
+fn cell(to_target_m: Vector, corners_m: &[Vector], s: f64) -> Pieces {
+    let mut pieces = Pieces::new();
+    let mut marks_rad: SmallVec<[f64; 16]> = SmallVec::new();
+    let next = |k: usize| corners_m[(k + 1) % corners_m.len()];
+    for (k, corner) in corners_m.iter().enumerate() {
+        let (from, to) = (to_target_m - *corner, to_target_m - next(k));
+        let edge = Piece::segment(from, to);
+        // Squared distance less s^2 is a u^2 + b u + c.
+        let (along, c) = (to - from, from.norm_squared() - s * s);
+        let (a, b) = (along.norm_squared(), 2.0 * from.dot(along));
+        let discriminant = b * b - 4.0 * a * c;
+        let mut cuts = [0.0, 0.0, 0.0, 1.0];
+        if discriminant > 0.0 && a > 0.0 {
+            let root = discriminant.sqrt();
+            for (cut, u) in cuts[1..3].iter_mut().zip([(-b - root) / (2.0 * a), (-b + root) / (2.0 * a)]) {
+                if u > 0.0 && u < 1.0 {
+                    marks_rad.push(edge.sight_m(u).angle_rad());
+                    *cut = u;
+                }
+            }
+        }
+        cuts.sort_unstable_by(f64::total_cmp);
+        // The target is on the outer side of an edge whose places are the nearest on their rays.
+        if (next(k) - *corner).cross(from) < 0.0 {
+            for pair in cuts.windows(2).filter(|pair| pair[1] > pair[0]) {
+                if edge.sight_m(0.5 * (pair[0] + pair[1])).norm() >= s {
+                    pieces.push(edge.part(pair[0], pair[1]));
+                }
+            }
+        }
+    }
+    marks_rad.sort_unstable_by(f64::total_cmp);
+    let first = marks_rad.first().copied().unwrap_or(-PI);
+    marks_rad.push(first + 2.0 * PI);
+    let mut from_rad = first;
+    for to_rad in marks_rad.iter().copied().filter(|to_rad| *to_rad > first) {
+        let middle = to_target_m - Vector::from_angle(0.5 * (from_rad + to_rad)) * s;
+        if crate::planner::range_only::reach::is_inside(corners_m, middle) {
+            pieces.extend(Piece::arcs(Vector::default(), s, from_rad, to_rad));
+        }
+        from_rad = to_rad;
+    }
+    pieces
+}
+
+/// Replaces each piece by parts of it.
+fn restrict(pieces: &mut Pieces, parts: impl Fn(&Piece) -> Pieces) {
+    *pieces = pieces.iter().flat_map(&parts).collect();
+}
+
+/// The parts of a piece from which the target is within half the field of view, which is centred on the way there.
+fn parts_in_view(piece: &Piece, to_target_m: Vector, half_rad: f64) -> Pieces {
+    let is_seen = |u: f64| {
+        let sight_m = piece.sight_m(u);
+        let way_m = to_target_m - sight_m;
+        way_m.cross(sight_m).abs().atan2(way_m.dot(sight_m)) <= half_rad
+    };
+    let crossing = |mut seen: f64, mut unseen: f64| {
+        for _ in 0..40 {
+            let middle = 0.5 * (seen + unseen);
+            *if is_seen(middle) { &mut seen } else { &mut unseen } = middle;
+        }
+        seen
+    };
+    let mut parts = Pieces::new();
+    let mut start = is_seen(0.0).then_some(0.0);
+    for k in 1..=VIEWS {
+        let (before, at) = ((k - 1) as f64 / VIEWS as f64, k as f64 / VIEWS as f64);
+        match (start, is_seen(at)) {
+            (None, true) => start = Some(crossing(at, before)),
+            (Some(from), false) => {
+                parts.push(piece.part(from, crossing(before, at)));
+                start = None;
+            }
+            _ => {}
+        }
+    }
+    if let Some(from) = start {
+        parts.push(piece.part(from, 1.0));
+    }
+    parts
+}

@@ -1,0 +1,150 @@
+//! Bounds on what the places of a part of a curve tell.
+//!
+//! Along a piece, with `P`, `L` and `W` of [`Piece`], the covariance `Pi` of the robot's position and `J` a quarter turn,
+//!
+//! ```text
+//! Q_r = (A W + B L) L + P^T Pi P         sigma_r(d)^2 >= A + B d^2, equal at the ends
+//! Q_b = sigma_b^2 L^2 + (J P)^T Pi J P
+//! T = L W (1 / Q_r + 1 / Q_b),   S = P^2 (1 / Q_r - 1 / Q_b)
+//! ```
+//!
+//! is a rational Bezier curve: it lies in the convex hull of its control points wherever the coefficients of the denominator
+//! are positive.
+
+use super::noise::Noise;
+use super::piece::Piece;
+use crate::vector::Vector;
+
+/// Control points of a curve of degree 8, the highest: ranges and bearings of a robot whose position is uncertain.
+const POINTS_MAX: usize = 9;
+
+/// A part of a piece, and points whose convex hull holds what its places tell.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Leaf {
+    pub(super) low: f64,
+    pub(super) high: f64,
+    count: usize,
+    t: [f64; POINTS_MAX],
+    x: [f64; POINTS_MAX],
+    y: [f64; POINTS_MAX],
+}
+
+/// Coefficients in the scaled Bernstein basis, as many as the degree and one.
+#[derive(Clone, Copy)]
+struct Polynomial {
+    count: usize,
+    c: [f64; POINTS_MAX],
+}
+
+impl Polynomial {
+    fn new(coefficients: [f64; 3]) -> Self {
+        let [a, b, c] = coefficients;
+        Self { count: 3, c: [a, b, c, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0] }
+    }
+
+    fn times(&self, other: &Self) -> Self {
+        let mut c = [0.0; POINTS_MAX];
+        for i in 0..self.count {
+            for j in 0..other.count {
+                c[i + j] += self.c[i] * other.c[j];
+            }
+        }
+        Self { count: self.count + other.count - 1, c }
+    }
+
+    /// `a self + b other`, of equal degree.
+    fn combine(&self, a: f64, other: &Self, b: f64) -> Self {
+        Self { count: self.count, c: std::array::from_fn(|k| a * self.c[k] + b * other.c[k]) }
+    }
+}
+
+impl Leaf {
+    /// The part of a piece between two parameters.
+    pub(super) fn of(noise: &Noise, piece: &Piece, low: f64, high: f64) -> Self {
+        let part = if low == 0.0 && high == 1.0 { *piece } else { piece.part(low, high) };
+        let (w, l) = (Polynomial::new(part.weight), Polynomial::new(part.square));
+        let x = Polynomial::new(part.sight.map(|sight| sight.x));
+        let y = Polynomial::new(part.sight.map(|sight| sight.y));
+        let (xx, yy, xy) = (x.times(&x), y.times(&y), x.times(&y));
+        // P^2 as a complex number.
+        let (real, imaginary) = (xx.combine(1.0, &yy, -1.0), xy.combine(2.0, &xy, 0.0));
+        let p = &noise.position_m2;
+        let is_exact = *p == nalgebra::Matrix2::zeros();
+        let pose = |xx_m2: f64, yy_m2: f64, xy_m2: f64| xx.combine(xx_m2, &yy, yy_m2).combine(1.0, &xy, 2.0 * xy_m2);
+        // What Q_r and Q_b are but for the pose's part, over L.
+        let range = noise.range.map(|(std_m, std_per_m)| {
+            let (constant_m2, share) = chord(std_m, std_per_m, &part);
+            w.combine(constant_m2, &l, share)
+        });
+        let bearing = noise.bearing_rad2.map(|rad2| l.combine(rad2, &l, 0.0));
+        let range_pose = || pose(p[(0, 0)], p[(1, 1)], p[(0, 1)]);
+        let bearing_pose = || pose(p[(1, 1)], p[(0, 0)], -p[(0, 1)]);
+        let lw = l.times(&w);
+        let [denominator, t, real, imaginary] = match (range, bearing) {
+            (None, None) => return Self::nothing(low, high),
+            (Some(range), None) => [l.times(&range).combine(1.0, &range_pose(), 1.0), lw, real, imaginary],
+            (None, Some(bearing)) => {
+                let denominator = l.times(&bearing).combine(1.0, &bearing_pose(), 1.0);
+                [denominator, lw, real.combine(-1.0, &real, 0.0), imaginary.combine(-1.0, &imaginary, 0.0)]
+            }
+            // Without an uncertain position a factor L cancels.
+            (Some(range), Some(bearing)) if is_exact => {
+                let (sum, difference) = (range.combine(1.0, &bearing, 1.0), bearing.combine(1.0, &range, -1.0));
+                let denominator = l.times(&range).times(&bearing);
+                [denominator, lw.times(&sum), real.times(&difference), imaginary.times(&difference)]
+            }
+            (Some(range), Some(bearing)) => {
+                let range = l.times(&range).combine(1.0, &range_pose(), 1.0);
+                let bearing = l.times(&bearing).combine(1.0, &bearing_pose(), 1.0);
+                let (sum, difference) = (range.combine(1.0, &bearing, 1.0), bearing.combine(1.0, &range, -1.0));
+                [range.times(&bearing), lw.times(&sum), real.times(&difference), imaginary.times(&difference)]
+            }
+        };
+        let count = denominator.count;
+        let is_hull = denominator.c[..count].iter().all(|weight| *weight > 0.0);
+        let over = |numerator: Polynomial, unbounded: f64| {
+            std::array::from_fn(|k| match k < count {
+                true if is_hull => numerator.c[k] / denominator.c[k],
+                true => unbounded,
+                false => 0.0,
+            })
+        };
+        Self { low, high, count, t: over(t, f64::INFINITY), x: over(real, 0.0), y: over(imaginary, 0.0) }
+    }
+
+    fn nothing(low: f64, high: f64) -> Self {
+        Self { low, high, count: 1, t: [0.0; POINTS_MAX], x: [0.0; POINTS_MAX], y: [0.0; POINTS_MAX] }
+    }
+
+    /// The most that `T + m . S` can be at a place of this part, and where about that is.
+    pub(super) fn bound(&self, m: Vector) -> (f64, f64) {
+        let mut best = (f64::NEG_INFINITY, 0);
+        for k in 0..self.count {
+            let value = self.t[k] + m.x * self.x[k] + m.y * self.y[k];
+            if value > best.0 {
+                best = (value, k);
+            }
+        }
+        let share = if self.count > 1 { best.1 as f64 / (self.count - 1) as f64 } else { 0.0 };
+        (best.0, self.low + (self.high - self.low) * share)
+    }
+}
+
+/// `A` and `B` of a line through the ends below `sigma_r(d)^2` as a function of `d^2`, by that below `d`, which is concave
+/// in it.
+fn chord(std_m: f64, std_per_m: f64, part: &Piece) -> (f64, f64) {
+    let variance_m2 = std_m * std_m;
+    if std_per_m == 0.0 {
+        return (variance_m2, 0.0);
+    }
+    // The middle coefficient is scaled by two, in both.
+    let squares = [0, 1, 2].map(|k| part.square[k] / part.weight[k]);
+    let least_m = squares.iter().copied().fold(f64::INFINITY, f64::min).max(0.0).sqrt();
+    let most_m = squares.iter().copied().fold(0.0, f64::max).sqrt();
+    let (constant_m, slope_per_m) = match least_m + most_m {
+        0.0 => (0.0, 0.0),
+        sum_m => (least_m * most_m / sum_m, 1.0 / sum_m),
+    };
+    let growth = 2.0 * std_m * std_per_m;
+    (variance_m2 + growth * constant_m, std_per_m * std_per_m + growth * slope_per_m)
+}

@@ -1,0 +1,149 @@
+//! Planners of teams with any sensors and uncertain positions.
+//!
+//! Each robot is a curve of the places that may be best for it ([`curve`]); what it tells from there is a symmetric 2x2 matrix
+//! ([`information`]). The planners minimise a [`Criterion`](rangehound_shared::scenario::Criterion) of the sum.
+//!
+//! | planner | method |
+//! |---|---|
+//! | certified | branch and bound with the bound of the curves' convex hulls: the global optimum, with a proof |
+//! | adaptive, standard | each robot's best place given the others', in turn, until nothing changes |
+//! | greedy | each robot by itself, its teammates counted where they stand |
+//! | pursue | straight to the predicted target |
+//! | random | uniformly random places of the curves |
+
+mod curve;
+mod hull;
+mod information;
+mod leaf;
+mod minimum;
+mod noise;
+mod piece;
+mod search;
+mod support;
+mod team;
+
+use rangehound_shared::message::Command;
+use rangehound_shared::scenario::{Criterion, PlannerSpec};
+
+use super::range_only::{Problem, RangeOnly};
+use super::{Certificate, Plan, Planner, Situation, Worth};
+use crate::vector::Vector;
+use information::{Cost, Information};
+use team::Team;
+
+/// The planner for all sensors that a scenario asks for.
+#[derive(Debug)]
+pub(super) struct Curves {
+    spec: PlannerSpec,
+    /// Of the situation at hand: memory only.
+    problem: Problem,
+    team: Team,
+    at: Vec<f64>,
+}
+
+impl Curves {
+    /// The planner of this kind.
+    pub(super) fn new(spec: PlannerSpec) -> Self {
+        Self { spec, problem: Problem::default(), team: Team::default(), at: Vec::new() }
+    }
+
+    /// Chooses a command for each member of the team. Random headings are those of teams of ranges.
+    pub(super) fn plan(&mut self, tick: u64, situation: &Situation, range_only: &mut RangeOnly, plan: &mut Plan) {
+        let Self { spec, problem, team, at } = self;
+        problem.pose(situation);
+        team.pose(situation, problem);
+        let total = match *spec {
+            PlannerSpec::Random => {
+                range_only.plan(tick, situation, plan);
+                commanded(team, situation, problem, plan)
+            }
+            _ => {
+                let certificate = choose(team, *spec, problem, at);
+                let total = team.total(at);
+                place_the_others(team, total, at);
+                plan.commands.clear();
+                plan.commands.extend(commands(team, problem, at));
+                plan.certificate = certificate;
+                total
+            }
+        };
+        plan.worth = Worth {
+            objective: team.criterion.cost(total),
+            least_information_per_m2: total.least(),
+            position_trace_m2: total.position_trace_m2(),
+        };
+    }
+}
+
+/// Chooses the places of all robots that count.
+fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) -> Option<Certificate> {
+    at.clear();
+    at.extend(team.curves.iter().zip(&problem.reaches).map(|(curve, reach)| curve.straight(reach.sight)));
+    match spec {
+        PlannerSpec::Certified { nodes } => {
+            let answer = search::search(team, std::mem::take(at), nodes);
+            if std::env::var_os("RH_NODES").is_some() {
+                eprintln!("nodes {}", answer.nodes);
+            }
+            let least_trace_m2 = match team.criterion {
+                Criterion::Trace => answer.bound,
+                _ => team.bound(Criterion::Trace, team.total(&answer.at)),
+            };
+            *at = answer.at;
+            Some(Certificate {
+                lower_bound: answer.bound,
+                least_trace_m2,
+                is_optimal: answer.cost - answer.bound <= search::GAP_MAX * answer.cost,
+            })
+        }
+        PlannerSpec::Adaptive { .. } | PlannerSpec::Standard { .. } | PlannerSpec::Grid { .. } => {
+            team.descend(&team.whole(), at);
+            None
+        }
+        PlannerSpec::Greedy => {
+            let standing = |i: usize| team.curves[i].noise.information(problem.reaches[i].to_target_m);
+            let all = team.fused().fold(team.prior, |sum, i| sum + standing(i));
+            for i in team.fused() {
+                at[i] = team.respond(i, all - standing(i), (0.0, team.curves[i].end()), at[i]);
+            }
+            None
+        }
+        PlannerSpec::Pursue | PlannerSpec::Random => None,
+    }
+}
+
+/// Sends each robot that is not fused to where it would add most.
+fn place_the_others(team: &Team, total: Information, at: &mut [f64]) {
+    for i in (0..at.len()).filter(|i| !team.is_fused[*i]) {
+        at[i] = team.respond(i, total, (0.0, team.curves[i].end()), at[i]);
+    }
+}
+
+fn commands(team: &Team, problem: &Problem, at: &[f64]) -> impl Iterator<Item = Command> {
+    team.curves.iter().zip(at).zip(&problem.reaches).map(|((curve, at), reach)| {
+        let (heading, speed_mps) = reach.motion_to(reach.to_target_m - curve.sight_m(*at));
+        Command { heading_rad: heading.angle_rad(), speed_mps }
+    })
+}
+
+/// What is known after these commands.
+fn commanded(team: &Team, situation: &Situation, problem: &Problem, plan: &Plan) -> Information {
+    team.fused().fold(team.prior, |sum, i| {
+        let Command { heading_rad, speed_mps } = plan.commands[i];
+        let offset_m = Vector::from_angle(heading_rad) * (speed_mps * situation.step_s);
+        sum + team.curves[i].noise.information(problem.reaches[i].to_target_m - offset_m)
+    })
+}
+
+/// The bound of the curves' hulls for these commands; it holds for every planner.
+pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &Plan) -> Certificate {
+    let mut team = Team::default();
+    team.pose(situation, problem);
+    let total = commanded(&team, situation, problem, plan);
+    let lower_bound = team.bound(team.criterion, total);
+    Certificate {
+        lower_bound,
+        least_trace_m2: team.bound(Criterion::Trace, total),
+        is_optimal: plan.worth.objective - lower_bound <= search::GAP_MAX * plan.worth.objective,
+    }
+}
