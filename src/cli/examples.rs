@@ -13,7 +13,7 @@ pub(super) const ALL: &str = "Examples:
                                         track a target from recorded ranges
   rangehound compare --robots 5         all planners on the same 1000 targets
   rangehound kill robot-1               kill a robot of a run, as a crash would
-  rangehound status --watch             show the processes, from another terminal
+  rangehound status --watch             show its processes, in another terminal
 
 Each command has its own --help with examples. `rangehound man` prints the
 manual. Output has colours on a terminal, unless NO_COLOR is set.
@@ -74,7 +74,7 @@ const SIM: &str = "Examples, each in a terminal of its own, in any order:
 
 const FUSION: &str = "Examples:
   rangehound fusion --name demo
-  rangehound fusion --name demo --standby        takes over when the first one dies";
+  rangehound fusion --name demo --standby        takes over if the first dies";
 
 const ROBOT: &str = "Example:
   rangehound robot --id 2 --name demo            the third robot of run demo";
@@ -122,8 +122,8 @@ absent) and planner (a name). The answers are lines in the same order:
 objective is |S|, and no headings reach less than lower_bound. certified means
 that no headings are better, up to rounding. The answer to an invalid line is
 {\"line\":N,\"error\":\"..\"}. The error is also printed to standard error, the next
-lines are still answered, and the exit code is 2. Lines count from 1; blank lines
-are skipped. Each answer is written before the program waits for more input.
+lines are still answered, and the exit code is 2. Lines count from 1; blank
+lines are skipped. The program answers before it waits for more input.
 
 Examples:
   rangehound plan problems.jsonl > answers.jsonl
@@ -177,7 +177,7 @@ means that the system was faster than the reference.
 
 Examples:
   rangehound latency --robots 10 --pin one-core  all processes on one processor
-  rangehound latency --robots 10 --rate 100      in real time, 100 ticks a second";
+  rangehound latency --robots 10 --rate 100      in real time, at 100 Hz";
 
 const SCENARIO: &str = "Example:
   rangehound scenario > mine.toml

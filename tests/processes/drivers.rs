@@ -105,7 +105,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     let nodes = [run.command("sim mine.toml"), run.node("fusion")];
     let words = ["--name", &run.name, "--id", "0", "--port", port.to_str().unwrap(), "--format", "dwm1001"];
     let missing = run.start_program(&example, &words).finish();
-    assert!(missing.code == Some(2) && missing.stderr.contains("--anchor ID"), "{missing:#?}");
+    assert!(missing.code == Some(2) && missing.stderr.contains("--anchor is missing"), "{missing:#?}");
     let robot = run.start_program(&example, &[&words[..], &["--anchor", "022e"]].concat());
 
     let flags = OFlags::NONBLOCK.bits().cast_signed();

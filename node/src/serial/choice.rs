@@ -150,6 +150,6 @@ mod tests {
     #[test]
     fn a_radio_with_several_anchors_needs_an_anchor_id() {
         let error = Radio { format: Format::Dwm1001, ..Radio::default() }.choice().unwrap_err();
-        assert!(error.to_string().contains("--anchor ID"), "{error}");
+        assert!(error.to_string().contains("--anchor is missing"), "{error}");
     }
 }

@@ -437,7 +437,7 @@ mod tests {
         let stamped = format!("1.5 {LEC}\n");
         assert!(complaint(Format::Dwm1001, stamped.as_bytes(), &options).contains("leave out --rate"));
         let options = LogOptions { rate_hz: Some(f64::NAN), ..options };
-        assert!(complaint(Format::Dwm1001, text.as_bytes(), &options).contains("--rate is 0: expected"));
+        assert!(complaint(Format::Dwm1001, text.as_bytes(), &options).contains("--rate is NaN: expected"));
     }
 
     #[test]

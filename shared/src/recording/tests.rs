@@ -255,11 +255,11 @@ fn anchors_files_are_refused_by_row() {
     assert!(refused("sensor_id,x_m,y_m\nA,0,0\nA,1,0\n").contains("row 2 (line 3): expected each anchor at one place"));
     assert!(
         refused("sensor_id,x_m,y_m\nA,0,zero\n")
-            .starts_with("y_m is \"zero\" in anchors.csv, row 1 (line 2): expected a finite number")
+            .starts_with("y_m is \"zero\" in a.csv, row 1 (line 2): expected a finite number")
     );
     assert!(
         refused("sensor_id,x_m,y_m\nA,0\n")
-            .starts_with("y_m is missing, the row has 2 fields, in anchors.csv, row 1 (line 2): expected 3 fields")
+            .starts_with("y_m is missing, the row has 2 fields, in a.csv, row 1 (line 2): expected 3 fields")
     );
     assert!(refused("sensor_id,x_m,y_m\nA,0,5,1,5\n").contains("probably decimal commas"));
     assert!(refused("sensor_id,x,y_m\nA,0,0\n").contains("--columns x=x:m"));
@@ -300,7 +300,10 @@ fn wide_logs_have_a_column_for_each_anchor() {
 #[test]
 fn wide_logs_that_cannot_be_told_apart_are_asked_about() {
     let rivals = complaint("time_s,range_A_m,dist_A_m\n0,1,2\n", &anchored(ANCHORS, ""));
-    assert!(rivals.contains("the ranges of anchor \"A\" may be in \"range_A_m\", \"dist_A_m\""), "{rivals}");
+    assert!(
+        rivals.starts_with("several columns, \"range_A_m\", \"dist_A_m\", that may have the ranges of anchor \"A\""),
+        "{rivals}"
+    );
     assert!(rivals.contains("--columns 'range=range_*:m'"), "{rivals}");
     let alone = complaint("time_s,A_m,B_m\n0,1,2\n", &ReadOptions::default());
     assert!(alone.contains("a log with a column for each anchor needs --anchors FILE"), "{alone}");
@@ -334,10 +337,7 @@ fn a_bad_row_is_passed_over_and_counted_unless_strict() {
             "0.3,A,0,0",
             "range_m is missing, the row has 4 fields, in row 4 (line 5): expected 5 fields as in the header",
         ),
-        (
-            "0.3,\"A,0,0,1",
-            "the row is \"0.3,\\\"A,0,0,1\" in row 4 (line 5): expected fields with a quote at both ends",
-        ),
+        ("0.3,\"A,0,0,1", " in row 4 (line 5): expected fields with a quote at both ends"),
         (",,,,", "time_s is \"\" in row 4 (line 5): expected a finite number within +-1e11"),
         ("0.3,\u{fffd}\u{1},0,0,1", "in row 4 (line 5): expected a name"),
     ] {
@@ -517,10 +517,10 @@ fn tracks_are_read_as_recordings_are() {
     assert_eq!(plain, [(0.0, [1.5, 2.0]), (1.0, [3.0, 4.5])]);
     assert_eq!(read("# mocap\nt_ms;z_m;X (mm);Y (mm)\n0;0;1500;2000\n1000;0;3000;4500,0\n").unwrap(), plain);
     let refused = |text: &str| read(text).unwrap_err().to_string();
-    assert!(refused("time_s,x,y\n0,1,2\n").contains("name them as in time_s, x_m, y_m"));
+    assert!(refused("time_s,x,y\n0,1,2\n").contains("expected a unit in each name, as in time_s, x_m, y_m"));
     assert!(refused("time_s,x_m\n0,1\n").contains("missing columns time_s and x_m and y_m"));
     assert!(refused("time_s,x_m,y_m\n0,1,2,5\n").contains("row 1 (line 2)"));
-    assert!(refused("time_s,x_m,y_m\n1,1,2\n0,1,2\n").contains("row 2 (line 3): time_s"));
+    assert!(refused("time_s,x_m,y_m\n1,1,2\n0,1,2\n").starts_with("time_s is \"0\" in t.csv, row 2 (line 3)"));
     assert!(refused("time_s,x_m,y_m\n1,1,2\n").contains("two rows"));
 }
 

@@ -6,8 +6,17 @@ use serde_json::{Value, json};
 
 use super::*;
 
-const KEYS: [&str; 8] =
-    ["certified", "headings_rad", "lower_bound", "objective", "plan_us", "planner", "position_trace_m2", "speeds_mps"];
+const KEYS: [&str; 9] = [
+    "certified",
+    "headings_rad",
+    "lower_bound",
+    "lower_bound_trace_m2",
+    "objective",
+    "plan_us",
+    "planner",
+    "position_trace_m2",
+    "speeds_mps",
+];
 
 fn solver() -> LineSolver {
     // A coarse grid, so that teams of several robots are served quickly.
