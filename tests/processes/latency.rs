@@ -61,7 +61,7 @@ fn ended_or_killed_it_leaves_nothing() {
         let ended = measured.finish();
         if signal == Signal::INT {
             assert_eq!(ended.code, Some(1), "{ended:#?}");
-            assert_eq!(ended.complaints(), ["rangehound: ended before the last round, as asked"]);
+            assert_eq!(ended.complaints(), ["rangehound: asked to end before the last round"]);
         }
         run.assert_nothing_left();
     }
