@@ -29,13 +29,13 @@ struct Args {
     /// Name of the run to join; waits for it to be founded
     #[arg(long)]
     name: RunName,
-    /// Which robot of the team, counted from 0
+    /// Number of the robot in the team, from 0
     #[arg(long, value_name = "N")]
     id: usize,
     /// Device, FIFO or file; - for standard input
     #[arg(long, value_name = "PATH")]
     port: PathBuf,
-    /// What the radio prints: plain (`12.34` or `A,12.34` a line, m), dwm1001 (`lec` or `les` in its shell), linktrack
+    /// Format of the radio: plain (lines of `12.34` or `A,12.34`, m), dwm1001 (`lec` or `les` in its shell), linktrack
     /// (NodeFrame3), mauwb (`AT+RANGE=`)
     #[arg(long, default_value_t)]
     format: Format,
@@ -45,7 +45,7 @@ struct Args {
     /// Tag that measures this robot's range, if the radio prints tag ids [default: the first seen]
     #[arg(long, value_name = "ID")]
     tag: Option<String>,
-    /// Where commands go: a device; - for standard output [default: the port if it is a device and plain, else -]
+    /// Destination of commands: a device, or - for standard output [default: the port if it is a device and plain, else -]
     #[arg(long, value_name = "PATH")]
     drive: Option<PathBuf>,
     /// Age at which a range expires, s [default: the scenario's time step]

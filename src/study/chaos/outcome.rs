@@ -295,7 +295,7 @@ impl Round {
             Ended::Done => {}
             Ended::Failed => broken.push(format!("the run failed: {}", self.last_message)),
             Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
-            Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
+            Ended::Interrupted => broken.push("asked to end before its last fault".to_owned()),
         }
         if let Some(baseline) = self.baseline.as_ref().filter(|_| self.is_repeatable) {
             let (got, expected) = (&self.tally, baseline);
