@@ -24,7 +24,7 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// A failure of what the user gave.
+    /// A failure because of the user's input.
     pub fn input(problem: impl std::fmt::Display) -> Self {
         Self::Input(problem.to_string())
     }
@@ -47,26 +47,26 @@ impl Failure {
 }
 
 fn complain(problem: &str) {
-    tell(format_args!("{BAD}rangehound:{BAD:#} {}", one_short_line(problem)));
+    print_stderr(format_args!("{BAD}rangehound:{BAD:#} {}", one_short_line(problem)));
 }
 
-/// An error and what caused it, each said once: many errors quote their cause themselves. With the limit that has been
-/// reached, where it is one of the system's.
+/// An error with its causes, each once: many errors quote their cause themselves. If a limit of the system was reached,
+/// it is named.
 pub(crate) fn with_causes(error: &anyhow::Error) -> String {
-    let mut said = error.to_string();
+    let mut message = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !said.contains(&cause) {
-            let _ = write!(said, ": {cause}");
+        if !message.contains(&cause) {
+            let _ = write!(message, ": {cause}");
         }
     }
     let refusal = error.chain().find_map(|cause| limits::explain(cause.downcast_ref()?));
     if let Some(limit) = refusal {
-        let _ = write!(said, ": {limit}");
+        let _ = write!(message, ": {limit}");
     }
-    said
+    message
 }
 
-/// No line break and no end of it, whatever has been quoted.
+/// The message on one line of limited length, whatever it quotes.
 #[must_use]
 pub fn one_short_line(problem: &str) -> String {
     let mut short = String::new();
@@ -81,11 +81,11 @@ pub fn one_short_line(problem: &str) -> String {
 }
 
 /// Writes a line to standard error. If that is closed, the line is dropped: `eprintln!` would panic.
-pub fn tell(line: impl std::fmt::Display) {
+pub fn print_stderr(line: impl std::fmt::Display) {
     let _ = terminal::write_above_bar(format_args!("{line}\n"));
 }
 
-/// Prints to standard output. A closed pipe is no failure; any other error is, without the panic of `println!`.
+/// Prints to standard output. A closed pipe is not a failure. Unlike `println!`, it never panics.
 ///
 /// # Errors
 /// [`Failure::Running`], such as a full disk's.
@@ -102,11 +102,11 @@ pub fn print_if_read(text: impl std::fmt::Display) -> Result<bool, Failure> {
     match write!(out, "{text}").and_then(|()| out.flush()) {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
-        Err(error) => Err(anyhow::Error::new(error).context("standard output").into()),
+        Err(error) => Err(anyhow::Error::new(error).context("cannot write to standard output").into()),
     }
 }
 
-/// Prints a value as one line of JSON: lines of many calls in one file are a table.
+/// Prints a value as one line of JSON.
 ///
 /// # Errors
 /// [`Failure::Running`], as [`print()`].

@@ -4,13 +4,13 @@
 //!
 //! | of | rule | in |
 //! |---|---|---|
-//! | [`Samples`], [`Ascending::measured`] | the least value that this part of all values, or more, do not exceed: nearest rank, as HdrHistogram has it | latencies, hops and ranges; times of recovery |
+//! | [`Samples`], [`Ascending::measured`] | the least value that at least this part of all values do not exceed: nearest rank, as in HdrHistogram | latencies, hops and ranges; times of recovery |
 //! | [`Ascending::quantile`] | linear between two ranks: Hyndman and Fan's type 7 (1996) | `compare`, medians over rounds, the axes of `report.html` |
-//! | [`median`] | the value in the middle, the upper one of two | the trace in the report, `calibrate`, points of the live page |
+//! | [`median`] | the middle value, the upper one of two | the trace in the report, `calibrate`, points of the live page |
 
 use hdrhistogram::Histogram;
 
-/// The standard normal distribution's 97.5 % quantile: half of a 95 % interval, in standard deviations.
+/// The 97.5 % quantile of the standard normal distribution: half the width of a 95 % interval, in standard deviations.
 pub const Z_95: f64 = 1.959_963_984_540_054;
 
 /// An interval.
@@ -44,7 +44,7 @@ impl FromIterator<f64> for Ascending {
 }
 
 impl Ascending {
-    /// The `quantile` (0 to 1), interpolated linearly between ranks; NaN of nothing.
+    /// The `quantile` (0 to 1), interpolated linearly between ranks; NaN without values.
     #[must_use]
     pub fn quantile(&self, quantile: f64) -> f64 {
         let Some(last) = self.0.len().checked_sub(1) else { return f64::NAN };
@@ -55,32 +55,32 @@ impl Ascending {
         if low == high { low } else { low + (high - low) * (rank - below as f64) }
     }
 
-    /// The least value that the part `quantile` (0 to 1) of all, or more, do not exceed; `None` of nothing.
+    /// The least value that at least the part `quantile` (0 to 1) of all values do not exceed; `None` without values.
     #[must_use]
     pub fn measured(&self, quantile: f64) -> Option<f64> {
         let rank = (quantile * self.0.len() as f64).ceil() as usize;
         self.0.get(rank.saturating_sub(1)).copied()
     }
 
-    /// The part of the values that is at most `limit`; 0 of nothing.
+    /// The part of the values that are at most `limit`; 0 without values.
     #[must_use]
     pub fn fraction_at_most(&self, limit: f64) -> f64 {
         self.0.partition_point(|value| *value <= limit) as f64 / self.count().max(1) as f64
     }
 
-    /// How many there are.
+    /// Number of values.
     #[must_use]
     pub fn count(&self) -> usize {
         self.0.len()
     }
 }
 
-/// Many values, each counted to three digits, in whole thousandths of the reported unit: ns of us, mm of m.
+/// A histogram of values with three digits, added in thousandths of the reported unit: ns for us, mm for m.
 #[derive(Debug, Clone)]
 pub struct Samples(Histogram<u64>);
 
 impl Samples {
-    /// Nothing yet.
+    /// An empty histogram.
     ///
     /// # Errors
     /// If the histogram cannot be made.
@@ -90,34 +90,34 @@ impl Samples {
 
     /// Adds a value.
     pub fn add(&mut self, thousandths: u64) {
-        // It resizes as needed, so nothing can be out of its bounds.
+        // The histogram grows as needed, so this cannot fail.
         let _ = self.0.record(thousandths);
     }
 
-    /// Adds all of another's values.
+    /// Adds all values of another histogram.
     pub fn add_all(&mut self, other: &Self) {
-        // It resizes here too.
+        // The histogram grows here too.
         let _ = self.0.add(&other.0);
     }
 
-    /// Forgets all.
+    /// Removes all values.
     pub fn clear(&mut self) {
         self.0.reset();
     }
 
-    /// How many there are.
+    /// Number of values.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.0.len()
     }
 
-    /// The `quantile` (0 to 1); 0 of nothing.
+    /// The `quantile` (0 to 1); 0 without values.
     #[must_use]
     pub fn at(&self, quantile: f64) -> f64 {
         self.0.value_at_quantile(quantile) as f64 / 1e3
     }
 
-    /// The largest; 0 of nothing.
+    /// The largest value; 0 without values.
     #[must_use]
     pub fn max(&self) -> f64 {
         self.0.max() as f64 / 1e3
@@ -129,22 +129,22 @@ impl Samples {
         Percentiles { p50: self.at(0.5), p99: self.at(0.99) }
     }
 
-    /// Quantiles with their values, the nearer to each other the nearer they are to 1: so many from one halving of what
-    /// is left to the next.
+    /// Quantiles with their values. They become denser towards 1: each time the remaining part halves, there are
+    /// `points_per_halving` of them.
     pub fn curve(&self, points_per_halving: u32) -> impl Iterator<Item = (f64, f64)> {
         let steps = self.0.iter_quantiles(points_per_halving);
         steps.map(|step| (step.quantile_iterated_to(), step.value_iterated_to() as f64 / 1e3))
     }
 }
 
-/// The value in the middle of values in any order, which are reordered: the upper one of two; `None` of nothing.
+/// The median, the upper one of two middle values; reorders the values. `None` without values.
 #[must_use]
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Mean of values that come one by one. Those that are no numbers do not count.
+/// Mean of values that are added one by one. NaN values do not count.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Mean {
     sum: f64,
@@ -160,13 +160,13 @@ impl Mean {
         }
     }
 
-    /// How many there are.
+    /// Number of values.
     #[must_use]
     pub fn count(self) -> f64 {
         self.count
     }
 
-    /// The mean; `None` of nothing.
+    /// The mean; `None` without values.
     #[must_use]
     pub fn value(self) -> Option<f64> {
         (self.count > 0.0).then(|| self.sum / self.count)
@@ -179,7 +179,7 @@ impl std::iter::Sum for Mean {
     }
 }
 
-/// Mean of the values that are numbers; NaN of nothing.
+/// Mean of the values that are not NaN; NaN without values.
 #[must_use]
 pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     let mut mean = Mean::default();
@@ -188,7 +188,7 @@ pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
 }
 
 /// Wilson's 95 % score interval of a rate, for `successes` in `trials` (Wilson 1927): unlike the normal
-/// interval it holds near 0 and 1.
+/// interval, it is valid near 0 and 1.
 #[must_use]
 pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
     if trials == 0 {
@@ -198,15 +198,15 @@ pub fn wilson_interval(successes: usize, trials: usize) -> Interval {
     let rate = successes as f64 / n;
     let centre = (rate + z2 / (2.0 * n)) / (1.0 + z2 / n);
     let half = Z_95 / (1.0 + z2 / n) * (rate * (1.0 - rate) / n + z2 / (4.0 * n * n)).sqrt();
-    // At 0 and at 1 the ends are exact, but not in floating point.
+    // The formula gives exactly 0 and 1 here, but not in floating point.
     let low = if successes == 0 { 0.0 } else { centre - half };
     let high = if successes == trials { 1.0 } else { centre + half };
     Interval { low, high }
 }
 
-/// Where the mean of `samples` independent chi-square variables of `dof` degrees of freedom each, divided
-/// by `dof`, lies with 95 %: the bounds of an ANEES. By Wilson and Hilferty's cube (1931), within 1 %
-/// from 10 degrees of freedom in all.
+/// The 95 % interval of the mean of `samples` independent chi-square variables of `dof` degrees of freedom each, divided by
+/// `dof`: the bounds of an ANEES. By the approximation of Wilson and Hilferty (1931), accurate to 1 % from 10 degrees of
+/// freedom in all.
 #[must_use]
 pub fn chi_square_mean_bounds(dof: usize, samples: usize) -> Interval {
     let spread = 2.0 / (9.0 * (dof * samples).max(1) as f64);

@@ -10,40 +10,40 @@ use anstyle::{AnsiColor, Style};
 use indicatif::ProgressBar;
 use log::Level;
 
-/// Columns that output for people keeps to, where no path or message of the system is longer.
+/// Columns of output for people; only paths and messages of the system may be longer.
 pub const WIDTH: usize = 80;
 
-/// What the rest belongs to.
+/// A title.
 pub const TITLE: Style = Style::new().bold();
 
-/// As it should be.
+/// A good state.
 pub const GOOD: Style = AnsiColor::Green.on_default();
 
-/// To be looked at.
+/// A state that needs attention.
 pub const DOUBTFUL: Style = AnsiColor::Yellow.on_default();
 
-/// Gone, failed, broken.
+/// A failure.
 pub const BAD: Style = AnsiColor::Red.on_default().bold();
 
 /// Columns of the labels of a report, with the space on both sides.
 const LABEL: usize = 19;
 
-/// The bar that is on the terminal, if one is.
+/// The progress bar on the terminal, if there is one.
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// A stream that takes colours out unless it ends at a terminal that shows them, and `NO_COLOR` does not forbid it.
+/// A stream that removes colours, unless it goes to a terminal that shows them and `NO_COLOR` is not set.
 pub fn stream<S: RawStream>(raw: S) -> AutoStream<S> {
     let choice = if is_dumb() { ColorChoice::Never } else { AutoStream::choice(&raw) };
     AutoStream::new(raw, choice)
 }
 
-/// True if standard error can be drawn over: a terminal, and one that moves its cursor.
+/// True if standard error is a terminal that can move its cursor.
 #[must_use]
 pub fn draws_on_stderr() -> bool {
     std::io::stderr().is_terminal() && !is_dumb()
 }
 
-/// The same of standard output.
+/// True if standard output is such a terminal.
 #[must_use]
 pub fn draws_on_stdout() -> bool {
     std::io::stdout().is_terminal() && !is_dumb()
@@ -53,17 +53,17 @@ fn is_dumb() -> bool {
     std::env::var_os("TERM").is_some_and(|term| term == "dumb")
 }
 
-/// Puts a bar on the terminal, or takes the one that is there away.
+/// Sets the progress bar that is on the terminal, or none.
 pub fn set_bar(bar: Option<ProgressBar>) {
     *BAR.lock().unwrap_or_else(PoisonError::into_inner) = bar;
 }
 
-/// Writes to standard error above the bar.
+/// Writes to standard error above the progress bar.
 ///
 /// # Errors
-/// Those of writing.
+/// If writing fails.
 pub fn write_above_bar(text: impl Display) -> std::io::Result<()> {
-    // The lock is not held while writing, which may be slow: another thread may want to end the bar.
+    // Writing may be slow, so the lock is released first: another thread may need to remove the bar.
     let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
     let write = || write!(stream(std::io::stderr().lock()), "{text}");
     match bar {
@@ -72,15 +72,15 @@ pub fn write_above_bar(text: impl Display) -> std::io::Result<()> {
     }
 }
 
-/// Empties the screen that standard output is, and goes to its top.
+/// Clears the terminal of standard output and moves the cursor to its top.
 ///
 /// # Errors
-/// Those of writing.
+/// If writing fails.
 pub fn clear_screen() -> std::io::Result<()> {
     std::io::stdout().write_all(b"\x1b[H\x1b[2J")
 }
 
-/// Starts the log on standard error: for a person, without stamps and above the bar; for files, with stamps.
+/// Starts the log on standard error: without time stamps and above the bar on a terminal, with time stamps elsewhere.
 pub fn start_log() {
     let mut log = env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn"));
     log.format_target(false);
@@ -99,7 +99,7 @@ pub fn start_log() {
     log.init();
 }
 
-/// Where the log goes on a terminal.
+/// The destination of the log on a terminal.
 struct AboveBar;
 
 impl Write for AboveBar {
@@ -112,19 +112,19 @@ impl Write for AboveBar {
     }
 }
 
-/// A line of a report, `  label            text`, broken after commas where it gets too long.
+/// A line of a report, `  label            text`, broken after commas if it is too long.
 #[must_use]
 pub fn field(label: &str, text: impl Display) -> String {
     field_in(Style::new(), label, text)
 }
 
-/// The same, its label in a style.
+/// As [`field`], with the label in a style.
 #[must_use]
 pub fn field_in(style: Style, label: &str, text: impl Display) -> String {
     labelled(style, label, |indent| wrapped(&text.to_string(), indent))
 }
 
-/// The same for sentences, broken between any two words.
+/// As [`field_in`] for sentences, broken between words.
 #[must_use]
 pub fn prose_in(style: Style, label: &str, text: impl Display) -> String {
     labelled(style, label, |indent| broken(&text.to_string(), indent, " "))
@@ -136,8 +136,8 @@ fn labelled(style: Style, label: &str, text: impl FnOnce(usize) -> String) -> St
     format!("  {style}{label}{style:#}{padding}{}", text(indent))
 }
 
-/// Text that begins in a column, broken after commas so that each part stays in [`WIDTH`] if it can, and goes on below its
-/// beginning.
+/// Text that begins in a column, broken after commas so that each line fits in [`WIDTH`] if possible. Further lines are
+/// indented to the same column.
 #[must_use]
 pub fn wrapped(text: &str, indent: usize) -> String {
     broken(text, indent, ", ")

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
 use rangehound_fusion::filter::{Gaussian, RangeInformation};
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
-use rangehound_fusion::planner::{self, Plan, Sensor, Situation};
+use rangehound_fusion::planner::{self, Plan, Situation};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{Clearance, PlannerSpec};
@@ -31,9 +31,9 @@ fn filter(criterion: &mut Criterion) {
     let start = Gaussian { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() };
     for robots in [3, 10, 100, 1_000] {
         let readings: Vec<_> = team(robots)
-            .map(|robot| {
-                let Sensor::Range { std_m } = robot.sensor;
-                (Vector2::new(robot.position_m.x, robot.position_m.y), robot.position_m.norm(), std_m)
+            .filter_map(|robot| {
+                let position_m = Vector2::new(robot.position_m.x, robot.position_m.y);
+                Some((position_m, robot.position_m.norm(), robot.sensor.range?.std_m))
             })
             .collect();
         group.throughput(Throughput::Elements(robots as u64));
@@ -50,7 +50,7 @@ fn filter(criterion: &mut Criterion) {
     }
 }
 
-/// Every planner whose work grows slower than exponentially, from a problem to commands.
+/// From a problem to commands, for every planner that does not take exponential time.
 fn planners(criterion: &mut Criterion) {
     for spec in PLANNERS {
         let mut group = criterion.benchmark_group(spec.name());
@@ -115,8 +115,8 @@ fn pose_and_plan(criterion: &mut Criterion) {
     }
 }
 
-/// The paper's reference against the proven optimum of (25) without (26): no speed limit and so no
-/// headings. Their objectives are printed beside the times: the grid at its step is the coarser of the two. Four robots would take the grid seconds a step.
+/// The paper's grid search against the proven optimum of (25) without (26): no speed limit, and so no headings. Also
+/// prints their objectives; the grid is the less accurate of the two. With four robots the grid takes seconds per step.
 fn grid(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("without constraints");
     group.sample_size(10);

@@ -17,8 +17,8 @@ use rangehound_fusion::planner::{Situation, TeamMember};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioFile};
 
-/// A team of `robots` round a target: as far away as in the paper's runs, within reach of a step now
-/// and then, each with noise of its own.
+/// A team of `robots` around a target, at distances as in the paper's runs, some within reach of a step, each with its own
+/// noise.
 pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
     (0..robots).map(|i| {
         let (i, golden_angle) = (i as f64, 2.399_963);
@@ -28,8 +28,8 @@ pub fn team(robots: usize) -> impl Iterator<Item = TeamMember> {
     })
 }
 
-/// The planning problem of [`team`] under a prior that is longer than wide, and known the better the
-/// larger the team: in steady state the prior informs as much as a few ticks' ranges do.
+/// The planning problem of [`team`] under an elongated prior that is more accurate for larger teams: in steady state the
+/// prior has as much information as the ranges of a few ticks.
 #[must_use]
 pub fn problem(robots: usize) -> Problem {
     let prior = Matrix2::new(0.4, 0.1, 0.1, 0.2) * (3.0 / robots as f64);

@@ -192,9 +192,9 @@ pub fn true_tracks(bytes: &[u8]) -> Verdict {
 
 /// A line for `plan`.
 pub fn plan_lines(bytes: &[u8]) -> Verdict {
-    thread_local!(static DESK: RefCell<LineSolver> = RefCell::new(LineSolver::new(PlannerTable::default(), 1).unwrap()));
+    thread_local!(static SOLVER: RefCell<LineSolver> = RefCell::new(LineSolver::new(PlannerTable::default(), 1).unwrap()));
     let mut answer = Vec::new();
-    let complaint = DESK.with_borrow_mut(|desk| desk.answer(7, bytes, &mut answer));
+    let complaint = SOLVER.with_borrow_mut(|solver| solver.answer(7, bytes, &mut answer));
     assert_eq!(answer.iter().filter(|byte| **byte == b'\n').count(), 1);
     let answer: serde_json::Value = serde_json::from_slice(&answer).unwrap();
     assert_eq!(answer["error"].as_str(), complaint.as_deref());
@@ -280,7 +280,7 @@ fn sim_state(scenario: &Scenario, bytes: &[u8]) -> Verdict {
     let mut world = world_of(scenario, Path::new(""))?;
     world.restore(bytes)?;
     world.advance(&[]);
-    assert!(world.entries().iter().all(|entry| entry.is_sound()));
+    assert!(world.entries().iter().all(|entry| entry.is_valid()));
     Ok(())
 }
 

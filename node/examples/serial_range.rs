@@ -29,13 +29,13 @@ struct Args {
     /// Name of the run to join; waits for it to be founded
     #[arg(long)]
     name: RunName,
-    /// Which robot of the team, counted from 0
+    /// Number of the robot in the team, from 0
     #[arg(long, value_name = "N")]
     id: usize,
     /// Device, FIFO or file; - for standard input
     #[arg(long, value_name = "PATH")]
     port: PathBuf,
-    /// What the radio prints: plain (`12.34` or `A,12.34` a line, m), dwm1001 (`lec` or `les` in its shell), linktrack
+    /// Format of the radio: plain (lines of `12.34` or `A,12.34`, m), dwm1001 (`lec` or `les` in its shell), linktrack
     /// (NodeFrame3), mauwb (`AT+RANGE=`)
     #[arg(long, default_value_t)]
     format: Format,
@@ -45,7 +45,7 @@ struct Args {
     /// Tag that measures this robot's range, if the radio prints tag ids [default: the first seen]
     #[arg(long, value_name = "ID")]
     tag: Option<String>,
-    /// Where commands go: a device; - for standard output [default: the port if it is a device and plain, else -]
+    /// Destination of commands: a device, or - for standard output [default: the port if it is a device and plain, else -]
     #[arg(long, value_name = "PATH")]
     drive: Option<PathBuf>,
     /// Age at which a range expires, s [default: the scenario's time step]
@@ -63,18 +63,32 @@ fn main() -> Result<()> {
     env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("warn")).format_target(false).init();
     let args = Args::parse();
     if args.format != Format::Plain && args.anchor.is_none() {
-        let complaint =
-            format!("--format {}: expected --anchor ID, the anchor that measures this robot's range", args.format);
+        let complaint = format!(
+            "--anchor is missing for --format {}: expected the id of the anchor that measures this robot's range",
+            args.format
+        );
         Args::command().error(ErrorKind::MissingRequiredArgument, complaint).exit();
     }
-    ensure!(bounds::BIAS_M.contains(&args.range_bias), "--range-bias: expected {:?} m", bounds::BIAS_M);
-    ensure!(bounds::SCALE.contains(&args.range_scale), "--range-scale: expected {:?}", bounds::SCALE);
+    ensure!(
+        bounds::BIAS_M.contains(&args.range_bias),
+        "--range-bias is {}: expected {:?} m",
+        args.range_bias,
+        bounds::BIAS_M
+    );
+    ensure!(
+        bounds::SCALE.contains(&args.range_scale),
+        "--range-scale is {}: expected {:?}",
+        args.range_scale,
+        bounds::SCALE
+    );
     let termination = Termination::listen()?;
     Role::Robot(args.id).name_process();
     let waiting = || log::warn!("waiting for run {}; `rangehound sim --name {0}` starts it", args.name);
     let run = Rendezvous::join(&args.name, &termination, waiting)?;
     let scenario = &run.description().scenario;
-    let robot = scenario.robots.get(args.id).context("--id: the run has no such robot")?;
+    let robot = scenario.robots.get(args.id).with_context(|| {
+        format!("robot {} (--id) is not in the run: expected 0 to {}", args.id, scenario.robots.len() - 1)
+    })?;
 
     let port = || format!("--port {}", args.port.display());
     let calibration = Calibration { bias_m: args.range_bias, scale: args.range_scale };
@@ -86,7 +100,7 @@ fn main() -> Result<()> {
     let command_port = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
     let drive = args.drive.unwrap_or(command_port);
     let mut actuator =
-        SerialActuator::open(&drive).with_context(|| format!("where commands go: {}", drive.display()))?;
+        SerialActuator::open(&drive).with_context(|| format!("cannot send commands to {}", drive.display()))?;
     Ok(run_with(&run, args.id, &mut sensor, &mut actuator, &termination)?)
 }
 

@@ -38,7 +38,7 @@ const FIRST_READ: usize = 4_096;
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file holds no state of this run that this build can read.
-    #[error("{}: {reason}; it is kept as {}: start a new run, or restore a valid checkpoint", .file.display(), .kept.display())]
+    #[error("cannot use {}: {reason}: start a new run, or restore a valid checkpoint; the file is kept as {}", .file.display(), .kept.display())]
     Unusable {
         /// The file.
         file: PathBuf,
@@ -64,7 +64,7 @@ pub enum CheckpointError {
         reason: SealError,
     },
     /// The state is larger than a slot.
-    #[error("{}: a state of {len} bytes, expected at most {}", .file.display(), SLOT_LEN - LEN_BYTES)]
+    #[error("cannot write {}: a state of {len} bytes, expected at most {}", .file.display(), SLOT_LEN - LEN_BYTES)]
     TooLarge {
         /// The file.
         file: PathBuf,
@@ -108,7 +108,9 @@ impl Checkpoint {
                         // This process was deposed: the file belongs to its successor.
                         Ok(None) => return Ok((None, state)),
                         Err(error) => {
-                            log::warn!("goes on without a checkpoint; a kill would now end the run: {error}");
+                            log::warn!(
+                                "{error}: this node continues without a checkpoint; if it is killed, the run ends"
+                            );
                             checkpoint.remove();
                             return Ok((None, state));
                         }
@@ -118,7 +120,7 @@ impl Checkpoint {
             }
             Err(error @ CheckpointError::Unusable { .. }) => Err(error),
             Err(error) => {
-                log::warn!("goes on without a checkpoint; a kill would now end the run: {error}");
+                log::warn!("{error}: this node continues without a checkpoint; if it is killed, the run ends");
                 Ok((None, None))
             }
         }
@@ -130,7 +132,7 @@ impl Checkpoint {
         if let Some(file) = checkpoint
             && let Err(error) = file.write(state)
         {
-            log::warn!("goes on without a checkpoint; a kill would now end the run: {error}");
+            log::warn!("{error}: this node continues without a checkpoint; if it is killed, the run ends");
             file.remove();
             *checkpoint = None;
         }

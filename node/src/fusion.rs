@@ -42,7 +42,7 @@ pub enum FusionError {
     #[error(transparent)]
     Diverged(#[from] Diverged),
     /// Another process took the role because this one sent no heartbeat.
-    #[error("sent no heartbeat and was deposed")]
+    #[error("this fusion sent no heartbeat, and another one took its role")]
     Deposed,
 }
 
@@ -70,7 +70,7 @@ pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result
         drop(standby);
         bus.take_role(rendezvous, Role::Fusion, &lease)?;
         match fusion.lead(lease, termination) {
-            Err(FusionError::Deposed) => log::warn!("{}; stands by", FusionError::Deposed),
+            Err(FusionError::Deposed) => log::warn!("{}; it stands by now", FusionError::Deposed),
             ended => return ended,
         }
     }
@@ -140,7 +140,7 @@ impl<'a> Driver<'a> {
             if let Some(silent_since) = standby.look(roster.last_heartbeat(Role::Fusion))
                 && let Some(lease) = roster.depose(Role::Fusion, silent_since)?
             {
-                log::warn!("fusion sent no heartbeat for {:?}: deposed it", standby.silence_max());
+                log::warn!("fusion sent no heartbeat for {:?}: this standby takes its role", standby.silence_max());
                 return Ok(Some(lease));
             }
             if standby.waits_anew(roster.file_of(Role::Fusion)) {
@@ -181,8 +181,11 @@ impl<'a> Driver<'a> {
 
     fn go_on_from_checkpoint(&mut self, lease: &RoleLease) -> Result<(), FusionError> {
         let description = self.rendezvous.description();
-        self.log =
-            logs::write_estimates(description).inspect_err(|error| log::warn!("goes on without a log: {error}")).ok();
+        self.log = logs::write_estimates(description)
+            .inspect_err(|error| {
+                log::warn!("{error}: the run continues without this log; report and recording will miss these ticks")
+            })
+            .ok();
         let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(self.rendezvous, Role::Fusion, lease)?;
         self.checkpoint = checkpoint;
         let Some(saved) = restored else {
@@ -261,7 +264,7 @@ impl<'a> Driver<'a> {
         if let Some(log) = &mut self.log
             && let Err(error) = write(log, &self.leader, tick)
         {
-            log::warn!("goes on without a log: {error}");
+            log::warn!("{error}: the run continues without this log; report and recording will miss these ticks");
             self.log = None;
         }
     }
@@ -269,7 +272,7 @@ impl<'a> Driver<'a> {
     fn tell(&self, notice: Notice) {
         let name_of = |id| self.scenario.name_of(id);
         match notice {
-            Notice::Missed { first, last } => log::warn!("missed the ticks {first} to {last}"),
+            Notice::Missed { first, last } => log::warn!("missed ticks {first} to {last}"),
             Notice::Widened(noise_scale) => log::warn!(
                 "most sensors fail together: assumes {noise_scale:.1} times their stated range noise, and distrusts no sensor"
             ),
@@ -283,7 +286,7 @@ impl<'a> Driver<'a> {
                 log::warn!("{} is trusted again: its last {RECENT} ranges passed the gate", name_of(id));
             }
             Notice::Refused(refusal) => {
-                log::warn!("refused a range message ({}); others like it are counted in the report", refusal.name());
+                log::warn!("refused a range message ({}); further ones are counted in the report", refusal.name());
             }
         }
     }

@@ -21,7 +21,7 @@ pub enum RobotError {
     #[error(transparent)]
     Bus(#[from] BusError),
     /// The run has no robot with this id.
-    #[error("--id: expected 0 to {last} for this run, got {id}")]
+    #[error("robot {id} (--id) is not in this run: expected 0 to {last}")]
     NoSuchRobot {
         /// The id asked for.
         id: usize,

@@ -80,14 +80,17 @@ impl<'a> Driver<'a> {
     fn new(rendezvous: &'a Rendezvous, bus: &Bus, lease: RoleLease) -> Result<Self, SimError> {
         let description = rendezvous.description();
         let scenario = &description.scenario;
-        let log =
-            logs::write_worlds(description).inspect_err(|error| log::warn!("goes on without a log: {error}")).ok();
+        let log = logs::write_worlds(description)
+            .inspect_err(|error| {
+                log::warn!("{error}: the run continues without this log; report and recording will miss these ticks")
+            })
+            .ok();
         let (checkpoint, restored) = Checkpoint::of_role::<Saved<'static>>(rendezvous, Role::Sim, &lease)?;
         let mut machine = Machine::new(scenario, world_of(scenario, &description.out_dir)?);
         match restored {
             Some(saved) => {
                 machine.restore(saved)?;
-                log::info!("goes on with tick {}", machine.tick());
+                log::info!("continues with tick {}", machine.tick());
             }
             None => rendezvous.refuse_lost_state(Role::Sim, log.as_ref())?,
         }
@@ -166,7 +169,7 @@ impl<'a> Driver<'a> {
             record.set(world.time_s(), monotonic_ns(), world.truth(), world.entries(), machine.drives());
         };
         if let Err(error) = log.write(machine.tick(), fill) {
-            log::warn!("goes on without a log: {error}");
+            log::warn!("{error}: the run continues without this log; report and recording will miss these ticks");
             self.log = None;
         }
     }
@@ -174,6 +177,10 @@ impl<'a> Driver<'a> {
     fn report_silent(&self, id: usize) {
         let scenario = &self.rendezvous.description().scenario;
         let Timeout::After(limit) = scenario.timeout else { return };
-        log::warn!("tick {}: goes on without {}, silent for {limit:?}", self.machine.tick(), scenario.name_of(id));
+        log::warn!(
+            "tick {}: continues without {}, which was silent for {limit:?}",
+            self.machine.tick(),
+            scenario.name_of(id)
+        );
     }
 }

@@ -20,7 +20,7 @@ const MAGIC: u64 = u64::from_le_bytes(*b"rhticks2");
 
 /// A log file could not be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}", .file.display())]
+#[error("cannot use the log {}: {reason}", .file.display())]
 pub struct TickLogError {
     file: PathBuf,
     reason: String,

@@ -16,7 +16,7 @@ pub enum PlaybackError {
     Unreadable(#[from] RecordingError),
     /// The run folder's copy differs from what was read when the run began.
     #[error(
-        "{}: it has changed since the run began: expected the copy that the run made of its recording; start a new run",
+        "{} has changed since the run began: expected the copy that the run made of its recording: start a new run",
         .0.display()
     )]
     Changed(PathBuf),

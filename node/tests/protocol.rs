@@ -56,9 +56,9 @@ fn description() -> String {
     let rows = "[[1.0, 0.0], [0.0, 1.0]]";
     let custom = format!("[target]\nmodel = \"custom\"\nphi = {rows}\nqd = {rows}\nstart = [0.0, 0.0]");
     let planners = PLANNERS.map(|name| scenario(&format!("[planner]\nname = {name:?}")).planner);
-    let mut said = serde_json::to_string(&(built_in, scenario(&custom).motion, planners)).unwrap() + "\n";
-    said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
-    said
+    let mut text = serde_json::to_string(&(built_in, scenario(&custom).motion, planners)).unwrap() + "\n";
+    text.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
+    text
 }
 
 #[test]
@@ -69,15 +69,15 @@ fn a_recorded_runs_description_changes_only_with_the_protocol() {
     let file = ScenarioFile::parse(text, "test").unwrap();
     let scenario = Scenario::from_file_with(&file, "test", |_| Ok(read)).unwrap();
     let description = RunDescription { run_id: 7, scenario, out_dir: PathBuf::from("out") };
-    let mut said = serde_json::to_string(&description).unwrap();
-    said.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
-    let digest = xxh3_64(said.as_bytes());
-    assert_eq!(RECORDED, (PROTOCOL, digest), "as below, here {digest:#018x}\n{said}");
+    let mut text = serde_json::to_string(&description).unwrap();
+    text.retain(|c| !c.is_ascii_digit() && !".-".contains(c));
+    let digest = xxh3_64(text.as_bytes());
+    assert_eq!(RECORDED, (PROTOCOL, digest), "as below, here {digest:#018x}\n{text}");
 }
 
 #[test]
 fn messages_change_only_with_the_protocol() {
-    let said = [
+    let text = [
         type_names(),
         layout::<Header>(),
         topic::<WorldEntry>(),
@@ -89,12 +89,12 @@ fn messages_change_only_with_the_protocol() {
         description(),
     ]
     .concat();
-    let digest = xxh3_64(said.as_bytes());
+    let digest = xxh3_64(text.as_bytes());
     assert_eq!(
         HISTORY.last(),
         Some(&(PROTOCOL, digest)),
         "a message or the run's description has changed: give the changed messages a new version in their type names, \
-         count PROTOCOL up, and add the line ({}, {digest:#018x}) to HISTORY\n{said}",
+         count PROTOCOL up, and add the line ({}, {digest:#018x}) to HISTORY\n{text}",
         PROTOCOL + 1
     );
     assert!(HISTORY.is_sorted_by(|before, after| before.0 < after.0 && before.1 != after.1));

@@ -13,7 +13,7 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller that stands until it is given a heading.
+    /// A controller that stands still until it gets a heading.
     #[must_use]
     pub fn new(speed_limit_mps: f64) -> Self {
         Self { speed_limit_mps, last: None }
@@ -33,7 +33,7 @@ impl Controller {
     }
 
     /// The command for a tick whose heading did not arrive in time: the last heading for
-    /// [`HOLD_TICKS`], then nothing.
+    /// [`HOLD_TICKS`], then a stop.
     #[must_use]
     pub fn hold(&self, tick: u64) -> Command {
         match self.last {
@@ -45,12 +45,12 @@ impl Controller {
 
 /// Carries out a robot's commands.
 ///
-/// The [`Controller`] stands before it: speeds are within the robot's limit, and in real time a robot without ticks
-/// or headings is commanded to stop after [`HOLD_TICKS`], and also when its part in the run ends. A killed process sends
+/// It receives the commands of a [`Controller`]: speeds are within the robot's limit. In real time a robot without ticks
+/// or headings is commanded to stop after [`HOLD_TICKS`], and also when its process ends in order. A killed process sends
 /// no command: a vehicle must stop by itself when no command arrives for longer.
 pub trait Actuator {
-    /// Carries out a command until the next one, and returns what the robot drives, which is how the simulator moves
-    /// its body: the command, or the motion known to be driven instead.
+    /// Carries out a command until the next one. Returns the motion that the robot drives, by which the simulator moves its
+    /// body: the command, or the actual motion if it is known to differ.
     ///
     /// This is on the control path: it must not wait for the motion.
     fn carry_out(&mut self, command: Command) -> Command;

@@ -9,12 +9,12 @@
 //! At each tick it measures its range, publishes it, and drives the heading that fusion returns.
 //! It needs no checkpoint: after a restart it continues with the present tick.
 //!
-//! A robot of one's own is a [`sensor::RangeSensor`] and a [`drive::Actuator`], given to `rangehound_node::robot::run_with`
-//! in place of the simulated ones; `node/examples/serial_range.rs` is such a program.
+//! Your own robot is a [`sensor::RangeSensor`] and a [`drive::Actuator`], passed to `rangehound_node::robot::run_with` in
+//! place of the simulated ones; `node/examples/serial_range.rs` is such a program.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`sensor`] | the range sensor: simulated (noise), recorded (calibration), or one's own |
+//! | [`sensor`] | the range sensor: simulated (noise), recorded (calibration), or your own |
 //! | [`drive`] | the motion controller, from headings or their absence to commands, and the actuator |
 //! | [`machine`] | the protocol: messages in, actions out |
 

@@ -57,7 +57,7 @@ pub struct Machine {
     actions: VecDeque<Action>,
 }
 
-/// The tick a robot is in.
+/// The present tick of a robot.
 #[derive(Debug, Clone, Copy)]
 struct Present {
     sim_incarnation: u64,
@@ -65,7 +65,7 @@ struct Present {
     time_s: f64,
     range: Range,
     range_sent_ns: u64,
-    /// The command for the case that no heading arrives has been published.
+    /// True once the default command, for the case that no heading arrives, has been published.
     provided: bool,
     drive: Option<Drive>,
 }
@@ -76,17 +76,17 @@ enum Asked {
         header: Header,
         entry: WorldEntry,
     },
-    /// A heading of a tick, held since then; 0 without one.
+    /// A command from a heading that was received at this time; 0 without a heading.
     Drive {
         heading_held_ns: u64,
         is_late: bool,
     },
-    /// Stops: no message is published.
+    /// A stop, for which no message is published.
     Stop,
 }
 
 impl Machine {
-    /// A robot that starts, by id, after so many starts of fusion; `None` if the scenario has no such robot.
+    /// A robot that starts, by id; `fusion_incarnation` is the newest of fusion. `None` if the scenario has no such robot.
     #[must_use]
     pub fn new(scenario: &Scenario, id: usize, fusion_incarnation: u64) -> Option<Self> {
         let mut machine = Self {
@@ -112,7 +112,7 @@ impl Machine {
     /// Takes a message of the topic `world`.
     pub fn on_world(&mut self, header: &Header, entries: &[WorldEntry]) {
         let is_of_run = header.tick <= self.last_tick && header.valid_at_s.is_finite();
-        if let Some(entry) = entries.get(self.id).filter(|entry| is_of_run && entry.is_sound()) {
+        if let Some(entry) = entries.get(self.id).filter(|entry| is_of_run && entry.is_valid()) {
             self.world = Some((*header, *entry));
         }
     }
@@ -162,8 +162,8 @@ impl Machine {
         self.present.is_none()
     }
 
-    /// In real time a tick does not wait for a robot that is late, and a kernel's timers may be later than the rest
-    /// of the tick. So the robot publishes its default command before it sleeps, without a notification.
+    /// Publishes the default command before the robot sleeps, without a notification: in real time a tick does not wait for
+    /// a late robot, and the kernel's timer may expire after the end of the tick.
     pub fn before_sleep(&mut self) {
         let Some(present) = self.present.filter(|present| !present.provided) else { return };
         if self.heading_deadline_ns().is_some() {
@@ -195,7 +195,7 @@ impl Machine {
             drive: None,
         });
         self.send_range(&header, range);
-        // In real time the first one starts fusion's deadline.
+        // In real time the first range starts fusion's deadline.
         let or_first = self.clock == Clock::Realtime;
         self.notify(Notification::by_last_answer(WaitGroup::Fusion, Event::Range, header.tick, or_first));
     }
@@ -207,7 +207,7 @@ impl Machine {
         let drive = self.drive(&present, driven, heading_held_ns, is_late);
         self.present = Some(Present { drive: Some(drive), ..present });
         self.send_drive(&present, drive);
-        // In real time the simulator waits for its time, but for the first tick.
+        // In real time the simulator ends a tick by its clock, except the first tick.
         if self.clock == Clock::Lockstep || present.tick == 0 {
             self.notify(Notification::by_last_answer(WaitGroup::Sim, Event::Drive, present.tick, false));
         }
@@ -224,7 +224,7 @@ impl Machine {
         let is_fresh = |&(tick, _): &(u64, Command)| tick == present.tick;
         let obeyed = present.drive.is_some_and(|drive| drive.heading_held_ns != 0);
         if let Some((_, command)) = self.heading.take_if(|heading| is_fresh(heading)).filter(|_| !obeyed) {
-            // Overdue, but the tick is not over: a late heading is better than a held one.
+            // After the deadline, but within the tick: a late heading is better than a held one.
             let is_late = present.drive.is_some();
             let command = self.controller.obey(present.tick, command);
             self.carry_out(command, Asked::Drive { heading_held_ns: now_ns, is_late });
@@ -236,7 +236,7 @@ impl Machine {
         }
     }
 
-    /// A new tick is measured and its range published; a repeated tick is answered with the same message.
+    /// Measures a new tick and publishes the range; answers a repeated tick with the same message.
     fn see_world(&mut self, header: Header, entry: WorldEntry) {
         let seen = self.present.map(|present| (present.sim_incarnation, present.tick));
         let news = (header.incarnation, header.tick);
@@ -268,8 +268,8 @@ impl Machine {
         }
     }
 
-    /// In real time, when the simulator has been silent for longer than a heading is held: the simulator's bodies stand
-    /// then, and so shall one that moves by itself.
+    /// In real time, when a robot must stop because the simulator has been silent for longer than a heading is held: the
+    /// simulator's bodies stand still then, and so must a real one.
     fn stop_deadline_ns(&self) -> Option<u64> {
         let present = self.present.filter(|_| self.is_moving && self.clock == Clock::Realtime)?;
         let held_ns = ((HOLD_TICKS + 1) as f64 * self.dt_s * 1e9) as u64;

@@ -54,7 +54,7 @@ pub struct WorldEntry {
 impl WorldEntry {
     /// True if its numbers are finite and its range kind is known.
     #[must_use]
-    pub fn is_sound(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let Self { pose, range_m, range_kind } = *self;
         pose.numbers().iter().all(|value| value.is_finite())
             && range_m.is_finite()
@@ -311,17 +311,17 @@ mod tests {
 
     #[test]
     fn an_invalid_world_entry_is_detected() {
-        let sound = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
-        assert!(sound.is_sound());
+        let valid = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
+        assert!(valid.is_valid());
         for nonsense in [
-            WorldEntry { pose: Pose::at([f64::NAN, 0.0]), ..sound },
-            WorldEntry { pose: Pose::at([0.0, f64::INFINITY]), ..sound },
-            WorldEntry { range_m: f64::NAN, ..sound },
-            WorldEntry { pose: Pose { height_m: f64::NAN, ..Pose::default() }, ..sound },
-            WorldEntry { pose: Pose { covariance_m2: [f64::NAN, 0.0, 0.0], ..Pose::default() }, ..sound },
-            WorldEntry { range_kind: 3, ..sound },
+            WorldEntry { pose: Pose::at([f64::NAN, 0.0]), ..valid },
+            WorldEntry { pose: Pose::at([0.0, f64::INFINITY]), ..valid },
+            WorldEntry { range_m: f64::NAN, ..valid },
+            WorldEntry { pose: Pose { height_m: f64::NAN, ..Pose::default() }, ..valid },
+            WorldEntry { pose: Pose { covariance_m2: [f64::NAN, 0.0, 0.0], ..Pose::default() }, ..valid },
+            WorldEntry { range_kind: 3, ..valid },
         ] {
-            assert!(!nonsense.is_sound(), "{nonsense:?}");
+            assert!(!nonsense.is_valid(), "{nonsense:?}");
         }
     }
 }

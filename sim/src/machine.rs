@@ -40,16 +40,16 @@ pub enum Action {
 /// The step after the last action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
-    /// Before tick 0: killed between its record and its checkpoint, a successor would find a state lost.
+    /// Saves before tick 0: after a kill between the first record and the first checkpoint a successor would find no state.
     Begin,
     Publish,
     Wake,
-    TellTruth,
+    PublishTruth,
     Wait,
     Advance,
     NextTick,
-    TellRobots,
-    TellFusion,
+    NotifyRobots,
+    NotifyFusion,
     Ended,
 }
 
@@ -63,7 +63,7 @@ pub struct Machine {
     world: Box<dyn World>,
     tick: u64,
     drives: Vec<Option<Drive>>,
-    /// Robots that are not waited for.
+    /// True for robots that are not waited for, because they were silent for too long.
     silent: Vec<bool>,
     slowest_latency_ns: u64,
     phase: Phase,
@@ -152,8 +152,8 @@ impl Machine {
         let (phase, action) = match self.phase {
             Phase::Begin => (Phase::Publish, Action::Save),
             Phase::Publish => (Phase::Wake, Action::SendWorld),
-            Phase::Wake => (Phase::TellTruth, Action::Notify(Notification::always(WaitGroup::Robots, Event::World))),
-            Phase::TellTruth => {
+            Phase::Wake => (Phase::PublishTruth, Action::Notify(Notification::always(WaitGroup::Robots, Event::World))),
+            Phase::PublishTruth => {
                 self.published(now_ns);
                 (Phase::Wait, Action::SendTruth)
             }
@@ -162,15 +162,15 @@ impl Machine {
                 self.advance();
                 (Phase::NextTick, Action::Save)
             }
-            Phase::NextTick if self.tick > self.last_tick => (Phase::TellRobots, Action::Finish),
+            Phase::NextTick if self.tick > self.last_tick => (Phase::NotifyRobots, Action::Finish),
             Phase::NextTick => {
                 self.begin_tick(now_ns);
                 (Phase::Wake, Action::SendWorld)
             }
-            Phase::TellRobots => {
-                (Phase::TellFusion, Action::Notify(Notification::always(WaitGroup::Robots, Event::Finished)))
+            Phase::NotifyRobots => {
+                (Phase::NotifyFusion, Action::Notify(Notification::always(WaitGroup::Robots, Event::Finished)))
             }
-            Phase::TellFusion => {
+            Phase::NotifyFusion => {
                 (Phase::Ended, Action::Notify(Notification::always(WaitGroup::Fusion, Event::Finished)))
             }
             Phase::Ended => return None,
@@ -179,7 +179,7 @@ impl Machine {
         Some(action)
     }
 
-    /// When it has something to do even if nothing comes, monotonic ns; `None` while it has something to do at once.
+    /// When it must act even if no message arrives, monotonic ns; `None` while it has something to do at once.
     #[must_use]
     pub fn wakes_at_ns(&self) -> Option<u64> {
         if self.phase != Phase::Wait {
@@ -245,7 +245,7 @@ impl Machine {
         if self.tick == 0 { Timeout::Forever } else { self.timeout }
     }
 
-    /// Time lost to a process that was stopped is not made up by a burst of ticks, nor by one of no length.
+    /// After a suspension the simulator does not catch up: no burst of ticks, and no tick of zero length.
     fn begin_tick(&mut self, now_ns: u64) {
         if self.due_ns.is_some_and(|due_ns| due_ns <= now_ns) {
             self.due_ns = Some(now_ns + self.dt_ns);
@@ -270,7 +270,7 @@ impl Machine {
                 return self.end_tick();
             }
         } else if self.drives.iter().any(Option::is_some) {
-            // Silence counts only while others go on: fusion may have been waiting until now.
+            // Silence counts from the first answer of another robot: before that, fusion may have been waiting.
             let first_ns = *self.first_answer_ns.get_or_insert(now_ns);
             if let Some(id) = self.silent_for_too_long(now_ns.saturating_sub(first_ns)) {
                 self.silent[id] = true;

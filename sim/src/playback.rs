@@ -1,4 +1,4 @@
-//! The recorded world: sensors where they were, ranges as they were measured.
+//! The recorded world: positions of the sensors and measured ranges.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_valid};
 
-/// A recording, one instant a tick from tick 1 on. As in a simulation, tick 0 carries no range.
+/// A recording: one instant per tick, from tick 1 on. As in a simulation, tick 0 has no range.
 #[derive(Debug, Clone)]
 pub struct Playback {
     recording: Arc<Recording>,
@@ -20,7 +20,7 @@ pub struct Playback {
 }
 
 impl Playback {
-    /// Plays a recording from its start. With the target's height, sensors stand as much higher as the recording says.
+    /// Plays a recording from its start. With the target's height, the sensors' heights are relative to it.
     #[must_use]
     pub fn new(recording: Arc<Recording>, target_height_m: Option<f64>) -> Self {
         let entries = recording

@@ -11,10 +11,10 @@ use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_valid};
 
-/// A target with a state of dimension `N` and the robots round it.
+/// A target with a state of dimension `N`, and the robots.
 ///
 /// The target moves by `x(k+1) = Phi x(k) + w(k)`, `w(k) ~ N(0, G Qd G^T)` (Eq. 1), drawn from (seed,
-/// k) alone; robots by Eqs. 14 and 15.
+/// k) only; the robots move by Eqs. 14 and 15.
 #[derive(Debug, Clone)]
 pub struct Simulation<const N: usize> {
     tick: u64,
@@ -50,7 +50,7 @@ impl<const N: usize> Simulation<N> {
         simulation
     }
 
-    /// Fills in what the sensors would measure. Tick 0 carries no range.
+    /// Fills in the ranges that the sensors would measure. Tick 0 has no range.
     fn look(&mut self) {
         let kind = if self.tick == 0 { RangeKind::Absent } else { RangeKind::True };
         for entry in &mut self.entries {
@@ -101,8 +101,8 @@ impl<const N: usize> World for Simulation<N> {
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (tick, target, entries): (u64, SVector<f64, N>, Vec<WorldEntry>) = sealed::decode(bytes)?;
         let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
-        let is_sound = tick <= TICKS_MAX + 1 && are_valid(target.iter().copied().chain(places));
-        if entries.len() != self.entries.len() || !is_sound {
+        let is_valid = tick <= TICKS_MAX + 1 && are_valid(target.iter().copied().chain(places));
+        if entries.len() != self.entries.len() || !is_valid {
             return Err(SealError::Malformed);
         }
         (self.tick, self.target, self.entries) = (tick, target, entries);
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(at(1), (15.0, 0.0));
         assert!((at(2).1 - 1.0).abs() < 1e-12, "one step at the speed limit");
         world.advance(&[drive(f64::NAN, 10.0), drive(0.0, f64::NAN), drive(0.0, -5.0)]);
-        assert!(world.entries().iter().all(|entry| entry.is_sound()));
+        assert!(world.entries().iter().all(|entry| entry.is_valid()));
         assert_eq!(world.entries()[2].pose.x_m, 15.0, "nobody drives backwards");
     }
 

@@ -3,10 +3,10 @@
 use rangehound_shared::message::{Drive, WorldEntry};
 use rangehound_shared::sealed::SealError;
 
-/// Largest saved coordinate that is accepted, m: beyond it distances would not be finite.
+/// Largest accepted coordinate in a saved state, m: beyond it distances would not be finite.
 const PLACE_MAX: f64 = 1e150;
 
-/// True if a world can go on with these numbers.
+/// True if a world can continue with these numbers.
 pub(crate) fn are_valid(numbers: impl IntoIterator<Item = f64>) -> bool {
     numbers.into_iter().all(|number| number.abs() <= PLACE_MAX)
 }
@@ -22,7 +22,7 @@ pub trait World: std::fmt::Debug + Send {
     /// The target's true state; empty if unknown.
     fn truth(&self) -> &[f64];
 
-    /// Goes to the next tick. `drives` has an entry for each robot; one without stands still.
+    /// Advances to the next tick. `drives` has an entry for each robot; a robot without a drive stands still.
     fn advance(&mut self, drives: &[Option<Drive>]);
 
     /// Appends the state from which [`Self::restore`] continues bit for bit.

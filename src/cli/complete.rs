@@ -18,10 +18,10 @@ use crate::files::atomic_file::{rename_to_free, with_ending};
 use crate::files::layout::PARTIAL;
 use crate::run::watch;
 
-/// Longest manual page that is looked at.
+/// Longest manual page that is read.
 const PAGE_LEN_MAX: usize = 1 << 20;
 
-/// On a terminal, which shows no page as it is written.
+/// Printed on a terminal, where the source of a page is unreadable.
 const HOW_TO_READ: &str = "\
 rangehound man | man -l -                      reads the manual page
 rangehound man ~/.local/share/man/man1         writes those of all commands; then:
@@ -38,7 +38,7 @@ pub fn completions(args: &CompletionsArgs) -> Result<(), Failure> {
     failure::print(with_names(args.shell, String::from_utf8(script)?))
 }
 
-/// A script that also asks the program for the names of runs and nodes.
+/// A completion script that also asks the program for the names of runs and nodes.
 fn with_names(shell: Shell, script: String) -> String {
     match shell {
         Shell::Bash => script + include_str!("complete/names.bash"),
@@ -51,7 +51,7 @@ fn with_names(shell: Shell, script: String) -> String {
     }
 }
 
-/// `rangehound names`: what these scripts ask for, one a line.
+/// `rangehound names`: the names for these scripts, one per line.
 ///
 /// # Errors
 /// [`Failure`].
@@ -74,7 +74,7 @@ pub fn names(args: &NamesArgs) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure`].
 pub fn man(args: &ManArgs) -> Result<(), Failure> {
-    // A page of its own for `help` would say nothing.
+    // `help` needs no page of its own.
     let mut command = cli::command().disable_help_subcommand(true);
     command.build();
     let Some(folder) = &args.folder else {
@@ -91,8 +91,10 @@ pub fn man(args: &ManArgs) -> Result<(), Failure> {
     });
     let pages = of_each.collect::<Result<Vec<_>, _>>()?;
     if let Some((file, _)) = pages.iter().find(|(file, _)| file.symlink_metadata().is_ok() && !is_page(file)) {
-        let problem = "expected a free name or a page that rangehound made: choose another folder, or move it away";
-        return Err(Failure::input(format!("DIR: {}: {problem}", file.display())));
+        return Err(Failure::input(format!(
+            "{} is in the way (DIR), and rangehound did not make it: choose another folder, or move it away",
+            file.display()
+        )));
     }
     for (file, page) in pages {
         write_page(&file, &page).map_err(|error| not_writable(&file, &error))?;
@@ -100,7 +102,7 @@ pub fn man(args: &ManArgs) -> Result<(), Failure> {
     failure::print(format!("manual pages in {}\n", folder.display()))
 }
 
-/// True if the file is a manual page that this program has made, of whatever version.
+/// True if the file is a manual page that any version of this program made.
 fn is_page(file: &Path) -> bool {
     let is_file = file.symlink_metadata().is_ok_and(|file| file.is_file());
     let text = if is_file { bounded::read(file, PAGE_LEN_MAX).unwrap_or_default() } else { Vec::new() };
@@ -120,7 +122,7 @@ fn write_page(file: &Path, page: &[u8]) -> std::io::Result<()> {
 }
 
 fn not_writable(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::input(format!("DIR: expected a folder that can be written, {}: {error}", path.display()))
+    Failure::input(format!("cannot write {} (DIR): expected a folder that can be written: {error}", path.display()))
 }
 
 /// The manual page of a command.
@@ -137,7 +139,7 @@ fn page(command: &Command) -> std::io::Result<Vec<u8>> {
     }
     if let Some(examples) = command.get_after_help() {
         let mut roff = Roff::default();
-        // Line by line as it is, and from the margin, as it is as wide as a terminal.
+        // Lines unfilled and not indented: they are already as wide as a terminal.
         roff.control("SH", ["EXAMPLES"]).control("in", ["0"]).control("nf", []);
         for line in examples.to_string().lines() {
             roff.text([roman(line)]);
@@ -147,7 +149,7 @@ fn page(command: &Command) -> std::io::Result<Vec<u8>> {
     Ok(page)
 }
 
-/// A command without what is hidden in it, which completions would tell.
+/// A command without its hidden parts, which completions would show.
 fn visible(command: &Command) -> Command {
     let args = command.get_arguments().filter(|arg| !arg.is_hide_set()).cloned();
     let subcommands = command.get_subcommands().filter(|subcommand| !subcommand.is_hide_set()).map(visible);

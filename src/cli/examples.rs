@@ -1,4 +1,4 @@
-//! What `--help` and the manual add to each command: examples, in lines of 80 columns.
+//! The examples that `--help` and the manual add to each command, in lines of at most 80 columns.
 
 use clap::Command;
 
@@ -10,13 +10,13 @@ pub(super) const ALL: &str = "Examples:
   rangehound scenario > mine.toml       a scenario file to start from
   rangehound run mine.toml              and a run of it
   rangehound track ranges.csv --range-std 0.12
-                                        recorded ranges, the same processes
+                                        track a target from recorded ranges
   rangehound compare --robots 5         all planners on the same 1000 targets
-  rangehound kill robot-1               what happens if a robot dies?
-  rangehound status --watch             see who is there, from another terminal
+  rangehound kill robot-1               kill a robot of a run, as a crash would
+  rangehound status --watch             show its processes, in another terminal
 
-Each command has its own --help, with examples; `rangehound man` is the manual.
-Output is coloured on a terminal that can, unless NO_COLOR is set.
+Each command has its own --help with examples. `rangehound man` prints the
+manual. Output has colours on a terminal, unless NO_COLOR is set.
 
 Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or
 bad input.";
@@ -48,7 +48,7 @@ const EACH: [(&str, &str); 23] = [
     ("man", MAN),
 ];
 
-/// Adds to each command its examples.
+/// Adds its examples to each command.
 pub(super) fn add(command: Command) -> Command {
     let with = |command: Command, (name, text): (&'static str, &'static str)| {
         command.mut_subcommand(name, |subcommand| subcommand.after_help(text))
@@ -56,8 +56,8 @@ pub(super) fn add(command: Command) -> Command {
     EACH.into_iter().fold(command, with)
 }
 
-const RUN: &str = "What no flag says is the scenario file's to say; what that does not say has a
-default. `rangehound scenario` prints a file with every key explained.
+const RUN: &str = "Flags override the scenario file; keys that the file does not have get defaults.
+`rangehound scenario` prints a file that explains every key.
 
 Examples:
   rangehound run                                 the paper's experiment
@@ -74,7 +74,7 @@ const SIM: &str = "Examples, each in a terminal of its own, in any order:
 
 const FUSION: &str = "Examples:
   rangehound fusion --name demo
-  rangehound fusion --name demo --standby        takes over when that one dies";
+  rangehound fusion --name demo --standby        takes over if the first dies";
 
 const ROBOT: &str = "Example:
   rangehound robot --id 2 --name demo            the third robot of run demo";
@@ -85,54 +85,56 @@ const WATCH: &str = "Examples:
 
 const RECORD: &str = "Examples:
   rangehound record --name demo                  a run started by hand
-  rangehound record runs/paper                   one that is over
+  rangehound record runs/paper                   a run that is over
 
-Foxglove, Rerun and any reader of MCAP files open what it writes.";
+Foxglove, Rerun and other readers of MCAP files open the recording.";
 
 const REPLAY: &str = "Examples:
   rangehound replay runs/paper/run.mcap          the same estimates, to the bit?
   rangehound replay runs/paper/run.mcap --planner greedy
   rangehound replay runs/paper/run.mcap --gate 3
   rangehound replay runs/paper/run.mcap --live --speed 5
-  rangehound replay run.mcap.partial --repair    what a kill has left
+  rangehound replay run.mcap.partial --repair    a file that was cut short
 
-It ends with 1 if an estimate differs that should not.";
+Without changed settings the estimates must be bit-identical: if one differs,
+the exit code is 1.";
 
 const LIVE: &str = "Example:
   rangehound live --name demo                    prints the address of its page
 
-Only who knows the token in the address may look or act, from this machine.";
+The page works on this machine only, and only with the token in its address.";
 
-const PLAN: &str = "A line holds the predicted position covariance (m^2), the predicted target (m),
-the time that robots move before they measure, and the team, all in one line:
+const PLAN: &str = "Each input line is one problem: the covariance of the predicted position (m^2),
+the predicted position of the target (m), the time that robots move before they
+measure (s), and the team. Written in one line:
 
   {\"prior_position_covariance\":[[4,0.5],[0.5,2]],\"target\":[0,0],
    \"time_step_s\":0.1,\"robots\":[
    {\"position\":[20,0],\"max_speed\":10,\"range_std\":1},
    {\"position\":[0,15],\"max_speed\":10,\"range_std\":1}]}
 
-It may add stand_off_m, stand_off_sigma, separation_m (clearances, 0 if absent)
-and planner (a name). Its answer is one line, in the same order:
+Optional keys: stand_off_m, stand_off_sigma and separation_m (clearances, 0 if
+absent) and planner (a name). The answers are lines in the same order:
 
   {\"planner\":..,\"headings_rad\":[..],\"speeds_mps\":[..],\"objective\":..,
    \"lower_bound\":..,\"certified\":..,\"position_trace_m2\":..,\"plan_us\":..}
 
-objective is |S|, no headings reach less than lower_bound; certified: none are
-better but for rounding. A line that makes no sense is answered by
-{\"line\":N,\"error\":\"..\"}, told on standard error too, and the next one is read;
-the exit code is then 2. Lines count from 1, blank ones are skipped. Answers
-come at once when no more input is there.
+objective is |S|, and no headings reach less than lower_bound. certified means
+that no headings are better, up to rounding. The answer to an invalid line is
+{\"line\":N,\"error\":\"..\"}. The error is also printed to standard error, the next
+lines are still answered, and the exit code is 2. Lines count from 1; blank
+lines are skipped. The program answers before it waits for more input.
 
 Examples:
   rangehound plan problems.jsonl > answers.jsonl
   rangehound plan --planner adaptive < problems.jsonl";
 
-const RESUME: &str = "Example, after a kill of everything:
+const RESUME: &str = "Example, after all processes of the run were killed:
   rangehound resume runs/demo --name demo";
 
 const STATUS: &str = "A node is running, stopped (by a signal), hung (no heartbeat for a second)
-or gone. Who is not running comes first; more than 16 robots in one state share
-a line, unless --all. --json always has all. A run is finishing while it ends
+or gone. Nodes that do not run come first. More than 16 robots in the same state
+share a line; --all and --json list each. A run is finishing while its nodes end
 and its recording is written.
 
 Examples:
@@ -145,13 +147,13 @@ const KILL: &str = "Examples:
   rangehound kill fusion --name demo";
 
 const RESTART: &str = "Example:
-  rangehound restart robot-1                     its successor is a new process";
+  rangehound restart robot-1                     a new process takes its place";
 
 const STOP: &str = "Example:
   rangehound stop --name demo                    its report is still written";
 
-const CHAOS: &str = "It starts runs of its own, one after the other, until all faults are in. A
-broken promise is exit code 1, and is named.
+const CHAOS: &str = "It starts runs of its own, one after the other, until all faults are injected.
+If a run breaks a promise, it names the promise and exits with 1.
 
 Examples:
   rangehound chaos --faults 200
@@ -159,22 +161,23 @@ Examples:
   rangehound chaos --clock realtime --faults 50 --chaos-seed 7
   rangehound chaos --standby 1 --roles fusion,standby --kinds kill";
 
-const EXPLORE: &str = "Simulator, fusion, standbys and robots run in this one process on simulated
-time, with faults, a network and clocks that are drawn from the seed. A broken
-promise is exit code 1; it is shown with the fewest faults that break it.
+const EXPLORE: &str = "A whole team (simulator, fusion, standbys, robots) runs in this process on
+simulated time. Its faults, network delays and clocks are drawn from the seed.
+If it breaks a promise, the smallest set of faults that breaks it is printed,
+and the exit code is 1.
 
 Examples:
   rangehound explore --seed 1 --seeds 20000
-  rangehound explore --seed 7 --seeds 1 --story    what each node did, by time";
+  rangehound explore --seed 7 --seeds 1 --story    prints what each node did";
 
-const LATENCY: &str = "It runs the whole system (simulator, fusion with filter, planner and
-checkpoints, robots) and, in turns, the bare exchange of the same messages over
-raw iceoryx2 and over futexes, on this machine, now; a ratio below 1 means that
-the system was faster than that reference.
+const LATENCY: &str = "It measures the whole system (simulator, fusion with filter, planner and
+checkpoints, robots) and two references that only exchange messages, over
+iceoryx2 and over futexes. They take turns on this machine. A ratio below 1
+means that the system was faster than the reference.
 
 Examples:
-  rangehound latency --robots 10 --pin one-core  software alone, one processor
-  rangehound latency --robots 10 --rate 100      in real time, mostly asleep";
+  rangehound latency --robots 10 --pin one-core  all processes on one processor
+  rangehound latency --robots 10 --rate 100      in real time, at 100 Hz";
 
 const SCENARIO: &str = "Example:
   rangehound scenario > mine.toml
@@ -190,9 +193,9 @@ const COMPARE: &str = "Examples:
   rangehound compare --planners certified,grid --runs 50
   rangehound compare mine.toml --robots 5 --stand-off 0";
 
-const CALIBRATE: &str = "Without --truth the ranges must tell by themselves: three sensors or more that
-are not on one line, and a target that moves. What they cannot tell is named and
-not used; if that is everything, no file is written and the exit code is 1.
+const CALIBRATE: &str = "Without --truth it needs three or more sensors that are not on one line, and a
+moving target. Values that the ranges do not determine are named and left out.
+If none is determined, no file is written and the exit code is 1.
 
 Examples:
   rangehound calibrate ranges.csv
@@ -214,7 +217,7 @@ mod tests {
     use super::*;
     use crate::terminal::WIDTH;
 
-    /// Longer ones would be broken anywhere.
+    /// clap would break longer lines at any place.
     #[test]
     fn lines_fit_as_they_are_written() {
         for text in EACH.iter().map(|(_, text)| text).chain([&ALL]) {

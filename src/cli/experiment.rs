@@ -13,10 +13,10 @@ use crate::files::input::{self, COMMAND_LINE, in_utf8};
 use crate::run::experiment::{Experiment, Given, Naming};
 
 impl ExperimentArgs {
-    /// The scenario file that the user named, or the paper's, with the command line's values over it.
+    /// The user's scenario file, or the paper's, overridden by the values of the command line.
     ///
     /// # Errors
-    /// [`Failure::Input`] if the file cannot be read or does not go with the flags.
+    /// [`Failure::Input`] if the file cannot be read or contradicts the flags.
     pub(super) fn given(&self) -> Result<Given, Failure> {
         let mut given = Given::read(self.scenario.as_deref())?;
         self.put_over(&mut given.file)?;
@@ -26,17 +26,17 @@ impl ExperimentArgs {
     /// The experiment of `run` and `sim`.
     ///
     /// # Errors
-    /// [`Failure::Input`] for whatever the user must mend.
+    /// [`Failure::Input`] for any invalid input.
     pub(super) fn experiment(&self, naming: Naming) -> Result<Experiment, Failure> {
         Experiment::from_given(self.given()?, self.name.as_ref(), naming, self.out.as_deref())
     }
 
-    /// Puts the command line's values over the file's.
+    /// Overrides the file's values by the command line's.
     pub(super) fn put_over(&self, file: &mut ScenarioFile) -> Result<(), Failure> {
         if self.robots.is_some() {
             if file.robot.is_some() || file.recording.is_some() {
                 return Err(Failure::input(
-                    "--robots: expected a scenario that counts its robots, got one that lists them",
+                    "--robots is given, but the scenario does not count its robots: expected [robots] with a count",
                 ));
             }
             file.robots.get_or_insert_with(RobotsTable::default).count = self.robots;
@@ -46,7 +46,7 @@ impl ExperimentArgs {
         }
         if self.stand_off.is_some() {
             let planner = file.planner.get_or_insert_default();
-            // However the file says it.
+            // Replaces either kind of stand-off in the file.
             (planner.stand_off_m, planner.stand_off_sigma) = (self.stand_off, None);
         }
         let clock = self.clock.map(|clock| clock.name().to_owned());
@@ -62,7 +62,7 @@ impl TrackArgs {
     /// The experiment of `track`.
     ///
     /// # Errors
-    /// [`Failure::Input`] for whatever the user must mend.
+    /// [`Failure::Input`] for any invalid input.
     pub(super) fn experiment(&self) -> Result<Experiment, Failure> {
         let mut recording = RecordingTable {
             range_std_m: self.range_std,
@@ -107,8 +107,8 @@ impl TrackArgs {
         ];
         let assumed: Vec<String> = assumed.into_iter().filter(|(is, _)| *is).map(|(_, what)| what).collect();
         if !assumed.is_empty() {
-            failure::tell(format!(
-                "track: assumes {}: give what is known, or find it by `rangehound calibrate`",
+            failure::print_stderr(format!(
+                "track: assumes {}: give these values if known, or estimate them with `rangehound calibrate`",
                 assumed.join(" and ")
             ));
         }
@@ -117,7 +117,7 @@ impl TrackArgs {
 }
 
 impl InputArgs {
-    /// What the command line says of a recording's form, as a scenario says it.
+    /// The flags for reading a recording, as a scenario's table.
     ///
     /// # Errors
     /// [`Failure::Input`] for a path that is not UTF-8.
@@ -159,7 +159,7 @@ fn apply(
     }
 }
 
-/// A run name after a recording: its file's name, or its folder's if the file is just "ranges".
+/// A run's name from its recording: the name of the file, or of its folder if the file is just called "ranges".
 fn name_after(ranges: &Path) -> String {
     let stem = ranges.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
     let folder = ranges.parent().and_then(Path::file_name).and_then(|folder| folder.to_str());

@@ -1,4 +1,4 @@
-//! How a recording is read.
+//! The flags for reading a recording.
 
 use std::path::PathBuf;
 
@@ -9,31 +9,31 @@ use super::values::number;
 /// The flags of a recording.
 #[derive(Debug, Clone, Default, Args)]
 pub struct InputArgs {
-    /// Recorded ranges: a table with a row for each range, a pipe, or - for standard input
+    /// Recorded ranges: a table with a row for each range; a file, a pipe, or - for standard input
     pub ranges: PathBuf,
-    /// Which column is what, and in which unit, as in time=stamp_ns:ns,sensor=anchor_id,range=dist:mm; keys are time, sensor,
-    /// range, x, y, z and target
+    /// Names and units of the columns, as in time=stamp_ns:ns,sensor=anchor_id,range=dist:mm; the keys are time, sensor,
+    /// range, x, y, z and target [default: by the header's names]
     #[arg(long, value_name = "SPEC")]
     pub columns: Option<String>,
-    /// Where the sensors stand: a table with the columns sensor_id, x_m, y_m and perhaps z_m, for logs that do not say
+    /// Positions of the sensors, if the recording has none: a table with the columns sensor_id, x_m, y_m and optionally z_m
     #[arg(long, value_name = "FILE")]
     pub anchors: Option<PathBuf>,
-    /// Height of the target in the frame of the sensors' heights, m: ranges are then slant ones
+    /// Height of the target, m, in the same frame as the sensors' heights: ranges are then slant ranges
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub target_height: Option<f64>,
-    /// Which target to read, of a log of several
+    /// The target to track, if the recording has several
     #[arg(long, value_name = "NAME")]
     pub target: Option<String>,
-    /// The file is a log of a radio's port: dwm1001, linktrack, mauwb or plain
+    /// Format of the radio, if the file is a log of a radio's serial port: dwm1001, linktrack, mauwb or plain
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
-    /// Reports a second of such a log, if it has no stamps
+    /// Reports per second, if such a log has no time stamps
     #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// Unit of the stamps of such a log, if they are whole numbers: s, ms, us or ns
+    /// Unit of the time stamps in such a log, if they are integers: s, ms, us or ns
     #[arg(long, value_name = "UNIT")]
     pub stamp_unit: Option<String>,
-    /// Refuse the file at its first bad row, and exit with 1 if the report's verdict is that the result is not sound
+    /// Refuse the file at its first bad row, and exit with 1 if the verdict of the report is "not sound"
     #[arg(long)]
     pub strict: bool,
 }

@@ -3,21 +3,21 @@
 //! | module | what |
 //! |---|---|
 //! | `run` | commands that start runs |
-//! | `node` | one node |
-//! | `look` | commands that observe or control runs |
+//! | `node` | commands that run one node |
+//! | `observe` | commands that observe or control runs |
 //! | `study` | commands that measure and compare |
 //! | `shell`, [`complete`] | for the shell: completions, names, manual pages |
 //! | `experiment` | from flags to a scenario file |
-//! | `input` | how a recording is read |
-//! | `values` | values as they are written behind flags |
-//! | `examples` | what `--help` and the manual add to each command |
+//! | `input` | flags for reading a recording |
+//! | `values` | the values of flags |
+//! | `examples` | the examples in `--help` and the manual |
 
 pub mod complete;
 mod examples;
 mod experiment;
 mod input;
-mod look;
 mod node;
+mod observe;
 mod run;
 mod shell;
 mod study;
@@ -28,8 +28,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::terminal;
 pub use input::InputArgs;
-pub use look::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
+pub use observe::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use run::{
     ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs, TrackArgs,
 };
@@ -37,14 +37,14 @@ pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, ExploreArgs, LatencyArgs, PlanArgs};
 pub use values::PerSensor;
 
-/// A team of robots tracks a moving target by ranges alone: one process per robot, a fusion centre
-/// that filters and plans, a simulator, all talking over shared memory.
+/// A team of robots tracks a moving target by measured distances (ranges) alone. Each robot, the fusion centre (filter and
+/// planner) and the simulator is a process; they communicate over shared memory.
 ///
-/// Without a command it runs the paper's experiment (as `rangehound run`).
+/// Without a command it runs the paper's experiment, as `rangehound run` does.
 #[derive(Debug, Parser)]
 #[command(name = "rangehound", version, max_term_width = terminal::WIDTH, after_help = examples::ALL)]
 pub struct Cli {
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Option<Command>,
 }
@@ -53,9 +53,9 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "one for each process")]
 pub enum Command {
-    /// Start simulator, fusion centre and robots, watch them, report
+    /// Run an experiment: start simulator, fusion centre and robots, show the progress, print a report
     Run(RunArgs),
-    /// Run the simulator alone; it founds the run that others join by --name
+    /// Run the simulator alone: it starts a run that other nodes join by --name
     Sim(SimArgs),
     /// Run the fusion centre alone
     Fusion(FusionArgs),
@@ -63,61 +63,61 @@ pub enum Command {
     Robot(RobotArgs),
     /// Show the progress of a run started by hand, and report when it ends
     Watch(WatchArgs),
-    /// Show a run on a page in the browser, with buttons to kill its processes and watch it go on
+    /// Show a run on a page in the browser, with buttons to kill its processes and see the run recover
     Live(LiveArgs),
-    /// Plan one step for each JSON line, for programs of any language
+    /// Plan one step for each line of JSON, for use by other programs
     Plan(PlanArgs),
-    /// Write a run into one file, run.mcap, while it goes on or after it; `run` and `track` start this by themselves
+    /// Record a run in one file, run.mcap, during the run or after it; `run` and `track` do this by default
     Record(RecordArgs),
-    /// Feed a recording's ranges to a fresh fusion: are all estimates the same to the bit, what would be different?
+    /// Feed a recording's ranges to a fresh fusion centre: check that all estimates are bit-identical, or compare settings
     Replay(ReplayArgs),
-    /// Go on from its checkpoints with a run all of whose processes are gone
+    /// Continue a run from its checkpoints after all of its processes have ended
     Resume(ResumeArgs),
-    /// Show a run: where it is, and who is running, stopped, hung or gone
+    /// Show the state of a run: its tick, and which nodes are running, stopped, hung or gone
     Status(StatusArgs),
-    /// Kill a node as a crash would: its run starts it again
+    /// Kill a node of a run, as a crash would; the run starts it again
     Kill(RemoteNodeArgs),
-    /// End a node of a run in order and wait for its successor
+    /// Ask a node of a run to end, and wait until its successor has started
     Restart(RemoteNodeArgs),
-    /// End a run in order, as Ctrl-C in its terminal would
+    /// End a run, as Ctrl-C in its terminal does
     Stop(RemoteArgs),
-    /// Kill and stop nodes of its own runs at random, and judge the outcome
+    /// Test fault tolerance: kill and suspend nodes of runs at random, and check the results
     Chaos(ChaosArgs),
-    /// Explore faults in simulated time, thousands of seeds a second: every promise is checked as a whole team goes on in one process
+    /// Test fault tolerance in simulated time: run a whole team in one process with random faults, thousands of seeds a second
     Explore(ExploreArgs),
-    /// Measure the time from range to heading, beside the bare transport
+    /// Measure the time from range to heading, and compare it with that of the transport alone
     Latency(LatencyArgs),
     /// One node of a reference that `latency` measures
     #[command(hide = true)]
     LatencyNode(LatencyNodeArgs),
-    /// Print the default scenario file, to start your own from
+    /// Print the default scenario file, as a start for your own
     Scenario,
-    /// Track recorded ranges, one robot process for each sensor
+    /// Track a target from recorded ranges, with a process for each sensor
     Track(TrackArgs),
-    /// Compare the planners over many runs: tables and pictures
+    /// Compare the planners over many simulated runs: tables and pictures
     Compare(CompareArgs),
-    /// Find noise, bias and scale of each sensor from a recording, for `track --calibration`
+    /// Estimate noise, bias and scale of each sensor from a recording, for `track --calibration`
     Calibrate(CalibrateArgs),
-    /// Print the script by which a shell completes commands and flags
+    /// Print a script that makes a shell complete commands, flags and names
     Completions(CompletionsArgs),
-    /// Print the names that a shell completes, one a line
+    /// Print the names that a shell completes, one per line
     #[command(hide = true)]
     Names(NamesArgs),
-    /// Print the manual page, or write one for each command to a folder
+    /// Print the manual page, or write a page for each command to a folder
     Man(ManArgs),
 }
 
-/// The command line with all that `--help` tells.
+/// The command line with the examples of `--help`.
 #[must_use]
 pub fn command() -> clap::Command {
     examples::add(Cli::command())
 }
 
-/// A usage error as one line that says what was expected.
+/// A usage error as one line: what is wrong, and what was expected.
 #[must_use]
 pub fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
-    // What clap adds after an empty line is advice and usage.
+    // After an empty line clap adds advice and usage.
     let message: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
     let message = message.join(" ");
     let message = message.strip_prefix("error: ").unwrap_or(&message);
@@ -130,7 +130,7 @@ pub fn one_line(error: &clap::Error) -> String {
         ErrorKind::InvalidSubcommand => "a command",
         ErrorKind::MissingRequiredArgument => {
             let missing = message.rsplit_once("provided: ").map_or(message, |(_, missing)| missing);
-            return format!("expected {missing} too, as in --help");
+            return format!("{missing} is missing: expected it as in --help");
         }
         _ => "arguments",
     };

@@ -1,4 +1,4 @@
-//! One node: `sim`, `fusion`, `robot`.
+//! Commands that run one node: `sim`, `fusion`, `robot`.
 
 use std::path::Path;
 
@@ -21,10 +21,10 @@ use crate::study::latency::reference::{Reference, latency_node};
 /// `sim`.
 #[derive(Debug, Args)]
 pub struct SimArgs {
-    /// The experiment, if this process founds the run
+    /// The experiment, if this process starts the run
     #[command(flatten)]
     pub experiment: ExperimentArgs,
-    /// Who to end with
+    /// The process to end with
     #[command(flatten)]
     pub parent: ParentArgs,
 }
@@ -32,10 +32,10 @@ pub struct SimArgs {
 /// `fusion`.
 #[derive(Debug, Args)]
 pub struct FusionArgs {
-    /// Which run
+    /// The run
     #[command(flatten)]
     pub node: NodeArgs,
-    /// Stand by: follow the run, and lead as soon as nobody does or who leads hangs
+    /// Stand by: follow the run, and take over when the fusion process that leads dies or hangs
     #[arg(long)]
     pub standby: bool,
 }
@@ -43,7 +43,7 @@ pub struct FusionArgs {
 /// `robot`.
 #[derive(Debug, Args)]
 pub struct RobotArgs {
-    /// Which robot of the team, counted from 0
+    /// Number of the robot in the team, from 0
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub id: u64,
     /// The run
@@ -54,10 +54,10 @@ pub struct RobotArgs {
 /// `latency-node`.
 #[derive(Debug, Args)]
 pub struct LatencyNodeArgs {
-    /// How it talks
+    /// The transport
     #[arg(long, value_parser = REFERENCES)]
     pub reference: Reference,
-    /// fusion, who is the centre, or robot-N
+    /// fusion (the centre) or robot-N
     #[arg(long)]
     pub role: Role,
     /// The run
@@ -68,10 +68,10 @@ pub struct LatencyNodeArgs {
 /// The flags that nodes and observers share.
 #[derive(Debug, Args)]
 pub struct NodeArgs {
-    /// Name of the run to join; waits for it to be founded
+    /// Name of the run to join; waits until the run exists
     #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
     pub name: RunName,
-    /// Who to end with
+    /// The process to end with
     #[command(flatten)]
     pub parent: ParentArgs,
 }
@@ -79,7 +79,7 @@ pub struct NodeArgs {
 /// Set by `run` for the nodes that it starts, and by `latency` for what it measures.
 #[derive(Debug, Default, Args)]
 pub struct ParentArgs {
-    /// End when this process, the parent, ends
+    /// End when this process ends
     #[arg(long, value_name = "PID", hide = true)]
     pub end_with: Option<u32>,
 }
@@ -91,13 +91,13 @@ impl SimArgs {
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
         let joined = self.parent.end_with.and(self.experiment.name.as_ref());
-        // Before requests to end are listened for: a wait for a pipe's writer ends as the system ends it.
+        // Before signals are handled: a signal then ends a wait for a pipe's writer at once.
         let founded = if joined.is_none() { Some(self.experiment.experiment(Naming::Exact)?) } else { None };
         let termination = node::prepare(Role::Sim, self.parent.end_with)?;
         let (rendezvous, _folder) = match (joined, founded) {
             (Some(name), _) => (node::join(name, &termination)?, None),
             (None, Some(experiment)) => found(&self.experiment, &experiment)?,
-            (None, None) => return Err(Failure::input("--name: expected the name of a run")),
+            (None, None) => return Err(Failure::input("--name is missing: expected the name of a run")),
         };
         node::sim(&rendezvous, &termination)
     }
@@ -132,29 +132,32 @@ impl LatencyNodeArgs {
         let robot = match self.role {
             Role::Fusion => None,
             Role::Robot(id) => Some(id),
-            role => return Err(Failure::input(format!("--role: expected fusion or robot-N, got {role}"))),
+            role => return Err(Failure::input(format!("--role is {role}: expected fusion or robot-N"))),
         };
         latency_node(self.reference, robot, &self.node.name, self.node.parent.end_with)
     }
 }
 
-/// A simulator started by hand founds the run; started again after a kill, it joins it again. Returns the claim on the
-/// run folder too.
+/// Founds the run of a simulator that was started by hand, or joins it again after a kill. Also returns the claim on the
+/// run folder.
 fn found(args: &ExperimentArgs, experiment: &Experiment) -> Result<(Rendezvous, Option<Claim>), Failure> {
     if let Some(living) = Rendezvous::join_if_alive(&experiment.name).map_err(input_or_running)? {
         refuse_other_experiment(args, experiment, living.description())?;
-        failure::tell(format!("sim: run {} goes on already; taking the simulator's place in it", experiment.name));
-        // Its supervisor may have the folder, if there is one.
+        failure::print_stderr(format!(
+            "sim: run {} is already running; taking the simulator's place in it",
+            experiment.name
+        ));
+        // If the run has a supervisor, that holds the claim.
         let folder = folder::look_for_writable(living.description()).ok();
         return Ok((living, folder));
     }
     let name = &experiment.name;
-    // Before nodes can join the run and write into its folder.
+    // Claimed before nodes can join the run and write to its folder.
     let folder = folder::prepare_folder(experiment)?;
     let rendezvous = Rendezvous::found(name, experiment.description_for_nodes()).map_err(input_or_running)?;
     let robots = rendezvous.description().scenario.robots.len();
-    failure::tell(format!(
-        "sim: founded run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
+    failure::print_stderr(format!(
+        "sim: started run {name}; join it from other terminals with\n  rangehound fusion --name {name}\n  \
          rangehound robot --id 0 --name {name}   (to --id {})\n  rangehound watch --name {name}",
         robots - 1
     ));
@@ -166,8 +169,8 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
     let name = &asked.name;
     let refuse = |flag: &str, is: &dyn std::fmt::Display| {
         Failure::input(format!(
-            "{flag}: run {name} goes on already, with {is}: leave the flag out to take the simulator's place, or choose another \
-             --name"
+            "{flag} differs from run {name}, which is already running with {is}: leave it out to take the simulator's place, \
+             or choose another --name"
         ))
     };
     let real = |folder: &Path| folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
@@ -175,7 +178,7 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
         return Err(refuse("--out", &format_args!("its folder in {}", living.out_dir.display())));
     }
     let other = &"another scenario";
-    // The run's copy of a recording says less of how it was read.
+    // The run's copy of a recording has fewer details on how the original was read.
     let same_recording = |given: &Source| matches!((given, &living.scenario.source), (Source::Recorded(a), Source::Recorded(b)) if a.digest == b.digest);
     let scenario = |given: &Scenario| {
         let source = if same_recording(&given.source) { &living.scenario.source } else { &given.source };
@@ -187,7 +190,7 @@ fn refuse_other_experiment(args: &ExperimentArgs, asked: &Experiment, living: &R
     }
     let own_file = living.out_dir.join(SCENARIO);
     for (flag, alone) in one_by_one(args) {
-        // The run's own scenario, with this one flag over it.
+        // The run's own scenario, overridden by this one flag.
         let with_flag = input::scenario_file(&own_file).and_then(|mut file| {
             alone.put_over(&mut file)?;
             input::scenario(&file, &own_file.display().to_string(), &living.out_dir).map_err(Failure::input)

@@ -18,12 +18,12 @@ use crate::run::pin::Pin;
 use crate::run::supervisor::restart::Rule;
 use crate::run::supervisor::{self, Supervision};
 
-/// What is run, under which name, and where its folder is.
+/// The experiment, its name and its folder.
 #[derive(Debug, Default, Args)]
 pub struct ExperimentArgs {
     /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
     pub scenario: Option<PathBuf>,
-    /// Number of robots, all alike
+    /// Number of robots, all with the same properties
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub robots: Option<u64>,
     /// Number of time steps
@@ -32,23 +32,23 @@ pub struct ExperimentArgs {
     /// Seed of all random numbers
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
-    /// What starts the next tick: wall time, or all answers
+    /// What starts the next tick: wall time (realtime), or the answers of all nodes (lockstep)
     #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
-    /// How headings are chosen
+    /// Planner: how headings are chosen
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
     /// Least distance of the robots to the predicted target, m
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub stand_off: Option<f64>,
-    /// Silence after which lock step goes on without a robot, and a silent process is killed and started again: seconds or
+    /// Time-out: seconds of silence after which a run continues without a robot and replaces a silent process, or
     /// "forever"
     #[arg(long, value_name = "SECONDS", alias = "patience", value_parser = timeout, allow_negative_numbers = true)]
     pub timeout: Option<TimeoutKey>,
-    /// Name of the run: nodes find each other by it [default: the scenario's name, numbered if taken]
+    /// Name of the run, by which nodes find each other [default: the scenario's name, numbered if taken]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Run folder: report, tables, logs [default: runs/NAME]
+    /// Folder for report, tables and logs [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 }
@@ -56,28 +56,28 @@ pub struct ExperimentArgs {
 /// `run`.
 #[derive(Debug, Default, Args)]
 pub struct RunArgs {
-    /// The experiment, as a whole
+    /// The experiment
     #[command(flatten)]
     pub experiment: ExperimentArgs,
-    /// Take all steps in this one process, without shared memory: same estimates, same digest
+    /// Run all nodes in this one process, without shared memory: same estimates, same digest
     #[arg(long, conflicts_with = "live")]
     pub in_process: bool,
-    /// Who is started, and started again
+    /// The processes, and their restart
     #[command(flatten)]
     pub supervision: SupervisionArgs,
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
-    /// Exit with 1 if the report's verdict is that the result is not sound
+    /// Exit with 1 if the verdict of the report is "not sound"
     #[arg(long)]
     pub strict: bool,
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
-    /// Whether it is recorded
+    /// The recording
     #[command(flatten)]
     pub recording: RecordingArgs,
-    /// Who to end with
+    /// The process to end with
     #[command(flatten)]
     pub parent: ParentArgs,
 }
@@ -85,10 +85,10 @@ pub struct RunArgs {
 /// `track`.
 #[derive(Debug, Args)]
 pub struct TrackArgs {
-    /// What is read, and how
+    /// The recording to read
     #[command(flatten)]
     pub input: InputArgs,
-    /// Where the target is at the first range, m
+    /// Position of the target at the first range, m, if known
     #[arg(long, value_name = "X,Y", value_parser = place, allow_hyphen_values = true)]
     pub start: Option<[f64; 2]>,
     /// Standard deviation of each coordinate of --start, m [default: 0.5]
@@ -106,28 +106,28 @@ pub struct TrackArgs {
     /// Scale error S in `measured = (1+S) true + B`; SENSOR=S for one sensor, repeatable
     #[arg(long, value_name = "[SENSOR=]S", allow_hyphen_values = true)]
     pub range_scale: Vec<PerSensor>,
-    /// Which ranges are fused
+    /// The gate
     #[command(flatten)]
     pub gate: GateArgs,
-    /// What `rangehound calibrate` found: bias, scale and noise of the sensors; flags win over it
+    /// Calibration file of `rangehound calibrate`: bias, scale and noise of the sensors; flags override it
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Who is started, and started again
+    /// The processes, and their restart
     #[command(flatten)]
     pub supervision: SupervisionArgs,
-    /// True track to compare with: CSV with time_s,x_m,y_m; never seen by the tracker
+    /// True track to compare with: CSV with time_s,x_m,y_m; the tracker never reads it
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
-    /// Take all steps in this one process, without shared memory
+    /// Run all nodes in this one process, without shared memory
     #[arg(long, conflicts_with = "live")]
     pub in_process: bool,
-    /// Whether it is recorded
+    /// The recording
     #[command(flatten)]
     pub recording: RecordingArgs,
-    /// Name of the run [default: after the file, numbered if taken]
+    /// Name of the run [default: the name of the file, numbered if taken]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Run folder: estimate.csv, report, logs [default: runs/NAME]
+    /// Folder for estimate.csv, report and logs [default: runs/NAME]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the report as one line of JSON, with the keys of report.json
@@ -135,22 +135,22 @@ pub struct TrackArgs {
     pub json: bool,
 }
 
-/// Which ranges are fused: two switches.
+/// The gate for single ranges, and the distrust of sensors.
 #[derive(Debug, Default, Args)]
 pub struct GateArgs {
-    /// Reject a range whose innovation is more than this many standard deviations, or "none": fuse all
+    /// Gate: reject a range whose innovation exceeds this many standard deviations; "none" fuses all ranges
     #[arg(long, value_name = "SIGMA", value_parser = gate, allow_negative_numbers = true)]
     pub gate: Option<GateKey>,
-    /// Test but do not fuse the ranges of a sensor that keeps failing while most do not [default: where there is a gate]
+    /// Leave out a sensor whose ranges keep failing the gate while most others pass [default: on if there is a gate]
     #[arg(long, overrides_with = "no_distrust")]
     distrust: bool,
-    /// Fuse every range that passes the gate, whatever its sensor did before
+    /// Fuse every range that passes the gate, even if its sensor has failed often
     #[arg(long, overrides_with = "distrust")]
     no_distrust: bool,
 }
 
 impl GateArgs {
-    /// Whether sensors are distrusted, if that was said.
+    /// Whether sensors are distrusted, if given.
     #[must_use]
     pub fn distrust(&self) -> Option<bool> {
         (self.distrust || self.no_distrust).then_some(self.distrust)
@@ -163,34 +163,34 @@ pub struct ResumeArgs {
     /// Folder of the run
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// Name of the run [default: the scenario's]
+    /// Name of the run [default: the scenario's name]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Who is started, and started again
+    /// The processes, and their restart
     #[command(flatten)]
     pub supervision: SupervisionArgs,
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
-    /// Whether it is recorded
+    /// The recording
     #[command(flatten)]
     pub recording: RecordingArgs,
 }
 
-/// What a supervisor starts, and starts again.
+/// The processes that a supervisor starts, and their restart.
 #[derive(Debug, Default, Args)]
 pub struct SupervisionArgs {
-    /// Fusion processes that stand by to take over from the one that leads
+    /// Number of standby fusion processes, which take over when the leading one dies or hangs
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
     pub standby: usize,
-    /// Start nodes again that have ended: always, on-failure or never; sim=POLICY, fusion=POLICY or robot=POLICY for one
-    /// kind, repeatable [default: always]
+    /// When to restart nodes that have ended: always, on-failure or never; sim=POLICY, fusion=POLICY or robot=POLICY for
+    /// one kind of node, repeatable [default: always]
     #[arg(long = "restart", value_name = "[KIND=]POLICY")]
     pub rules: Vec<Rule>,
-    /// Processors for all processes of the run: none (any), one-core, or their numbers as in 0,1
+    /// Processors for all processes of the run: none (any processor), one-core, or numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
-    /// Who looks on
+    /// The live page
     #[command(flatten)]
     pub show: ShowArgs,
 }
@@ -198,7 +198,7 @@ pub struct SupervisionArgs {
 /// Whether a run is shown.
 #[derive(Debug, Default, Args)]
 pub struct ShowArgs {
-    /// Show it on a page in the browser, as `rangehound live` does; --live=PORT to choose the port
+    /// Show the run on a page in the browser, as `rangehound live` does; --live=PORT chooses the port
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, value_parser = port)]
     pub live: Option<Option<u16>>,
 }
@@ -206,21 +206,21 @@ pub struct ShowArgs {
 /// Whether a run is recorded.
 #[derive(Debug, Default, Args)]
 pub struct RecordingArgs {
-    /// Write run.mcap to the run folder, which viewers and `rangehound replay` open: on unless --no-record is given
+    /// Record the run in run.mcap in its folder, for viewers and `rangehound replay` [default: on]
     #[arg(long, overrides_with = "no_record")]
     pub record: bool,
     /// Do not write run.mcap
     #[arg(long, overrides_with = "record")]
     pub no_record: bool,
-    /// How large it may become
+    /// Its largest size
     #[command(flatten)]
     pub limit: RecordLimitArgs,
 }
 
-/// How large a recording may become.
+/// The largest size of a recording.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct RecordLimitArgs {
-    /// End the recording, not the run, when it has so many megabytes
+    /// Largest size of the recording in megabytes; beyond it the run continues without recording
     #[arg(long = "record-limit", value_name = "MB", value_parser = megabytes, allow_negative_numbers = true, default_value_t = RECORD_LIMIT_MB)]
     pub limit_mb: u64,
 }
@@ -253,7 +253,7 @@ impl TrackArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        // Before a folder is made for the name.
+        // Before the folder is made.
         let truth = self.truth.as_deref().map(Truth::read).transpose()?;
         let keep = Keep { ranges: false, truth, json: self.json, strict: self.input.strict };
         execute(self.experiment()?, self.in_process, &self.supervision.with(&self.recording), &keep)
@@ -261,7 +261,7 @@ impl TrackArgs {
 }
 
 impl ResumeArgs {
-    /// Goes on with the run.
+    /// Continues the run.
     ///
     /// # Errors
     /// [`Failure`].

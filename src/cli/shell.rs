@@ -1,4 +1,4 @@
-//! What a shell asks for: `completions`, `man`.
+//! Commands for the shell: `completions`, `names`, `man`.
 
 use std::path::PathBuf;
 
@@ -14,23 +14,23 @@ pub struct CompletionsArgs {
 /// `names`.
 #[derive(Debug, Args)]
 pub struct NamesArgs {
-    /// Of what
+    /// The kind of names
     pub of: NamesOf,
 }
 
-/// What has names that only the moment knows.
+/// Kinds of names that change over time.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum NamesOf {
-    /// Runs that go on
+    /// Running runs
     Runs,
-    /// Nodes of any of them
+    /// Nodes of the running runs
     Nodes,
 }
 
 /// `man`.
 #[derive(Debug, Args)]
 pub struct ManArgs {
-    /// Folder for the pages of all commands [default: that of rangehound, to a pipe or file]
+    /// Folder for the pages of all commands [default: print the main page, to a pipe or file]
     #[arg(value_name = "DIR")]
     pub folder: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! Values as they are written behind flags.
+//! The values of flags.
 
 use std::ffi::OsStr;
 use std::fmt::Display;
@@ -17,58 +17,66 @@ use crate::study::latency::reference::Reference;
 
 /// What each planner does, in the order of [`PLANNERS`].
 const PLANNERS_DO: [&str; PLANNERS.len()] = [
-    "The global optimum of each step, with a proof",
+    "Global optimum of each step, with a certificate that proves it",
     "The paper's adaptive relaxation",
-    "Standard relaxation",
-    "Exhaustive search, for up to 4 robots",
-    "Each robot by itself",
-    "Straight to the predicted target",
+    "The standard relaxation that the paper compares with",
+    "Exhaustive search on a grid of bearings, for up to 4 robots",
+    "Each robot chooses for itself, as if the others stood still",
+    "Each robot drives straight to the predicted target",
     "Random headings",
 ];
 
 /// What starts the next tick.
-pub(super) const CLOCKS: OneOf<Clock> = OneOf(&[
-    ("realtime", Clock::Realtime, "Every dt of wall time, whatever is missing"),
-    ("lockstep", Clock::Lockstep, "As soon as all have answered"),
-]);
+pub(super) const CLOCKS: OneOf<Clock> = OneOf(
+    &[
+        ("realtime", Clock::Realtime, "A tick starts every dt seconds of wall time, even if messages are missing"),
+        ("lockstep", Clock::Lockstep, "A tick starts as soon as all nodes have answered the previous one"),
+    ],
+    &[],
+);
 
-/// Kinds of faults; of all, none is named.
-pub(super) const KINDS: OneOf<Option<Kind>> = OneOf(&[
-    ("kill", Some(Kind::Kill), "One node is killed"),
-    ("stop", Some(Kind::Stop), "One node is stopped for 10 ms up to the longest stop"),
-    ("storm", Some(Kind::Storm), "One node is killed, and its successors as soon as they have its role, 3 to 5 times"),
-    ("several", Some(Kind::Several), "Two or more nodes are killed at once"),
-    (
-        "blackout",
-        Some(Kind::Blackout),
-        "Everything is killed at once, whatever the roles, and the supervisor too; then the run is resumed",
-    ),
-    ("all", None, "All of these; without blackout if not sim, fusion and robot are to be hurt"),
-]);
+/// Kinds of faults; `None` stands for all of them.
+pub(super) const KINDS: OneOf<Option<Kind>> = OneOf(
+    &[
+        ("kill", Some(Kind::Kill), "One node is killed"),
+        ("stop", Some(Kind::Stop), "One node is suspended, from 10 ms up to the longest stop, and then continued"),
+        (
+            "crash-loop",
+            Some(Kind::CrashLoop),
+            "One node is killed, and each successor as soon as it starts, 3 to 5 times in all",
+        ),
+        ("several", Some(Kind::Several), "Two or more nodes are killed at once"),
+        (
+            "total-outage",
+            Some(Kind::TotalOutage),
+            "All processes and the supervisor are killed at once; then the run is resumed",
+        ),
+        ("all", None, "All of these; total-outage only if --roles has sim, fusion and robot"),
+    ],
+    &[("storm", "crash-loop"), ("blackout", "total-outage")],
+);
 
-/// Who is hurt.
-pub(super) const VICTIMS: OneOf<Victim> = OneOf(&[
-    ("sim", Victim::Sim, "The simulator"),
-    ("fusion", Victim::Fusion, "The fusion centre"),
-    ("robot", Victim::Robot, "Any robot"),
-    ("standby", Victim::Standby, "Any fusion that stands by"),
-]);
+/// The kinds of nodes that faults hit.
+pub(super) const VICTIMS: OneOf<Victim> = OneOf(
+    &[
+        ("sim", Victim::Sim, "The simulator"),
+        ("fusion", Victim::Fusion, "The fusion process that leads"),
+        ("robot", Victim::Robot, "Any robot"),
+        ("standby", Victim::Standby, "Any fusion process that stands by"),
+    ],
+    &[],
+);
 
-/// How nodes of a reference talk.
-pub(super) const REFERENCES: OneOf<Reference> = OneOf(&[
-    (
-        "iceoryx2",
-        Reference::Iceoryx2,
-        "Publish-subscribe and events of iceoryx2, as a program would use it that has nothing else to do",
-    ),
-    (
-        "futex",
-        Reference::Futex,
-        "Words of shared memory on which the kernel lets processes wait: the least that a wake-up takes",
-    ),
-]);
+/// The transport of a reference.
+pub(super) const REFERENCES: OneOf<Reference> = OneOf(
+    &[
+        ("iceoryx2", Reference::Iceoryx2, "Publish-subscribe and events of iceoryx2"),
+        ("futex", Reference::Futex, "Futexes in shared memory: the least that a wake-up can cost"),
+    ],
+    &[],
+);
 
-/// Completes the names of planners, but takes any: who plans says what is wrong with it.
+/// A planner's name. The shell completes the known names; the scenario's checks refuse others.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PlannerName;
 
@@ -86,23 +94,34 @@ impl TypedValueParser for PlannerName {
     }
 }
 
-/// One of these words: its meaning, and its text in `--help`.
+/// A flag with a fixed set of values: each with its meaning and its text in `--help`; then aliases of former names.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct OneOf<T: 'static>(&'static [(&'static str, T, &'static str)]);
+pub(super) struct OneOf<T: 'static>(
+    &'static [(&'static str, T, &'static str)],
+    &'static [(&'static str, &'static str)],
+);
+
+impl<T: Copy + Send + Sync + 'static> OneOf<T> {
+    fn values(&self) -> impl Iterator<Item = PossibleValue> + '_ {
+        let aliases = |name| self.1.iter().filter(move |(_, of)| *of == name).map(|(alias, _)| *alias);
+        self.0.iter().map(move |(name, _, does)| PossibleValue::new(*name).help(*does).aliases(aliases(*name)))
+    }
+}
 
 impl<T: Copy + Send + Sync + 'static> TypedValueParser for OneOf<T> {
     type Value = T;
 
     fn parse_ref(&self, command: &clap::Command, arg: Option<&Arg>, value: &OsStr) -> Result<T, clap::Error> {
-        let words = PossibleValuesParser::new(self.0.iter().map(|(word, ..)| *word));
-        // What is not UTF-8 is none of them.
-        let word = words.parse_ref(command, arg, OsStr::new(value.to_string_lossy().as_ref()))?;
-        let found = self.0.iter().find(|(known, ..)| *known == word);
+        let names = PossibleValuesParser::new(self.values());
+        // A value that is not UTF-8 matches no name.
+        let name = names.parse_ref(command, arg, OsStr::new(value.to_string_lossy().as_ref()))?;
+        let name = self.1.iter().find(|(alias, _)| *alias == name).map_or(name.as_str(), |(_, of)| *of);
+        let found = self.0.iter().find(|(known, ..)| *known == name);
         found.map(|(_, value, _)| *value).ok_or_else(|| clap::Error::new(ErrorKind::InvalidValue).with_cmd(command))
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
-        Some(Box::new(self.0.iter().map(|(word, _, does)| PossibleValue::new(word).help(does))))
+        Some(Box::new(self.values()))
     }
 }
 
@@ -138,7 +157,7 @@ pub(super) fn within<T: PartialOrd + Display>(
     if bounds.contains(&value) {
         Ok(value)
     } else {
-        Err(Failure::input(format!("{flag}: expected {expected}, got {value}")))
+        Err(Failure::input(format!("{flag} is {value}: expected {expected}")))
     }
 }
 

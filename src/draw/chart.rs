@@ -1,6 +1,6 @@
-//! What all pictures are drawn with: colours, labels, legends and lines.
+//! Shared parts of all pictures: colours, axes, labels and legends.
 //!
-//! The SVG backend rounds to whole pixels, so pictures are large and their labels with them.
+//! The SVG backend rounds coordinates to whole pixels, so pictures and labels are large.
 
 use std::ops::Range;
 use std::path::Path;
@@ -14,7 +14,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use crate::files::atomic_file;
 
-/// Colours told apart by most eyes.
+/// Colours that most people can distinguish.
 pub const COLOURS: [RGBColor; 7] = [
     RGBColor(31, 119, 180),
     RGBColor(255, 127, 14),
@@ -34,28 +34,28 @@ pub const ESTIMATE: RGBColor = RGBColor(214, 39, 40);
 /// Font of labels.
 pub const LABELS: (&str, u32) = ("sans-serif", 24);
 
-/// Font of a key.
+/// Font of the legend.
 const KEY: (&str, u32) = ("sans-serif", 28);
 
-/// Height of a key's row, px.
+/// Height of a row of the legend, px.
 const KEY_ROW: u32 = 50;
 
-/// Width of a key's line with the room round it, px.
+/// Width of a sample line in the legend with its margins, px.
 const KEY_LINE: u32 = 110;
 
-/// Width of a key's character, px: not less than those of most fonts.
+/// Width of a character in the legend, px: at least that of most fonts.
 const KEY_CHARACTER: u32 = 16;
 
-/// What is less has no digits to show without powers of ten.
+/// Smaller numbers need powers of ten: three decimals show none of their digits.
 const SMALL: f64 = 1e-3 * (1.0 - 1e-9);
 
-/// Labels of an axis, at most.
+/// Most labels of an axis.
 const LABELS_MAX: usize = 11;
 
-/// Labels of the axis beneath rows, at most: their names take of its room.
+/// Most labels of the axis below named rows, which is shorter: the names need room.
 const LABELS_BENEATH_ROWS: usize = 8;
 
-/// From here on numbers are wide: labels along a horizontal axis would meet.
+/// Larger numbers need powers of ten: their labels would overlap along a horizontal axis.
 const WIDE: f64 = 1e5;
 
 /// A part of a picture.
@@ -67,12 +67,12 @@ pub type Plane<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoor
 /// A chart of rows.
 pub type Rows<'a, 'b, X> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, RangedCoordf64>>;
 
-/// An axis with a logarithm, on which each mark stands once: plotters' own has the ends of decades twice.
+/// A logarithmic axis. The one of plotters draws the ends of decades twice.
 #[derive(Debug, Clone)]
 pub struct LogAxis(pub Range<f64>);
 
 impl LogAxis {
-    /// What begins with these digits and lies on it.
+    /// Numbers on the axis with these leading digits.
     fn marks(&self, leading: &[f64]) -> Vec<f64> {
         let Self(Range { start, end }) = self;
         let decades = start.log10().floor() as i32..=end.log10().ceil() as i32;
@@ -89,7 +89,7 @@ impl Ranged for LogAxis {
         RangedCoordf64::from(self.0.start.ln()..self.0.end.ln()).map(&value.ln(), limit)
     }
 
-    /// 1, 2 and 5 of each decade where there is room, else decades, or some of them.
+    /// 1, 2 and 5 times each power of ten if there is room, else the powers of ten, or every n-th of them.
     fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
         let most = hint.max_num_points().max(1);
         let fine = self.marks(&[1.0, 2.0, 5.0]);
@@ -115,13 +115,13 @@ pub fn caption_font(colour: &RGBColor) -> TextStyle<'static> {
     ("sans-serif", 32).into_font().color(colour)
 }
 
-/// What drawing comes to.
+/// The result of drawing.
 pub type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 /// Draws a picture into a file.
 ///
 /// # Errors
-/// If it cannot be drawn or written; the file's name is in it.
+/// If it cannot be drawn or written; names the file.
 pub fn draw_to_file(path: &Path, size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> anyhow::Result<()> {
     let svg = draw_to_string(size, draw).map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))?;
     atomic_file::write(path, svg)
@@ -174,7 +174,7 @@ where
     Ok(())
 }
 
-/// How numbers are written on an axis: all with powers of ten if one of them needs it, as those from `wide` on do.
+/// The format of an axis's numbers: all with powers of ten if one of them needs it; numbers from `wide` on do.
 pub fn numbers<A: Ranged<ValueType = f64>>(axis: &A, wide: f64) -> impl Fn(&f64) -> String + use<A> {
     let unit = rounding(&axis.range());
     let is_plain = |mark: &f64| mark.abs() < unit || *mark == 0.0 || (SMALL..wide * (1.0 - 1e-9)).contains(&mark.abs());
@@ -186,12 +186,12 @@ pub fn numbers<A: Ranged<ValueType = f64>>(axis: &A, wide: f64) -> impl Fn(&f64)
     }
 }
 
-/// What is less on an axis is zero: the steps from label to label are not exact.
+/// Smaller numbers on an axis are zero with a rounding error of the steps between labels.
 fn rounding(axis: &Range<f64>) -> f64 {
     if axis.start <= 0.0 { 1e-12 * (axis.end - axis.start) } else { 0.0 }
 }
 
-/// Axes whose vertical one names rows, from the top down: row `k` of `n` lies between `n - k - 1` and `n - k`.
+/// Axes whose vertical one has named rows, from the top down: row `k` of `n` lies between `n - k - 1` and `n - k`.
 ///
 /// # Errors
 /// The backend's.
@@ -212,7 +212,7 @@ where
         .x_label_area_size(60)
         .y_label_area_size(260)
         .build_cartesian_2d(xs, 0.0..count)?;
-    // In the middle of each row.
+    // Each name is in the middle of its row.
     let name = |y: &f64| {
         let index = count - 0.5 - y;
         let named = ((index - index.round()).abs() < 1e-6).then(|| names.get(index.round() as usize)).flatten();
@@ -232,7 +232,7 @@ where
     Ok(chart)
 }
 
-/// Axes' limits that hold all finite values above zero, for a log axis with a little room.
+/// Limits of a logarithmic axis for all finite values above zero, with a small margin.
 #[must_use]
 pub fn log_limits(values: impl IntoIterator<Item = f64>) -> Range<f64> {
     let drawable = values.into_iter().filter(|value| value.is_finite() && *value > 0.0);
@@ -241,19 +241,19 @@ pub fn log_limits(values: impl IntoIterator<Item = f64>) -> Range<f64> {
         return 1e-3..1.0;
     }
     let (low, high) = (low / 1.2, high * 1.2);
-    // Numbers stand from the first whole decade on: it is taken in if it is near, and not missed by a rounding.
+    // Labels start at a whole power of ten. It is included if it is near; the factor allows for rounding.
     let decade = 10_f64.powf(low.log10().floor()) * (1.0 - 1e-9);
     if decade > 0.0 && low < 3.0 * decade { decade..high } else { low..high }
 }
 
-/// The colour of a robot; they repeat in large teams.
+/// The colour of a robot; colours repeat in large teams.
 #[must_use]
 pub fn robot_colour(id: usize) -> RGBColor {
-    // All but the last, which is the estimate's.
+    // The last colour is the estimate's.
     COLOURS[id % (COLOURS.len() - 1)]
 }
 
-/// A number without the noise of its last digits; powers of ten where it is small or large.
+/// A number with at most three decimals, or with a power of ten if it is small or large.
 #[must_use]
 pub fn short(value: f64) -> String {
     if value == 0.0 || (SMALL..WIDE).contains(&value.abs()) { plain(value) } else { powers(value) }
@@ -268,15 +268,15 @@ fn powers(value: f64) -> String {
     text.split_once('e').map_or(text.clone(), |(digits, power)| format!("{}e{power}", trimmed(digits)))
 }
 
-/// Without the zeros after its point.
+/// Removes trailing zeros, and the point before them.
 fn trimmed(digits: &str) -> &str {
     digits.trim_end_matches('0').trim_end_matches('.')
 }
 
-/// A name in a key, and the line that is drawn beside it.
+/// An entry of the legend: a name, and the style of its sample line.
 pub type KeyEntry = (String, ShapeStyle);
 
-/// Height of the key of these entries in a picture of this width, px.
+/// Height of a legend with these entries in a picture of this width, px.
 #[must_use]
 pub fn key_height(width: u32, entries: &[KeyEntry]) -> u32 {
     let rows = key_places(width, entries).last().map_or(0, |(_, row)| row + 1);
@@ -298,7 +298,7 @@ fn key_places(width: u32, entries: &[KeyEntry]) -> Vec<(u32, u32)> {
     entries.iter().map(place).collect()
 }
 
-/// Rows of names at the top, each beside its line: a legend that covers nothing. Gives the area below.
+/// Draws the legend in rows at the top, so that it covers nothing, and returns the area below.
 ///
 /// # Errors
 /// The backend's.
@@ -334,7 +334,7 @@ mod tests {
         assert_eq!([0.0, 0.5, 250.0, 450_000.0, 2e-4].map(short), ["0", "0.5", "250", "4.5e5", "2e-4"]);
     }
 
-    /// What stands on an axis.
+    /// The labels of an axis.
     fn labels<A: Ranged<ValueType = f64>>(axis: &A) -> Vec<String> {
         axis.key_points(BoldPoints(LABELS_MAX)).iter().map(numbers(axis, WIDE)).collect()
     }

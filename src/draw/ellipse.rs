@@ -1,10 +1,10 @@
-//! The ellipse that shows how well a position is known.
+//! The ellipse that shows the uncertainty of a position.
 
 use std::f64::consts::TAU;
 
 use nalgebra::{Matrix2, Vector2};
 
-/// Where an estimate is to be expected, as far as its covariance knows.
+/// The covariance ellipse of a position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {
     centre_m: Vector2<f64>,
@@ -14,7 +14,7 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// The ellipse of so many standard deviations; a mere point if the covariance is none.
+    /// The ellipse of this many standard deviations; a point if the covariance is not finite.
     #[must_use]
     pub fn new(centre_m: Vector2<f64>, covariance_m2: &Matrix2<f64>, sigmas: f64) -> Self {
         if !covariance_m2.iter().all(|value| value.is_finite()) {
@@ -31,13 +31,13 @@ impl Ellipse {
         self.half_m.into()
     }
 
-    /// How the first axis is turned, anticlockwise from east.
+    /// Direction of the first axis, anticlockwise from east.
     #[must_use]
     pub fn angle_rad(&self) -> f64 {
         self.axes[(1, 0)].atan2(self.axes[(0, 0)])
     }
 
-    /// Points round it in so many steps; the last is the first again.
+    /// Points on the ellipse in this many steps; the last point equals the first.
     pub fn outline_m(self, steps: u32) -> impl Iterator<Item = Vector2<f64>> {
         let Self { centre_m, half_m, axes } = self;
         (0..=steps).map(move |step| {

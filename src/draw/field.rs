@@ -9,16 +9,16 @@ use rangehound_shared::scenario::Scenario;
 use crate::draw::chart::{self, Area, Drawn, ESTIMATE, KeyEntry, Plane, TARGET};
 use crate::draw::ellipse::Ellipse;
 
-/// Covariance ellipses along the track.
+/// Number of covariance ellipses along the track.
 const ELLIPSES: usize = 16;
 
-/// Corners of one.
+/// Corners of an ellipse.
 const ELLIPSE_STEPS: u32 = 48;
 
 /// Teams up to this size have each robot in the legend.
 const FEW_ROBOTS: usize = 10;
 
-/// What the colours are, for a key above one field or several.
+/// The legend of the colours, for one field or several.
 #[must_use]
 pub fn key(robots: &[String]) -> Vec<KeyEntry> {
     let bodies = [("target".to_owned(), TARGET), ("estimate, 3 sigma".to_owned(), ESTIMATE)];
@@ -27,7 +27,7 @@ pub fn key(robots: &[String]) -> Vec<KeyEntry> {
     bodies.into_iter().chain(robots).map(|(name, colour)| (name, colour.stroke_width(6))).collect()
 }
 
-/// Who was where, by tick; all in m and m^2.
+/// Positions of target and robots by tick, in m and m^2.
 #[derive(Debug, Clone, Default)]
 pub struct Paths {
     /// Estimated positions of the target.
@@ -38,7 +38,7 @@ pub struct Paths {
     pub truths_m: Vec<Option<Vector2<f64>>>,
     /// A path for each robot.
     pub robots_m: Vec<Vec<Vector2<f64>>>,
-    /// What people call each robot.
+    /// Display name of each robot.
     pub names: Vec<String>,
 }
 
@@ -50,7 +50,7 @@ pub struct Square {
 }
 
 impl Square {
-    /// The least square, with a margin, that holds these places.
+    /// The smallest square around these places, with a margin.
     #[must_use]
     pub fn around<'a>(places: impl IntoIterator<Item = &'a Vector2<f64>>) -> Self {
         let none = (Vector2::repeat(f64::MAX), Vector2::repeat(f64::MIN));
@@ -83,7 +83,7 @@ impl Square {
 }
 
 impl Paths {
-    /// No path yet of a scenario's team.
+    /// Empty paths of a scenario's team.
     #[must_use]
     pub fn of_team(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
@@ -91,7 +91,7 @@ impl Paths {
         Self { robots_m: vec![Vec::new(); robots], names, ..Self::default() }
     }
 
-    /// Where target and robots were.
+    /// All true positions of target and robots.
     pub fn bodies(&self) -> impl Iterator<Item = &Vector2<f64>> {
         self.truths_m.iter().flatten().chain(self.robots_m.iter().flatten())
     }
@@ -102,7 +102,7 @@ impl Paths {
         (width, width + chart::key_height(width, &key(&self.names)))
     }
 
-    /// Draws all of the field under a key.
+    /// Draws the whole field below a legend.
     ///
     /// # Errors
     /// The backend's.
@@ -111,14 +111,14 @@ impl Paths {
         self.draw(&below, Square::around(self.estimates_m.iter().chain(self.bodies())), None)
     }
 
-    /// Draws them on a square of the field.
+    /// Draws the paths on a square of the field.
     ///
     /// # Errors
     /// The backend's.
     pub fn draw(&self, area: &Area<'_>, square: Square, caption: Option<(&str, RGBColor)>) -> Drawn {
         let (x, y) = square.ranges();
         let mut builder = ChartBuilder::on(area);
-        // As much beside the plot as above and below it: a square stays one.
+        // Equal margins horizontally and vertically, so that a square stays a square.
         builder.margin(20).margin_top(40).margin_bottom(40).x_label_area_size(60).y_label_area_size(100);
         if let Some((caption, colour)) = caption {
             builder.caption(caption, chart::caption_font(&colour));

@@ -1,4 +1,4 @@
-//! What all pictures are drawn with.
+//! Drawing for all pictures.
 //!
 //! | module | what |
 //! |---|---|

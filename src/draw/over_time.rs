@@ -7,13 +7,13 @@ use plotters::prelude::*;
 
 use crate::draw::chart::{self, Area, Drawn, KeyEntry, LogAxis};
 
-/// Most that an axis with a logarithm spans: what is lower lies on its edge.
+/// Largest ratio of the ends of a logarithmic axis; lower values are drawn on its edge.
 const SPAN_MAX: f64 = 1e9;
 
-/// What is drawn over time; all in one unit.
+/// Curves and bands over time, all in one unit.
 #[derive(Debug, Default)]
 pub struct OverTime {
-    /// What the quantity is, and its unit.
+    /// The quantity and its unit.
     pub label: String,
     /// Areas behind the lines, the first lowest.
     pub bands: Vec<Band>,
@@ -21,10 +21,10 @@ pub struct OverTime {
     pub lines: Vec<Line>,
 }
 
-/// What lies between two curves.
+/// The area between two curves.
 #[derive(Debug)]
 pub struct Band {
-    /// Name in the key; none if somebody else's key has it.
+    /// Name in the legend; `None` if another legend has it.
     pub name: Option<String>,
     /// Its colour.
     pub colour: RGBAColor,
@@ -35,7 +35,7 @@ pub struct Band {
 /// A curve.
 #[derive(Debug)]
 pub struct Line {
-    /// Name in the key; none if somebody else's key has it.
+    /// Name in the legend; `None` if another legend has it.
     pub name: Option<String>,
     /// Its colour and width.
     pub style: ShapeStyle,
@@ -44,7 +44,7 @@ pub struct Line {
 }
 
 impl OverTime {
-    /// Draws on an axis with a logarithm, which holds all lines and bands: values that have none are left out.
+    /// Draws on a logarithmic axis for all lines and bands; values without a logarithm are left out.
     ///
     /// # Errors
     /// The backend's.
@@ -52,7 +52,7 @@ impl OverTime {
         self.draw_log_up_to(f64::INFINITY, area, times_s)
     }
 
-    /// [`Self::draw_log`] on an axis that ends at `most` at the latest.
+    /// As [`Self::draw_log`], on an axis that ends at most at `most`.
     ///
     /// # Errors
     /// The backend's.
@@ -62,7 +62,7 @@ impl OverTime {
             line.points.retain(|(_, value)| drawable(value));
         }
         for band in &mut self.bands {
-            // A band that reaches down to nothing reaches the edge.
+            // A band may begin at zero: it is drawn from the edge.
             band.points.retain(|(_, low, high)| low.is_finite() && drawable(high));
         }
         let of_lines = self.lines.iter().flat_map(|line| &line.points).map(|(_, value)| *value);
@@ -73,7 +73,7 @@ impl OverTime {
         self.draw(area, times_s, LogAxis(limits))
     }
 
-    /// Draws on these axes; what is beyond an edge lies on it.
+    /// Draws on these axes; values beyond an edge are drawn on it.
     ///
     /// # Errors
     /// The backend's.

@@ -1,4 +1,4 @@
-//! Atomic files: they are complete or absent. No reader sees half a file, and a full disk leaves no empty file.
+//! Atomic files: complete or absent. No reader sees half a file, and a full disk leaves no empty file.
 //!
 //! They replace only files that rangehound has written, see [`crate::files::out_folder`].
 
@@ -13,7 +13,7 @@ use rustix::io::Errno;
 use crate::files::layout::PARTIAL;
 use crate::files::out_folder;
 
-/// The path of a file beside this one, whose name has more at its end.
+/// A path in the same folder with a suffix appended to the file name.
 #[must_use]
 pub fn with_ending(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
@@ -37,7 +37,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
     write_with_mode(path, content, MODE)
 }
 
-/// The same, for the owner alone to read.
+/// Writes a complete file that only its owner can read.
 ///
 /// # Errors
 /// As [`write()`].
@@ -64,7 +64,7 @@ pub fn give_name(file: &File, partial: &Path, path: &Path) -> std::io::Result<()
     rename_to_free(partial, path)
 }
 
-/// Gives a file a name that nothing has.
+/// Gives a file a name that no other file has.
 ///
 /// # Errors
 /// If the system refuses, or something has that name.
@@ -72,9 +72,9 @@ pub fn rename_to_free(partial: &Path, path: &Path) -> std::io::Result<()> {
     match renameat_with(CWD, partial, CWD, path, RenameFlags::NOREPLACE) {
         Err(Errno::EXIST) => Err(std::io::Error::new(
             ErrorKind::AlreadyExists,
-            "a file has that name that is not as rangehound wrote it: it is kept",
+            "the file that has this name is not as rangehound wrote it, so it is kept: move it away",
         )),
-        // A file system that does not know of such a rename.
+        // The file system does not support such a rename.
         Err(Errno::INVAL | Errno::NOSYS) if path.symlink_metadata().is_err() => std::fs::rename(partial, path),
         renamed => Ok(renamed?),
     }
@@ -93,7 +93,7 @@ impl AtomicFile {
     }
 
     fn create_with_mode(path: &Path, mode: u32) -> anyhow::Result<Self> {
-        // Another process may be writing the same, as `watch` does beside a run's supervisor: the last one replaces the others' file.
+        // Another process may write the same file, as `watch` does beside a run's supervisor: the last one to finish wins.
         let partial = with_ending(path, &format!(".{}{PARTIAL}", std::process::id()));
         let file = File::options().write(true).create_new(true).mode(mode).open(&partial);
         let file = file.map_err(|error| named(path, &error))?;
@@ -102,7 +102,7 @@ impl AtomicFile {
         Ok(made)
     }
 
-    /// Gives it its name.
+    /// Gives the file its final name.
     ///
     /// # Errors
     /// With its name, if the system refuses.
@@ -125,7 +125,7 @@ impl Write for AtomicFile {
 
 impl Drop for AtomicFile {
     fn drop(&mut self) {
-        // Not there any more if it was finished.
+        // After `finish` this file no longer exists.
         let _ = std::fs::remove_file(&self.partial);
     }
 }

@@ -1,4 +1,4 @@
-//! `calibration.toml`, version 1: what `calibrate` writes and `track --calibration` reads.
+//! `calibration.toml`, version 1: written by `calibrate`, read by `track --calibration`.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ pub const VERSION: u64 = 1;
 /// Largest file that is read, bytes.
 const LEN_MAX: u64 = 1 << 20;
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -43,14 +43,14 @@ pub struct SensorCalibration {
     pub range_std_m: Option<f64>,
 }
 
-/// Reads a file, strictly.
+/// Reads a file; unknown keys are refused.
 ///
 /// # Errors
 /// [`Failure::Input`].
 pub fn read(path: &Path) -> Result<Calibration, Failure> {
     let refuse = |problem: String| {
         Failure::input(format!(
-            "{}: expected a calibration as `rangehound calibrate` writes it: {problem}",
+            "cannot use {}: expected a calibration as `rangehound calibrate` writes it: {problem}",
             path.display()
         ))
     };
@@ -65,36 +65,40 @@ pub fn read(path: &Path) -> Result<Calibration, Failure> {
 /// Parses the text of a file.
 ///
 /// # Errors
-/// What is wrong first.
+/// The first fault.
 pub fn parse(text: &str) -> Result<Calibration, String> {
     let file: Calibration = toml::from_str(text).map_err(|error| error.message().to_owned())?;
     if file.version != VERSION {
-        return Err(format!("version {} is not {VERSION}", file.version));
+        return Err(format!("its version is {}, not {VERSION}", file.version));
     }
     for (index, sensor) in file.sensor.iter().enumerate() {
         if file.sensor[..index].iter().any(|before| before.id == sensor.id) {
-            return Err(format!("sensor {:?} stands in it twice", sensor.id));
+            return Err(format!("sensor {:?} is in it twice", sensor.id));
         }
     }
     let all = file.sensor.iter().flat_map(|sensor| [sensor.bias_m, sensor.scale, sensor.range_std_m]);
     if all.chain([file.range_std_m, file.accel_psd]).flatten().any(|value| !value.is_finite()) {
-        return Err("a value is not finite".to_owned());
+        return Err("it has a value that is not finite".to_owned());
     }
     Ok(file)
 }
 
-/// Puts a calibration beneath what the command line gave: flags win. Tells which sensors only one side knows.
+/// Adds a calibration to the values of the command line, which take precedence. Reports sensors that only one of the two
+/// has.
 pub fn merge(file: &Calibration, known: &[String], table: &mut RecordingTable, psd: &mut Option<f64>) {
     let list = |names: Vec<&str>| names.join(", ");
     let surplus: Vec<&str> =
         file.sensor.iter().map(|s| s.id.as_str()).filter(|id| !known.iter().any(|k| k == id)).collect();
     if !surplus.is_empty() {
-        failure::tell(format_args!("calibration: not in this recording: sensor {}", list(surplus)));
+        failure::print_stderr(format_args!(
+            "calibration: values for sensors that are not in this recording: {}",
+            list(surplus)
+        ));
     }
     let missing: Vec<&str> =
         known.iter().map(String::as_str).filter(|k| file.sensor.iter().all(|s| s.id != *k)).collect();
     if !missing.is_empty() {
-        failure::tell(format_args!("calibration: without values for sensor {}", list(missing)));
+        failure::print_stderr(format_args!("calibration: no values for sensors of this recording: {}", list(missing)));
     }
     let (std_given, bias_given, scale_given) = (table.range_std_m, table.bias_m, table.scale);
     table.range_std_m = std_given.or(file.range_std_m);
@@ -109,7 +113,7 @@ pub fn merge(file: &Calibration, known: &[String], table: &mut RecordingTable, p
     }
 }
 
-/// The table's entry of a sensor, made if it is not there: the one place that knows how the scenario names sensors.
+/// The table's entry of a sensor; created if it is missing.
 fn entry<'a>(sensors: &'a mut Vec<SensorTable>, name: &str) -> Option<&'a mut SensorTable> {
     let id: SensorName = name.parse().ok()?;
     let index = sensors.iter().position(|sensor| sensor.id == id).unwrap_or_else(|| {

@@ -1,5 +1,5 @@
-//! The files that users give: scenarios, recordings with their anchors, true tracks. A recording may be a pipe, whose writer
-//! may be slow, or standard input.
+//! The users' input files: scenarios, recordings with their anchors, true tracks. A recording may also be standard input
+//! or a pipe, whose writer may be slow.
 
 use std::fmt::Display;
 use std::fs::File;
@@ -18,17 +18,17 @@ use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, Scena
 
 use crate::failure::Failure;
 
-/// Named in errors about flags, in place of a scenario file.
-pub const COMMAND_LINE: &str = "command line";
+/// Stands in errors about flags for the name of the scenario file.
+pub const COMMAND_LINE: &str = "the command line";
 
-/// Longest scenario file, bytes: some times what 1024 robots one by one take.
+/// Longest scenario file, bytes: several times the length of one that lists 1024 robots.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
 
 /// Standard input, as a path.
 const STANDARD_INPUT: &str = "-";
 
-/// After so long without a byte, a message says what the program is waiting for.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// After this time without a byte, a message says what the program is waiting for.
+const QUIET_MAX: Duration = Duration::from_secs(2);
 
 /// A path as text: a run's files and processes exchange paths as text.
 ///
@@ -36,7 +36,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// [`Failure::Input`], with the path, if it is not UTF-8.
 pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure> {
     path.to_str().ok_or_else(|| {
-        Failure::input(format!("{what}: expected a path in UTF-8, got {path:?}: rename it, or take another"))
+        Failure::input(format!("{what} is {path:?}: expected a path in UTF-8: rename it, or choose another"))
     })
 }
 
@@ -46,7 +46,7 @@ pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure
 /// [`Failure::Input`] if the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
 pub fn scenario_file(path: &Path) -> Result<ScenarioFile, Failure> {
     let unreadable = |reason: &dyn Display| {
-        Failure::input(format!("{}: expected a scenario file that can be read: {reason}", path.display()))
+        Failure::input(format!("cannot read {}: expected a scenario file: {reason}", path.display()))
     };
     let bytes = bounded::read(path, SCENARIO_LEN_MAX).map_err(|error| unreadable(&error))?;
     let text = String::from_utf8(bytes).map_err(|error| unreadable(&error.utf8_error()))?;
@@ -57,7 +57,7 @@ pub fn scenario_file(path: &Path) -> Result<ScenarioFile, Failure> {
 /// `folder`.
 ///
 /// # Errors
-/// [`ScenarioError`] for the first thing that is wrong.
+/// [`ScenarioError`] for the first fault.
 pub fn scenario(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Scenario, ScenarioError> {
     Scenario::from_file_with(raw, file, |table| recording_of(table, file, folder))
 }
@@ -66,18 +66,18 @@ pub fn scenario(raw: &ScenarioFile, file: &str, folder: &Path) -> Result<Scenari
 /// scenario in errors.
 ///
 /// # Errors
-/// [`ScenarioError`] for the first thing that is wrong.
+/// [`ScenarioError`] for the first fault.
 pub fn recording_of(
     table: &RecordingTable,
     file: &str,
     folder: &Path,
 ) -> Result<(Recording, ReadSummary), ScenarioError> {
     let Some(ranges) = table.ranges_path(folder) else {
-        return Err(ScenarioError::Senseless {
+        return Err(ScenarioError::WrongValue {
             file: file.to_owned(),
             key: "recording.ranges".to_owned(),
             expected: "the path of a file of ranges".to_owned(),
-            got: "nothing".to_owned(),
+            got: "missing".to_owned(),
         });
     };
     let mut options = table.read_options(file)?;
@@ -88,7 +88,7 @@ pub fn recording_of(
 /// Reads a recording: a file, a pipe, or standard input if the path is `-`.
 ///
 /// # Errors
-/// [`RecordingError`] for the first thing that is wrong with it.
+/// [`RecordingError`] for the first fault.
 pub fn recording(path: &Path, options: &ReadOptions) -> Result<(Recording, ReadSummary), RecordingError> {
     let Input { reader, name } = open(path)?;
     Recording::parse(reader, &name, options)
@@ -97,7 +97,7 @@ pub fn recording(path: &Path, options: &ReadOptions) -> Result<(Recording, ReadS
 /// Reads a file of anchors.
 ///
 /// # Errors
-/// [`RecordingError`] for the first thing that is wrong with it.
+/// [`RecordingError`] for the first fault.
 pub fn anchors(path: &Path, columns: &ColumnMap) -> Result<Anchors, RecordingError> {
     Anchors::parse(open_file(path)?, path, columns)
 }
@@ -105,7 +105,7 @@ pub fn anchors(path: &Path, columns: &ColumnMap) -> Result<Anchors, RecordingErr
 /// Reads a track, in order of time.
 ///
 /// # Errors
-/// [`RecordingError`] for the first thing that is wrong with it.
+/// [`RecordingError`] for the first fault.
 pub fn track(path: &Path) -> Result<Vec<TrackPoint>, RecordingError> {
     parse_track(open_file(path)?, path)
 }
@@ -126,7 +126,7 @@ fn open(path: &Path) -> Result<Input, RecordingError> {
     let name = if is_standard_input { PathBuf::from("standard input") } else { path.to_owned() };
     let kind = std::fs::metadata(if is_standard_input { Path::new("/dev/stdin") } else { path }).ok();
     let may_wait = kind.is_some_and(|kind| kind.file_type().is_fifo() || kind.file_type().is_char_device());
-    // From before it is opened: that alone waits for a writer.
+    // Started before the file is opened, because opening a pipe already waits for its writer.
     let watched = may_wait.then(|| watch(&name));
     let reader: Box<dyn Read> =
         if is_standard_input { Box::new(std::io::stdin().lock()) } else { Box::new(open_file(path)?) };
@@ -143,12 +143,12 @@ fn watch(name: &Path) -> Arc<AtomicU64> {
     let watch = move || {
         let (mut before, mut is_told) = (0, false);
         loop {
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(QUIET_MAX);
             let Some(bytes) = weak.upgrade() else { return };
             let now = bytes.load(Ordering::Relaxed);
             if now == before && !is_told {
                 let given = if now == 0 { "nothing".to_owned() } else { format!("{now} bytes") };
-                log::warn!("waiting for the writer of {}, which has given {given} so far", name.display());
+                log::warn!("waiting for the writer of {}, which has sent {given} so far", name.display());
             }
             is_told = now == before;
             before = now;
@@ -185,7 +185,7 @@ mod tests {
             track(missing).unwrap_err(),
         ];
         for error in errors {
-            assert!(error.to_string().starts_with("/nonexistent/r.csv: expected a table that can be read"), "{error}");
+            assert!(error.to_string().starts_with("cannot read /nonexistent/r.csv, expected a table: "), "{error}");
         }
     }
 }

@@ -5,7 +5,7 @@
 //! | file | what |
 //! |---|---|
 //! | `scenario.toml` | the scenario as it was run, command line included |
-//! | `recording.csv` | of a recorded run: the recording as it was read, which the simulator plays |
+//! | `recording.csv` | the run's copy of its recording, which the simulator plays |
 //! | `report.json`, `report.html`, `picture.svg` | the report, for programs and for people |
 //! | `estimate.csv` | the track: a row for each tick |
 //! | `ranges.csv`, `truth.csv` | with `--write-recording`: a recording that `track` reads |
@@ -74,10 +74,10 @@ pub const LATENCY_PICTURE: &str = "latency.svg";
 /// The outcome of a campaign of faults.
 pub const CHAOS: &str = "chaos.json";
 
-/// How the names of files end that are not finished.
+/// Suffix of unfinished files.
 pub const PARTIAL: &str = ".partial";
 
-/// What an output folder holds.
+/// Kind of an output folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// A run: report, tables, logs.
@@ -93,7 +93,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// What a folder's mark calls it.
+    /// Its name in the folder's mark.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -105,7 +105,7 @@ impl Kind {
         }
     }
 
-    /// True if results of this kind go to a file of this name, or what a kill left of making one.
+    /// True if results of this kind have a file of this name; also for an unfinished one that a kill left.
     #[must_use]
     pub fn writes(self, name: &str) -> bool {
         let name = name.strip_suffix(PARTIAL).map_or(name, without_number);
@@ -130,7 +130,7 @@ impl Kind {
     }
 }
 
-/// A name without the process's number that whole files have while they are made.
+/// A name without the number of the process that unfinished files have.
 fn without_number(name: &str) -> &str {
     match name.rsplit_once('.') {
         Some((before, number)) if number.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-') => before,

@@ -49,7 +49,9 @@ impl Action {
             Self::Stop => Signal::STOP,
             Self::Continue => Signal::CONT,
             Self::Restart if !run.roster().is_held(Role::Supervisor) => {
-                return Err(Refused::NotNow(format!("nobody would start {role} again: it was started by hand")));
+                return Err(Refused::NotNow(format!(
+                    "{role} was started by hand: nothing would start it again, so it is not ended"
+                )));
             }
             Self::Restart => Signal::TERM,
         };
@@ -59,7 +61,7 @@ impl Action {
             Failure::ReportedInput => Refused::NotNow(format!("{role} cannot be reached")),
         })?;
         if self == Self::Restart {
-            // One that is stopped hears it only when it runs. One that has ended by now needs nothing.
+            // A stopped process receives the signal only after it is continued. An error means that the process has ended already.
             let _ = remote::signal(run, role, Signal::CONT);
         }
         let done = match self {

@@ -14,17 +14,17 @@ use crate::results::frame::{Frame, Frames};
 use crate::run::remote::Status;
 use crate::run::watch;
 
-/// How often the processes are looked at, and how much rarer for each robot.
+/// Interval at which the states of the processes are read, and its increase per robot.
 const NODES: Duration = Duration::from_millis(250);
 const NODES_PER_ROBOT: Duration = Duration::from_millis(5);
 
-/// Robots in all ticks of one look: where there are more, some ticks are left out.
+/// Most robots in all ticks of one look together; beyond it, some ticks are left out.
 const ROBOTS_PER_LOOK_MAX: u64 = 1_000;
 
-/// The same for the first look, at what was before: some tenths of a second.
+/// The same for the first look, which reads the run so far: some tenths of a second.
 const ROBOTS_OF_PAST_MAX: u64 = 200_000;
 
-/// Ticks that are taken in at once; between them viewers are answered.
+/// Ticks that are added at once; viewers are answered in between.
 const TICKS_AT_ONCE: usize = 256;
 
 /// A run without any process for this long has ended, whatever its state.
@@ -42,7 +42,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
     let mut reader = Reader { frames: None, next: None };
     let (mut nodes_at, mut inhabited, mut has_been_inhabited) = (None, Instant::now(), false);
     loop {
-        // Checked before the look, so that the look includes everything up to the end.
+        // Checked before reading, so that everything up to the end is read.
         let is_finished = run.is_finished();
         let is_asked = !is_finished && termination.requested();
         let is_over = is_finished || is_asked && is_ending(run);
@@ -69,7 +69,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
             return "ended early";
         }
         if is_asked {
-            return "the page was ended, the run may go on";
+            return "the page was ended; the run may continue";
         }
         if is_deserted {
             show_nodes(server, &Status::of(run), true);
@@ -102,7 +102,7 @@ fn show_nodes(server: &Server, status: &Status, is_over: bool) {
     server.update(|scene| scene.set_nodes(status));
 }
 
-/// What was running a moment ago has nothing to do any more, and is not looked at again.
+/// Shows all nodes as ended: their state is not read again.
 fn mark_as_ended(status: &mut Value) {
     for node in status.get_mut("nodes").and_then(Value::as_array_mut).into_iter().flatten() {
         let Some(node) = node.as_object_mut() else { continue };
@@ -113,16 +113,16 @@ fn mark_as_ended(status: &mut Value) {
     }
 }
 
-/// Reads the frames that have come since the look before.
+/// Reads the frames that are new since the last look.
 struct Reader {
     frames: Option<Frames>,
-    /// The first tick that was not looked at; `None` before the first look.
+    /// The first tick that was not read; `None` before the first look.
     next: Option<u64>,
 }
 
 impl Reader {
     fn look(&mut self, run: &Rendezvous, server: &Server) {
-        // The logs come with the nodes.
+        // The logs exist once the nodes have started.
         if self.frames.is_none() {
             self.frames = Frames::open(run.description()).ok();
         }
@@ -172,7 +172,7 @@ impl Reader {
     }
 }
 
-/// Reads ticks again that may have been recorded again since.
+/// Reads ticks again that may have changed since.
 fn count_anew(frames: &mut Frames, server: &Server) {
     let mut unsettled = Vec::new();
     server.keep(|scene| unsettled = scene.unsettled());
@@ -181,11 +181,11 @@ fn count_anew(frames: &mut Frames, server: &Server) {
     server.keep(|scene| again.iter().for_each(|(tick, estimate)| scene.count_ranges(*tick, estimate)));
 }
 
-/// The ticks of a look, at the most so many: evenly spread, and the newest among them.
+/// The ticks of a look, at most `most`: evenly spread, and always with the newest.
 fn spread(next: u64, newest: u64, most: u64) -> impl Iterator<Item = u64> {
     let count = (newest + 1).saturating_sub(next);
     let taken = count.min(most);
-    // The n-th of all that are taken is the last of its share.
+    // Each chosen tick is the last of an equal share.
     (1..=taken).map(move |n| next + (u128::from(count) * u128::from(n) / u128::from(taken)) as u64 - 1)
 }
 

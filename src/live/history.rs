@@ -11,7 +11,8 @@ use crate::statistics::{Interval, chi_square_mean_bounds, median};
 /// Number of points at which neighbours are merged: more would not be visible.
 const POINTS_MAX: usize = 600;
 
-/// The run so far. When it has as many points as there may be, each two become one, and stand for twice the ticks.
+/// The run so far. When the number of points reaches its limit, neighbours are merged: each point then covers twice as
+/// many ticks.
 #[derive(Debug)]
 pub(super) struct History {
     /// Ticks of one point.
@@ -19,20 +20,20 @@ pub(super) struct History {
     points: Vec<Point>,
 }
 
-/// Some ticks in a row, as far as they were looked at.
+/// Some consecutive ticks, as far as they were read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point {
     tick: u64,
     time_s: f64,
-    /// Of the newest tick; NaN where no truth is known.
+    /// Of the newest tick; NaN if the truth is unknown.
     error_m: f64,
     trace_m2: f64,
-    /// The least trace that headings could lead to at the tick after this one; NaN where none is proven.
+    /// The proven lower bound of the trace at the next tick; NaN if there is none.
     least_next_m2: f64,
-    /// Normalised innovations squared, added up, and how many there are.
+    /// Sum of the normalised innovations squared, and their number.
     nis: f64,
     fused: u64,
-    /// Range to heading of the newest tick's middle robot, and of the slowest of all ticks, us; NaN if none is known.
+    /// Range to heading, us: the newest tick's median, and the maximum over all ticks; NaN if unknown.
     latency_us: f64,
     latency_max_us: f64,
 }
@@ -60,7 +61,7 @@ impl Default for History {
 
 impl History {
     pub(super) fn add(&mut self, frame: &Frame) {
-        // Before the first range there is nothing to compare.
+        // Tick 0 has no range.
         if frame.tick == 0 {
             return;
         }
@@ -84,7 +85,7 @@ impl History {
             }
         }
         self.points = halved;
-        // Ticks far apart, of which few were looked at, may all stand alone still.
+        // If only few of many ticks were read, no two of them may have merged.
         if self.points.len() >= POINTS_MAX {
             self.halve();
         }
@@ -92,7 +93,7 @@ impl History {
 
     /// The points that are new to a viewer.
     pub(super) fn news(&self, known: &mut Known) -> News<'_> {
-        // The last point may have grown; of another stride all are others.
+        // The last point may have changed; after a change of the stride all points have.
         let from = if known.stride == self.stride { known.points.saturating_sub(1) } else { 0 };
         *known = Known { stride: self.stride, points: self.points.len() };
         News { from, stride: self.stride, points: self.points.get(from..).unwrap_or_default() }
@@ -121,7 +122,7 @@ impl Point {
         }
     }
 
-    /// Becomes the point of the later one's ticks too.
+    /// Merges the point of later ticks into this one.
     fn add(&mut self, later: &Self) {
         let (nis, fused) = (self.nis + later.nis, self.fused.saturating_add(later.fused));
         let latency_max_us = self.latency_max_us.max(later.latency_max_us);
@@ -131,8 +132,8 @@ impl Point {
 }
 
 impl Serialize for Point {
-    /// An array, as there are many: tick, s, error m, trace m^2, NIS for each range with its 95 % bounds, latency us of the
-    /// middle robot and of the slowest, least trace of the next tick m^2. `null` is what is not known.
+    /// As an array, which is short: tick, s, error m, trace m^2, NIS per range with its 95 % bounds, median and largest
+    /// latency us, lower bound of the next tick's trace m^2. Unknown values are `null`.
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let Self { tick, time_s, error_m, trace_m2, least_next_m2, nis, fused, latency_us, latency_max_us } = *self;
         let (nis, Interval { low, high }) = match usize::try_from(fused) {
@@ -148,7 +149,7 @@ impl Serialize for Point {
     }
 }
 
-/// A number with as many digits as a picture shows.
+/// A number rounded to the digits that a picture can show.
 fn short(value: f64) -> f64 {
     let digits = 6 - value.abs().log10().ceil().clamp(-9.0, 6.0) as i32;
     let scale = 10f64.powi(digits);
@@ -192,7 +193,7 @@ mod tests {
         let (mut history, mut known, mut points) = (History::default(), Known::default(), Vec::new());
         for tick in 1..=3_000 {
             history.add(&frame(tick));
-            // Now and then one look is missed.
+            // The viewer misses some looks.
             if tick % 7 != 0 {
                 let News { from, points: new, .. } = history.news(&mut known);
                 points.truncate(from);

@@ -1,4 +1,4 @@
-//! Range to heading, over all ticks that were looked at and over the last seconds.
+//! Latency from range to heading, over all ticks that were read and over the last seconds.
 
 use std::time::{Duration, Instant};
 
@@ -7,19 +7,19 @@ use serde::Serialize;
 use crate::results::frame::Frame;
 use crate::statistics::Samples;
 
-/// Half of what "the last seconds" are.
+/// Half of the time that "the last seconds" cover.
 const HALF: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
 pub(super) struct Latencies {
-    /// `None` where the system gives no memory for it.
+    /// `None` if their memory could not be allocated.
     histograms: Option<Histograms>,
 }
 
 #[derive(Debug)]
 struct Histograms {
     all: Samples,
-    /// The half before, full, and the half that is being filled.
+    /// The previous half, which is complete, and the present half.
     before: Samples,
     now: Samples,
     since: Instant,
@@ -64,7 +64,7 @@ impl Latencies {
         }
     }
 
-    /// Adds a tick of before anybody looked, which is not of the last seconds.
+    /// Adds a tick from before the page was started, which does not count as recent.
     pub(super) fn recall(&mut self, frame: &Frame) {
         let Some(Histograms { all, .. }) = &mut self.histograms else { return };
         for latency_ns in frame.world.robots.iter().filter_map(|robot| robot.latency_ns()) {

@@ -28,17 +28,17 @@ use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use serde_json::json;
 
-use crate::failure::{Failure, print_json, tell};
+use crate::failure::{Failure, print_json, print_stderr};
 use crate::results::frame::Frame;
-use crate::run::node::look_on;
+use crate::run::node::observe;
 use crate::run::port::listen;
 use scene::Scene;
 use server::{Server, Token};
 
-/// How often the page looks at the run, and how often it is shown anew at the most.
+/// Interval at which the page reads the run, and the shortest interval between two pictures.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A further robot makes pictures longer, and them rarer by this.
+/// Increase of the interval between pictures per robot, because each makes pictures larger.
 const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
 
 /// `rangehound live`.
@@ -47,14 +47,14 @@ const LOOK_PER_ROBOT: Duration = Duration::from_millis(1);
 /// [`Failure`].
 pub fn live(name: &RunName, port: Option<u16>, json: bool) -> Result<(), Failure> {
     let termination = Termination::listen()?;
-    let Some(run) = look_on(c"rh-live", name, &termination)? else { return Ok(()) };
+    let Some(run) = observe(c"rh-live", name, &termination)? else { return Ok(()) };
     let run = Arc::new(run);
     let scenario = &run.description().scenario;
     let (listener, token) = address_of_before(&run, port).map_or_else(|| new_address(port), Ok)?;
     let note = format!("{} {token}", listener.local_addr()?.port());
     let scene = Scene::new(&run.name().to_string(), "run", scenario);
     let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
-    // Without it the page has another address after a kill.
+    // Without this note, a page that is started again after a kill has another address.
     let _ = run.leave_note(LIVE_NOTE, &note);
     if json {
         print_json(&json!({ "name": run.name().to_string(), "address": server.address() }))?;
@@ -66,11 +66,11 @@ pub fn live(name: &RunName, port: Option<u16>, json: bool) -> Result<(), Failure
     Ok(())
 }
 
-/// Shows frames from elsewhere, such as a recording's, on the same page without processes. The first is taken when
-/// somebody looks; the iterator sets the pace.
+/// Shows other frames, such as those of a recording, on the same page without processes. Waits for a viewer before the
+/// first frame; the iterator sets the pace.
 ///
 /// # Errors
-/// [`Failure`], for a port that is taken and for whatever keeps frames from being read.
+/// [`Failure`] if the port is taken or a frame cannot be read.
 pub fn serve_frames(
     name: &str,
     scenario: &Scenario,
@@ -121,7 +121,7 @@ fn new_address(port: Option<u16>) -> Result<(TcpListener, Token), Failure> {
     Ok((listen(port)?, Token::new()?))
 }
 
-/// Where the page of this run was until it was killed, if that is free.
+/// The address of this run's page before it was killed, if it is free.
 fn address_of_before(run: &Rendezvous, port: Option<u16>) -> Option<(TcpListener, Token)> {
     let note = run.note(LIVE_NOTE)?;
     let (before, token) = note.split_once(' ')?;
@@ -133,11 +133,11 @@ fn pace(scenario: &Scenario) -> Duration {
     LOOK + LOOK_PER_ROBOT * scenario.robots.len().try_into().unwrap_or(u32::MAX)
 }
 
-/// One line, which scripts can read too.
+/// Prints the address on one line, which scripts can read too.
 fn announce(what: &str, server: &Server) {
-    // Over the progress bar of the process that started this one, if there is one: it draws itself anew.
+    // Overwrites the progress bar of the parent process, if there is one, which is redrawn.
     let over = if std::io::stderr().is_terminal() { "\r\x1b[2K" } else { "" };
-    tell(format_args!("{over}{what}: {}", server.address()));
+    print_stderr(format_args!("{over}{what}: {}", server.address()));
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What the page shows, built from frames: bounded, however long the run and however many its robots.
+//! The contents of the page, built from frames; bounded for any length of run and any number of robots.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -17,16 +17,16 @@ use crate::draw::chart::{self, COLOURS};
 use crate::results::frame::{Frame, UNSETTLED_TICKS};
 use crate::results::report::{RangeSummary, position_covariance};
 
-/// Places of all robots' trails together.
+/// Most places of all robots' trails together.
 const TRAIL_PLACES_MAX: usize = 8_000;
 
-/// Places of one trail.
+/// Most places of one trail.
 const TRAIL_MAX: usize = 240;
 
-/// The rate of ticks is measured over this time.
+/// Time over which the tick rate is measured.
 const RATE_SPAN: Duration = Duration::from_secs(2);
 
-/// What the page shows of a run.
+/// The contents of the page.
 #[derive(Debug, Default)]
 pub(super) struct Scene {
     about: Value,
@@ -41,7 +41,7 @@ pub(super) struct Scene {
     ended: Option<String>,
 }
 
-/// How far one viewer knows the scene.
+/// The part of the scene that one viewer has received.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
     is_begun: bool,
@@ -49,7 +49,7 @@ pub(super) struct Seen {
     nodes: u64,
 }
 
-/// Where all were in one tick: target, estimate, robots.
+/// Positions of target, estimate and robots in one tick.
 #[derive(Debug, Clone, Serialize)]
 struct Places {
     tick: u64,
@@ -58,7 +58,7 @@ struct Places {
     robots_m: Vec<[f64; 2]>,
 }
 
-/// What became of the ranges of all ticks that were looked at.
+/// Outcome of the ranges of all ticks that were read.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 struct Counts {
     ticks: u64,
@@ -68,7 +68,7 @@ struct Counts {
     missing: u64,
 }
 
-/// Adds ranges up as the report does. The newest ticks can be taken back: of one that is read again, what was read last counts.
+/// Counts ranges as the report does. If one of the newest ticks is read again, its new counts replace the old ones.
 #[derive(Debug, Default)]
 struct RangeCounter {
     settled_ticks: u64,
@@ -76,7 +76,7 @@ struct RangeCounter {
     recent: VecDeque<(u64, Estimate)>,
 }
 
-/// The newest tick, and what has changed with it.
+/// The newest tick, and the changes that it brings.
 #[derive(Debug, Serialize)]
 struct Picture<'a> {
     tick: u64,
@@ -95,13 +95,13 @@ struct Picture<'a> {
 #[derive(Debug, Serialize)]
 struct Robot {
     position_m: [f64; 2],
-    /// What it drives.
+    /// Its driven heading.
     heading_rad: f64,
     speed_mps: f64,
     /// Fusion's command.
     command_rad: f64,
     command_mps: f64,
-    /// The range that fusion heard, and where it was measured.
+    /// The range that fusion received, and where it was measured.
     range_m: Option<f64>,
     range_from_m: Option<[f64; 2]>,
     is_distrusted: bool,
@@ -118,25 +118,25 @@ impl Scene {
             "clock": scenario.clock.name(),
             "planner": scenario.planner.name(),
             "robots": robots,
-            // What people call them: the names of a recording's sensors.
+            // Display names: of a recording's sensors, their names.
             "labels": scenario.robots.iter().map(|robot| &robot.label).collect::<Vec<_>>(),
             "ticks": scenario.ticks,
             "dt_s": scenario.dt_s,
             "trail_max": trail_max,
-            // All but the estimate's, in the order of robots' ids: the report page has the same.
+            // Without the estimate's colour, by robot id; the same as in the report.
             "robot_colours": (0..COLOURS.len() - 1).map(|id| hex(chart::robot_colour(id))).collect::<Vec<_>>(),
             "estimate_colour": hex(chart::ESTIMATE),
         });
         Self { about, trail_max, ..Self::default() }
     }
 
-    /// Takes one tick in; the last of them is what is shown.
+    /// Adds a tick; the last one is shown.
     pub(super) fn add(&mut self, frame: Frame) {
         self.latencies.add(&frame);
         self.count(frame);
     }
 
-    /// Takes in one of the ticks that were before anybody looked.
+    /// Adds a tick from before the page was started.
     pub(super) fn recall(&mut self, frame: Frame) {
         self.latencies.recall(&frame);
         self.leave_trail(Places::of(&frame));
@@ -149,17 +149,17 @@ impl Scene {
         self.newest = Some(frame);
     }
 
-    /// Counts a tick's ranges, or counts them anew.
+    /// Counts a tick's ranges, or replaces their counts.
     pub(super) fn count_ranges(&mut self, tick: u64, estimate: &Estimate) {
         self.tally.count(tick, estimate);
     }
 
-    /// The ticks that are worth another look.
+    /// Ticks that may still change and are read again.
     pub(super) fn unsettled(&self) -> Vec<u64> {
         self.tally.recent.iter().map(|(tick, _)| *tick).collect()
     }
 
-    /// To be called after each look, whether or not there were new ticks: keeps trails and the rate of ticks.
+    /// Updates the trails and the tick rate. Call it after each look, even without new ticks.
     pub(super) fn looked(&mut self, now: Instant) {
         let Some(places) = self.newest.as_ref().map(Places::of) else { return };
         self.rate.push_back((now, places.tick));
@@ -183,12 +183,12 @@ impl Scene {
         self.nodes = Some((version + 1, nodes));
     }
 
-    /// Nothing more will come.
+    /// Marks the scene as final.
     pub(super) fn end(&mut self, reason: &str) {
         self.ended = Some(reason.to_owned());
     }
 
-    /// What a viewer does not know yet, as events of a stream, and whether they are the last.
+    /// The parts that a viewer has not received, as events of a stream; true if they are the last.
     pub(super) fn news(&self, seen: &mut Seen) -> (String, bool) {
         let mut events = String::new();
         if !std::mem::replace(&mut seen.is_begun, true) {
@@ -247,7 +247,7 @@ impl Scene {
     fn ticks_per_s(&self) -> Option<f64> {
         let (first, last) = (self.rate.front()?, self.rate.back()?);
         let span_s = last.0.duration_since(first.0).as_secs_f64();
-        // Of less the number would jump.
+        // Over a shorter time the rate would fluctuate too much.
         (span_s >= 0.5).then(|| last.1.saturating_sub(first.1) as f64 / span_s)
     }
 }
@@ -304,7 +304,7 @@ fn at(pose: Pose) -> [f64; 2] {
     [pose.x_m, pose.y_m].map(milli)
 }
 
-/// To a thousandth: what a picture shows.
+/// Rounds to thousandths, enough for a picture.
 fn milli(value: f64) -> f64 {
     (value * 1e3).round() / 1e3
 }
@@ -314,7 +314,7 @@ fn hex(colour: plotters::style::RGBColor) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 
-/// A tick in which nothing is known but the team.
+/// A tick of a team without any other data.
 #[cfg(test)]
 pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
     use rangehound_shared::record::{FusionRecord, WorldRecord};
@@ -330,7 +330,7 @@ mod tests {
 
     use super::*;
 
-    /// Names and data of the events that a viewer is sent.
+    /// Names and data of the events that a viewer receives.
     fn events(scene: &Scene, seen: &mut Seen) -> Vec<(String, Value)> {
         let (text, _) = scene.news(seen);
         let event = |event: &str| {
@@ -357,7 +357,7 @@ mod tests {
         scene.end("over");
         let sent = events(&scene, &mut seen);
         assert_eq!(names(&sent), ["picture", "ended"]);
-        // The last point may have grown.
+        // The last point may have changed.
         assert_eq!(sent[0].1["history"]["from"], 8);
         assert_eq!(sent[0].1["history"]["points"].as_array().unwrap().len(), 2);
     }
@@ -367,7 +367,7 @@ mod tests {
         let mut tally = RangeCounter::default();
         let tick = |fused, missing| Estimate { fused, missing, ..Estimate::default() };
         tally.count(1, &tick(3, 0));
-        // Put down anew after a kill.
+        // Recorded again after a kill.
         tally.count(1, &tick(1, 2));
         tally.count(2, &Estimate { late: 3, fused_late: 1, rejected_late: 1, ..tick(3, 0) });
         let expected = Counts { ticks: 2, fused: 5, rejected: 1, late: 3, missing: 0 };

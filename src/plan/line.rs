@@ -20,7 +20,7 @@ use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
 use crate::failure::one_short_line;
 use crate::files::input::COMMAND_LINE;
 
-/// Answers lines; keeps planners and memory from one to the next, and nothing that an answer depends on.
+/// Answers lines. It keeps planners and memory between lines, but no answer depends on earlier lines.
 #[derive(Debug)]
 pub struct LineSolver {
     table: PlannerTable,
@@ -63,22 +63,21 @@ impl Serialize for EachOf<'_> {
 }
 
 impl LineSolver {
-    /// Answers with the planner of this table unless a line names another. Of the table's keys those
-    /// that a line has are ignored.
+    /// Uses the planner of this table for lines that name none. Keys of a line override the table's.
     ///
     /// # Errors
-    /// [`ScenarioError`] if the table makes no sense.
+    /// [`ScenarioError`] if the table is invalid.
     pub fn new(table: PlannerTable, seed: u64) -> Result<Self, ScenarioError> {
         PlannerSpec::from_table(&table, COMMAND_LINE)?;
         let (situation, plan) = Default::default();
         Ok(Self { table, seed, kept: Vec::new(), situation, plan })
     }
 
-    /// Appends the answer to this line, itself one line; if the line makes no sense its answer says why,
-    /// as does the value.
+    /// Appends the answer to this line, which is also one line. If the line is invalid, the answer has the reason, which is
+    /// also returned.
     ///
-    /// But for `plan_us` the answer is a function of the arguments: the random planner takes the line's
-    /// number for the tick.
+    /// Except for `plan_us`, the answer is a function of the arguments: the random planner uses the line's number as the
+    /// tick.
     pub fn answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Option<String> {
         let problem = self.try_answer(number, line, answer).err().map(|problem| one_short_line(&problem))?;
         refuse(number, &problem, answer);
@@ -94,12 +93,12 @@ impl LineSolver {
         let plan_us = began.elapsed().as_nanos() as f64 / 1e3;
 
         let Worth { objective, position_trace_m2, .. } = plan.worth;
-        // A bound for those too who prove none.
+        // Planners that prove no bound get this one.
         let proven = plan.certificate.unwrap_or_else(|| hull_certificate(situation, plan));
         let Certificate { lower_bound, is_optimal: certified, least_trace_m2: lower_bound_trace_m2 } = proven;
         let commanded = plan.commands.iter().flat_map(|command| [command.heading_rad, command.speed_mps]);
         if !commanded.chain([objective, lower_bound, position_trace_m2, lower_bound_trace_m2]).all(f64::is_finite) {
-            return Err("expected numbers whose products are finite, got others".to_owned());
+            return Err("the answer is not finite: expected numbers whose products are finite".to_owned());
         }
         let answered = Answer {
             planner: spec.name(),
@@ -116,12 +115,12 @@ impl LineSolver {
         Ok(())
     }
 
-    /// Checks every value, and leaves them in `self.situation`.
+    /// Checks every value, and stores them in `self.situation`.
     fn check(&mut self, raw: &ProblemLine) -> Result<PlannerSpec, String> {
         let covariance_m2 = covariance("prior_position_covariance", raw.prior_position_covariance, bounds::VARIANCE)?;
         self.situation.belief.set_position(place("target", raw.target)?, &covariance_m2);
         self.situation.step_s = number("time_step_s", raw.time_step_s, bounds::DT_S)?;
-        let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "nothing"))?;
+        let robots = raw.robots.as_deref().ok_or_else(|| expected("robots", "a list of robots", "missing"))?;
         self.situation.team.clear();
         for (i, Object(robot)) in robots.iter().enumerate() {
             self.situation.team.push(member(robot).map_err(|problem| format!("robots[{i}].{problem}"))?);
@@ -138,7 +137,11 @@ impl LineSolver {
         let clearance = Clearance::from_table(&table, "").map_err(of_line)?;
         if clearance.separation_m > 0.0 && robots.len() > ROBOTS_MAX {
             let none = format!("0 in a team of more than {ROBOTS_MAX} robots");
-            return Err(expected("separation_m", none, format!("{} with {}", clearance.separation_m, robots.len())));
+            return Err(expected(
+                "separation_m",
+                none,
+                format!("{} for {} robots", clearance.separation_m, robots.len()),
+            ));
         }
         self.situation.clearance = clearance;
         self.situation.criterion = match &raw.criterion {
@@ -146,17 +149,13 @@ impl LineSolver {
             None => Criterion::default(),
         };
         if matches!(spec, PlannerSpec::Grid { .. }) && !self.situation.is_range_only() {
-            return Err(expected(
-                "planner",
-                "another planner where robots measure more than constant-noise ranges",
-                "grid",
-            ));
+            return Err(expected("planner", "another planner for sensors other than ranges of constant noise", "grid"));
         }
         Ok(spec)
     }
 }
 
-/// Appends the answer to a line that makes no sense.
+/// Appends the answer to an invalid line.
 pub fn refuse(line: u64, error: &str, answer: &mut Vec<u8>) {
     #[derive(Serialize)]
     struct Refusal<'a> {
@@ -167,12 +166,12 @@ pub fn refuse(line: u64, error: &str, answer: &mut Vec<u8>) {
 }
 
 fn write_line(value: &impl Serialize, answer: &mut Vec<u8>) {
-    // Structs of numbers and texts always have a JSON, and a vector takes it.
+    // Structs of numbers and texts always have a JSON form, and writing to a vector cannot fail.
     let _ = serde_json::to_writer(&mut *answer, value);
     answer.push(b'\n');
 }
 
-/// The planner of the line before if it serves this team, else a new one in its place.
+/// The planner of an earlier line if it serves this team, else a new one in its place.
 fn kept_planner(kept: &mut Vec<Kept>, spec: PlannerSpec, robots: usize, seed: u64) -> Result<&mut Kept, String> {
     let at = kept.iter().position(|known| known.spec == spec).unwrap_or(kept.len());
     if kept.get(at).is_none_or(|known| known.robots != robots) {
@@ -193,7 +192,7 @@ fn covariance(
     variances: RangeInclusive<f64>,
 ) -> Result<Matrix2<f64>, String> {
     let Some(Pair([Pair([Number(xx), Number(xy)]), Pair([Number(yx), Number(yy)])])) = rows else {
-        return Err(expected(key, "two rows of two numbers", "nothing"));
+        return Err(expected(key, "two rows of two numbers", "missing"));
     };
     for variance in [xx, yy] {
         number(key, Some(Number(variance)), variances.clone())?;
@@ -201,13 +200,13 @@ fn covariance(
     for entry in [xy, yx] {
         number(key, Some(Number(entry)), bounds::MATRIX_ENTRY)?;
     }
-    // The eigenvalues of a singular matrix are zero but for rounding.
+    // The least eigenvalue of a singular matrix is zero up to rounding.
     let least = if *variances.start() == 0.0 { -1e-12 } else { bounds::RELATIVE_EIGENVALUE_MIN };
     let minimum = Matrix::from_rows(&[vec![xx, xy], vec![yx, yy]]).and_then(|matrix| matrix.relative_min_eigenvalue());
     match minimum {
         Some(minimum) if minimum > least => {}
-        Some(_) => return Err(expected(key, "a positive definite matrix", "an indefinite or singular one")),
-        None => return Err(expected(key, "a symmetric matrix", "an asymmetric one")),
+        Some(_) => return Err(expected(key, "a positive definite matrix", "indefinite or singular")),
+        None => return Err(expected(key, "a symmetric matrix", "asymmetric")),
     }
     let across = 0.5 * (xy + yx);
     Ok(Matrix2::new(xx, across, across, yy))
@@ -231,7 +230,7 @@ fn member(robot: &RobotLine) -> Result<TeamMember, String> {
     };
     let std_per_m = optional("range_std_per_m", robot.range_std_per_m, bounds::STD_PER_M, 0.0)?;
     if std_m.is_none() && robot.range_std_per_m.is_some() {
-        return Err(expected("range_std_per_m", "none without range_std", std_per_m));
+        return Err(expected("range_std_per_m", "range_std beside it", std_per_m));
     }
     let position_covariance_m2 = match robot.position_covariance {
         Some(rows) => {
@@ -258,11 +257,11 @@ fn member(robot: &RobotLine) -> Result<TeamMember, String> {
 fn criterion(name: &str) -> Result<Criterion, String> {
     let names = Criterion::ALL.map(Criterion::name).join(", ");
     let found = Criterion::ALL.into_iter().find(|criterion| criterion.name() == name);
-    found.ok_or_else(|| expected("criterion", format!("one of {names}"), name))
+    found.ok_or_else(|| expected("criterion", format!("one of {names}"), format!("{name:?}")))
 }
 
 fn place(key: &str, pair: Option<Pair<Number>>) -> Result<Vector, String> {
-    let Pair([x, y]) = pair.ok_or_else(|| expected(key, "a list of two numbers", "nothing"))?;
+    let Pair([x, y]) = pair.ok_or_else(|| expected(key, "a list of two numbers", "missing"))?;
     Ok(Vector::new(number(key, Some(x), bounds::COORDINATE)?, number(key, Some(y), bounds::COORDINATE)?))
 }
 
@@ -271,18 +270,18 @@ fn number(key: &str, value: Option<Number>, bounds: RangeInclusive<f64>) -> Resu
     match value {
         Some(Number(value)) if bounds.contains(&value) => Ok(value),
         Some(Number(value)) => Err(expected(key, what(), value)),
-        None => Err(expected(key, what(), "nothing")),
+        None => Err(expected(key, what(), "missing")),
     }
 }
 
 fn expected(key: &str, expected: impl Display, got: impl Display) -> String {
-    format!("{key}: expected {expected}, got {got}")
+    format!("{key} is {got}: expected {expected}")
 }
 
-/// A complaint of the scenario's checks, in the keys of a line.
+/// An error of the scenario's checks, in the keys of a line.
 fn of_line(error: ScenarioError) -> String {
     match error {
-        ScenarioError::Senseless { key, expected: what, got, .. } => {
+        ScenarioError::WrongValue { key, expected: what, got, .. } => {
             let key = if key == "planner.name" { "planner" } else { key.trim_start_matches("planner.") };
             expected(key, what, got)
         }

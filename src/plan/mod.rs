@@ -1,7 +1,7 @@
 //! `plan`: one step per JSON line, so that programs of any language can use the planners.
 //!
-//! [`mod@line`] is the pure part, a line in and a line out; here is the reading and writing round it. Output
-//! line `n` answers the `n`-th line that is not blank.
+//! [`mod@line`] is the pure part: a line in, a line out. This module reads and writes. Output line `n` answers the `n`-th
+//! input line that is not blank.
 
 pub mod line;
 mod schema;
@@ -15,7 +15,7 @@ use rangehound_shared::scenario::{PlannerTable, defaults};
 use crate::failure::Failure;
 use line::LineSolver;
 
-/// Longest line that is taken into memory, bytes: some 300 000 robots.
+/// Longest accepted line, bytes: some 300 000 robots.
 const LINE_BYTES_MAX: usize = 16 << 20;
 
 /// Bytes read or written at once.
@@ -26,7 +26,7 @@ const CHUNK_BYTES: usize = 1 << 16;
 /// # Errors
 /// [`Failure`].
 pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Result<(), Failure> {
-    let mut desk = LineSolver::new(table, seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
+    let mut solver = LineSolver::new(table, seed.unwrap_or(defaults::SEED)).map_err(Failure::input)?;
     let (name, input): (String, Box<dyn Read>) = match file {
         Some(path) if path != Path::new("-") => {
             let name = path.display().to_string();
@@ -39,33 +39,35 @@ pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Resu
         // If standard error is closed, the line's answer still has the error.
         let _ = writeln!(io::stderr(), "error: {name}: line {number}: {problem}");
     };
-    match serve(&mut desk, input, io::stdout().lock(), LINE_BYTES_MAX, complain) {
+    match serve(&mut solver, input, io::stdout().lock(), LINE_BYTES_MAX, complain) {
         Ok(0) => Ok(()),
         Ok(_) => Err(Failure::ReportedInput),
         Err(Stopped::Reading(error)) => Err(unreadable(&name, &error)),
         // The reader has closed the pipe.
         Err(Stopped::Writing(error)) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
-        Err(Stopped::Writing(error)) => Err(anyhow::Error::new(error).context("standard output").into()),
+        Err(Stopped::Writing(error)) => {
+            Err(anyhow::Error::new(error).context("cannot write to standard output").into())
+        }
     }
 }
 
 fn unreadable(name: &str, error: &io::Error) -> Failure {
-    Failure::input(format!("{name}: expected a file of JSON lines that can be read: {error}"))
+    Failure::input(format!("cannot read {name}: expected a file of JSON lines: {error}"))
 }
 
-/// What keeps the lines from going on.
+/// Why reading or writing stopped.
 #[derive(Debug)]
 enum Stopped {
     Reading(io::Error),
     Writing(io::Error),
 }
 
-/// Answers all lines; returns how many were refused, each of which `complain` is told.
+/// Answers all lines, and returns the number of refused ones; `complain` is called for each of them.
 ///
-/// Answers leave whenever the next read might wait, so that who writes one line gets its answer. Of
-/// a line longer than `line_bytes_max` nothing is kept.
+/// Answers are flushed before each read that may wait, so that a program that writes one line gets its answer. A line
+/// longer than `line_bytes_max` is dropped and refused.
 fn serve(
-    desk: &mut LineSolver,
+    solver: &mut LineSolver,
     input: impl Read,
     output: impl Write,
     line_bytes_max: usize,
@@ -101,13 +103,13 @@ fn serve(
         }
         answer.clear();
         let problem = if is_too_long {
-            let problem = format!("expected a line of at most {line_bytes_max} bytes, got more");
+            let problem = format!("the line is too long: expected at most {line_bytes_max} bytes");
             line::refuse(number, &problem, &mut answer);
             Some(problem)
         } else if line.trim_ascii().is_empty() {
             None
         } else {
-            desk.answer(number, &line, &mut answer)
+            solver.answer(number, &line, &mut answer)
         };
         if let Some(problem) = problem {
             refused += 1;
@@ -132,11 +134,11 @@ mod tests {
     const GOOD: &str =
         r#"{"prior_position_covariance":[[4,0.5],[0.5,2]],"target":[0,0],"time_step_s":0.1,"robots":[]}"#;
 
-    /// What is answered, and the numbers of the lines that are complained of.
+    /// The answers, and the numbers of the refused lines.
     fn served(input: impl Read, line_bytes_max: usize) -> (Vec<String>, Vec<u64>) {
-        let mut desk = LineSolver::new(PlannerTable::default(), 1).unwrap();
+        let mut solver = LineSolver::new(PlannerTable::default(), 1).unwrap();
         let (mut output, mut complaints) = (Vec::new(), Vec::new());
-        let refused = serve(&mut desk, input, &mut output, line_bytes_max, |number, _| complaints.push(number));
+        let refused = serve(&mut solver, input, &mut output, line_bytes_max, |number, _| complaints.push(number));
         assert_eq!(refused.unwrap(), complaints.len() as u64);
         let output = String::from_utf8(output).unwrap();
         assert!(output.is_empty() || output.ends_with('\n'));
@@ -176,7 +178,7 @@ mod tests {
     }
 
     proptest! {
-        /// However lines come in pieces: one answer for each that is not blank.
+        /// Lines may arrive in any pieces: each line that is not blank gets one answer.
         #[test]
         fn every_line_that_is_not_blank_has_one_answer(
             lines in proptest::collection::vec(prop_oneof![

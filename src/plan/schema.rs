@@ -1,4 +1,4 @@
-//! The keys of a problem, and what is said of a line that does not have them.
+//! The keys of a problem, and the error messages for lines that do not fit.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
-/// A line as it is written: types right, values unchecked.
+/// A line with the right types; its values are not checked yet.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ProblemLine {
@@ -60,13 +60,14 @@ fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Res
 }
 
 impl ProblemLine {
-    /// Reads a line, or says in one line what it should have been.
+    /// Reads a line. The error is one line that says what is wrong and what was expected.
     pub(super) fn parse(line: &[u8]) -> Result<Self, String> {
-        let text = std::str::from_utf8(line)
-            .map_err(|error| format!("column {}: expected UTF-8, got other bytes", error.valid_up_to() + 1))?;
+        let text = std::str::from_utf8(line).map_err(|error| {
+            format!("bytes that are not UTF-8 at column {}: expected UTF-8", error.valid_up_to() + 1)
+        })?;
         match serde_json::from_str(text) {
             Ok(Object(problem)) => Ok(problem),
-            // Only the second reading keeps book of where it is.
+            // Only the second reading tracks the path of the key.
             Err(error) => Err(complaint(text, &error)),
         }
     }
@@ -75,20 +76,22 @@ impl ProblemLine {
 fn complaint(text: &str, error: &serde_json::Error) -> String {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let tracked = serde_path_to_error::deserialize::<_, Object<ProblemLine>>(&mut deserializer);
-    // What ends before it has a key has a place without a name: "?".
+    // A line that ends before a key has the path "?".
     let path = tracked.err().map(|tracked| tracked.path().to_string()).unwrap_or_default();
     let path = path.trim_end_matches('?').trim_end_matches('.');
-    let place = if path.is_empty() { String::new() } else { format!("{path}: ") };
+    let place = if path.is_empty() { String::new() } else { format!(" in {path}") };
     let message = error.to_string();
     let message = message.rsplit_once(" at line ").map_or(message.as_str(), |(message, _)| message);
     if message.starts_with("number out of range") {
-        format!("{place}expected a finite number, got one out of range")
+        format!("number out of range{place}: expected a finite number")
     } else if !error.is_data() {
-        format!("{place}expected valid JSON, got at column {}: {message}", error.column())
+        format!("{message}{place} at column {}: expected valid JSON", error.column())
     } else if message.starts_with("duplicate field") {
-        format!("{place}expected each key once, got a {message}")
+        format!("{message}{place}: expected each key once")
     } else {
-        format!("{place}{}", message.replace("a sequence", "a list"))
+        let message = message.replace("a sequence", "a list");
+        let (problem, expected) = message.split_once(", expected ").unwrap_or((&message, "another value"));
+        format!("{problem}{place}: expected {expected}")
     }
 }
 
@@ -118,9 +121,9 @@ impl<'de> Deserialize<'de> for Number {
     }
 }
 
-/// What a [`Pair`] is made of.
+/// An element of a [`Pair`].
 pub(super) trait Element {
-    /// What a pair of them is called.
+    /// Name of a pair of such elements.
     const PAIR: &'static str;
 }
 
@@ -157,7 +160,7 @@ impl<'de, T: Deserialize<'de> + Element> Deserialize<'de> for Pair<T> {
     }
 }
 
-/// A JSON object and nothing else: the derived structs alone would take a list of their values too.
+/// Accepts only JSON objects: the derived structs would also accept a list of their values.
 #[derive(Debug)]
 pub(super) struct Object<T>(pub T);
 

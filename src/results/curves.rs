@@ -10,7 +10,7 @@ use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
 use crate::draw::field::Paths;
-use crate::results::frame::PutDown;
+use crate::results::frame::LoggedTick;
 use crate::results::report::{Truth, position_covariance};
 
 /// Most points of a curve; more could not be distinguished.
@@ -35,7 +35,7 @@ pub struct Curves {
     /// The proven lower bound of the trace: time and trace, s and m^2.
     pub least_traces_m2: Vec<(f64, f64)>,
     /// Sums over all ticks, in buckets.
-    pub stretches: Vec<Bucket>,
+    pub buckets: Vec<Bucket>,
     /// End times of ticks, monotonic ns, and their run times, s.
     ended_ns: Vec<(u64, f64)>,
 }
@@ -93,9 +93,9 @@ impl<'a> CurvesBuilder<'a> {
     }
 
     /// Adds the next tick.
-    pub fn add(&mut self, put_down: PutDown<'_>) {
-        if put_down.tick > 0 {
-            self.curves.add(put_down, self.scenario, self.thinning, self.truth);
+    pub fn add(&mut self, logged: LoggedTick<'_>) {
+        if logged.tick > 0 {
+            self.curves.add(logged, self.scenario, self.thinning, self.truth);
         }
     }
 
@@ -105,22 +105,22 @@ impl<'a> CurvesBuilder<'a> {
     /// If the logs hold numbers that cannot be drawn.
     pub fn finish(self) -> anyhow::Result<Curves> {
         if !self.curves.can_be_drawn() {
-            anyhow::bail!("the logs hold numbers that cannot be drawn");
+            anyhow::bail!("the logs have numbers that cannot be drawn (not finite, or too large)");
         }
         Ok(self.curves)
     }
 }
 
 impl Curves {
-    fn add(&mut self, put_down: PutDown<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
-        let PutDown { tick, fusion, world } = put_down;
+    fn add(&mut self, logged: LoggedTick<'_>, scenario: &Scenario, thinning: Thinning, truth: Option<&Truth>) {
+        let LoggedTick { tick, fusion, world } = logged;
         if let Some(FusionRecord { time_s, estimate, .. }) = fusion {
             self.add_to_stretch(tick, *time_s, estimate, thinning);
             if thinning.keeps(tick) {
                 self.times_s.push(*time_s);
                 self.paths.estimates_m.push(Vector2::new(estimate.state[0], estimate.state[1]));
                 self.paths.covariances_m2.push(position_covariance(estimate));
-                self.paths.truths_m.push(put_down.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s))));
+                self.paths.truths_m.push(logged.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s))));
                 let least_m2 = estimate.least_trace_m2;
                 if least_m2 > 0.0 && least_m2 <= DRAWABLE_MAX {
                     self.least_traces_m2.push((time_s + scenario.dt_s, least_m2));
@@ -128,9 +128,9 @@ impl Curves {
             }
         }
         if let Some(WorldRecord { time_s, ended_ns, robots, .. }) = world {
-            if let Some(stretch) = self.stretches.last_mut() {
+            if let Some(bucket) = self.buckets.last_mut() {
                 let without = robots.iter().filter(|robot| robot.heading == Heading::None);
-                stretch.without_heading += without.count() as u64;
+                bucket.without_heading += without.count() as u64;
             }
             if thinning.keeps(tick) {
                 self.ended_ns.push((*ended_ns, *time_s));
@@ -142,18 +142,18 @@ impl Curves {
     }
 
     fn add_to_stretch(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
-        let Self { stretches, .. } = self;
-        if stretches.last().is_none_or(|last| tick - last.first_tick >= thinning.stretch) {
-            stretches.push(Bucket { first_tick: tick, time_s, ..Bucket::default() });
+        let Self { buckets, .. } = self;
+        if buckets.last().is_none_or(|last| tick - last.first_tick >= thinning.bucket) {
+            buckets.push(Bucket { first_tick: tick, time_s, ..Bucket::default() });
         }
-        if let Some(stretch) = stretches.last_mut() {
-            stretch.add(estimate);
+        if let Some(bucket) = buckets.last_mut() {
+            bucket.add(estimate);
         }
         // A late range was counted as missing at its own tick: in this bucket or shortly before. Correct that here.
         let mut came = estimate.fused_late.saturating_add(estimate.rejected_late);
-        for stretch in stretches.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
-            let found = came.min(stretch.missing);
-            stretch.missing -= found;
+        for bucket in buckets.iter_mut().rev().take(LATE_TICKS_MAX + 1) {
+            let found = came.min(bucket.missing);
+            bucket.missing -= found;
             came -= found;
         }
     }
@@ -162,10 +162,10 @@ impl Curves {
     fn can_be_drawn(&self) -> bool {
         let Paths { estimates_m, covariances_m2, .. } = &self.paths;
         let places = estimates_m.iter().chain(self.paths.bodies()).flat_map(|place| place.iter());
-        let stretches = self.stretches.iter().map(|stretch| &stretch.time_s);
+        let buckets = self.buckets.iter().map(|bucket| &bucket.time_s);
         let numbers = places.chain(covariances_m2.iter().flat_map(|covariance| covariance.iter()));
         let ends = self.ended_ns.iter().map(|(_, time_s)| time_s);
-        numbers.chain(&self.times_s).chain(stretches).chain(ends).all(|number| number.abs() <= DRAWABLE_MAX)
+        numbers.chain(&self.times_s).chain(buckets).chain(ends).all(|number| number.abs() <= DRAWABLE_MAX)
             && self.times_s.is_sorted()
     }
 
@@ -219,14 +219,14 @@ struct Thinning {
     /// The last tick, which is always drawn.
     last: u64,
     /// Ticks of a bucket.
-    stretch: u64,
+    bucket: u64,
 }
 
 impl Thinning {
     fn of(scenario: &Scenario) -> Self {
         let points = (ROBOT_POINTS_MAX / scenario.robots.len().max(1) as u64).clamp(1, POINTS_MAX);
         let last = scenario.ticks;
-        Self { every: last / points + 1, last, stretch: last / STRETCHES_MAX + 1 }
+        Self { every: last / points + 1, last, bucket: last / STRETCHES_MAX + 1 }
     }
 
     fn keeps(self, tick: u64) -> bool {
@@ -249,7 +249,7 @@ mod tests {
     #[test]
     fn long_runs_and_large_teams_are_thinned_down_to_the_last_tick() {
         for (ticks, every) in [(1, 1), (1_499, 1), (1_500, 2), (200_000, 134)] {
-            let thinning = Thinning { every: ticks / POINTS_MAX + 1, last: ticks, stretch: 1 };
+            let thinning = Thinning { every: ticks / POINTS_MAX + 1, last: ticks, bucket: 1 };
             assert_eq!(thinning.every, every);
             let kept = (1..=ticks).filter(|tick| thinning.keeps(*tick)).count() as u64;
             assert!(thinning.keeps(ticks) && kept <= POINTS_MAX + 1, "{ticks} {kept}");

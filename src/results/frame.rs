@@ -23,9 +23,9 @@ pub struct Frame {
     pub world: WorldRecord,
 }
 
-/// One tick as far as it was logged: after a kill one node's record may be missing.
+/// One logged tick; after a kill one node's record may be missing.
 #[derive(Debug, Clone, Copy)]
-pub struct PutDown<'a> {
+pub struct LoggedTick<'a> {
     /// The tick.
     pub tick: u64,
     /// Fusion's input, estimate and commands.
@@ -34,7 +34,7 @@ pub struct PutDown<'a> {
     pub world: Option<&'a WorldRecord>,
 }
 
-impl PutDown<'_> {
+impl LoggedTick<'_> {
     /// The target's true position, m, if the simulator knew it.
     #[must_use]
     pub fn target_m(&self) -> Option<Vector2<f64>> {
@@ -95,8 +95,8 @@ impl Frames {
     /// Visits each tick that at least one node has logged, in order.
     ///
     /// # Errors
-    /// If a log cannot be read; also the errors of `look`.
-    pub fn for_each(self, mut look: impl FnMut(PutDown<'_>) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    /// If a log cannot be read; also the errors of `visit`.
+    pub fn for_each(self, mut visit: impl FnMut(LoggedTick<'_>) -> anyhow::Result<()>) -> anyhow::Result<()> {
         let Self { mut fusion, mut world } = self;
         let (mut known, mut shown) = (fusion.next().transpose()?, world.next().transpose()?);
         loop {
@@ -107,7 +107,7 @@ impl Frames {
             };
             let known_now = known.filter(|(tick, _)| *tick == next).map(|(_, record)| record);
             let shown_now = shown.filter(|(tick, _)| *tick == next).map(|(_, record)| record);
-            look(PutDown { tick: next, fusion: known_now, world: shown_now })?;
+            visit(LoggedTick { tick: next, fusion: known_now, world: shown_now })?;
             if known_now.is_some() {
                 known = fusion.next().transpose()?;
             }

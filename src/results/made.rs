@@ -5,7 +5,7 @@ use std::path::Path;
 use rangehound_node::rendezvous::RunDescription;
 
 use super::curves::CurvesBuilder;
-use super::frame::PutDown;
+use super::frame::LoggedTick;
 use super::report::{self, NodeSummary, Report, Truth};
 use super::tables::{write_estimate_csv, write_recording};
 use super::{page, picture};
@@ -40,12 +40,12 @@ pub fn report_and_tables(
     let &Keep { ranges, ref truth, strict, .. } = keep;
     let truth = truth.as_ref();
     let mut curves = CurvesBuilder::new(&description.scenario, truth);
-    let (report, printed) = make_report(description, keep, nodes, |put_down| curves.add(put_down))?;
+    let (report, printed) = make_report(description, keep, nodes, |logged| curves.add(logged))?;
     let written = report::write(&report, &description.out_dir);
     let table = write_estimate_csv(description);
     let recorded = if ranges { write_recording(description) } else { Ok(()) };
     if let Err(error) = draw(&report, curves, &description.out_dir) {
-        log::warn!("there is no picture, or no page: {error}");
+        log::warn!("cannot draw the picture or the page: {error}");
     }
     written.and(table).and(recorded)?;
     printed?;
@@ -69,13 +69,13 @@ fn make_report(
     description: &RunDescription,
     keep: &Keep,
     nodes: Vec<NodeSummary>,
-    also: impl FnMut(PutDown<'_>),
+    also: impl FnMut(LoggedTick<'_>),
 ) -> anyhow::Result<(Report, Result<(), Failure>)> {
     let &Keep { ref truth, json, .. } = keep;
     let truth = truth.as_ref();
     let scenario = &description.scenario;
     if scenario.ticks.saturating_mul(scenario.robots.len() as u64) >= LONG {
-        failure::tell("the run is over, its report is made");
+        failure::print_stderr("the run is over; making its report");
     }
     let report = report::from_logs(description, truth, nodes, also)?;
     let printed = if json {

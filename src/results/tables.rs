@@ -9,7 +9,7 @@ use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{FusionRecord, WorldRecord};
 use rangehound_shared::scenario::Source;
 
-use super::frame::{Frames, PutDown};
+use super::frame::{Frames, LoggedTick};
 use super::report::position_covariance;
 use crate::files::atomic_file::AtomicFile;
 use crate::files::layout::{ESTIMATES, RANGES, TRUTH};
@@ -62,7 +62,7 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let mut truths = AtomicFile::create(&out_dir.join(TRUTH))?;
     writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     writeln!(truths, "time_s,x_m,y_m")?;
-    Frames::open(description)?.for_each(|PutDown { fusion, world, .. }| {
+    Frames::open(description)?.for_each(|LoggedTick { fusion, world, .. }| {
         let Some(WorldRecord { time_s, truth, .. }) = world else { return Ok(()) };
         let &[x_m, y_m, ..] = truth.as_slice() else { return Ok(()) };
         writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;

@@ -126,14 +126,17 @@ impl Experiment {
         if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
             inputs.extend(recording.inputs(folder));
             let (rows, sensors) = (ranges.summary.rows, scenario.robots.len());
-            failure::tell(format!("recording: {rows} ranges of {sensors} sensors; read as {}", ranges.summary.read_as));
+            failure::print_stderr(format!(
+                "recording: {rows} ranges of {sensors} sensors; read as {}",
+                ranges.summary.read_as
+            ));
             for line in ranges.summary.lines() {
-                failure::tell(format!("recording: {line}"));
+                failure::print_stderr(format!("recording: {line}"));
             }
             file.recording = Some(recording.of_copy());
         }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
-            .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
+            .map_err(|error| Failure::input(format!("{error} (in {file_name})")))?;
         let folder = std::path::absolute(out.unwrap_or(Path::new(RUNS)));
         in_utf8("--out", &folder.map_err(|error| Failure::input(format!("--out: {error}")))?)?;
         let (name, numbered) = match (name, naming) {
@@ -231,10 +234,12 @@ pub(crate) fn free_name(wanted: &str, folder_given: bool) -> Result<(RunName, Op
             Ok(()) => return Ok((name, Some(Reserved(folder)))),
             Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists && folder.symlink_metadata().is_ok() => {}
             Err(error) => {
-                let problem = format!("expected a folder that can be written, {} is not: {error}", folder.display());
-                return Err(Failure::input(format!("--out: {problem}")));
+                let folder = folder.display();
+                return Err(Failure::input(format!(
+                    "cannot make the folder {folder}: {error}: choose another with --out"
+                )));
             }
         }
     }
-    Err(Failure::input("--name: expected a name: all numbered names are taken; choose another"))
+    Err(Failure::input("all numbered names of this scenario are taken: choose one with --name"))
 }

@@ -35,7 +35,9 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
         atomic_file::write_for_owner(&out_dir.join(DESCRIPTION), experiment.description_for_nodes().seal()?)
     };
     written().map_err(|error: anyhow::Error| {
-        Failure::input(format!("--out: expected a folder that can be written: {error}"))
+        Failure::input(format!(
+            "cannot write to the run folder (--out): expected a folder that can be written: {error}"
+        ))
     })?;
     for log in [logs::ESTIMATES, logs::WORLDS] {
         claim.make_growing(log)?;
@@ -50,7 +52,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
 pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let path = folder.join(DESCRIPTION);
     let expected = |reason: &dyn std::fmt::Display| {
-        Failure::input(format!("{}: expected the folder of a run: {reason}", path.display()))
+        Failure::input(format!("cannot use {}: expected the folder of a run: {reason}", path.display()))
     };
     let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
     let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
@@ -74,7 +76,10 @@ pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure>
         if let Err(error) = opened
             && error.kind() != std::io::ErrorKind::NotFound
         {
-            return Err(Failure::input(format!("{}: expected a file that can be written: {error}", path.display())));
+            return Err(Failure::input(format!(
+                "cannot write {}: expected a file that can be written: {error}",
+                path.display()
+            )));
         }
     }
     // A node would overwrite the log of another run.

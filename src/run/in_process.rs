@@ -20,7 +20,7 @@ use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rangehound_sim::World;
 use rangehound_sim::machine as sim;
 
-/// Stamps of ranges and headings that exist, without a latency.
+/// Stamps that only show that ranges and headings exist; they give no latency.
 const RANGE_SENT_NS: u64 = u64::MAX;
 const HEADING_HELD_NS: u64 = 1;
 
@@ -76,12 +76,12 @@ impl Team {
         Self::of_run(scenario, Path::new(""))
     }
 
-    /// The same; a recording that this process has not read is read from the run folder.
+    /// As [`Self::new`]; a recording that this process has not read is read from the run folder.
     ///
     /// # Errors
     /// [`TeamError`].
     pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
-        // The run lasts for as long as it is stepped.
+        // The caller decides how long the run lasts.
         let ticks = u64::MAX - 1;
         let scenario = &Scenario { clock: Clock::Lockstep, timeout: Timeout::Forever, ticks, ..scenario.clone() };
         let team = 0..scenario.robots.len();
@@ -105,7 +105,7 @@ impl Team {
         self.tick_disturbed(|_| {})
     }
 
-    /// The same, but the robots' messages to fusion are disturbed first.
+    /// As [`Self::tick`], but `disturb` changes the robots' messages to fusion first.
     ///
     /// # Errors
     /// As [`Self::tick`].
@@ -135,7 +135,7 @@ impl Team {
         while !matches!(self.sim.next_action(0), Some(sim::Action::Save) | None) {}
     }
 
-    /// The simulator up to where it waits for the robots: they see the world.
+    /// Steps the simulator until it waits for the robots, which receive the world.
     fn step_sim(&mut self) {
         while let Some(action) = self.sim.next_action(0) {
             if action == sim::Action::SendWorld {

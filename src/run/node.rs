@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::failure::{self, Failure};
 
-/// Of observers.
+/// Priority of observers: the lowest.
 const LEAST_PRIORITY: i32 = 19;
 
 /// Runs the simulator of a run until it ends.
@@ -68,7 +68,7 @@ pub fn robot(name: &RunName, id: usize, parent: Option<u32>) -> Result<(), Failu
 /// # Errors
 /// [`Failure`].
 pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Failure> {
-    let waiting = || failure::tell(format!("waiting for run {name}; `rangehound sim --name {name}` starts it"));
+    let waiting = || failure::print_stderr(format!("waiting for run {name}: `rangehound sim --name {name}` starts it"));
     Rendezvous::join(name, termination, waiting).map_err(input_or_running)
 }
 
@@ -78,8 +78,8 @@ pub fn join(name: &RunName, termination: &Termination) -> Result<Rendezvous, Fai
 ///
 /// # Errors
 /// [`Failure`].
-pub fn look_on(title: &CStr, name: &RunName, termination: &Termination) -> Result<Option<Rendezvous>, Failure> {
-    // It also works without title and priority.
+pub fn observe(title: &CStr, name: &RunName, termination: &Termination) -> Result<Option<Rendezvous>, Failure> {
+    // Failures are harmless: the observer also works without title and priority.
     let _ = rustix::thread::set_name(title);
     let _ = rustix::process::setpriority_process(None, LEAST_PRIORITY);
     match join(name, termination) {
@@ -129,7 +129,9 @@ pub fn end_with(parent: Option<u32>) -> Result<(), Failure> {
         set_parent_process_death_signal(Some(Signal::TERM))?;
         // The parent may have died before the line above.
         if getppid().map(Pid::as_raw_pid) != i32::try_from(pid).ok() {
-            return Err(Failure::Running(anyhow::anyhow!("the process that started this one is gone")));
+            return Err(Failure::Running(anyhow::anyhow!(
+                "the process that started this one (--end-with) has ended: start the run again"
+            )));
         }
     }
     Ok(())

@@ -34,7 +34,8 @@ impl Pin {
             }
             Self::Cpus(cpus) => cpus.iter().for_each(|cpu| set.set(*cpu)),
         }
-        sched_setaffinity(None, &set).with_context(|| format!("--pin {self}: expected processors that there are"))
+        sched_setaffinity(None, &set)
+            .with_context(|| format!("cannot run on the processors of --pin {self}: expected processors that exist"))
     }
 }
 

@@ -10,7 +10,9 @@ use crate::failure::Failure;
 /// [`Failure::Input`] if another process has the port.
 pub fn listen(port: Option<u16>) -> Result<TcpListener, Failure> {
     TcpListener::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port.unwrap_or(0)))).map_err(|error| match port {
-        Some(port) => Failure::input(format!("port {port}: expected one that is free on 127.0.0.1: {error}")),
+        Some(port) => {
+            Failure::input(format!("cannot use port {port}: expected one that is free on 127.0.0.1: {error}"))
+        }
         None => Failure::from(error),
     })
 }

@@ -54,8 +54,8 @@ pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Resul
 /// [`Failure`].
 pub fn record_run(name: &RunName, out: Option<&Path>, bytes_max: u64) -> Result<Option<Recorded>, Failure> {
     let termination = Termination::listen()?;
-    let rendezvous = node::look_on(c"rh-recorder", name, &termination)?;
-    rendezvous.map(|rendezvous| follow(&rendezvous.look_on(), out, bytes_max, &termination)).transpose()
+    let rendezvous = node::observe(c"rh-recorder", name, &termination)?;
+    rendezvous.map(|rendezvous| follow(&rendezvous.observe(), out, bytes_max, &termination)).transpose()
 }
 
 /// What has been recorded; its fields are the keys of `--json`.
@@ -91,7 +91,7 @@ impl Recorded {
     }
 }
 
-/// Records what the logs of a run hold.
+/// Records the ticks in the logs of a run.
 ///
 /// # Errors
 /// [`Failure`] if there are none, or the file cannot be written.
@@ -115,7 +115,7 @@ fn follow(
 ) -> Result<Recorded, Failure> {
     let description = rendezvous.description().clone();
     let mut recorder = Recorder::begin(&description, out, bytes_max)?;
-    // In lock step a run uses all processors that it gets, and recording would slow it down: it is recorded at its end.
+    // A run in lock step uses all processors, and recording would slow it down: it is recorded after its end.
     let goes_along = description.scenario.clock == Clock::Realtime;
     while !rendezvous.is_finished() && !termination.requested() {
         if goes_along {
@@ -128,7 +128,7 @@ fn follow(
     }
     if !watch::wait_for_last_words(rendezvous) && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;
-        log::warn!("the recording ends before the run, as asked: tick {} and later are not in it", recorder.next);
+        log::warn!("the recording was asked to end before the run: it has no tick from {} on", recorder.next);
     } else {
         recorder.catch_up(termination)?;
     }
@@ -160,7 +160,7 @@ impl<'a> Recorder<'a> {
     fn begin(description: &'a RunDescription, out: Option<&Path>, bytes_max: u64) -> Result<Self, Failure> {
         let path = out.map_or_else(|| description.out_dir.join(RECORDING), Path::to_owned);
         if path.is_dir() {
-            return Err(Failure::input(format!("--out: expected a file, {} is a folder", path.display())));
+            return Err(Failure::input(format!("{} is a folder (--out): expected the name of a file", path.display())));
         }
         let file = RunFile::begin(&path, description, bytes_max).map_err(unusable)?;
         Ok(Self {
@@ -212,7 +212,7 @@ impl<'a> Recorder<'a> {
                 }
                 if termination.requested() && asked.get_or_insert_with(Instant::now).elapsed() > CATCH_UP {
                     log::warn!(
-                        "asked to end before all of the run is recorded: tick {} and later are not in the file; `rangehound record {}` makes a whole one",
+                        "the recording was asked to end before it was complete: it has no tick from {} on: `rangehound record {}` makes a complete one",
                         self.next,
                         made::from_here(&self.description.out_dir).display()
                     );
@@ -234,7 +234,7 @@ impl<'a> Recorder<'a> {
                 Written::Full => {
                     let limit_mb = self.bytes_max / 1_000_000;
                     log::warn!(
-                        "{} has its {limit_mb} MB (--record-limit): from tick {tick} on nothing is recorded",
+                        "{} has reached {limit_mb} MB (--record-limit): nothing is recorded from tick {tick} on",
                         self.path.display()
                     );
                     self.is_full = true;
@@ -253,11 +253,11 @@ impl<'a> Recorder<'a> {
     fn finish(self) -> Result<Recorded, Failure> {
         let Self { description, file, path, last, holes: (lost, first), is_full, .. } = self;
         if lost > 0 {
-            log::warn!("{lost} ticks from tick {first} on are not in the logs, so not recorded either");
+            log::warn!("{lost} ticks, the first of them {first}, are missing in the logs, and so in the recording");
         }
         if last.is_none() {
             file.discard();
-            log::warn!("{} is not there: the run has left no logs", path.display());
+            log::warn!("no recording {}: the run has left no logs", path.display());
         } else {
             file.finish().map_err(|error| match error.downcast::<Poorer>() {
                 Ok(poorer) => Failure::input(poorer),
@@ -277,5 +277,5 @@ impl<'a> Recorder<'a> {
 
 /// A failure that a restart would not repair: the run continues without a recording.
 fn unwritable(error: anyhow::Error) -> Failure {
-    Failure::input(format!("recording ends, the file that there is can be repaired: {error:#}"))
+    Failure::input(format!("the recording ends early: {error:#}: `rangehound replay --repair` keeps what was recorded"))
 }

@@ -16,7 +16,7 @@ use crate::run::node::input_or_running;
 use crate::run::watch;
 
 /// Time-out of a request.
-const PATIENCE: Duration = Duration::from_secs(10);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
 const POLL: Duration = Duration::from_millis(10);
 
@@ -82,8 +82,10 @@ pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failur
 pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failure> {
     let run = join(name)?;
     if !run.roster().is_held(Role::Supervisor) {
-        let problem = format!("expected a run with a supervisor, {} was started by hand", run.name());
-        return Err(Failure::input(format!("restart: {problem}: kill the node, and start it again")));
+        return Err(Failure::input(format!(
+            "run {} was started by hand: expected a run with a supervisor: kill the node, and start it again",
+            run.name()
+        )));
     }
     let starts = run.roster().starts(node);
     signal(&run, node, Signal::TERM)?;
@@ -99,9 +101,11 @@ pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Fai
             }
             return print(format!("{node} is now process {pid}, start {starts}\n"));
         }
-        if began.elapsed() > PATIENCE {
-            let problem = format!("{node} has ended, but nobody has started it again");
-            return Err(Failure::Running(anyhow!("{problem}: its run's supervisor is not to")));
+        if began.elapsed() > REQUEST_TIMEOUT {
+            return Err(Failure::Running(anyhow!(
+                "{node} of run {} has ended and was not started again: --restart of its run may forbid it; start it by hand",
+                run.name()
+            )));
         }
         std::thread::sleep(POLL);
     }
@@ -129,7 +133,7 @@ pub fn stop(name: Option<&RunName>, json: bool) -> Result<(), Failure> {
             }
         }
         for process in processes {
-            // One that has ended by now needs nothing; one that is stopped hears it only when it runs.
+            // An error means that it has ended already. A stopped process receives the signal only after it is continued.
             let _ = process.signal(Signal::TERM);
             let _ = process.signal(Signal::CONT);
         }
@@ -138,8 +142,10 @@ pub fn stop(name: Option<&RunName>, json: bool) -> Result<(), Failure> {
     drop(run);
     let began = Instant::now();
     while living_runs().contains(&name) {
-        if began.elapsed() > PATIENCE {
-            return Err(Failure::Running(anyhow!("run {name} has not ended in {PATIENCE:?}")));
+        if began.elapsed() > REQUEST_TIMEOUT {
+            return Err(Failure::Running(anyhow!(
+                "run {name} has not ended within {REQUEST_TIMEOUT:?}: see `rangehound status --name {name}`"
+            )));
         }
         std::thread::sleep(POLL);
     }
@@ -155,10 +161,13 @@ pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
     match (name, living.as_slice()) {
         (Some(name), _) => Ok(name.clone()),
         (None, [only]) => Ok(only.clone()),
-        (None, []) => Err(Failure::input("expected a run that goes on, there is none")),
+        (None, []) => Err(Failure::input("no run is running: expected one, as `rangehound run` starts it")),
         (None, several) => {
             let names: Vec<String> = several.iter().map(RunName::to_string).collect();
-            Err(Failure::input(format!("--name: expected one of the runs {}, got none", names.join(", "))))
+            Err(Failure::input(format!(
+                "--name is missing, and several runs are running: expected one of {}",
+                names.join(", ")
+            )))
         }
     }
 }
@@ -166,7 +175,7 @@ pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
 fn join(name: Option<&RunName>) -> Result<Rendezvous, Failure> {
     let name = run_named(name)?;
     let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
-    run.ok_or_else(|| Failure::input(format!("--name: expected a run that goes on, {name} does not")))
+    run.ok_or_else(|| Failure::input(format!("run {name} (--name) is not running: expected a run that is")))
 }
 
 /// Sends a signal to the process in a role.
@@ -182,7 +191,7 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
         && id >= run.description().scenario.robots.len()
     {
         let last = run.description().scenario.robots.len() - 1;
-        return Err(Failure::input(format!("expected robot-0 to robot-{last} in this run, got {role}")));
+        return Err(Failure::input(format!("{role} is not in run {}: expected robot-0 to robot-{last}", run.name())));
     }
     match run.roster().process(role) {
         Holder::Here(process) => Ok(process),
@@ -191,7 +200,7 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
     }
 }
 
-/// Its number here, if it has one, is another process's.
+/// The error for a process in another PID namespace: its PID means another process here.
 fn elsewhere(run: &Rendezvous, role: Role) -> Failure {
     let what = if role == Role::Supervisor { "the supervisor".to_owned() } else { role.to_string() };
     Failure::input(format!(
@@ -201,7 +210,7 @@ fn elsewhere(run: &Rendezvous, role: Role) -> Failure {
 }
 
 fn gone(run: &Rendezvous, role: Role) -> Failure {
-    Failure::Running(anyhow!("{role} of run {} is not there", run.name()))
+    Failure::Running(anyhow!("{role} of run {} is not running: see `rangehound status`", run.name()))
 }
 
 impl Status {
@@ -238,13 +247,13 @@ impl Status {
 impl NodeStatus {
     fn of(run: &Rendezvous, role: Role) -> Self {
         let holder = run.roster().process(role);
-        let (pid, told) = match &holder {
+        let (pid, proc_text) = match &holder {
             Holder::Here(process) => (Some(process.pid().as_raw_pid()), process.proc_text("status")),
             Holder::Nobody | Holder::Elsewhere => (None, String::new()),
         };
-        let field = |name: &str| told.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
+        let field = |name: &str| proc_text.lines().find_map(|line| line.strip_prefix(name)).map(str::trim);
         let silent = run.roster().last_heartbeat(role).filter(|_| !matches!(holder, Holder::Nobody));
-        let silent = silent.map(|sign| SystemTime::now().duration_since(sign).unwrap_or_default());
+        let silent = silent.map(|heartbeat| SystemTime::now().duration_since(heartbeat).unwrap_or_default());
         let state = match (pid, field("State:").and_then(|state| state.chars().next())) {
             _ if matches!(holder, Holder::Elsewhere) => ELSEWHERE,
             (None, _) | (_, Some('Z' | 'X') | None) => "gone",

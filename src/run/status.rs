@@ -39,7 +39,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
     let termination = Termination::listen()?;
     let in_place = again && !json && terminal::draws_on_stdout();
     let mut is_first = true;
-    // It joins only briefly: a run does not end while it has members.
+    // It joins only briefly, because a run does not end while it has members.
     while let Some(run) = Rendezvous::join_if_alive(&name).map_err(input_or_running)? {
         let status = Status::of(&run);
         drop(run);
@@ -63,7 +63,7 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
         }
     }
     match (is_first, json) {
-        (true, _) => Err(Failure::input(format!("--name: expected a run that goes on, {name} does not"))),
+        (true, _) => Err(Failure::input(format!("run {name} (--name) is not running: expected a run that is"))),
         (false, true) => Ok(()),
         (false, false) => failure::print(format!("run {name} has ended\n")),
     }
@@ -82,7 +82,7 @@ impl Status {
         let Self { name, scenario, tick, ticks, out_dir, leader, leads, standbys, .. } = self;
         let mut out = format!("{TITLE}run {name}{TITLE:#}: {scenario}, tick {tick} of {ticks}\n");
         let what = match leader {
-            _ if self.is_finishing() => field("finishing", "its nodes end, and its recording and report are written"),
+            _ if self.is_finishing() => field("finishing", "nodes are ending, recording and report are being written"),
             Some(pid) => field("fusion", format!("process {pid} leads, the lead number {leads}; {standbys} stand by")),
             None if self.nodes.iter().any(|node| node.name == "fusion" && node.state == ELSEWHERE) => field(
                 "fusion",
@@ -105,10 +105,10 @@ impl Status {
             }
         }
         if rows.iter().any(|(_, row)| matches!(row, Row::Robots(_))) {
-            out.push_str("\n\nRobots on one line: longest silence, memory of all. --all shows each.");
+            out.push_str("\n\nOne line for several robots: longest silence, total memory. --all shows each.");
         }
         if rows.iter().any(|(_, row)| row.cells()[1] == ELSEWHERE) {
-            out.push_str("\n\nelsewhere: in another PID namespace (container), where this command shows and ends it.");
+            out.push_str("\n\nelsewhere: in another PID namespace (container); run this command there.");
         }
         out
     }

@@ -16,10 +16,10 @@ use crate::run::node;
 use crate::run::node::input_or_running;
 use crate::terminal;
 
-/// How often an observer looks.
+/// Interval at which an observer polls.
 pub const LOOK: Duration = Duration::from_millis(50);
 
-/// How often a line is printed where there is no terminal.
+/// Interval between printed lines without a terminal.
 const LINE: Duration = Duration::from_secs(2);
 
 /// How long fusion may take to record its last tick after the run's end. By then a supervisor has killed a hung fusion.
@@ -76,7 +76,7 @@ impl Watch {
         Newest { fusion: self.estimate.as_ref().map(|(tick, _)| *tick), sim: truths.max() }
     }
 
-    /// Looks once and shows what has changed.
+    /// Polls once, and shows the changes.
     ///
     /// # Errors
     /// [`BusError`] if the bus fails.
@@ -118,7 +118,7 @@ impl Watch {
     }
 }
 
-/// A bar on a terminal, now and then a line elsewhere.
+/// A progress bar on a terminal; a line at intervals elsewhere.
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
@@ -129,7 +129,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// A display for so many steps; `step` is what one is called.
+    /// A display for this many steps; `step` is the name of one.
     #[must_use]
     pub fn new(step: &'static str, steps: u64) -> Self {
         let bar = ProgressBar::new(steps).with_prefix(step);
@@ -161,14 +161,14 @@ impl Progress {
             self.bar.set_message(message.to_owned());
         } else if self.last_line.is_none_or(|last| last.elapsed() >= LINE) {
             let line = format!("{} {done}/{}  {message}", self.step, self.steps);
-            failure::tell(line.trim_end());
+            failure::print_stderr(line.trim_end());
             self.last_line = Some(Instant::now());
         }
     }
 }
 
 impl Drop for Progress {
-    /// An error must not leave the bar behind.
+    /// Removes the bar also after an error.
     fn drop(&mut self) {
         self.finish();
     }
@@ -181,12 +181,12 @@ impl Drop for Progress {
 pub fn watch(name: &RunName, json: bool) -> Result<(), Failure> {
     let termination = Termination::listen()?;
     while !watch_until_removed(name, json, &termination)? {
-        failure::tell(format_args!("the shared memory of run {name} was removed; joining it again"));
+        failure::print_stderr(format_args!("the shared memory of run {name} was removed: joining it again"));
     }
     Ok(())
 }
 
-/// The same; false if the shared memory of a supervised run was removed: the supervisor makes it again.
+/// Watches a run until its end. False if the shared memory of a supervised run was removed: the supervisor makes it again.
 fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) -> Result<bool, Failure> {
     let rendezvous = node::join(name, termination)?;
     let bus = Bus::connect(&rendezvous, "observer")?;
@@ -203,7 +203,9 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
         // A run that is ended before its last tick is not marked as finished.
         if has_lost_its_supervisor() && !rendezvous.is_finished() {
             watch.finish();
-            return Err(Failure::Running(anyhow::anyhow!("run {name} was ended before its last tick")));
+            return Err(Failure::Running(anyhow::anyhow!(
+                "run {name} was ended before its last tick: `rangehound resume` may continue it"
+            )));
         }
         std::thread::sleep(LOOK);
         watch.look()?;

@@ -6,7 +6,7 @@
 //! | [`compare`] | Monte Carlo of the planners on all cores |
 //! | [`chaos`] | campaigns of faults on live runs |
 //! | [`explore`] | campaigns of faults in simulated time |
-//! | [`latency`] | the time from range to heading, beside the bare transport |
+//! | [`latency`] | the time from range to heading, compared with the transport |
 //! | [`replay`] | a recording through a fresh fusion: bit-identical, or the differences |
 
 pub mod calibrate;

@@ -211,8 +211,8 @@ fn long_input_is_accepted_or_refused() {
             let _ = Recording::parse(text.as_bytes(), Path::new("long.csv"), &ReadOptions::default())
                 .inspect_err(|error| assert!(error.to_string().len() < 2_000));
             let _ = Truth::parse(text.as_bytes()).inspect_err(|error| assert!(error.len() < 2_000));
-            let mut desk = LineSolver::new(PlannerTable::default(), 1).unwrap();
-            desk.answer(1, text.as_bytes(), &mut Vec::new());
+            let mut solver = LineSolver::new(PlannerTable::default(), 1).unwrap();
+            solver.answer(1, text.as_bytes(), &mut Vec::new());
         }
     }
 }
@@ -253,7 +253,7 @@ fn hostile_messages() {
             assert!(range_m.is_none_or(f64::is_finite), "{entry:?} {range_m:?}");
             let _ = drives.iter().flatten().filter_map(Drive::latency_ns).max();
             world.advance(&drives);
-            assert!(world.entries().iter().all(|entry| entry.is_sound()));
+            assert!(world.entries().iter().all(|entry| entry.is_valid()));
         }
     });
 }

@@ -74,8 +74,8 @@ fn a_path_that_is_no_folder_is_refused_with_the_cause_and_unchanged() {
     run.write("file", "mine");
     symlink("nowhere", run.path("link")).unwrap();
     for (out, cause) in [
-        ("file", "it is no folder"),
-        ("/dev/null", "it is no folder"),
+        ("file", "it is not a folder"),
+        ("/dev/null", "it is not a folder"),
         ("link", "it is a link to nothing"),
         ("file/below", "Not a directory"),
     ] {
@@ -240,11 +240,11 @@ fn a_joining_simulator_with_other_flags_is_refused_by_flag() {
     let first = run.node("sim --out out --seed 7");
     run.wait_until("the run is founded", || run.path("out/scenario.toml").exists() && first.has_joined());
     for (flag, expected) in [
-        ("--seed 99", "--seed: run"),
-        ("--ticks 3", "--ticks: run"),
-        ("--robots 9", "--robots: run"),
-        ("--planner greedy", "--planner: run"),
-        ("--out other", "--out: run"),
+        ("--seed 99", "--seed differs from run"),
+        ("--ticks 3", "--ticks differs from run"),
+        ("--robots 9", "--robots differs from run"),
+        ("--planner greedy", "--planner differs from run"),
+        ("--out other", "--out differs from run"),
     ] {
         assert_refused(&run.node(&format!("sim {flag}")).finish(), expected);
     }

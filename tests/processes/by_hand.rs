@@ -81,7 +81,7 @@ fn a_role_that_is_taken_or_does_not_exist_is_refused() {
     run.pid_of("fusion", 1);
     let refusals = [
         ("fusion", "fusion of run"),
-        ("robot --id 3", "--id: expected 0 to 2"),
+        ("robot --id 3", "(--id) is not in this run: expected 0 to 2"),
         ("restart fusion", "expected a run with a supervisor"),
     ]
     .map(|(words, names)| (names, run.node(words).finish()));

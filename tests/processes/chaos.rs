@@ -70,15 +70,15 @@ fn killed_robots_come_back_in_real_time() {
 #[test]
 fn invalid_values_are_refused_before_anything_starts() {
     for (words, expected) in [
-        ("chaos --faults 0", "--faults: expected at least 1"),
-        ("chaos --rate 0", "--rate: expected 0.01 to 1000"),
-        ("chaos --rate -1", "--rate: expected 0.01 to 1000"),
-        ("chaos --rate nan", "--rate: expected 0.01 to 1000"),
-        ("chaos --rate inf", "--rate: expected 0.01 to 1000"),
-        ("chaos --kinds flood", "expected one of: kill, stop, storm, several, blackout, all"),
-        ("chaos --longest-stop 0", "--longest-stop: expected 0.01 to 60 s"),
-        ("chaos --roles standby", "--roles: expected --standby 1 or more"),
-        ("chaos --timeout 1", "--timeout: expected forever"),
+        ("chaos --faults 0", "--faults is 0: expected at least 1"),
+        ("chaos --rate 0", "--rate is 0: expected 0.01 to 1000"),
+        ("chaos --rate -1", "--rate is -1: expected 0.01 to 1000"),
+        ("chaos --rate nan", "--rate is NaN: expected 0.01 to 1000"),
+        ("chaos --rate inf", "--rate is inf: expected 0.01 to 1000"),
+        ("chaos --kinds flood", "expected one of: kill, stop, crash-loop, several, total-outage, all"),
+        ("chaos --longest-stop 0", "--longest-stop is 0: expected 0.01 to 60 s"),
+        ("chaos --roles standby", "expected --standby 1 or more"),
+        ("chaos --timeout 1", "--timeout is finite: expected forever"),
     ] {
         assert_refused_at_once(words, expected);
     }

@@ -260,7 +260,7 @@ fn only_the_stopped_robot_is_left_out() {
     let run = Run::new();
     run_with_robot_1_stopped_for_a_while(&run);
     let log = run.read("logs/sim.log");
-    let left_out: Vec<&str> = log.lines().filter(|line| line.contains("goes on without")).collect();
+    let left_out: Vec<&str> = log.lines().filter(|line| line.contains("continues without")).collect();
     assert!(!left_out.is_empty(), "{log}");
     assert!(left_out.iter().all(|line| line.contains("without robot 1,")), "{left_out:#?}");
 }
@@ -281,7 +281,7 @@ fn a_folder_in_which_a_run_goes_on_is_refused_to_another() {
     signal(robot, Signal::CONT);
     for refused in refusals {
         assert_eq!((refused.code, refused.stderr.lines().count()), (Some(2), 1), "{refused:#?}");
-        assert!(refused.stderr.contains("a run goes on in"), "{refused:#?}");
+        assert!(refused.stderr.contains("a run is using"), "{refused:#?}");
     }
     first.finish().succeeded();
     assert_eq!(run.digest(), digest_in_process(words));
@@ -338,11 +338,11 @@ fn the_membership_lock_of_one_run_does_not_block_another() {
     let run = Run::new();
     let first = run.lockstep(ENDLESS);
     run.wait_for_ticks(3);
-    let door = std::fs::File::open(run.shared_folder().join("door")).unwrap();
-    door.lock().unwrap();
+    let lock = std::fs::File::open(run.shared_folder().join("membership.lock")).unwrap();
+    lock.lock().unwrap();
     let other = Run::new();
     other.lockstep("--ticks 20 --timeout forever").finish().succeeded();
-    drop(door);
+    drop(lock);
     first.signal(Signal::INT);
     assert_eq!(first.finish().code, Some(1));
     run.assert_nothing_left();

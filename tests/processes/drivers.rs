@@ -57,14 +57,16 @@ fn a_robot_on_a_port_takes_part_in_a_run() {
     run.wait_until("the robot without ticks has stopped", || robot.stdout().lines().next_back() == Some(STOP));
     sim.signal(Signal::CONT);
     drop(radio);
-    run.wait_until("the robot has seen the end of the stream", || robot.stderr().contains("port: ended"));
+    run.wait_until("the robot has seen the end of the stream", || {
+        robot.stderr().contains("port: the stream has ended")
+    });
 
     let outcome = robot.finish().succeeded();
     for node in [sim, fusion, watch] {
         node.finish().succeeded();
     }
     let told = |what: &str| outcome.stderr.lines().filter(|line| line.contains(what)).count();
-    assert_eq!((told("port: expected lines like"), told("port: ended")), (1, 1), "{outcome:#?}");
+    assert_eq!((told("expected lines like"), told("port: the stream has ended")), (1, 1), "{outcome:#?}");
     assert_eq!(outcome.stdout.lines().next_back(), Some(STOP));
     for line in outcome.stdout.lines() {
         let (heading_rad, speed_mps) = line.split_once(',').unwrap();
@@ -103,7 +105,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     let nodes = [run.command("sim mine.toml"), run.node("fusion")];
     let words = ["--name", &run.name, "--id", "0", "--port", port.to_str().unwrap(), "--format", "dwm1001"];
     let missing = run.start_program(&example, &words).finish();
-    assert!(missing.code == Some(2) && missing.stderr.contains("--anchor ID"), "{missing:#?}");
+    assert!(missing.code == Some(2) && missing.stderr.contains("--anchor is missing"), "{missing:#?}");
     let robot = run.start_program(&example, &[&words[..], &["--anchor", "022e"]].concat());
 
     let flags = OFlags::NONBLOCK.bits().cast_signed();
@@ -118,7 +120,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
     });
     drop(radio);
     let outcome = robot.finish().succeeded();
-    assert_eq!(outcome.stderr.matches("port: expected lines like DIST").count(), 1, "{outcome:#?}");
+    assert_eq!(outcome.stderr.matches("expected lines like DIST").count(), 1, "{outcome:#?}");
     // Two lines of three are valid; a read may end anywhere.
     let (refused, taken) = first_counts(&outcome.stderr);
     assert!(refused >= 10 && taken.abs_diff(2 * refused) <= 2, "{outcome:#?}");
@@ -138,7 +140,7 @@ fn a_robot_with_a_radio_takes_the_ranges_of_its_anchor() {
 fn first_counts(stderr: &str) -> (u64, u64) {
     let counts = |line: &str| {
         let (refused, taken) = line.split_once("port: ")?.1.split_once(" lines or frames refused, ")?;
-        Some((refused.parse().ok()?, taken.strip_suffix(" taken")?.parse().ok()?))
+        Some((refused.parse().ok()?, taken.strip_suffix(" accepted")?.parse().ok()?))
     };
     stderr.lines().find_map(counts).unwrap_or_else(|| panic!("no counts in {stderr}"))
 }

@@ -61,7 +61,7 @@ fn ended_or_killed_it_leaves_nothing() {
         let ended = measured.finish();
         if signal == Signal::INT {
             assert_eq!(ended.code, Some(1), "{ended:#?}");
-            assert_eq!(ended.complaints(), ["rangehound: ended before the last round, as asked"]);
+            assert_eq!(ended.complaints(), ["rangehound: asked to end before the last round"]);
         }
         run.assert_nothing_left();
     }
@@ -70,14 +70,14 @@ fn ended_or_killed_it_leaves_nothing() {
 #[test]
 fn invalid_values_are_refused_before_anything_starts() {
     for (words, expected) in [
-        ("latency --rounds 0", "--rounds: expected 1 to 1000"),
-        ("latency --rate 0", "--rate: expected 0.001 to 10000 Hz"),
-        ("latency --rate nan", "--rate: expected 0.001 to 10000 Hz"),
-        ("latency --rate 10 --clock lockstep", "--rate: expected --clock realtime"),
-        ("latency --robots 0", "robots.count: expected a whole number from 1 to 1024"),
-        ("latency --ticks 100000000", "--ticks: expected at most"),
+        ("latency --rounds 0", "--rounds is 0: expected 1 to 1000"),
+        ("latency --rate 0", "--rate is 0: expected 0.001 to 10000 Hz"),
+        ("latency --rate nan", "--rate is NaN: expected 0.001 to 10000 Hz"),
+        ("latency --rate 10 --clock lockstep", "expected --clock realtime"),
+        ("latency --robots 0", "robots.count is 0 in the command line: expected a whole number from 1 to 1024"),
+        ("latency --ticks 100000000", "--ticks is 100000000: expected at most"),
         ("latency --pin all", "expected none, one-core, or processors by number"),
-        ("latency --pin 1000", "--pin 1000: expected processors that there are"),
+        ("latency --pin 1000", "--pin 1000: expected processors that exist"),
     ] {
         assert_refused_at_once(words, expected);
     }

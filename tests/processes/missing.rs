@@ -133,12 +133,12 @@ fn a_node_that_hangs_while_it_starts_is_replaced() {
     let run = Run::new();
     let supervisor = start(&run, "--clock realtime --timeout 0.5");
     run.wait_for_ticks(5);
-    // Whoever holds the door keeps a new member from coming in; the others are in.
-    let door = std::fs::File::open(run.shared_folder().join("door")).unwrap();
-    door.lock().unwrap();
+    // While the membership lock is held, no new member can join; the others have joined.
+    let lock = std::fs::File::open(run.shared_folder().join("membership.lock")).unwrap();
+    lock.lock().unwrap();
     signal(run.pid_of("robot-1", 1), Signal::KILL);
     run.wait_until("the start is given up", || supervisor.stderr().contains("robot-1 sent no heartbeat"));
-    drop(door);
+    drop(lock);
     run.pid_of("robot-1", 2);
     interrupt(supervisor);
     assert!(counts(&run, "hangs")[3] >= 1);

@@ -84,7 +84,7 @@ fn the_removal_of_any_part_of_shared_memory_is_noticed_before_it_is_needed() {
         "segments",
         "run",
         "members",
-        "door",
+        "membership.lock",
         "iceoryx2.toml",
         "sim.role",
         "wait_groups.dyn",

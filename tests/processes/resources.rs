@@ -302,7 +302,7 @@ fn files_in_place_of_the_shared_folder_are_reported_or_repaired() {
     let shared = run.shared_folder();
     std::fs::write(&shared, "mine").unwrap();
     let refused = run.command("run --ticks 5").finish();
-    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "expected a folder"]);
+    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "is not a folder"]);
     assert_eq!(std::fs::read(&shared).unwrap(), b"mine");
     std::fs::remove_file(&shared).unwrap();
 
@@ -311,7 +311,7 @@ fn files_in_place_of_the_shared_folder_are_reported_or_repaired() {
     run.write("mine/thesis.txt", "mine");
     std::os::unix::fs::symlink(run.path("mine"), &shared).unwrap();
     let refused = run.command("run --ticks 5").finish();
-    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "expected a folder"]);
+    assert_refused(&refused, 2, &[shared.to_str().unwrap(), "is not a folder"]);
     assert_eq!(std::fs::read(run.path("mine/thesis.txt")).unwrap(), b"mine");
     std::fs::remove_file(&shared).unwrap();
 

@@ -79,7 +79,7 @@ fn a_changed_copy_is_refused_in_one_line() {
     assert!(!output.status.success(), "{output:?}");
     let said = String::from_utf8_lossy(&output.stderr).into_owned()
         + &std::fs::read_to_string(run.path("out/logs/sim.log")).unwrap_or_default();
-    assert!(said.contains("recording.csv: it has changed since the run began"), "{said}");
+    assert!(said.contains("recording.csv has changed since the run began"), "{said}");
 }
 
 /// The original may change, grow or disappear.

@@ -128,8 +128,11 @@ fn bias_and_scale_of_one_sensor_are_its_own() {
 
     let unknown = SensorTable::new("77".parse().unwrap());
     let error = input::scenario(&file(Some(vec![unknown])), "test", &shipped()).unwrap_err().to_string();
-    assert!(error.contains("recording.sensor[0].id: expected a sensor of the recording (0, 1, 2), got 77"), "{error}");
+    assert!(
+        error.contains("recording.sensor[0].id is 77 in test: expected a sensor of the recording (0, 1, 2)"),
+        "{error}"
+    );
     let twice = vec![sensor(0.1, 0.0), sensor(0.2, 0.0)];
     let error = input::scenario(&file(Some(twice)), "test", &shipped()).unwrap_err().to_string();
-    assert!(error.contains("expected each sensor once, got 2 twice"), "{error}");
+    assert!(error.contains("2 for the second time"), "{error}");
 }

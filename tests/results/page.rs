@@ -60,10 +60,10 @@ fn unknown_facts_have_no_section() {
     assert_eq!(headings(&page), ["Paths", "Position error", "Trace", "NIS", "Faults"]);
     assert!(page.contains("No node ended before the run did") && page.matches("<svg").count() == 4);
     // Its planner proves no bound for the trace.
-    assert!(!page.contains("least by any headings"), "{page}");
+    assert!(!page.contains("proven lower bound"), "{page}");
     let proven = Run::new();
     proven.lockstep("--in-process --ticks 100 --planner certified").finish().succeeded();
-    assert!(proven.read("report.html").contains("least by any headings"));
+    assert!(proven.read("report.html").contains("proven lower bound"));
     let tracked = Run::new();
     tracked.write("ranges.csv", run.read("ranges.csv"));
     tracked.command("track ranges.csv --range-std 1.0 --accel-psd 10 --in-process").finish().succeeded();

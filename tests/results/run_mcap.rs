@@ -256,7 +256,7 @@ fn a_recording_ends_at_its_limit_with_a_warning_and_the_run_goes_on() {
     assert_eq!(outcome.code, Some(0), "{outcome:#?}");
     let json = replayed(&run, "out/run.mcap");
     let ticks = json["ticks"].as_u64().unwrap();
-    let warning = format!("--record-limit): from tick {} on nothing is recorded", ticks + 1);
+    let warning = format!("(--record-limit): nothing is recorded from tick {} on", ticks + 1);
     assert!(outcome.stderr.contains(&warning), "{warning}: {outcome:#?}");
     assert!(std::fs::metadata(run.path("out/run.mcap")).unwrap().len() < 2_000_000);
     assert_eq!(run.report()["ticks"], 3_000);

@@ -69,8 +69,8 @@ pub struct Certificate {
 pub enum PlannerError {
     /// The search would not finish.
     #[error(
-        "planner.step_rad: expected a grid of at most {limit:.0e} candidates, got {candidates:.3e} \
-         ({points} bearings for each of {robots} robots): take a wider step, fewer robots or another planner"
+        "planner.step_rad gives {candidates:.3e} candidates ({points} bearings for each of {robots} robots): expected at \
+         most {limit:.0e}: choose a larger step, fewer robots or another planner"
     )]
     GridTooLarge {
         /// Candidates in the worst case, when every robot is within one step of the target.

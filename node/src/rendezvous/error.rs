@@ -20,7 +20,7 @@ pub enum RendezvousError {
         name: RunName,
     },
     /// A live process has the role.
-    #[error("{role} of run {name} is already running, {holder}")]
+    #[error("{role} of run {name} is already running, {holder}: end it first, or choose another role")]
     RoleTaken {
         /// The role.
         role: Role,
@@ -36,10 +36,10 @@ pub enum RendezvousError {
     #[error("{} belongs to another user: choose another --name", .0.display())]
     NotOurs(PathBuf),
     /// The path of the folder is taken by something else.
-    #[error("{}: expected a folder or nothing, got something else: remove it, or choose another --name", .0.display())]
+    #[error("{} is not a folder: remove it, or choose another --name", .0.display())]
     NoFolder(PathBuf),
     /// The description of the run cannot be used.
-    #[error("{}: {reason}", .file.display())]
+    #[error("cannot use {}: {reason}", .file.display())]
     Unusable {
         /// The file.
         file: PathBuf,
@@ -58,7 +58,7 @@ pub enum RendezvousError {
     #[error(transparent)]
     WaitGroups(#[from] BlockError),
     /// The system refuses a file operation.
-    #[error("{}: {source}", .path.display())]
+    #[error("cannot use {}: {source}", .path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -86,6 +86,6 @@ pub enum RendezvousError {
         out_dir: PathBuf,
     },
     /// A request to end arrived while waiting for the run.
-    #[error("ended while waiting for the run")]
+    #[error("asked to end while waiting for the run")]
     Terminated,
 }

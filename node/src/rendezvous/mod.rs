@@ -4,7 +4,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `door` | the membership lock: held briefly to found, join or leave the run |
+//! | `membership.lock` | the membership lock: held briefly to found, join or leave the run |
 //! | `members` | locked (shared) by every live member: if an exclusive lock succeeds, the run is dead |
 //! | `run` | the sealed [`RunDescription`] |
 //! | `iceoryx2.toml` | prefix and root of the run's shared memory |
@@ -102,16 +102,16 @@ impl Rendezvous {
         resources::look_for_memory(robots)?;
         let place = Place::of(name);
         let began = Instant::now();
-        let (_door, members) = loop {
-            let door = place.enter(true)?;
+        let (_lock, members) = loop {
+            let lock = place.lock(true)?;
             let members = place.open("members")?;
             match members.try_lock() {
-                Ok(()) => break (door, members),
+                Ok(()) => break (lock, members),
                 Err(TryLockError::WouldBlock) if began.elapsed() < timeout => continue_orphans(&place),
                 Err(TryLockError::WouldBlock) => return Err(RendezvousError::Taken { name: name.clone() }),
                 Err(TryLockError::Error(source)) => return Err(place.io_error("members", source)),
             }
-            drop(door);
+            drop(lock);
             std::thread::sleep(JOIN_POLL);
         };
         place.remove_leftovers();
@@ -153,8 +153,8 @@ impl Rendezvous {
         if !place.path("run").exists() {
             return Ok(None);
         }
-        let door = match place.enter(false) {
-            Ok(door) => door,
+        let lock = match place.lock(false) {
+            Ok(lock) => lock,
             Err(RendezvousError::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
                 return Ok(None);
             }
@@ -169,7 +169,7 @@ impl Rendezvous {
         }
         members.lock_shared().map_err(|source| place.io_error("members", source))?;
         // A run with a member is neither removed nor founded anew, so others may join while this process reads.
-        drop(door);
+        drop(lock);
         let sealed =
             bounded::read(&place.path("run"), sealed::FILE_LEN_MAX).map_err(|source| place.io_error("run", source))?;
         let description = RunDescription::open(&sealed).map_err(|reason| match reason {
@@ -194,7 +194,7 @@ impl Rendezvous {
         let (name, description) = (self.name().clone(), self.description.clone());
         {
             // A failed lock means that it was removed.
-            let _door = self.place.enter(false);
+            let _lock = self.place.lock(false);
             self.place.remove();
         }
         drop(self);
@@ -234,10 +234,10 @@ impl Rendezvous {
 
     /// Leaves the run but keeps observing it: founding or resuming the run does not wait for this process.
     #[must_use]
-    pub fn look_on(self) -> Self {
-        let mut onlooker = self;
-        onlooker.members = None;
-        onlooker
+    pub fn observe(self) -> Self {
+        let mut observer = self;
+        observer.members = None;
+        observer
     }
 
     /// The run.
@@ -307,7 +307,7 @@ impl Rendezvous {
         lease: &RoleLease,
         action: impl FnOnce() -> T,
     ) -> Result<Option<T>, RendezvousError> {
-        let _door = self.place.enter(false)?;
+        let _lock = self.place.lock(false)?;
         Ok(lease.is_current().then(action))
     }
 
@@ -362,7 +362,7 @@ impl Drop for Rendezvous {
         // If the folder was removed from outside, some of the run's shared memory may remain. The membership lock ensures that
         // it does not belong to a new founder of this name.
         let is_folder_gone = self.members.is_some() && !self.place.dir().exists();
-        let Ok(_door) = self.place.enter(is_folder_gone) else { return };
+        let Ok(_lock) = self.place.lock(is_folder_gone) else { return };
         self.members = None;
         let members = self.place.open_existing("members");
         let is_last = members.map_or(is_folder_gone, |members| members.try_lock().is_ok());
@@ -380,8 +380,8 @@ pub fn living_runs() -> Vec<RunName> {
             let place = Place::of(name);
             // Holds the membership lock, so that nobody mistakes this check for a member.
             // A process that holds the membership lock is alive.
-            let Ok(door) = place.glance() else { return false };
-            door.is_none()
+            let Ok(lock) = place.try_lock() else { return false };
+            lock.is_none()
                 || place
                     .open_existing("members")
                     .is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
@@ -414,7 +414,7 @@ fn remove_dead_runs(but: &RunName) {
     for name in run_names().filter(|name| name != but) {
         let place = Place::of(&name);
         // The process that holds the membership lock will clean up; no other run waits for that.
-        let Ok(Some(_door)) = place.glance() else { continue };
+        let Ok(Some(_lock)) = place.try_lock() else { continue };
         let Ok(members) = place.open_existing("members") else { continue };
         if members.try_lock().is_ok() {
             place.remove();

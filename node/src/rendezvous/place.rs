@@ -13,11 +13,14 @@ use xxhash_rust::xxh3::xxh3_64;
 use super::RendezvousError;
 use crate::system::resources::SHARED_MEMORY;
 
+/// File of the membership lock.
+pub(super) const MEMBERSHIP_LOCK: &str = "membership.lock";
+
 /// How long to wait for the membership lock, and how often to try.
-const DOOR: Duration = Duration::from_secs(10);
-const DOOR_POLL: Duration = Duration::from_micros(200);
+const LOCK_WAIT: Duration = Duration::from_secs(10);
+const LOCK_POLL: Duration = Duration::from_micros(200);
 /// Retry interval for large teams: shorter retries by all members at once would keep the processors busy.
-const DOOR_POLL_MAX: Duration = Duration::from_millis(10);
+const LOCK_POLL_MAX: Duration = Duration::from_millis(10);
 
 /// Permissions of a run's folder.
 const MODE: u32 = 0o700;
@@ -58,20 +61,20 @@ impl Place {
     }
 
     /// Takes the membership lock if it is free.
-    pub(super) fn glance(&self) -> Result<Option<File>, RendezvousError> {
+    pub(super) fn try_lock(&self) -> Result<Option<File>, RendezvousError> {
         self.look_for_owner()?;
-        let door = self.open_existing("door")?;
-        match door.try_lock() {
-            Ok(()) => Ok(self.is_named(&door).then_some(door)),
+        let lock = self.open_existing(MEMBERSHIP_LOCK)?;
+        match lock.try_lock() {
+            Ok(()) => Ok(self.is_named(&lock).then_some(lock)),
             Err(TryLockError::WouldBlock) => Ok(None),
-            Err(TryLockError::Error(source)) => Err(self.io_error("door", source)),
+            Err(TryLockError::Error(source)) => Err(self.io_error(MEMBERSHIP_LOCK, source)),
         }
     }
 
     /// Takes the membership lock. Only a suspended process holds it for long.
-    pub(super) fn enter(&self, create: bool) -> Result<File, RendezvousError> {
+    pub(super) fn lock(&self, create: bool) -> Result<File, RendezvousError> {
         let began = Instant::now();
-        let mut poll = DOOR_POLL;
+        let mut poll = LOCK_POLL;
         loop {
             if create {
                 let made = std::fs::DirBuilder::new().mode(MODE).create(&self.dir);
@@ -83,24 +86,25 @@ impl Place {
             }
             self.look_for_owner()?;
             // Observers open it without creating it: a dead run's folder must not come back.
-            let door = match if create { self.open("door") } else { self.open_existing("door") } {
+            let lock = match if create { self.open(MEMBERSHIP_LOCK) } else { self.open_existing(MEMBERSHIP_LOCK) } {
                 Err(RendezvousError::Io { source, .. }) if create && source.kind() == std::io::ErrorKind::NotFound => {
                     continue;
                 }
                 other => other?,
             };
-            match door.try_lock() {
-                Ok(()) if self.is_named(&door) => return Ok(door),
+            match lock.try_lock() {
+                Ok(()) if self.is_named(&lock) => return Ok(lock),
                 Ok(()) => {}
-                Err(TryLockError::WouldBlock) if began.elapsed() < DOOR => {
+                Err(TryLockError::WouldBlock) if began.elapsed() < LOCK_WAIT => {
                     std::thread::sleep(poll);
-                    poll = (2 * poll).min(DOOR_POLL_MAX);
+                    poll = (2 * poll).min(LOCK_POLL_MAX);
                 }
                 Err(TryLockError::WouldBlock) => {
-                    let held = "a process has held this lock for too long and may be suspended: continue or end it";
-                    return Err(self.io_error("door", std::io::Error::new(std::io::ErrorKind::TimedOut, held)));
+                    let held =
+                        "a process holds this lock for too long and may be suspended: continue or end that process";
+                    return Err(self.io_error(MEMBERSHIP_LOCK, std::io::Error::new(std::io::ErrorKind::TimedOut, held)));
                 }
-                Err(TryLockError::Error(source)) => return Err(self.io_error("door", source)),
+                Err(TryLockError::Error(source)) => return Err(self.io_error(MEMBERSHIP_LOCK, source)),
             }
         }
     }
@@ -122,10 +126,10 @@ impl Place {
     }
 
     /// The last member removes the folder, so a lock counts only if the path still names the locked file.
-    fn is_named(&self, door: &File) -> bool {
+    fn is_named(&self, lock: &File) -> bool {
         let inode = |file: std::io::Result<std::fs::Metadata>| file.map(|file| file.ino()).ok();
-        let locked = inode(door.metadata());
-        locked.is_some() && locked == inode(std::fs::metadata(self.path("door")))
+        let locked = inode(lock.metadata());
+        locked.is_some() && locked == inode(std::fs::metadata(self.path(MEMBERSHIP_LOCK)))
     }
 
     pub(super) fn open(&self, file: &str) -> Result<File, RendezvousError> {
@@ -163,7 +167,7 @@ impl Place {
     pub(super) fn remove_leftovers(&self) {
         for entry in std::fs::read_dir(&self.dir).into_iter().flatten().flatten() {
             let name = entry.file_name();
-            if name != "door" && name != "members" {
+            if name != MEMBERSHIP_LOCK && name != "members" {
                 let path = entry.path();
                 let _ = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
             }

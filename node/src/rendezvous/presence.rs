@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Pid;
 
-use super::place::Place;
+use super::place::{MEMBERSHIP_LOCK, Place};
 use crate::system::clock::monotonic_ns;
 use crate::system::resources::SHARED_MEMORY;
 
@@ -24,7 +24,7 @@ const NODES_PER_LOOK: usize = 4;
 const SURE: Duration = Duration::from_millis(250);
 
 /// Files that every member needs until the run ends.
-const FOUNDATION: [&str; 4] = ["door", "members", "run", "iceoryx2.toml"];
+const FOUNDATION: [&str; 4] = [MEMBERSHIP_LOCK, "members", "run", "iceoryx2.toml"];
 
 /// Suffix that the kernel appends to the name of a removed file.
 const REMOVED: &str = " (deleted)";

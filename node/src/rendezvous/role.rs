@@ -49,13 +49,13 @@ impl std::str::FromStr for Role {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected = |_| format!("expected sim, fusion, standby-N or robot-N, got {text:?}");
+        let expected = |_| format!("unknown role {text:?}: expected sim, fusion, standby-N or robot-N");
         match text.split_once('-') {
             None if text == "sim" => Ok(Self::Sim),
             None if text == "fusion" => Ok(Self::Fusion),
             Some(("standby", number)) => number.parse().map(Self::Standby).map_err(expected),
             Some(("robot", id)) => id.parse().map(Self::Robot).map_err(expected),
-            _ => Err(format!("expected sim, fusion, standby-N or robot-N, got {text:?}")),
+            _ => Err(format!("unknown role {text:?}: expected sim, fusion, standby-N or robot-N")),
         }
     }
 }

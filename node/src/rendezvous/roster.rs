@@ -64,7 +64,7 @@ impl Roster {
             match file.try_lock() {
                 Ok(()) => {
                     // Under the membership lock nobody can be deposed, so the result of this check stays true.
-                    let _door = self.place.enter(false)?;
+                    let _lock = self.place.lock(false)?;
                     if is_current(&file) {
                         return self.register(role, file);
                     }
@@ -123,7 +123,7 @@ impl Roster {
     ) -> Result<Option<RoleLease>, RendezvousError> {
         match succession.freed.recv_timeout(at_most) {
             Ok(file) => {
-                let _door = self.place.enter(false)?;
+                let _lock = self.place.lock(false)?;
                 if is_current(&file) { self.register(role, file).map(Some) } else { Ok(None) }
             }
             Err(RecvTimeoutError::Timeout) => Ok(None),
@@ -140,7 +140,7 @@ impl Roster {
     /// # Errors
     /// If the role's file cannot be written.
     pub fn depose(&self, role: Role, last_heartbeat: SystemTime) -> Result<Option<RoleLease>, RendezvousError> {
-        let _door = self.place.enter(false)?;
+        let _lock = self.place.lock(false)?;
         let tenure = Tenure { starts: self.starts(role), heartbeat: self.last_heartbeat(role) };
         if !tenure.is_silent_since(&last_heartbeat) {
             return Ok(None);

@@ -25,8 +25,10 @@ pub struct Radio {
 impl Radio {
     pub(super) fn choice(self) -> Result<Choice> {
         if self.format != Format::Plain && self.anchor.is_none() {
-            let why =
-                format!("--format {}: expected --anchor ID, the anchor that measures this robot's range", self.format);
+            let why = format!(
+                "--anchor is missing for --format {}: expected the id of the anchor that measures this robot's range",
+                self.format
+            );
             return Err(Error::new(ErrorKind::InvalidInput, why));
         }
         let is_given = self.anchor.is_some();
@@ -60,7 +62,7 @@ impl Choice {
             let wanted = self.tag.get_or_insert_with(|| tag.to_owned());
             if wanted != tag {
                 if !std::mem::replace(&mut self.has_warned[2], true) {
-                    log::warn!("port: takes the ranges of tag {wanted}, not of {tag}; choose with --tag ID");
+                    log::warn!("port: uses the ranges of tag {wanted}, not of {tag}: choose with --tag ID");
                 }
                 return None;
             }
@@ -89,7 +91,7 @@ impl Choice {
             return Some(range.range_m);
         }
         if !std::mem::replace(&mut self.has_warned[1], true) {
-            log::warn!("port: takes the ranges of {first:?}, not of {:?}; choose with --anchor ID", range.anchor);
+            log::warn!("port: uses the ranges of {first:?}, not of {:?}: choose with --anchor ID", range.anchor);
         }
         None
     }
@@ -105,7 +107,7 @@ impl Choice {
             self.has_warned[0] = true;
             let anchor = self.anchor.as_deref().unwrap_or_default();
             let heard = if self.heard.is_empty() { "none".to_owned() } else { self.heard.join(", ") };
-            log::warn!("port: anchor {anchor:?} is not heard; heard: {heard}");
+            log::warn!("port: no range from anchor {anchor:?}: check --anchor; ranges come from: {heard}");
         }
     }
 }
@@ -148,6 +150,6 @@ mod tests {
     #[test]
     fn a_radio_with_several_anchors_needs_an_anchor_id() {
         let error = Radio { format: Format::Dwm1001, ..Radio::default() }.choice().unwrap_err();
-        assert!(error.to_string().contains("--anchor ID"), "{error}");
+        assert!(error.to_string().contains("--anchor is missing"), "{error}");
     }
 }

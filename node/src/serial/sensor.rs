@@ -91,7 +91,9 @@ impl Listener {
         let read = stream.and_then(|stream| self.read(stream));
         let why = read.map_or_else(|error| format!(" ({error})"), |()| String::new());
         let Counts { reports, refused, .. } = self.parser.counts();
-        log::warn!("port: ended{why} after {reports} reports and {refused} refused; no more ranges");
+        log::warn!(
+            "port: the stream has ended{why} after {reports} reports and {refused} refused lines or frames: this robot has no more ranges"
+        );
     }
 
     fn read(&mut self, mut stream: impl Read) -> Result<()> {
@@ -122,10 +124,10 @@ impl Listener {
                 if warn_at == 1 {
                     let sample = self.sample;
                     log::warn!(
-                        "port: expected {sample}; refused lines or frames are skipped and counted (the first: {refusal})"
+                        "port: a line or frame is refused ({refusal}): expected {sample}; further ones are skipped and counted"
                     );
                 } else {
-                    log::warn!("port: {refused} lines or frames refused, {reports} taken");
+                    log::warn!("port: {refused} lines or frames refused, {reports} accepted");
                 }
                 while warn_at <= refused {
                     warn_at *= 10;

@@ -35,7 +35,7 @@ pub enum Shortage {
     },
     /// Of shared memory.
     #[error(
-        "{SHARED_MEMORY}: {robots} robots need {needed} {what} free, but {free} are: make room there, or take fewer robots"
+        "{free} {what} free in {SHARED_MEMORY}, but {robots} robots need {needed}: make room there, or use fewer robots"
     )]
     Memory {
         /// Robots of the run.
@@ -48,7 +48,9 @@ pub enum Shortage {
         free: u64,
     },
     /// No usable folder for shared memory.
-    #[error("{SHARED_MEMORY}: expected a folder that can be written, where processes share memory: {0}")]
+    #[error(
+        "cannot write to {SHARED_MEMORY}, where processes share memory: expected a folder that can be written: {0}"
+    )]
     NoSharedMemory(std::io::Error),
 }
 

@@ -11,31 +11,30 @@ pub use simulated::SimulatedSensor;
 
 /// A robot's range sensor.
 ///
-/// [`measure`](Self::measure) is on the control path: fusion waits for the range while it works. A sensor
-/// that is slow is read in a thread of its own, as `SerialSensor` in `rangehound-node` does.
+/// [`measure`](Self::measure) is on the control path: fusion waits for the range. Read a slow sensor in its own thread, as
+/// `SerialSensor` in `rangehound-node` does.
 pub trait RangeSensor {
-    /// Standard deviation of the range measured last, or of the next if there was none, m. Fusion takes it for what
-    /// is left after calibration, independent from tick to tick.
+    /// Standard deviation, m, of the last measured range, or of the next one if there was none. Fusion uses it as the noise
+    /// that remains after calibration, independent from tick to tick.
     fn std_m(&self) -> f64;
 
     /// The range at a tick, calibrated, m; `None` if there is none.
     ///
-    /// Gives the newest range at hand and never waits for one. Each range is given once, as fusion takes each for a
-    /// new measurement, and none that is older than the motion of target and robot allows. Asked once for each tick
-    /// from 1 on; a repeat of the tick is answered without the sensor. `entry` is what the simulator or recording
-    /// shows this robot: a real sensor has no use for its range.
+    /// Returns the newest available range and never waits for one. Returns each range once, because fusion treats each as a
+    /// new measurement, and none that is too old for the motion of target and robot. Called once for each tick from 1 on;
+    /// a repeated tick does not call it again. `entry` is this robot's entry of the world; a real sensor ignores its
+    /// range.
     fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64>;
 }
 
-/// A robot's report of a tick: the sensor's range, if there is one, and its standard deviation, m. At tick 0 the prior
-/// holds, and the sensor is not read.
+/// A robot's range at a tick, if there is one, and its standard deviation, m. At tick 0 the sensor is not read: the
+/// estimate is the prior.
 pub fn measure<S: RangeSensor + ?Sized>(sensor: &mut S, tick: u64, entry: &WorldEntry) -> (Option<f64>, f64) {
     let range_m = if tick > 0 { sensor.measure(tick, entry) } else { None };
     (range_m, sensor.std_m())
 }
 
-/// The true range behind a measured one, m: [`Calibration`] solved for it. One shorter than the bias is of a
-/// target at the sensor.
+/// The true range of a measured one, m: [`Calibration`] solved for it; 0 if the measured range is shorter than the bias.
 #[must_use]
 pub fn calibrated_m(measured_m: f64, calibration: Calibration) -> f64 {
     ((measured_m - calibration.bias_m) / (1.0 + calibration.scale)).max(0.0)

@@ -25,7 +25,7 @@ impl SimulatedSensor {
 }
 
 impl RangeSensor for SimulatedSensor {
-    #[allow(clippy::misnamed_getters, reason = "the filter is told another noise than the sensor has")]
+    #[allow(clippy::misnamed_getters, reason = "the filter is given another noise than the sensor has")]
     fn std_m(&self) -> f64 {
         self.reported_std_m
     }
@@ -66,13 +66,13 @@ mod tests {
 
     #[test]
     fn the_filter_can_assume_another_noise_than_the_true_one() {
-        let told = |text: &str| {
+        let measured = |text: &str| {
             let file = ScenarioFile::parse(text, "test").unwrap();
             let mut sensor = SimulatedSensor::new(&Scenario::from_file(&file, "test").unwrap(), 0).unwrap();
             (sensor.measure(1, &entry(RangeKind::True)), sensor.std_m())
         };
-        let (measured, reported_std_m) = told("[filter]\nrange_std_m = 0.25\n");
-        assert_eq!((measured, reported_std_m), (told("").0, 0.25));
+        let (range, reported_std_m) = measured("[filter]\nrange_std_m = 0.25\n");
+        assert_eq!((range, reported_std_m), (measured("").0, 0.25));
     }
 
     #[test]

@@ -17,15 +17,15 @@ const MAUWB: [&str; 2] = [
     "AT+RANGE=tid:0,mask:07,seq:65,range:(92,1201,415,0),rssi:(-70.11,-71.20,-69.00,0.00),ancid:(5,7,11,-1)",
     "AT+RANGE=tid:0,mask:07,seq:66,range:(95,1190,430,0),rssi:(-70.15,-71.00,-69.50,0.00),ancid:(5,7,11,-1)",
 ];
-const SOUND: [(Format, [&str; 2]); 3] = [(Format::Dwm1001, LEC), (Format::Dwm1001, LES), (Format::Mauwb, MAUWB)];
+const VALID: [(Format, [&str; 2]); 3] = [(Format::Dwm1001, LEC), (Format::Dwm1001, LES), (Format::Mauwb, MAUWB)];
 
 /// Anchor, its position and its range, as parsed from a valid line.
 type Reading = (String, Option<[u64; 3]>, u64);
 
 fn read(format: Format, line: &str) -> Result<Vec<Reading>, Refusal> {
     let mut text = Text::new(format);
-    let sound = SOUND.iter().find(|(known, _)| *known == format).map_or("", |(_, lines)| lines[0]);
-    assert!(text.read(sound).is_ok_and(|report| report.is_some()));
+    let valid = VALID.iter().find(|(known, _)| *known == format).map_or("", |(_, lines)| lines[0]);
+    assert!(text.read(valid).is_ok_and(|report| report.is_some()));
     let report = text.read(line)?;
     Ok(report.map_or(Vec::new(), |report| {
         let reading = |range: &super::RadioRange| {
@@ -43,7 +43,7 @@ fn is_true(format: Format, sent: &[&str], line: &str) -> bool {
 
 #[test]
 fn a_line_that_is_cut_anywhere_is_refused_or_true() {
-    for (format, lines) in SOUND {
+    for (format, lines) in VALID {
         let line = lines[0];
         assert!(read(format, line).unwrap().len() >= 2);
         for at in 0..line.len() {
@@ -58,7 +58,7 @@ fn a_line_that_is_cut_anywhere_is_refused_or_true() {
 
 #[test]
 fn no_line_is_true_as_another_format() {
-    for (format, lines) in SOUND {
+    for (format, lines) in VALID {
         for other in Format::ALL.into_iter().filter(|other| *other != format && *other != Format::Linktrack) {
             let mut text = Text::new(other);
             assert!(text.read(lines[0]).is_err(), "{other}: {}", lines[0]);
@@ -72,9 +72,9 @@ proptest! {
     /// Fields are lost, doubled, or mixed from two lines.
     #[test]
     fn lines_that_are_interleaved_or_have_gaps_are_refused_or_true(
-        which in 0..SOUND.len(), cuts in proptest::collection::vec((any::<prop::sample::Index>(), any::<bool>()), 1..6),
+        which in 0..VALID.len(), cuts in proptest::collection::vec((any::<prop::sample::Index>(), any::<bool>()), 1..6),
     ) {
-        let (format, lines) = SOUND[which];
+        let (format, lines) = VALID[which];
         let fields = lines.map(|line| line.split_inclusive([',', ' ']).collect::<Vec<_>>());
         let (mut mixed, mut from) = (String::new(), [0; 2]);
         for (to, is_second) in cuts {

@@ -59,10 +59,10 @@ pub struct LogSummary {
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The log could not be read.
-    #[error("expected a log that can be read: {0}")]
+    #[error("cannot read: {0}")]
     Unreadable(#[from] std::io::Error),
     /// The log has no reports.
-    #[error("expected {}, got none (refused: {refused}); is --format {format} right?", .format.sample())]
+    #[error("no report ({refused} lines or frames refused): expected {}; check --format {format}", .format.sample())]
     NoRanges {
         /// The format that it was read as.
         format: Format,
@@ -71,28 +71,29 @@ pub enum LogError {
     },
     /// The log has no times, and no rate is given.
     #[error(
-        "no line has a time stamp: log with one before each line (1699999999.123 DIST,... or 2023-11-14T22:13:19.123Z \
-         DIST,...), or give the reports a second: --rate HZ"
+        "no time stamp: expected one before each line (1699999999.123 DIST,... or 2023-11-14T22:13:19.123Z DIST,...), \
+         or the reports per second, --rate HZ"
     )]
     NoTime,
     /// The log has times, and a rate is given too.
-    #[error("the log has times of its own: leave out --rate")]
+    #[error("--rate is given, but there are time stamps: leave out --rate")]
     TwoTimes,
     /// The rate is invalid.
-    #[error("--rate: expected a number from 0.001 to 100000 Hz, got {0}")]
+    #[error("--rate is {0}: expected a number from 0.001 to 100000 Hz")]
     Rate(f64),
     /// The unit of the time stamps is unknown.
-    #[error("cannot tell the unit of the time stamps (the first is {0}): give it, --stamp-unit s, ms, us or ns")]
+    #[error("unknown unit of the time stamps, the first of which is {0}: give it, --stamp-unit s, ms, us or ns")]
     StampUnit(f64),
     /// The LinkTrack's clock does not seem to count milliseconds.
     #[error(
-        "the frames would be {0:.1} s apart if the radio's clock counted ms: give its unit, --stamp-unit us, or \
-         --stamp-unit ms if that is so"
+        "frames {0:.1} s apart, if the radio's clock counts ms: give its unit, --stamp-unit us, or --stamp-unit ms if \
+         that is right"
     )]
     DeviceUnit(f64),
     /// The clock went back and stayed there.
     #[error(
-        "line or frame {at}: the time goes back by {by_s:.3} s and stays there; split the log where the clock was set or the radio restarted"
+        "the time goes back by {by_s:.3} s at line or frame {at} and stays there: split the log where the clock was set \
+         or the radio restarted"
     )]
     BackInTime {
         /// Where, counted from 1.
@@ -101,10 +102,10 @@ pub enum LogError {
         by_s: f64,
     },
     /// Ranges to more than one target.
-    #[error("the log has ranges of several tags ({}): choose one by --target ID", .0.join(", "))]
+    #[error("ranges of several tags: choose one of {} by --target ID", .0.join(", "))]
     Tags(Vec<String>),
     /// The requested tag is not in the log.
-    #[error("--target {wanted}: no such tag in the log{}", if .found.is_empty() { String::new() } else { format!("; it has {}", .found.join(", ")) })]
+    #[error("no tag {wanted} (--target): expected {}", if .found.is_empty() { "tag ids".to_owned() } else { format!("one of {}", .found.join(", ")) })]
     NoSuchTag {
         /// The requested tag.
         wanted: String,
@@ -112,7 +113,7 @@ pub enum LogError {
         found: Vec<String>,
     },
     /// The log is too long.
-    #[error("expected at most {ROWS_MAX} ranges")]
+    #[error("too many ranges: expected at most {ROWS_MAX}")]
     TooLong,
 }
 
@@ -436,7 +437,7 @@ mod tests {
         let stamped = format!("1.5 {LEC}\n");
         assert!(complaint(Format::Dwm1001, stamped.as_bytes(), &options).contains("leave out --rate"));
         let options = LogOptions { rate_hz: Some(f64::NAN), ..options };
-        assert!(complaint(Format::Dwm1001, text.as_bytes(), &options).contains("--rate: expected"));
+        assert!(complaint(Format::Dwm1001, text.as_bytes(), &options).contains("--rate is NaN: expected"));
     }
 
     #[test]
@@ -450,7 +451,7 @@ mod tests {
     #[test]
     fn a_log_of_something_else_is_refused() {
         let none = complaint(Format::Mauwb, b"1.5 hello\n", &LogOptions::default());
-        assert!(none.contains("expected lines like AT+RANGE") && none.contains("refused: 1"), "{none}");
+        assert!(none.contains("expected lines like AT+RANGE") && none.contains("1 lines or frames refused"), "{none}");
         assert!(complaint(Format::Linktrack, b"", &LogOptions::default()).contains("55 05"));
     }
 
@@ -459,11 +460,16 @@ mod tests {
         let line =
             |tag: u32, cm: u32| format!("{cm}.5 AT+RANGE=tid:{tag},mask:01,seq:65,range:({cm},0),ancid:(3,-1)\n");
         let text = [line(0, 92), line(1, 93), line(0, 94)].concat();
-        assert!(complaint(Format::Mauwb, text.as_bytes(), &LogOptions::default()).contains("several tags (0, 1)"));
+        assert!(
+            complaint(Format::Mauwb, text.as_bytes(), &LogOptions::default())
+                .contains("several tags: choose one of 0, 1")
+        );
         let tag = |tag: &str| LogOptions { tag: Some(tag.to_owned()), ..LogOptions::default() };
         let (rows, summary) = read(Format::Mauwb, text.as_bytes(), &tag("1")).unwrap();
         assert_eq!((rows.len(), rows[0].range_m, rows[0].anchor.as_str(), summary.other_tags), (1, 0.93, "3", 2));
-        assert!(complaint(Format::Mauwb, text.as_bytes(), &tag("7")).contains("no such tag in the log; it has 0, 1"));
+        assert!(
+            complaint(Format::Mauwb, text.as_bytes(), &tag("7")).contains("no tag 7 (--target): expected one of 0, 1")
+        );
         // One report in two hundred is damage, not a second tag.
         let text: String = (0..200).map(|number| line(if number == 100 { 8 } else { 0 }, 1000 + number)).collect();
         let (rows, summary) = read(Format::Mauwb, text.as_bytes(), &LogOptions::default()).unwrap();

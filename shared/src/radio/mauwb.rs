@@ -139,20 +139,23 @@ mod tests {
         parse_after(&mut Memory::default(), line)
     }
 
-    fn said(tag: &str, ranges: &[(&str, f64)]) -> (String, Vec<(String, f64)>) {
+    fn report(tag: &str, ranges: &[(&str, f64)]) -> (String, Vec<(String, f64)>) {
         (tag.to_owned(), ranges.iter().map(|(anchor, range_m)| ((*anchor).to_owned(), *range_m)).collect())
     }
 
     #[test]
     fn lines_of_each_firmware_are_read_exactly() {
-        assert_eq!(parse(NEW).unwrap(), said("0", &[("0", 0.92)]));
-        assert_eq!(parse(OLD).unwrap(), said("1", &[("2", 0.3)]));
+        assert_eq!(parse(NEW).unwrap(), report("0", &[("0", 0.92)]));
+        assert_eq!(parse(OLD).unwrap(), report("1", &[("2", 0.3)]));
         let blanks = "AT+RANGE=tid: 3, mask: 0F, seq: 7, range: (232, 401, 518, 0), rssi: (-70.1, -71, -72, 0), ancid: (4, 9, 12, -1)";
-        assert_eq!(parse(blanks).unwrap(), said("3", &[("4", 2.32), ("9", 4.01), ("12", 5.18)]));
+        assert_eq!(parse(blanks).unwrap(), report("3", &[("4", 2.32), ("9", 4.01), ("12", 5.18)]));
         let nobody = "AT+RANGE=tid:0,mask:00,seq:66,range:(0,0),ancid:(-1,-1)";
-        assert_eq!(parse(nobody).unwrap(), said("0", &[]));
+        assert_eq!(parse(nobody).unwrap(), report("0", &[]));
         // The range of a slot without an anchor is dropped.
-        assert_eq!(parse("AT+RANGE=tid:0,mask:01,seq:1,range:(5,6),ancid:(-1,1)").unwrap(), said("0", &[("1", 0.06)]));
+        assert_eq!(
+            parse("AT+RANGE=tid:0,mask:01,seq:1,range:(5,6),ancid:(-1,1)").unwrap(),
+            report("0", &[("1", 0.06)])
+        );
         assert_eq!(read("OK", &mut Memory::default(), &mut String::new(), &mut Vec::new()), Ok(false));
     }
 

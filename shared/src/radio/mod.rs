@@ -134,10 +134,10 @@ pub enum Refusal {
     #[error("not in the format")]
     Malformed,
     /// It names an anchor twice.
-    #[error("an anchor twice")]
+    #[error("damaged, it names an anchor twice")]
     AnchorTwice,
     /// Its checksum is wrong.
-    #[error("wrong checksum")]
+    #[error("damaged, its checksum is wrong")]
     Checksum,
 }
 

@@ -71,11 +71,11 @@ impl Anchors {
                 return Err(table.row_error(table.complaint(sensor, "each anchor at one place")));
             }
             if by_name.len() > ANCHORS_MAX {
-                return Err(table.error(format!("it has more than {ANCHORS_MAX} anchors")));
+                return Err(table.error("too many anchors", format!("expected at most {ANCHORS_MAX}")));
             }
         }
         if by_name.is_empty() {
-            return Err(table.error("expected a row for each anchor, there is none"));
+            return Err(table.error("no row", "expected a row for each anchor"));
         }
         Ok(Self { file: path.to_owned(), by_name })
     }

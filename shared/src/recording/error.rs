@@ -1,11 +1,12 @@
 //! Why a log was refused.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
-/// Why a recording, an anchors file or a true track was refused. Displays as one line with file, row, column, what was
-/// expected and, if known, what to do.
+/// Why a recording, an anchors file or a true track was refused. Displays as one line: what is wrong, in which file and
+/// row, and what was expected.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {problem}", .file.display())]
+#[error("{}", .problem.in_file(.file))]
 pub struct RecordingError {
     /// The file.
     pub file: PathBuf,
@@ -14,21 +15,20 @@ pub struct RecordingError {
 }
 
 /// A fault of a log.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug)]
 pub enum Problem {
     /// The file could not be opened or read.
-    #[error("expected a table that can be read: {0}")]
     Unreadable(String),
     /// The roles of the header's columns are unclear.
-    #[error("row 0 (line {line}, the header): {text}")]
     Header {
         /// The line of the file, counted from 1.
         line: u64,
+        /// What is wrong.
+        wrong: String,
         /// What was expected, and what to do.
-        text: String,
+        hint: String,
     },
     /// A row is wrong.
-    #[error("row {row} (line {line}): {complaint}")]
     Row {
         /// The data row, counted from 1.
         row: u64,
@@ -37,8 +37,9 @@ pub enum Problem {
         /// The fault of the row.
         complaint: Complaint,
     },
+    /// A report of a radio's log cannot be used.
+    Report(Complaint),
     /// So many rows are faulty that the file itself is.
-    #[error("{first}; {bad} of {rows} rows are bad")]
     MostRowsBad {
         /// The first faulty row.
         first: String,
@@ -48,13 +49,35 @@ pub enum Problem {
         rows: u64,
     },
     /// A fault of the file itself.
-    #[error("{0}")]
-    File(String),
+    File {
+        /// What is wrong.
+        wrong: String,
+        /// What was expected, and what to do.
+        hint: String,
+    },
+}
+
+impl Problem {
+    /// The message for a file.
+    fn in_file(&self, file: &Path) -> String {
+        let file = file.display();
+        match self {
+            Self::Unreadable(reason) => format!("cannot read {file}, expected a table: {reason}"),
+            Self::Header { line, wrong, hint } => format!("{wrong} in {file}, row 0 (line {line}, the header): {hint}"),
+            Self::Row { row, line, complaint } => complaint.at(format_args!("{file}, row {row} (line {line})")),
+            Self::Report(complaint) => complaint.at(file),
+            Self::MostRowsBad { first, bad, rows } => {
+                format!(
+                    "{bad} of {rows} rows are bad in {file}: expected mostly valid rows; the first bad one: {first}"
+                )
+            }
+            Self::File { wrong, hint } => format!("{wrong} in {file}: {hint}"),
+        }
+    }
 }
 
 /// A fault of a row's field.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{column}: expected {expected}, got {got}")]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Complaint {
     /// The column's name.
     pub column: String,
@@ -67,6 +90,12 @@ pub struct Complaint {
 impl Complaint {
     pub(super) fn new(column: &str, expected: impl Into<String>, got: &[u8]) -> Self {
         Self { column: shown(column), expected: expected.into(), got: quoted(&String::from_utf8_lossy(got)) }
+    }
+
+    /// The message for a field at this place.
+    pub(super) fn at(&self, place: impl Display) -> String {
+        let Self { column, expected, got } = self;
+        format!("{column} is {got} in {place}: expected {expected}")
     }
 }
 
@@ -81,8 +110,8 @@ impl RecordingError {
         Self::new(file, Problem::Unreadable(error.to_string()))
     }
 
-    pub(super) fn whole(file: &Path, text: impl Into<String>) -> Self {
-        Self::new(file, Problem::File(text.into()))
+    pub(super) fn of_file(file: &Path, wrong: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(file, Problem::File { wrong: wrong.into(), hint: hint.into() })
     }
 }
 

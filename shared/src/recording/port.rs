@@ -3,10 +3,10 @@
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-use super::error::listed;
+use super::error::{Complaint, Problem, listed};
 use super::rows::gathering::{Gathering, Refusal};
 use super::{ReadOptions, ReadSummary, RecordedRange, Recording, RecordingError, SensorName};
-use crate::radio::log::{LogOptions, LogSummary, for_each_row};
+use crate::radio::log::{LogError, LogOptions, LogSummary, for_each_row};
 use crate::radio::{Format, LogRow, StampUnit};
 
 /// The radio's format, and the options for its times.
@@ -37,25 +37,25 @@ pub(super) fn read<R: Read>(
             refused = take(row, &mut gathering, &mut unplaced).err();
         }
     })
-    .map_err(|error| RecordingError::whole(path, error.to_string()))?;
-    if let Some(refusal) = refused {
-        return Err(RecordingError::whole(path, refusal));
+    .map_err(|error| RecordingError::new(path, problem_of(&error)))?;
+    if let Some(complaint) = refused {
+        return Err(RecordingError::new(path, Problem::Report(complaint)));
     }
     let mut summary = summary(&log);
-    let bad = |text: String| Err(RecordingError::whole(path, text));
+    let bad = |wrong: String, hint: &str| Err(RecordingError::of_file(path, wrong, hint));
     if let Some(first) = &summary.first_bad_row {
         if options.strict {
-            return bad(first.clone());
+            return bad(first.clone(), "expected only valid reports, because of --strict");
         }
         if log.refused > log.reports {
-            return bad(format!("{first}; {} of {} reports are bad", log.refused, log.refused + log.reports));
+            let wrong = format!("{} of {} reports are bad, {first},", log.refused, log.refused + log.reports);
+            return bad(wrong, "expected mostly valid reports: check --format");
         }
     }
     if !unplaced.is_empty() {
         let names = listed(unplaced.iter().map(SensorName::as_str));
-        return bad(format!(
-            "expected a place for every anchor, without one: {names}; give all by --anchors FILE (sensor_id,x_m,y_m)"
-        ));
+        let hint = "expected a place for every anchor: give all by --anchors FILE (sensor_id,x_m,y_m)";
+        return bad(format!("anchors without a place, {names},"), hint);
     }
     summary.read_as = format!("a log of a radio's port, --format {format}");
     summary.silent_anchors = gathering.silent_anchors();
@@ -65,14 +65,15 @@ pub(super) fn read<R: Read>(
 }
 
 /// Adds one range, or returns why the log is refused.
-fn take(row: LogRow, gathering: &mut Gathering<'_>, unplaced: &mut Vec<SensorName>) -> Result<(), String> {
+fn take(row: LogRow, gathering: &mut Gathering<'_>, unplaced: &mut Vec<SensorName>) -> Result<(), Complaint> {
     let LogRow { time_s, anchor, position_m, range_m } = row;
     let refuse = |refusal| match refusal {
-        Refusal::NoName(expected) => {
-            format!("expected {expected} for an anchor, got {}", super::error::quoted(&anchor))
+        Refusal::NoName(expected) | Refusal::TooMany(expected) => {
+            Complaint::new("the anchor", expected, anchor.as_bytes())
         }
-        Refusal::TooMany(expected) => format!("expected {expected}"),
-        Refusal::NotInOrder(before_s) => format!("expected a time not before {before_s}, got {time_s}"),
+        Refusal::NotInOrder(before_s) => {
+            Complaint::new("the time", format!("a time not before {before_s}"), time_s.to_string().as_bytes())
+        }
     };
     let sensor = gathering.sensor(anchor.as_bytes()).map_err(refuse)?;
     let place = gathering.place(sensor).map(|place| (place.position_m, place.height_m));
@@ -88,11 +89,21 @@ fn take(row: LogRow, gathering: &mut Gathering<'_>, unplaced: &mut Vec<SensorNam
     gathering.push(time_s, RecordedRange { sensor, position_m, height_m, range_m }).map_err(refuse)
 }
 
+/// The parts of a log's error before and after its first colon: what is wrong, and what to do.
+fn problem_of(error: &LogError) -> Problem {
+    if let LogError::Unreadable(reason) = error {
+        return Problem::Unreadable(reason.to_string());
+    }
+    let text = error.to_string();
+    let (wrong, hint) = text.split_once(": ").unwrap_or((&text, "expected another log"));
+    Problem::File { wrong: wrong.to_owned(), hint: hint.to_owned() }
+}
+
 fn summary(log: &LogSummary) -> ReadSummary {
     let bad_rows = log.refused + log.back_in_time;
     let first_bad_row = match log.first_refused {
-        Some((number, refusal)) => Some(format!("report {number}: {refusal}")),
-        None if log.back_in_time > 0 => Some("a report before the one above it".to_owned()),
+        Some((number, refusal)) => Some(format!("report {number} is {refusal}")),
+        None if log.back_in_time > 0 => Some("a report is older than the one above it".to_owned()),
         None => None,
     };
     ReadSummary { bad_rows, first_bad_row, other_targets: log.other_tags, ..ReadSummary::default() }
@@ -122,16 +133,21 @@ mod tests {
         let expected = RecordedRange { sensor: 1, position_m: [1.0, 2.0], height_m: Some(2.5), range_m: 3.45 };
         assert_eq!((time_s, readings), (10.1, &[expected][..]));
         assert_eq!((summary.rows, summary.bad_rows), (3, 1));
-        assert!(summary.first_bad_row.unwrap().starts_with("report 3: "));
+        assert!(summary.first_bad_row.unwrap().starts_with("report 3 is "));
         let strict = ReadOptions { strict: true, ..options(Format::Dwm1001) };
-        assert!(read(DWM1001, &strict).unwrap_err().to_string().starts_with("port.log: report 3: "));
+        assert!(read(DWM1001, &strict).unwrap_err().to_string().contains(" in port.log: expected only valid reports"));
     }
 
     #[test]
     fn anchors_that_the_radio_does_not_place_come_from_a_file() {
         let log = "1.0 A,2.5\n1.1 B,3.5\n";
         let error = read(log, &options(Format::Plain)).unwrap_err().to_string();
-        assert!(error.contains("without one: \"A\", \"B\"; give all by --anchors FILE"), "{error}");
+        assert!(
+            error.contains(
+                "anchors without a place, \"A\", \"B\", in port.log: expected a place for every anchor: give all"
+            ),
+            "{error}"
+        );
         let anchors = Anchors::parse(
             "sensor_id,x_m,y_m\nA,0,0\nB,5,0\n".as_bytes(),
             Path::new("anchors.csv"),

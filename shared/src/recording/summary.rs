@@ -57,7 +57,7 @@ impl ReadSummary {
         let mut lines = Vec::new();
         if self.bad_rows > 0 {
             let first = self.first_bad_row.as_deref().unwrap_or("unknown");
-            lines.push(format!("{} passed over, the first: {first}", count(self.bad_rows, "bad row")));
+            lines.push(format!("{} skipped, the first: {first}", count(self.bad_rows, "bad row")));
         }
         if self.repeats > 0 {
             lines.push(format!("{} dropped: equal to an earlier row", count(self.repeats, "repeated row")));

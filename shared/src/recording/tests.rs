@@ -18,7 +18,7 @@ fn read(text: impl AsRef<[u8]>, options: &ReadOptions) -> Result<(Recording, Rea
     Recording::parse(text.as_ref(), Path::new("r.csv"), options)
 }
 
-fn told(columns: &str) -> ReadOptions {
+fn with_columns(columns: &str) -> ReadOptions {
     ReadOptions { columns: columns.parse().unwrap(), ..ReadOptions::default() }
 }
 
@@ -133,12 +133,15 @@ fn units_that_cannot_be_told_are_asked_for_with_the_line_to_type() {
     ] {
         let text = PLAIN.replace("time_s,sensor_id,sensor_x_m,sensor_y_m,range_m", header);
         let complaint = complaint(&text, &ReadOptions::default());
-        assert!(complaint.starts_with("r.csv: row 0 (line 1, the header): the unit"), "{complaint}");
+        assert!(
+            complaint.starts_with("unknown unit") && complaint.contains(" in r.csv, row 0 (line 1, the header): "),
+            "{complaint}"
+        );
         for name in names {
             assert!(complaint.contains(name), "{complaint}");
         }
         // The suggested option must be right too.
-        let (recording, _) = read(&text, &told(&typed(&complaint))).unwrap();
+        let (recording, _) = read(&text, &with_columns(&typed(&complaint))).unwrap();
         assert_eq!(recording, plain, "{complaint}");
     }
     let ns = "timestamp,sensor_id,sensor_x_m,sensor_y_m,range_m\n1700000000000000000,A,0,0,1\n";
@@ -149,21 +152,24 @@ fn units_that_cannot_be_told_are_asked_for_with_the_line_to_type() {
 fn columns_that_are_told_go_before_names() {
     let (plain, _) = read(PLAIN, &strict()).unwrap();
     let text = PLAIN.replace("time_s,sensor_id,sensor_x_m,sensor_y_m,range_m", "zeit,wer,sensor_x_m,sensor_y_m,weite");
-    let (recording, _) = read(&text, &told("time=zeit:s,sensor=WER,range=weite:m")).unwrap();
+    let (recording, _) = read(&text, &with_columns("time=zeit:s,sensor=WER,range=weite:m")).unwrap();
     assert_eq!(recording, plain);
-    let (recording, _) = read(&text, &told("time=1:s,sensor=2,range=5:m")).unwrap();
+    let (recording, _) = read(&text, &with_columns("time=1:s,sensor=2,range=5:m")).unwrap();
     assert_eq!(recording, plain);
     let body = PLAIN.split_once('\n').unwrap().1;
-    let (recording, _) = read(body, &told("time=1:s,sensor=2,x=3:m,y=4:m,range=5:m")).unwrap();
+    let (recording, _) = read(body, &with_columns("time=1:s,sensor=2,x=3:m,y=4:m,range=5:m")).unwrap();
     assert_eq!(recording, plain, "a file without a header");
+    assert!(complaint(body, &ReadOptions::default()).starts_with("values instead of names, \"0.1,A,"));
+    let missing = complaint(&text, &with_columns("time=uhr:s"));
     assert!(
-        complaint(body, &ReadOptions::default()).contains("expected a header that names the columns, got \"0.1,A,")
+        missing.contains("no column of --columns time=uhr:s in r.csv")
+            && missing.contains("one of the columns \"zeit\", \"wer\""),
+        "{missing}"
     );
-    let missing = complaint(&text, &told("time=uhr:s"));
-    assert!(missing.contains("--columns time=uhr:s: expected one of the columns \"zeit\", \"wer\""), "{missing}");
     let unknown = complaint(&text, &ReadOptions::default());
     assert!(
-        unknown.contains("expected a column time_s, the columns are \"zeit\"")
+        unknown.starts_with("missing column time_s in r.csv")
+            && unknown.contains("among the columns \"zeit\"")
             && unknown.contains("--columns time=NAME")
     );
 }
@@ -175,7 +181,7 @@ fn a_first_row_of_values_is_no_header_though_it_holds_the_numbers_of_columns() {
     {
         // Places are given by number in the log, and by an anchors file with a header.
         let with_places: String = rows.lines().map(|row| format!("{row},0,0\n")).collect();
-        let options = told("time=1:s,sensor=2,range=3:m,x=4:m,y=5:m");
+        let options = with_columns("time=1:s,sensor=2,range=3:m,x=4:m,y=5:m");
         let anchors = anchored("x_m,sensor_id,y_m\n0,2,0\n9,3,0\n", "time=1:s,sensor=2,range=3:m");
         for (text, options) in [(with_places.as_str(), &options), (rows, &anchors)] {
             let (recording, summary) = read(text, options).unwrap();
@@ -184,7 +190,7 @@ fn a_first_row_of_values_is_no_header_though_it_holds_the_numbers_of_columns() {
             assert_eq!(recording.instant(0).unwrap().1[0].range_m, first_range_m, "{text}");
         }
     }
-    let (recording, _) = read(PLAIN, &told("time=1,sensor=2,range=5")).unwrap();
+    let (recording, _) = read(PLAIN, &with_columns("time=1,sensor=2,range=5")).unwrap();
     assert_eq!(recording, read(PLAIN, &ReadOptions::default()).unwrap().0, "a header is none of the rows");
     let refused = Anchors::parse("A,0,0\n".as_bytes(), Path::new("a.csv"), &ColumnMap::default()).unwrap_err();
     assert!(!refused.to_string().contains("by number"), "{refused}");
@@ -195,11 +201,11 @@ fn rivals_for_a_column_are_asked_about() {
     let text = "time_s,anchor,sensor_x_m,sensor_y_m,distance_m,slant_distance_m\n0,A,0,0,1,2\n0,B,0,0,1,2\n";
     let complaint = complaint(text, &ReadOptions::default());
     assert!(
-        complaint.contains("each of the columns \"distance_m\", \"slant_distance_m\" may be the range"),
+        complaint.starts_with("several columns, \"distance_m\", \"slant_distance_m\", that may be the range, in r.csv"),
         "{complaint}"
     );
     assert!(complaint.contains("type --columns range=distance_m"), "{complaint}");
-    let (recording, summary) = read(text, &told("range=slant_distance_m")).unwrap();
+    let (recording, summary) = read(text, &with_columns("range=slant_distance_m")).unwrap();
     assert_eq!(recording.instant(0).unwrap().1[0].range_m, 2.0);
     assert_eq!(summary.ignored_columns, ["distance_m"]);
     // The own name fits best.
@@ -230,7 +236,10 @@ fn anchors_place_the_sensors_of_a_log() {
     assert_eq!(recording, plain);
 
     let missing = complaint(&log, &anchored("sensor_id,x_m,y_m\nA,0,0\n", ""));
-    assert!(missing.contains("expected every sensor in anchors.csv, without a row there: \"B\""), "{missing}");
+    assert!(
+        missing.contains("sensors without a place, \"B\", in r.csv: expected a row for every sensor in anchors.csv"),
+        "{missing}"
+    );
     assert!(complaint(&log, &ReadOptions::default()).contains("or give the sensors' places by --anchors FILE"));
     // If both have places, the anchors file takes precedence.
     let (recording, summary) = read(PLAIN, &anchored(&ANCHORS.replace("10,0", "10,5"), "")).unwrap();
@@ -243,15 +252,18 @@ fn anchors_files_are_refused_by_row() {
     let refused = |text: &str| {
         Anchors::parse(text.as_bytes(), Path::new("a.csv"), &ColumnMap::default()).unwrap_err().to_string()
     };
+    assert!(refused("sensor_id,x_m,y_m\nA,0,0\nA,1,0\n").contains("row 2 (line 3): expected each anchor at one place"));
     assert!(
-        refused("sensor_id,x_m,y_m\nA,0,0\nA,1,0\n")
-            .contains("row 2 (line 3): sensor_id: expected each anchor at one place")
+        refused("sensor_id,x_m,y_m\nA,0,zero\n")
+            .starts_with("y_m is \"zero\" in a.csv, row 1 (line 2): expected a finite number")
     );
-    assert!(refused("sensor_id,x_m,y_m\nA,0,zero\n").contains("row 1 (line 2): y_m: expected a finite number"));
-    assert!(refused("sensor_id,x_m,y_m\nA,0\n").contains("row 1 (line 2): y_m: expected 3 fields"));
+    assert!(
+        refused("sensor_id,x_m,y_m\nA,0\n")
+            .starts_with("y_m is missing, the row has 2 fields, in a.csv, row 1 (line 2): expected 3 fields")
+    );
     assert!(refused("sensor_id,x_m,y_m\nA,0,5,1,5\n").contains("probably decimal commas"));
     assert!(refused("sensor_id,x,y_m\nA,0,0\n").contains("--columns x=x:m"));
-    assert!(refused("sensor_id,x_m\n").contains("expected columns x_m and y_m"));
+    assert!(refused("sensor_id,x_m\n").contains("missing columns x_m and y_m"));
     assert!(refused("sensor_id,x_m,y_m\n").contains("expected a row for each anchor"));
     assert!(refused("").contains("row 0"));
 }
@@ -288,7 +300,10 @@ fn wide_logs_have_a_column_for_each_anchor() {
 #[test]
 fn wide_logs_that_cannot_be_told_apart_are_asked_about() {
     let rivals = complaint("time_s,range_A_m,dist_A_m\n0,1,2\n", &anchored(ANCHORS, ""));
-    assert!(rivals.contains("the ranges of anchor \"A\" may be in \"range_A_m\", \"dist_A_m\""), "{rivals}");
+    assert!(
+        rivals.starts_with("several columns, \"range_A_m\", \"dist_A_m\", that may have the ranges of anchor \"A\""),
+        "{rivals}"
+    );
     assert!(rivals.contains("--columns 'range=range_*:m'"), "{rivals}");
     let alone = complaint("time_s,A_m,B_m\n0,1,2\n", &ReadOptions::default());
     assert!(alone.contains("a log with a column for each anchor needs --anchors FILE"), "{alone}");
@@ -309,27 +324,30 @@ fn heights_are_read_where_there_are_any() {
 #[test]
 fn a_bad_row_is_passed_over_and_counted_unless_strict() {
     let good = "0,A,0,0,1\n0.1,B,9,0,1\n0.2,A,0,0,1\n";
-    for (row, place) in [
-        ("0.3,A,0,zero,1", "sensor_y_m: expected a finite number within +-1e8, got \"zero\""),
-        ("0.3,A,0,0,NaN", "range_m: expected a finite number from 0 to 1e6, got \"NaN\""),
-        ("0.3,A,0,0,-1", "range_m: expected a finite number from 0 to 1e6, got \"-1\""),
-        ("0.3,A,0,0,", "range_m: expected a finite number from 0 to 1e6, got \"\""),
-        ("0.3,A,0,0,1e7", "range_m: expected a finite number from 0"),
-        ("inf,A,0,0,1", "time_s: expected a finite number within +-1e11"),
-        ("1e308,A,0,0,1", "time_s: expected a finite number within +-1e11"),
-        ("0.3,,0,0,1", "sensor_id: expected a name of 1 to 64 bytes"),
-        ("0.3,A,0,0", "range_m: expected 5 fields as in the header, got 4"),
-        ("0.3,\"A,0,0,1", "row: expected fields with a quote at both ends"),
-        (",,,,", "time_s: expected a finite number within +-1e11, got \"\""),
-        ("0.3,\u{fffd}\u{1},0,0,1", "sensor_id: expected a name"),
+    for (row, fault) in [
+        ("0.3,A,0,zero,1", "sensor_y_m is \"zero\" in row 4 (line 5): expected a finite number within +-1e8"),
+        ("0.3,A,0,0,NaN", "range_m is \"NaN\" in row 4 (line 5): expected a finite number from 0 to 1e6"),
+        ("0.3,A,0,0,-1", "range_m is \"-1\" in row 4 (line 5): expected a finite number from 0 to 1e6"),
+        ("0.3,A,0,0,", "range_m is \"\" in row 4 (line 5): expected a finite number from 0 to 1e6"),
+        ("0.3,A,0,0,1e7", "range_m is \"1e7\" in row 4 (line 5): expected a finite number from 0"),
+        ("inf,A,0,0,1", "time_s is \"inf\" in row 4 (line 5): expected a finite number within +-1e11"),
+        ("1e308,A,0,0,1", "time_s is \"1e308\" in row 4 (line 5): expected a finite number within +-1e11"),
+        ("0.3,,0,0,1", "sensor_id is \"\" in row 4 (line 5): expected a name of 1 to 64 bytes"),
+        (
+            "0.3,A,0,0",
+            "range_m is missing, the row has 4 fields, in row 4 (line 5): expected 5 fields as in the header",
+        ),
+        ("0.3,\"A,0,0,1", " in row 4 (line 5): expected fields with a quote at both ends"),
+        (",,,,", "time_s is \"\" in row 4 (line 5): expected a finite number within +-1e11"),
+        ("0.3,\u{fffd}\u{1},0,0,1", "in row 4 (line 5): expected a name"),
     ] {
         let text = format!("{HEADER}{good}{row}\n0.4,B,9,0,1\n");
         let (recording, summary) = read(&text, &ReadOptions::default()).unwrap();
         assert_eq!((recording.readings.len(), summary.rows, summary.bad_rows), (4, 4, 1), "{row}");
         let first = summary.first_bad_row.clone().unwrap();
-        assert!(first.starts_with("row 4 (line 5): ") && first.contains(place), "{row}: {first}");
-        assert!(summary.lines()[0].starts_with("1 bad row passed over, the first: row 4 (line 5)"));
-        assert!(complaint(&text, &strict()).contains(&format!("r.csv: {first}")), "{row}");
+        assert!(first.contains(fault), "{row}: {first}");
+        assert_eq!(summary.lines()[0], format!("1 bad row skipped, the first: {first}"));
+        assert!(complaint(&text, &strict()).contains(" in r.csv, row "), "{row}");
     }
     let bytes = [format!("{HEADER}{good}").as_bytes(), b"0.3,\xff,0,0,1\n"].concat();
     assert_eq!(read(bytes, &ReadOptions::default()).unwrap().1.bad_rows, 1);
@@ -340,7 +358,8 @@ fn a_file_of_which_most_rows_are_bad_is_refused() {
     let complaint = complaint(format!("{HEADER}0,A,0,0,x\n0,A,0,0,y\n0,B,0,0,1\n"), &ReadOptions::default());
     assert_eq!(
         complaint,
-        "r.csv: row 1 (line 2): range_m: expected a finite number from 0 to 1e6, got \"x\"; 2 of 3 rows are bad"
+        "2 of 3 rows are bad in r.csv: expected mostly valid rows; the first bad one: range_m is \"x\" in row 1 (line 2): \
+         expected a finite number from 0 to 1e6"
     );
 }
 
@@ -348,7 +367,7 @@ fn a_file_of_which_most_rows_are_bad_is_refused() {
 fn a_row_longer_than_its_header_is_never_misread() {
     for row in ["0.1,0,0.0,0.0,2,9572", "0,1000,0,0,000,0,000,2,9572", "0.1,0,0,000,0.0,2.9572"] {
         let complaint = complaint(format!("{HEADER}{row}\n"), &ReadOptions::default());
-        assert!(complaint.contains("row 1 (line 2): row: expected 5 fields as in the header, got "), "{complaint}");
+        assert!(complaint.contains("row 1 (line 2): expected 5 fields as in the header; "), "{complaint}");
         assert!(
             complaint.contains("probably decimal commas in a file whose columns are separated by commas"),
             "{complaint}"
@@ -357,7 +376,7 @@ fn a_row_longer_than_its_header_is_never_misread() {
     // One such row refuses the file even among valid rows: the meaning of the others is unknown then.
     let late = complaint(format!("{HEADER}0,A,0,0,1\n0.1,Smith, John,0,0,1\n"), &ReadOptions::default());
     assert!(
-        late.contains("row 2 (line 3): row: expected 5 fields as in the header, got 6; the columns have shifted"),
+        late.contains("row is 6 fields long in r.csv, row 2 (line 3): expected 5 fields as in the header; the columns have shifted"),
         "{late}"
     );
     let decimal = format!("{HEADER}0.1,A,0,0,\"2,957\"\n0.2,A,0,0,\"3,1\"\n");
@@ -365,9 +384,9 @@ fn a_row_longer_than_its_header_is_never_misread() {
         complaint(&decimal, &ReadOptions::default()).contains("2 of 2 rows are bad"),
         "two decimal marks in one file"
     );
-    assert!(
-        complaint(&decimal, &ReadOptions::default()).contains("with the decimal mark of the rows above, got \"2,957\"")
-    );
+    assert!(complaint(&decimal, &ReadOptions::default()).contains(
+        "is \"2,957\" in row 1 (line 2): expected a finite number from 0 to 1e6 with the decimal mark of the rows above"
+    ));
 }
 
 #[test]
@@ -391,7 +410,10 @@ fn a_range_of_zero_means_not_heard() {
 #[test]
 fn rows_are_in_order_of_time() {
     let complaint = complaint(format!("{HEADER}2,1,0,0,1\n1,2,0,0,1\n"), &ReadOptions::default());
-    assert!(complaint.contains("row 2 (line 3): time_s: expected a time not before the row above (2)"), "{complaint}");
+    assert!(
+        complaint.contains("in r.csv, row 2 (line 3): expected a time not before the row above (2)"),
+        "{complaint}"
+    );
 }
 
 #[test]
@@ -399,7 +421,7 @@ fn a_recording_has_1_to_1024_sensors() {
     assert_eq!(parse("0,A,0,0,1\n1,A,0,0,1\n").unwrap().0.sensors().len(), 1);
     let rows: String = (0..1025).map(|id| format!("{HEADER}0,{id},0,0,1\n").split_off(HEADER.len())).collect();
     let complaint = complaint(format!("{HEADER}{rows}"), &ReadOptions::default());
-    assert!(complaint.contains("row 1025 (line 1026): sensor_id: expected 1 to 1024 different sensors"), "{complaint}");
+    assert!(complaint.contains("row 1025 (line 1026): expected 1 to 1024 different sensors"), "{complaint}");
     assert!(self::complaint(HEADER, &ReadOptions::default()).contains("expected rows of ranges under the header"));
     assert!(self::complaint("", &ReadOptions::default()).contains("row 0 (line 1, the header): expected a header"));
 }
@@ -410,7 +432,9 @@ fn a_log_of_two_targets_asks_which() {
     let text = format!("{header}0,A,tag1,0,0,1\n0,A,tag2,0,0,2\n1,B,tag1,9,0,3\n");
     let complaint = complaint(&text, &ReadOptions::default());
     assert!(
-        complaint.contains("expected one target, column target_id has \"tag1\", \"tag2\": type --target NAME"),
+        complaint.contains(
+            "several targets, \"tag1\", \"tag2\", in column target_id in r.csv: expected one target: type --target NAME"
+        ),
         "{complaint}"
     );
     let target = |name: &str| ReadOptions { target: Some(name.to_owned()), ..ReadOptions::default() };
@@ -418,10 +442,10 @@ fn a_log_of_two_targets_asks_which() {
     assert_eq!((recording.readings.len(), summary.other_targets), (2, 1));
     let unknown = self::complaint(&text, &target("tag3"));
     assert!(
-        unknown.contains("expected one of the targets of column target_id, \"tag1\", \"tag2\", got \"tag3\""),
+        unknown.contains("no target \"tag3\" (--target) in r.csv: expected one of the targets of column target_id: \"tag1\", \"tag2\""),
         "{unknown}"
     );
-    assert!(self::complaint(PLAIN, &target("tag1")).contains("expected a column target_id"));
+    assert!(self::complaint(PLAIN, &target("tag1")).contains("missing column target_id"));
     assert!(read(text.replace("tag2", "tag1"), &ReadOptions::default()).is_ok(), "one target needs no flag");
 }
 
@@ -431,7 +455,7 @@ fn stamps_in_another_unit_than_their_column_says_are_refused_or_doubted() {
         let text = format!("{HEADER}{stamp},A,0,0,1\n");
         let complaint = complaint(&text, &ReadOptions::default());
         assert!(complaint.contains(&format!("this looks like {unit} since 1970")), "{complaint}");
-        let options = told(&typed(&complaint));
+        let options = with_columns(&typed(&complaint));
         assert_eq!(read(&text, &options).unwrap().0.instant(0).unwrap().0, 1.7e9);
     }
     let rows: String =
@@ -440,7 +464,7 @@ fn stamps_in_another_unit_than_their_column_says_are_refused_or_doubted() {
     let (_, summary) = read(&text, &ReadOptions::default()).unwrap();
     assert_eq!(summary.doubts[0].kind, DoubtKind::TimesInAnotherUnit);
     assert!(summary.doubts[0].text.contains("type --columns time=time_s:ms"), "{:?}", summary.doubts);
-    let (_, summary) = read(&text, &told("time=time_s:ms")).unwrap();
+    let (_, summary) = read(&text, &with_columns("time=time_s:ms")).unwrap();
     assert_eq!(summary.doubts, []);
 }
 
@@ -476,11 +500,11 @@ fn files_that_are_no_tables_say_so() {
         (b"\xfd7zXZ\0\0", "xzcat FILE"),
         (b"PK\x03\x04\x14", "zip archive"),
         (b"t\0i\0m\0e\0", "iconv -f UTF-16LE"),
-        (b"time_s,sensor_id\r0,1\r1,1\r", "CR alone"),
+        (b"time_s,sensor_id\r0,1\r1,1\r", "CR only"),
     ] {
         assert!(complaint(start, &ReadOptions::default()).contains(word), "{word}");
     }
-    assert!(complaint(HEADER, &ReadOptions::default()).contains("rows of ranges under the header, there is none"));
+    assert!(complaint(HEADER, &ReadOptions::default()).contains("expected rows of ranges under the header"));
     let thousands = complaint(format!("{HEADER}0,1,0,0,\"1,234.5\"\n"), &ReadOptions::default());
     assert!(thousands.contains("without thousands separators"), "{thousands}");
     assert!(complaint(vec![b'x'; 100_000], &ReadOptions::default()).contains("line 1 has more than 65536 bytes"));
@@ -493,10 +517,10 @@ fn tracks_are_read_as_recordings_are() {
     assert_eq!(plain, [(0.0, [1.5, 2.0]), (1.0, [3.0, 4.5])]);
     assert_eq!(read("# mocap\nt_ms;z_m;X (mm);Y (mm)\n0;0;1500;2000\n1000;0;3000;4500,0\n").unwrap(), plain);
     let refused = |text: &str| read(text).unwrap_err().to_string();
-    assert!(refused("time_s,x,y\n0,1,2\n").contains("name them as in time_s, x_m, y_m"));
-    assert!(refused("time_s,x_m\n0,1\n").contains("expected columns time_s and x_m and y_m"));
+    assert!(refused("time_s,x,y\n0,1,2\n").contains("expected a unit in each name, as in time_s, x_m, y_m"));
+    assert!(refused("time_s,x_m\n0,1\n").contains("missing columns time_s and x_m and y_m"));
     assert!(refused("time_s,x_m,y_m\n0,1,2,5\n").contains("row 1 (line 2)"));
-    assert!(refused("time_s,x_m,y_m\n1,1,2\n0,1,2\n").contains("row 2 (line 3): time_s"));
+    assert!(refused("time_s,x_m,y_m\n1,1,2\n0,1,2\n").starts_with("time_s is \"0\" in t.csv, row 2 (line 3)"));
     assert!(refused("time_s,x_m,y_m\n1,1,2\n").contains("two rows"));
 }
 

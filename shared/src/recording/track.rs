@@ -53,12 +53,12 @@ pub fn parse_track(input: impl Read, path: &Path) -> Result<Vec<TrackPoint>, Rec
             return Err(table.row_error(table.complaint(columns[0].index, expected)));
         }
         if points.len() == ROWS_MAX {
-            return Err(table.error(format!("it has more than {ROWS_MAX} rows")));
+            return Err(table.error("too many rows", format!("expected at most {ROWS_MAX}")));
         }
         points.push((time_s, [x_m, y_m]));
     }
     if points.len() < 2 {
-        return Err(table.error("expected two rows at least"));
+        return Err(table.error("fewer than two rows", "expected two or more"));
     }
     Ok(points)
 }

@@ -33,7 +33,7 @@ pub const MATRIX_ENTRY: RangeInclusive<f64> = -1e12..=1e12;
 /// Least eigenvalue of a covariance, relative to its largest entry: below it, inverses are noise.
 pub const RELATIVE_EIGENVALUE_MIN: f64 = 1e-13;
 /// Silence after which a robot is left out, s.
-pub const PATIENCE_S: RangeInclusive<f64> = 1e-3..=1e6;
+pub const TIMEOUT_S: RangeInclusive<f64> = 1e-3..=1e6;
 /// Bias of a range sensor, m.
 pub const BIAS_M: RangeInclusive<f64> = -1e5..=1e5;
 /// Scale error of a range sensor.

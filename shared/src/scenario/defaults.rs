@@ -13,7 +13,7 @@ pub const CLOCK: &str = "realtime";
 /// Clock of a played-back recording: as fast as the processes can.
 pub const RECORDING_CLOCK: &str = "lockstep";
 /// Silence after which a robot is left out, s.
-pub const PATIENCE_S: f64 = 2.0;
+pub const TIMEOUT_S: f64 = 2.0;
 /// Target model.
 pub const MODEL: &str = "zero_acceleration";
 /// Spectral density of the target's noise.

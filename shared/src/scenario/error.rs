@@ -1,24 +1,37 @@
 //! Faults of a scenario, as one line.
 
-/// Why a scenario was refused. Displays as one line that names the file, the key and what was
-/// expected there.
+/// Why a scenario was refused. Displays as one line: what is wrong, in which key and file, and what was expected there.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// Not TOML, an unknown key, or a value of the wrong type.
-    #[error("{file}:{line}: {key}: {problem}")]
-    Malformed {
+    /// Not TOML.
+    #[error("{problem} in {file}:{line}: expected {expected}")]
+    NotToml {
+        /// The file.
+        file: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// What is wrong.
+        problem: String,
+        /// The expected text.
+        expected: String,
+    },
+    /// An unknown key, or a value of the wrong type.
+    #[error("{problem} in {file}:{line}, key {key}: expected {expected}")]
+    WrongKey {
         /// The file.
         file: String,
         /// Line, counted from 1.
         line: usize,
         /// Dotted path of the key.
         key: String,
-        /// What was found and what was expected.
+        /// What is wrong.
         problem: String,
+        /// The expected key or value.
+        expected: String,
     },
     /// An invalid value.
-    #[error("{file}: {key}: expected {expected}, got {got}")]
-    Senseless {
+    #[error("{key} is {got} in {file}: expected {expected}")]
+    WrongValue {
         /// The file.
         file: String,
         /// Dotted path of the key.
@@ -27,16 +40,6 @@ pub enum ScenarioError {
         expected: String,
         /// The value found.
         got: String,
-    },
-    /// An invalid value with its own explanation.
-    #[error("{file}: {key}: {problem}")]
-    Unfit {
-        /// The file.
-        file: String,
-        /// Dotted path of the key.
-        key: String,
-        /// What was expected and what was given.
-        problem: String,
     },
     /// The recording that the scenario names is unusable.
     #[error(transparent)]

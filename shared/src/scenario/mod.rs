@@ -256,11 +256,11 @@ pub fn printable(name: &str) -> String {
         let ranges = ['\u{200b}'..='\u{200f}', '\u{2028}'..='\u{202e}', '\u{2060}'..='\u{206f}'];
         c.is_control() || marks.contains(&c) || ranges.iter().any(|range| range.contains(&c))
     };
-    let mut said = String::with_capacity(name.len());
+    let mut text = String::with_capacity(name.len());
     for c in name.chars() {
-        if is_unseen(c) { said.extend(c.escape_unicode()) } else { said.push(c) }
+        if is_unseen(c) { text.extend(c.escape_unicode()) } else { text.push(c) }
     }
-    said
+    text
 }
 
 impl Scenario {
@@ -292,7 +292,7 @@ impl Scenario {
             }
             Prior::FromRanges => true,
         };
-        let is_sound = |robot: &RobotSpec| {
+        let is_valid = |robot: &RobotSpec| {
             bounds::SPEED_MPS.contains(&robot.speed_mps)
                 && bounds::STD_M.contains(&robot.range_std_m)
                 && bounds::STD_M.contains(&robot.reported_std_m)
@@ -306,10 +306,25 @@ impl Scenario {
             && knows_its_start
             && knows_its_prior
             && (1..=ROBOTS_MAX).contains(&self.robots.len())
-            && self.robots.iter().all(is_sound)
+            && self.robots.iter().all(is_valid)
             && bounds::DT_S.contains(&self.dt_s)
             && self.ticks <= bounds::TICKS_MAX
     }
+}
+
+/// What is wrong and what was expected, from a message such as "unknown field `a`, expected `b`".
+fn split_message(error: &toml::de::Error) -> (String, Option<String>) {
+    let message = error.message().lines().collect::<Vec<_>>().join("; ");
+    let (problem, expected) = match message.strip_prefix("expected ") {
+        Some(expected) => ("invalid value", Some(expected)),
+        None => message.split_once(", expected ").map_or((message.as_str(), None), |(a, b)| (a, Some(b))),
+    };
+    let expected = expected.map(|expected| match expected {
+        "u64" => "a whole number",
+        "f64" => "a number",
+        other => other,
+    });
+    (problem.to_owned(), expected.map(str::to_owned))
 }
 
 impl ScenarioFile {
@@ -318,18 +333,21 @@ impl ScenarioFile {
     /// # Errors
     /// If it is not TOML, has an unknown key or a value of the wrong type.
     pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
-        let malformed = |key: String, error: &toml::de::Error| ScenarioError::Malformed {
-            file: file.to_owned(),
-            line: error.span().map_or(1, |span| 1 + text[..span.start.min(text.len())].matches('\n').count()),
-            key,
-            problem: error.message().lines().collect::<Vec<_>>().join("; "),
+        let file = file.to_owned();
+        let line_of = |error: &toml::de::Error| {
+            error.span().map_or(1, |span| 1 + text[..span.start.min(text.len())].matches('\n').count())
         };
-        let document =
-            toml::Deserializer::parse(text).map_err(|error| malformed("expected valid TOML".to_owned(), &error))?;
+        let document = toml::Deserializer::parse(text).map_err(|error| {
+            let (problem, expected) = split_message(&error);
+            let expected = expected.map_or("valid TOML".to_owned(), |expected| format!("valid TOML, {expected}"));
+            ScenarioError::NotToml { file: file.clone(), line: line_of(&error), problem, expected }
+        })?;
         serde_path_to_error::deserialize(document).map_err(|error| {
             let key = error.path().to_string();
             let key = if key == "." { "top level".to_owned() } else { key };
-            malformed(key, error.inner())
+            let (problem, expected) = split_message(error.inner());
+            let expected = expected.unwrap_or_else(|| "another value".to_owned());
+            ScenarioError::WrongKey { file: file.clone(), line: line_of(error.inner()), key, problem, expected }
         })
     }
 

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingTable, ScenarioError};
-use crate::radio::Format;
-use crate::recording::{ColumnMap, PortLog, ReadOptions, ReadSummary, Recording, RecordingDigest};
+use crate::radio::{Format, UnknownFormat, UnknownUnit};
+use crate::recording::{ColumnMap, ColumnMapError, PortLog, ReadOptions, ReadSummary, Recording, RecordingDigest};
 
 /// The run folder's copy of the recording.
 pub const COPY: &str = "recording.csv";
@@ -72,29 +72,43 @@ impl RecordingTable {
     /// # Errors
     /// [`ScenarioError`] for the first fault.
     pub fn read_options(&self, file: &str) -> Result<ReadOptions, ScenarioError> {
-        let refuse = |key: &str, problem: String| ScenarioError::Unfit {
+        let refuse = |key: &str, expected: String, got: String| ScenarioError::WrongValue {
             file: file.to_owned(),
             key: format!("recording.{key}"),
-            problem,
+            expected,
+            got,
         };
+        // These errors begin with the word.
+        let expected = |error: &dyn std::error::Error| error.to_string().trim_start_matches("expected ").to_owned();
         let columns = match &self.columns {
             None => ColumnMap::default(),
-            Some(text) => text.parse().map_err(|error| refuse("columns", format!("{error}")))?,
+            Some(text) => text
+                .parse()
+                .map_err(|error: ColumnMapError| refuse("columns", error.expected, format!("{:?}", error.got)))?,
         };
         let format: Option<Format> = match &self.format {
             None => None,
-            Some(text) => Some(text.parse().map_err(|error| refuse("format", format!("{error}")))?),
+            Some(text) => Some(
+                text.parse().map_err(|error: UnknownFormat| refuse("format", expected(&error), format!("{text:?}")))?,
+            ),
         };
         let stamp_unit = match &self.stamp_unit {
             None => None,
-            Some(text) => Some(text.parse().map_err(|error| refuse("stamp_unit", format!("{error}")))?),
+            Some(text) => Some(
+                text.parse()
+                    .map_err(|error: UnknownUnit| refuse("stamp_unit", expected(&error), format!("{text:?}")))?,
+            ),
         };
         let of_port = [("rate_hz", self.rate_hz.is_some()), ("stamp_unit", stamp_unit.is_some())];
         if let (None, Some((key, _))) = (format, of_port.iter().find(|(_, present)| *present)) {
-            return Err(refuse(key, "expected a format beside it, as it is of a log of a radio's port".to_owned()));
+            return Err(refuse(
+                key,
+                "recording.format beside it, for a log of a radio's port".to_owned(),
+                "given".to_owned(),
+            ));
         }
         if let Some(rate_hz) = self.rate_hz.filter(|rate_hz| !(1e-3..=1e6).contains(rate_hz)) {
-            return Err(refuse("rate_hz", format!("expected a number from 0.001 to 1000000, got {rate_hz}")));
+            return Err(refuse("rate_hz", "a number from 0.001 to 1000000".to_owned(), rate_hz.to_string()));
         }
         Ok(ReadOptions {
             strict: self.strict.unwrap_or(false),

@@ -17,22 +17,22 @@ pub struct ChaosArgs {
     /// The experiment; in lock step, the default here, with no time-out
     #[command(flatten)]
     pub experiment: ExperimentArgs,
-    /// Number of faults; a run that ends before them is followed by one of the next seed
+    /// Number of faults; if a run ends before that, the next run starts with the next seed
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 50)]
     pub faults: u64,
     /// Kinds of faults, separated by commas
     #[arg(long, value_name = "KINDS", value_parser = KINDS, value_delimiter = ',', default_value = "all")]
     pub kinds: Vec<Option<Kind>>,
-    /// Who is hurt: sim, fusion (whoever leads), robot, standby, separated by commas
+    /// Kinds of nodes that faults hit, separated by commas: sim, fusion (the one that leads), robot, standby
     #[arg(long, value_name = "ROLES", value_parser = VICTIMS, value_delimiter = ',', default_value = "sim,fusion,robot")]
     pub roles: Vec<Victim>,
-    /// Fusion processes that stand by in the runs
+    /// Standby fusion processes in each run
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
     pub standby: usize,
-    /// Longest stop, s
+    /// Longest time for which a node is suspended, s
     #[arg(long, value_name = "SECONDS", value_parser = number, allow_negative_numbers = true, default_value_t = 0.5)]
     pub longest_stop: f64,
-    /// Faults a second in the mean; the gaps are exponential
+    /// Mean number of faults per second; the times between them are exponentially distributed
     #[arg(long, value_name = "PER_S", value_parser = number, allow_negative_numbers = true, default_value_t = 10.0)]
     pub rate: f64,
     /// Seed of the faults
@@ -44,7 +44,7 @@ pub struct ChaosArgs {
 }
 
 impl ChaosArgs {
-    /// Hurts runs.
+    /// Injects the faults.
     ///
     /// # Errors
     /// [`Failure`].
@@ -54,13 +54,13 @@ impl ChaosArgs {
         chaos::chaos(&experiment, &asked, self.json)
     }
 
-    /// What is asked of the campaign.
+    /// The parameters of the campaign.
     fn asked(&self) -> Result<Asked, Failure> {
         if self.faults == 0 {
-            return Err(Failure::input("--faults: expected at least 1, got 0"));
+            return Err(Failure::input("--faults is 0: expected at least 1"));
         }
         if self.standby == 0 && self.roles.contains(&Victim::Standby) {
-            return Err(Failure::input("--roles: expected --standby 1 or more with standby, got 0"));
+            return Err(Failure::input("--roles has standby, but --standby is 0: expected --standby 1 or more"));
         }
         Ok(Asked {
             faults: self.faults,
@@ -73,13 +73,15 @@ impl ChaosArgs {
         })
     }
 
-    /// The run to be hurt: in lock step it waits for everybody, so that its digest must not change.
+    /// The run to inject faults into. In lock step it waits for every node, so its digest must not change.
     fn experiment(&self, asked: &Asked) -> Result<(Experiment, Option<Reserved>), Failure> {
         let given = &self.experiment;
         let clock = given.clock.unwrap_or(Clock::Lockstep);
         let forever = TimeoutKey::Word("forever".to_owned());
         if given.timeout.as_ref().is_some_and(|timeout| *timeout != forever) {
-            return Err(Failure::input("--timeout: expected forever, as going on without a node changes the digest"));
+            return Err(Failure::input(
+                "--timeout is finite: expected forever, because a run that goes on without a node has another digest",
+            ));
         }
         let (name, reserved) = match &given.name {
             Some(name) => (name.clone(), None),

@@ -11,7 +11,7 @@ use crate::failure::Failure;
 use crate::study::compare;
 use crate::study::compare::monte_carlo::Trials;
 
-/// Ticks of all runs together: what is kept of them then takes two gigabytes.
+/// Most ticks of all runs together: their samples take two gigabytes.
 const TICKS_MAX: u64 = 30_000_000;
 
 const THREADS_MAX: u64 = 1_024;
@@ -21,7 +21,7 @@ const THREADS_MAX: u64 = 1_024;
 pub struct CompareArgs {
     /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
     pub scenario: Option<PathBuf>,
-    /// The same scenario file, as a flag
+    /// Scenario file, as a flag
     #[arg(long = "scenario", value_name = "FILE", conflicts_with = "scenario")]
     pub scenario_flag: Option<PathBuf>,
     /// Planners to compare, separated by commas
@@ -33,27 +33,27 @@ pub struct CompareArgs {
         default_value = "certified,adaptive,standard,greedy,pursue,random"
     )]
     pub planners: Vec<String>,
-    /// Runs of each planner; run i has the same target, noise and prior for all planners
+    /// Number of runs of each planner; run i has the same target, noise and prior for all planners
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1_000)]
     pub runs: u64,
-    /// Time steps of a run
+    /// Number of time steps of a run
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 300)]
     pub ticks: u64,
-    /// Seed of the first run; each next run has the next seed [default: the scenario's]
+    /// Seed of the first run; each further run has the next seed [default: the scenario's]
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
-    /// Number of robots, all alike [default: the scenario's]
+    /// Number of robots, all with the same properties [default: the scenario's]
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub robots: Option<u64>,
-    /// Least distance that robots keep to where the target is predicted, m; 0 as in the paper
+    /// Least distance of the robots to the predicted target, m; the paper has 0
     /// [default: the scenario's]
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub stand_off: Option<f64>,
-    /// Threads to run on; no figure but the timings depends on it [default: one for each core]
+    /// Number of threads; only timings depend on it [default: one for each core]
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub threads: Option<u64>,
-    /// Folder for compare.json and the pictures; what it holds of an earlier comparison is replaced
-    /// [default: runs/compare, numbered if another comparison goes on in it]
+    /// Folder for compare.json and the pictures; those of an earlier comparison are replaced
+    /// [default: runs/compare, numbered if another comparison is using it]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the figures as one line of JSON, with the keys of compare.json
@@ -80,26 +80,29 @@ impl CompareArgs {
         for (index, name) in self.planners.iter().enumerate() {
             if !PLANNERS.contains(&name.as_str()) {
                 let known = PLANNERS.join(", ");
-                return Err(Failure::input(format!("--planners: expected names out of {known}, got {name:?}")));
+                return Err(Failure::input(format!("--planners has {name:?}: expected names out of {known}")));
             }
             if self.planners[..index].contains(name) {
-                return Err(Failure::input(format!("--planners: expected each name once, got {name} twice")));
+                return Err(Failure::input(format!("--planners has {name} twice: expected each name once")));
             }
         }
         let ticks_of_run = given.file.ticks.unwrap_or(defaults::TICKS);
         let ticks = runs.saturating_mul(ticks_of_run).saturating_mul(self.planners.len() as u64);
         if runs == 0 || ticks > TICKS_MAX {
             let expected = format!("at least one run and at most {TICKS_MAX} ticks of all runs of all planners");
-            return Err(Failure::input(format!("--runs: expected {expected}, got {runs} runs")));
+            return Err(Failure::input(format!("--runs is {runs}: expected {expected}")));
         }
         if first_seed.checked_add(runs).is_none() {
-            return Err(Failure::input(format!("--seed: expected room for {runs} seeds above, got {first_seed}")));
+            return Err(Failure::input(format!(
+                "--seed is {first_seed}: expected at most {}, because each of {runs} runs has the next seed",
+                u64::MAX - runs
+            )));
         }
         let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get() as u64);
         let threads =
             within("--threads", 1..=THREADS_MAX, &format!("1 to {THREADS_MAX}"), self.threads.unwrap_or(cores))?;
         let planners = self.planners.clone();
-        // No more than there are runs.
+        // At most one thread for each run.
         let threads = threads.min(runs.saturating_mul(planners.len() as u64)) as usize;
         let trials = Trials { given, planners, runs, first_seed, threads };
         compare::compare(trials, self.out.as_deref(), self.json)

@@ -21,7 +21,7 @@ const ROUND_S: f64 = 10.0;
 
 const ROUNDS_MAX: u64 = 1_000;
 
-/// Ranges of one round: what is kept of them then takes some hundred megabytes.
+/// Most ranges of one round: their samples take some hundred megabytes.
 const RANGES_MAX: u64 = 20_000_000;
 
 /// `latency`.
@@ -29,32 +29,32 @@ const RANGES_MAX: u64 = 20_000_000;
 pub struct LatencyArgs {
     /// Scenario file [default: the paper's experiment, see `rangehound scenario`]
     pub scenario: Option<PathBuf>,
-    /// Number of robots, all alike [default: the scenario's]
+    /// Number of robots, all with the same properties [default: the scenario's]
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub robots: Option<u64>,
-    /// Time steps of each round [default: 5000 in lock step, 10 s in real time]
+    /// Number of time steps of each round [default: 5000 in lock step, 10 s in real time]
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub ticks: Option<u64>,
-    /// What starts the next tick: wall time, or all answers [default: lockstep, realtime if a rate is given]
+    /// What starts the next tick: wall time (realtime), or the answers of all nodes (lockstep) [default: realtime if --rate is given, else lockstep]
     #[arg(long, value_parser = CLOCKS)]
     pub clock: Option<Clock>,
-    /// Ticks a second in real time [default: the scenario's]
+    /// Ticks per second in real time [default: the scenario's]
     #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// How headings are chosen [default: the scenario's]
+    /// Planner: how headings are chosen [default: the scenario's]
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
-    /// Processors for all processes: none (any), one-core, or their numbers as in 0,1
+    /// Processors for all processes: none (any processor), one-core, or numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
-    /// How often each is measured, in turns
+    /// Number of rounds; each measures the system and both references
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 5)]
     pub rounds: u64,
-    /// Name of the runs [default: latency and the number of this process]
+    /// Name of the runs [default: latency-PID]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Folder for latency.json, latency.svg and the folders of the system's runs; those of an earlier call are replaced
-    /// [default: runs/latency, numbered if another measurement goes on in it]
+    /// Folder for latency.json, latency.svg and the runs' folders; those of an earlier measurement are replaced
+    /// [default: runs/latency, numbered if another measurement is using it]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Print the figures as one line of JSON, with the keys of latency.json
@@ -70,7 +70,9 @@ impl LatencyArgs {
     pub fn carry_out(&self) -> Result<(), Failure> {
         let clock = match (self.clock, self.rate) {
             (Some(Clock::Lockstep), Some(_)) => {
-                return Err(Failure::input("--rate: expected --clock realtime, as lock step has none"));
+                return Err(Failure::input(
+                    "--rate is given in lock step, which has none: expected --clock realtime beside it",
+                ));
             }
             (clock, None) => clock.unwrap_or(Clock::Lockstep),
             (_, Some(_)) => Clock::Realtime,
@@ -81,7 +83,7 @@ impl LatencyArgs {
             ticks: self.ticks,
             clock: Some(clock),
             planner: self.planner.clone(),
-            // In lock step no robot is skipped: each wait is a sample.
+            // In lock step no robot may be skipped: each wait is a sample.
             timeout: (clock == Clock::Lockstep).then(|| TimeoutKey::Word("forever".to_owned())),
             ..ExperimentArgs::default()
         };
@@ -91,18 +93,20 @@ impl LatencyArgs {
         latency::latency(self.experiment(experiment.given()?)?, &wanted, self.out.as_deref(), self.json)
     }
 
-    /// What is measured: checked, as a scenario. One that does not say for how many ticks goes on for as many as it takes.
+    /// The measured experiment. If it gives no number of ticks, it gets as many as a round needs.
     fn experiment(&self, mut given: Given) -> Result<Experiment, Failure> {
         if given.file.recording.is_some() {
-            let problem = "recording: expected a simulated target, whose ticks come at one rate";
-            return Err(Failure::input(format!("{}: {problem}", given.file_name)));
+            return Err(Failure::input(format!(
+                "recording is given in {}: expected a simulated target, whose ticks come at a steady rate",
+                given.file_name
+            )));
         }
         if let Some(rate_hz) = self.rate {
             given.file.dt_s = Some(1.0 / within("--rate", 1e-3..=1e4, "0.001 to 10000 Hz", rate_hz)?);
         }
         let name: RunName = match &self.name {
             Some(name) => name.clone(),
-            // Others that start at the same time have other numbers.
+            // The process number keeps measurements that run at the same time apart.
             None => format!("latency-{}", std::process::id()).parse().map_err(Failure::input)?,
         };
         let out = self.out.as_deref().unwrap_or(Path::new(OUT));
@@ -120,7 +124,7 @@ impl LatencyArgs {
         if ticks.saturating_mul(robots.len() as u64) > RANGES_MAX {
             let most = RANGES_MAX / robots.len() as u64;
             return Err(Failure::input(format!(
-                "--ticks: expected at most {most} for {} robots, got {ticks}",
+                "--ticks is {ticks}: expected at most {most} for {} robots",
                 robots.len()
             )));
         }

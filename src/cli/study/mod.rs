@@ -1,4 +1,4 @@
-//! What measures and compares: `plan`, `compare`, `calibrate`, `latency`, `chaos`, `explore`.
+//! Commands that measure and compare: `plan`, `compare`, `calibrate`, `latency`, `chaos`, `explore`.
 
 mod chaos;
 mod compare;
@@ -21,24 +21,24 @@ pub use latency::LatencyArgs;
 /// `plan`.
 #[derive(Debug, Default, Args)]
 pub struct PlanArgs {
-    /// Problems, one JSON object a line; - or nothing for standard input
+    /// File of problems, one JSON object per line; - or no file for standard input
     pub file: Option<PathBuf>,
-    /// Planner of the lines that name none [default: certified]
+    /// Planner for lines that name none [default: certified]
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
-    /// Node budget of the certified planner
+    /// Most nodes that the certified planner searches
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub nodes: Option<u64>,
-    /// Iterations of the relaxations
+    /// Iterations of the relaxation planners
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub iterations: Option<u64>,
-    /// Relaxation factor of the adaptive relaxation, 0 to 1
+    /// Relaxation factor of the adaptive planner, 0 to 1
     #[arg(long, value_name = "A", value_parser = number, allow_negative_numbers = true)]
     pub alpha: Option<f64>,
-    /// Step of the grid search on the bearing, rad
+    /// Step of the grid planner on the bearing, rad
     #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
     pub step_rad: Option<f64>,
-    /// Seed of the random planner, whose headings depend on it and on the line's number
+    /// Seed of the random planner; its headings also depend on the line's number
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
 }
@@ -46,16 +46,16 @@ pub struct PlanArgs {
 /// `calibrate`.
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
-    /// What is read, and how
+    /// The recording to read
     #[command(flatten)]
     pub input: InputArgs,
-    /// True track to compare the ranges with: CSV with time_s,x_m,y_m [default: from the ranges alone]
+    /// True track: CSV with time_s,x_m,y_m [default: estimate from the ranges alone]
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
     /// Folder for calibration.toml and residuals.svg [default: runs/calibrate]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Print the findings as one line of JSON
+    /// Print the result as one line of JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -66,10 +66,10 @@ pub struct ExploreArgs {
     /// The first seed
     #[arg(long, value_name = "FIRST", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
     pub seed: u64,
-    /// How many seeds, one after the other
+    /// Number of seeds, one after the other
     #[arg(long, value_name = "COUNT", value_parser = whole, allow_negative_numbers = true, default_value_t = 20_000)]
     pub seeds: u64,
-    /// Print what each node did, for each seed
+    /// Print what each node did
     #[arg(long)]
     pub story: bool,
 }
@@ -93,7 +93,7 @@ impl PlanArgs {
 }
 
 impl CalibrateArgs {
-    /// Finds the sensors' errors.
+    /// Estimates the sensors' errors.
     ///
     /// # Errors
     /// [`Failure`].

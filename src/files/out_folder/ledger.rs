@@ -24,14 +24,14 @@ const EXPLANATION: &str = "# Rangehound replaces only the files listed here, and
 /// Longest mark that is read, bytes: a line is some 80 long.
 const LEN_MAX: usize = 16 << 20;
 
-/// A file as it was when it was noted.
+/// A file as it was when it was added to the list.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Entry {
     name: String,
     inode: u64,
-    /// 0 where the file system does not tell.
+    /// 0 if the file system does not record it.
     born_ns: u128,
-    /// Length and time of change; none while it grows.
+    /// Length and time of change; `None` while the file grows.
     finished: Option<(u64, i128)>,
 }
 
@@ -74,7 +74,7 @@ pub(super) fn is_marked(folder: &Path) -> bool {
     read(&folder.join(MARK)).is_some()
 }
 
-/// The lines of a mark; `None` if there is none that this version has written.
+/// The lines of a mark; `None` if this version has written none.
 fn read(mark: &Path) -> Option<Vec<String>> {
     if !mark.symlink_metadata().ok()?.is_file() {
         return None;
@@ -88,7 +88,7 @@ fn entries(lines: &[String]) -> Vec<Entry> {
     lines.iter().filter_map(|line| Entry::parse(line)).collect()
 }
 
-/// Marks a folder, and forgets what is not there any more.
+/// Marks a folder, and removes files from the list that no longer exist.
 pub(super) fn mark(folder: &Path, kind: &str) -> io::Result<()> {
     let path = folder.join(MARK);
     let lines = read(&path).unwrap_or_default();
@@ -128,7 +128,7 @@ fn listed_in(path: &Path) -> Option<(PathBuf, String)> {
     is_log.then(|| (mark, format!("{LOGS}/{name}")))
 }
 
-/// True if the file is one that rangehound has made here, and is as it left it.
+/// True if rangehound made this file here, and it has not changed since.
 #[must_use]
 pub fn is_ours(path: &Path) -> bool {
     let Some((mark, name)) = listed_in(path) else { return false };
@@ -138,7 +138,7 @@ pub fn is_ours(path: &Path) -> bool {
     file.is_file() && noted.is_some_and(|noted| noted.finished.is_none() || noted.finished == now.finished)
 }
 
-/// Notes a file of an output folder that grows from now on. In other folders nothing is noted.
+/// Adds a file that will grow to the list of its output folder. Does nothing in other folders.
 ///
 /// # Errors
 /// The system's.
@@ -147,7 +147,7 @@ pub fn note_growing(path: &Path) -> io::Result<()> {
     add(&mark, &Entry::of(&name, &path.symlink_metadata()?, false))
 }
 
-/// Notes a file of an output folder as it is now, before it gets the name at `path`.
+/// Adds a finished file to the list of its output folder, before it gets the name at `path`.
 ///
 /// # Errors
 /// The system's.
@@ -156,7 +156,7 @@ pub fn note_finished(path: &Path, file: &File) -> io::Result<()> {
     add(&mark, &Entry::of(&name, &file.metadata()?, true))
 }
 
-/// Notes all files that have grown until now as they are.
+/// Adds the present state of all growing files to the list.
 pub(super) fn seal(folder: &Path) -> io::Result<()> {
     let mark = folder.join(MARK);
     let entries = entries(&read(&mark).unwrap_or_default());

@@ -21,7 +21,7 @@ use crate::failure::Failure;
 use crate::files::layout::{DESCRIPTION, Kind, LOGS, RECORDING, SCENARIO};
 pub use ledger::{MARK, is_ours, note_finished, note_growing};
 
-/// Numbered names end before this.
+/// Numbered names have smaller numbers.
 pub const NUMBERS_END: u32 = 10_000;
 
 /// Why a folder cannot be used.
@@ -36,7 +36,7 @@ pub enum Refusal {
 impl std::fmt::Display for Refusal {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (Self::Taken(problem) | Self::Unusable(problem)) = self;
-        write!(f, "--out: {problem}")
+        write!(f, "{problem} (--out)")
     }
 }
 
@@ -46,7 +46,7 @@ impl From<Refusal> for Failure {
     }
 }
 
-/// An output folder that no other process writes results to while this lives.
+/// An output folder; while this exists, no other process writes results to it.
 #[derive(Debug)]
 pub struct Claim {
     path: PathBuf,
@@ -54,8 +54,8 @@ pub struct Claim {
     _lock: File,
 }
 
-/// Claims a folder for results of a kind: makes it, or looks whether all that would be replaced in it is rangehound's.
-/// Nothing in it is changed but its mark. `inputs` are what is read meanwhile: none may lie in the folder.
+/// Claims a folder for results of a kind: makes it, or checks that rangehound made all files that would be replaced.
+/// Changes only its mark. `inputs` are the files that are read meanwhile: none of them may be in the folder.
 ///
 /// # Errors
 /// [`Refusal`].
@@ -67,8 +67,8 @@ pub fn claim(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<Claim, Refus
     let is_marked = ledger::is_marked(folder);
     if !is_marked && entries(folder).next().is_some() {
         return Err(Refusal::Taken(format!(
-            "expected a new or empty folder, or one that rangehound made: {} has other files in it (no {MARK}): choose \
-             another, or move them away",
+            "{} has files that rangehound did not make (no {MARK}): expected a new or empty folder, or one that rangehound \
+             made: choose another, or move them away",
             folder.display()
         )));
     }
@@ -80,7 +80,7 @@ pub fn claim(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<Claim, Refus
 /// Claims the folder that the user chose, or else the default one, numbered if that is taken.
 ///
 /// # Errors
-/// [`Failure::Input`] if it cannot be had.
+/// [`Failure::Input`] if no folder can be claimed.
 pub fn claim_or_number(chosen: Option<&Path>, default: &str, kind: Kind, inputs: &[&Path]) -> Result<Claim, Failure> {
     if let Some(chosen) = chosen {
         return Ok(claim(chosen, kind, inputs)?);
@@ -92,22 +92,22 @@ pub fn claim_or_number(chosen: Option<&Path>, default: &str, kind: Kind, inputs:
             claimed => return Ok(claimed?),
         }
     }
-    Err(Failure::input(format!("--out: expected a folder, as all numbered ones from {default} on are taken")))
+    Err(Failure::input(format!("all numbered folders from {default} on are taken: choose a folder with --out")))
 }
 
-/// Claims the folder of a run that is to go on.
+/// Claims the folder of a run that is resumed.
 ///
 /// # Errors
-/// [`Refusal`], also if what would be replaced in it is not rangehound's.
+/// [`Refusal`], also if a file would be replaced that rangehound did not make.
 pub fn claim_again(folder: &Path) -> Result<Claim, Refusal> {
     let claim = Claim { path: folder.to_owned(), kind: Kind::Run, _lock: lock(folder)? };
     if !ledger::is_marked(folder) {
         return Err(Refusal::Taken(format!(
-            "expected a folder that rangehound made, {} has no {MARK}: start a new run in another folder",
+            "{} has no {MARK}: expected a folder that rangehound made: start a new run in another folder",
             folder.display()
         )));
     }
-    // What the nodes go on with is told by the run's number in it.
+    // The run's id in these files tells whether they belong to this run.
     let goes_on = |name: &str| name.ends_with(".ticks") || name.ends_with(".checkpoint");
     let kept = [DESCRIPTION, SCENARIO, COPY];
     for name in entries(folder).filter(|name| kind_of_result(name)) {
@@ -131,14 +131,17 @@ fn kind_of_result(name: &str) -> bool {
     Kind::Run.writes(name)
 }
 
-/// Notes how the files of a folder are that have grown until now: what is changed from here on is not rangehound's.
+/// Adds the present state of a folder's growing files to its list: later changes are not rangehound's.
 pub fn seal(folder: &Path) {
     if let Err(error) = ledger::seal(folder) {
-        log::warn!("{}: {error}", folder.join(MARK).display());
+        log::warn!(
+            "cannot update {}: {error}; later runs may refuse to replace its files",
+            folder.join(MARK).display()
+        );
     }
 }
 
-/// Removes what rangehound has made in a folder, and the folder if nothing else is in it. A folder without a mark is
+/// Removes the files that rangehound made in a folder, and the folder if it is empty then. A folder without a mark is
 /// not changed.
 pub fn remove(folder: &Path) {
     if !ledger::is_marked(folder) {
@@ -153,7 +156,7 @@ pub fn remove(folder: &Path) {
             let _ = std::fs::remove_file(path);
         }
     }
-    // A folder that is not empty stays.
+    // Fails, as it should, if the folder is not empty.
     let _ = std::fs::remove_dir(folder.join(LOGS));
     if entries(folder).all(|name| name == MARK) {
         let _ = std::fs::remove_file(folder.join(MARK));
@@ -161,7 +164,7 @@ pub fn remove(folder: &Path) {
     }
 }
 
-/// Opens a file of an output folder to append to it, and notes it as rangehound's if it is new.
+/// Opens a file of an output folder for appending, and adds it to the list if it is new.
 ///
 /// # Errors
 /// The system's.
@@ -189,7 +192,7 @@ impl Claim {
     /// Removes earlier results of this kind, all of which rangehound has made.
     ///
     /// # Errors
-    /// [`Refusal`] if a file has come meanwhile that it has not made, or the system refuses.
+    /// [`Refusal`] if a file was added meanwhile that rangehound did not make, or the system refuses.
     pub fn clear(&self) -> Result<(), Refusal> {
         for path in self.results() {
             self.refuse_stranger(&path)?;
@@ -211,11 +214,11 @@ impl Claim {
         append(&path).map(drop).map_err(|error| not_writable(&path, &error))
     }
 
-    /// All files of the folder under names that results of this kind go to.
+    /// All files of the folder that have names of results of this kind.
     fn results(&self) -> Vec<PathBuf> {
         let results = entries(&self.path).filter(|name| self.kind.writes(name)).map(|name| self.path.join(name));
         let logs = self.path.join(LOGS);
-        // A file that is not listed belongs to the user. It is in the way only if it has a node's name.
+        // A file that is not in the list belongs to the user. It is in the way only if it has a node's name.
         let is_log = |path: &PathBuf| {
             let node = path.file_stem().and_then(|stem| stem.to_str()).map(str::parse::<Role>);
             is_ours(path) || path.extension().is_some_and(|ending| ending == "log") && matches!(node, Some(Ok(_)))
@@ -250,7 +253,7 @@ fn stranger(path: &Path) -> Refusal {
     ))
 }
 
-/// Refuses an input that lies in the folder, under whatever name.
+/// Refuses an input that is in the folder, under any name.
 fn refuse_inputs(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<(), Refusal> {
     let Ok(real_folder) = folder.canonicalize() else { return Ok(()) };
     let identity = |file: &std::fs::Metadata| (file.dev(), file.ino());
@@ -264,7 +267,7 @@ fn refuse_inputs(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<(), Refu
             |path: PathBuf| std::fs::metadata(path).is_ok_and(|result| identity(&result) == identity(&metadata));
         if is_in || metadata.is_file() && results().any(is_one) {
             return Err(Refusal::Unusable(format!(
-                "expected another folder: {} is read, and lies where results would go, in {}",
+                "{} is read, and lies where results would go, in {}: choose another folder",
                 input.display(),
                 folder.display()
             )));
@@ -273,14 +276,13 @@ fn refuse_inputs(folder: &Path, kind: Kind, inputs: &[&Path]) -> Result<(), Refu
     Ok(())
 }
 
-/// Locks a folder for as long as the file lives: two that write to one folder would destroy each other's results.
+/// Locks a folder while the file is open: two processes that write to one folder would destroy each other's results.
 fn lock(folder: &Path) -> Result<File, Refusal> {
     let file = File::open(folder).map_err(|error| not_writable(folder, &error))?;
     match file.try_lock() {
-        Err(TryLockError::WouldBlock) => Err(Refusal::Taken(format!(
-            "expected a folder of its own, a run goes on in {}: choose another, or stop that run",
-            folder.display()
-        ))),
+        Err(TryLockError::WouldBlock) => {
+            Err(Refusal::Taken(format!("a run is using {}: choose another folder, or stop that run", folder.display())))
+        }
         // Runs also work on a file system without locks.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(file),
     }
@@ -293,26 +295,26 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
 pub fn lock_finished(folder: &Path) -> Result<File, Failure> {
     lock(folder).map_err(|_| {
         Failure::input(format!(
-            "{}: expected the folder of a run that is over, one goes on in it: record that by its --name, or wait for its end",
+            "the run in {} is not over: expected a finished run: record it by its --name, or wait for its end",
             folder.display()
         ))
     })
 }
 
 fn not_writable(path: &Path, error: &io::Error) -> Refusal {
-    // The system's word for these is that something is there already.
+    // For these the system only says that something exists already.
     let is_link = path.symlink_metadata().is_ok_and(|file| file.is_symlink());
     let cause = match path.metadata() {
         Ok(file) if error.kind() == io::ErrorKind::AlreadyExists && !file.is_dir() => {
-            "it is no folder: choose another name".to_owned()
+            "it is not a folder: choose another name".to_owned()
         }
         Err(_) if is_link => "it is a link to nothing: choose another name, or remove it".to_owned(),
         _ => error.to_string(),
     };
-    Refusal::Unusable(format!("expected a folder that can be written, {} is not: {cause}", path.display()))
+    Refusal::Unusable(format!("cannot write to {}: expected a folder that can be written: {cause}", path.display()))
 }
 
-/// Names of what lies in a folder.
+/// Names of the files in a folder.
 fn entries(folder: &Path) -> impl Iterator<Item = String> + use<> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned())

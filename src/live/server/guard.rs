@@ -4,8 +4,8 @@
 //! |---|---|
 //! | other machines | bound to 127.0.0.1 |
 //! | other users of this machine | a random token, stored only in the run folder and shown only on the terminal |
-//! | names that are made to lead here (DNS rebinding) | `Host` is 127.0.0.1 or localhost with this port |
-//! | other pages in the same browser | `Origin`, where there is one, is this page's; actions need the token in a header, which no form can set |
+//! | names that resolve to this machine (DNS rebinding) | `Host` is 127.0.0.1 or localhost with this port |
+//! | other pages in the same browser | `Origin`, if present, is this page's; actions need the token in a header, which no form can set |
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ const ANSWER_HEADERS: [(HeaderName, &str); 7] = [
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// True if the request was made to this server by name, and by its own page if by any.
+/// True if the request names this server as its host, and comes from its own page if from any.
 pub(super) fn is_from_here(headers: &HeaderMap, port: u16) -> bool {
     let hosts = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
     let only = |name: HeaderName| {
@@ -54,12 +54,12 @@ pub(super) fn is_from_here(headers: &HeaderMap, port: u16) -> bool {
         && origin.is_none_or(|origin| is_ours(origin, "http://"))
 }
 
-/// Advice for a request that [`is_from_here`] refuses: most come through a tunnel from another port.
+/// The answer to a request that [`is_from_here`] refuses: most such requests come through a tunnel from another port.
 pub(super) fn where_from_here(port: u16) -> String {
     format!(
-        "This page is for this machine only, at http://127.0.0.1:{port}/ or http://localhost:{port}/. Through a tunnel, take the \
-         same port at both ends: ssh -L {port}:127.0.0.1:{port} HOST. Where that port is taken, start with --live=PORT (rangehound \
-         live: --port PORT) for another.\n"
+        "This page is for this machine only, at http://127.0.0.1:{port}/ or http://localhost:{port}/. Through a tunnel, use the \
+         same port at both ends: ssh -L {port}:127.0.0.1:{port} HOST. If that port is taken, choose another with --live=PORT \
+         (rangehound live: --port PORT).\n"
     )
 }
 

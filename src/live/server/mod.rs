@@ -73,7 +73,7 @@ impl Server {
         Ok(Self { shared, change, end: Some(end), thread: Some(thread) })
     }
 
-    /// Where a browser finds it.
+    /// The address for a browser.
     pub(super) fn address(&self) -> String {
         let Shared { token, port, .. } = &*self.shared;
         format!("http://127.0.0.1:{port}/?token={token}")
@@ -83,13 +83,13 @@ impl Server {
         self.shared.streams.load(Ordering::Relaxed)
     }
 
-    /// Changes what is shown.
+    /// Changes the scene, and shows it.
     pub(super) fn update(&self, change: impl FnOnce(&mut Scene)) {
         change(&mut self.shared.scene());
         self.change.send_modify(|count| *count += 1);
     }
 
-    /// Changes the message of the next picture.
+    /// Changes the scene without a new picture.
     pub(super) fn keep(&self, change: impl FnOnce(&mut Scene)) {
         change(&mut self.shared.scene());
     }
@@ -119,7 +119,7 @@ async fn accept(listener: TcpListener, router: Router) {
     let places = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of file descriptors: other connections may end.
+            // Out of file descriptors: wait until other connections end.
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
@@ -137,10 +137,10 @@ async fn accept(listener: TcpListener, router: Router) {
     }
 }
 
-/// Answers one request. The connection ends when its time is up, or its stream's viewer takes nothing any more. By hyper itself,
-/// as `axum::serve` bounds neither a request's head nor its time.
+/// Answers one request. The connection ends after its time-out, or when the viewer of its stream reads no more. Uses hyper
+/// directly, because `axum::serve` limits neither the length of a request's head nor its time.
 async fn serve(stream: tokio::net::TcpStream, router: Router) {
-    // A picture at once, not when the one before has been acknowledged.
+    // Sends each picture at once, without waiting for the acknowledgement of the previous one.
     let _ = stream.set_nodelay(true);
     let life = Arc::new(Life::new(REQUEST));
     let service = TowerToHyperService::new(router.layer(Extension(Arc::clone(&life))));

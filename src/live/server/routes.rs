@@ -2,10 +2,10 @@
 //!
 //! | request | answer | token |
 //! |---|---|---|
-//! | `GET /?token=T` | the page | in the address, which the page takes it out of |
+//! | `GET /?token=T` | the page | in the address, from which the page removes it |
 //! | `GET /T/FILE` | a file of the page | in the address |
-//! | `GET /stream?token=T` | what the page shows, as server-sent events | in the address |
-//! | `POST /act/ACTION/NODE` | does it | in a header |
+//! | `GET /stream?token=T` | the page's contents, as server-sent events | in the address |
+//! | `POST /act/ACTION/NODE` | acts on the node | in a header |
 
 use std::sync::Arc;
 
@@ -54,7 +54,7 @@ async fn file(
     };
     Ok(match assets::of(&file) {
         Some((text, kind)) => ([(CONTENT_TYPE, kind)], text).into_response(),
-        None => (StatusCode::NOT_FOUND, "There is no such file.").into_response(),
+        None => (StatusCode::NOT_FOUND, "The page has no such file.").into_response(),
     })
 }
 
@@ -62,14 +62,14 @@ async fn file(
 #[derive(Deserialize)]
 struct Asked {
     action: String,
-    /// Empty where the path ends before it.
+    /// Empty if the path has no node.
     #[serde(default)]
     node: String,
 }
 
 async fn act(MayAct(shared): MayAct, Path(Asked { action, node }): Path<Asked>) -> (StatusCode, String) {
     let Some(action) = Action::from_name(&action) else {
-        return (StatusCode::BAD_REQUEST, "Expected kill, stop, continue or restart.".to_owned());
+        return (StatusCode::BAD_REQUEST, "Unknown action: expected kill, stop, continue or restart.".to_owned());
     };
     let Some(run) = &shared.run else {
         return (StatusCode::CONFLICT, "A recording has no processes.".to_owned());
@@ -85,6 +85,10 @@ async fn act(MayAct(shared): MayAct, Path(Asked { action, node }): Path<Asked>) 
 async fn other(method: Method) -> Response {
     match method {
         Method::GET => refuse().into_response(),
-        _ => (StatusCode::METHOD_NOT_ALLOWED, "Expected GET, or POST to /act/ACTION/NODE.").into_response(),
+        _ => (
+            StatusCode::METHOD_NOT_ALLOWED,
+            "This method is not supported here: expected GET, or POST to /act/ACTION/NODE.",
+        )
+            .into_response(),
     }
 }

@@ -17,7 +17,7 @@ pub(super) struct Shared {
     pub(super) changes: watch::Receiver<u64>,
     pub(super) token: Token,
     pub(super) port: u16,
-    /// Time between two pictures at the least.
+    /// Shortest time between two pictures.
     pub(super) pace: Duration,
     /// The run to act on, if it is one.
     pub(super) run: Option<Arc<Rendezvous>>,

@@ -51,7 +51,7 @@ impl Drop for Place {
 /// Deadline of a connection; streams extend it.
 pub(super) struct Life {
     end: watch::Sender<Instant>,
-    /// Given back when the connection has ended, with all that was to be sent.
+    /// Freed when the connection has ended.
     place: OnceLock<Place>,
 }
 
@@ -78,9 +78,9 @@ impl Life {
 /// Opens a stream, unless there are too many viewers.
 pub(super) async fn open(MayLook(shared): MayLook, Extension(life): Extension<Arc<Life>>) -> Response {
     let Some(place) = Place::take(&shared) else {
-        return (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another one.").into_response();
+        return (StatusCode::SERVICE_UNAVAILABLE, "Too many viewers: close another page of this run.").into_response();
     };
-    // There is one request on a connection, so there is one place.
+    // Each connection has one request, so its slot is free.
     let _ = life.place.set(place);
     let mut changes = shared.changes.clone();
     changes.mark_changed();
@@ -100,14 +100,13 @@ struct Viewer {
 }
 
 impl Viewer {
-    /// What is sent next. It is asked for when there is room for it, so what waits is never old. `None` at the end of all;
-    /// no viewer after the last of a run.
+    /// The next event, and the viewer if more events follow. It is made when there is room to send it, so that it is never
+    /// old. `None` if the server ends.
     async fn next(mut self) -> Option<(Result<String, Infallible>, Option<Self>)> {
         self.life.lasts(STALLED);
         sleep_until(self.due).await;
         let (events, is_last) = match timeout(QUIET, self.changes.changed()).await {
             Ok(Ok(())) => self.shared.scene().news(&mut self.seen),
-            // The server is about to end.
             Ok(Err(_)) => return None,
             Err(_) => (": still here\n\n".to_owned(), false),
         };

@@ -5,7 +5,7 @@
 pub(in crate::live) struct Token(String);
 
 impl Token {
-    /// A new one, from the system.
+    /// A new token, from the system's random source.
     pub(in crate::live) fn new() -> std::io::Result<Self> {
         let mut bytes = [0; 16];
         // Up to 256 bytes are returned completely or not at all.
@@ -16,7 +16,7 @@ impl Token {
         Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
     }
 
-    /// The one that another process of this run has made.
+    /// A token that another process of this run made.
     pub(in crate::live) fn from_text(text: &str) -> Option<Self> {
         (text.len() == 32 && text.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| Self(text.to_owned()))
     }

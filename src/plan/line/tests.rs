@@ -1,4 +1,4 @@
-//! Any text has one answer; any answer follows from its line alone.
+//! Any text gets one answer, which depends on its line only.
 
 use proptest::prelude::*;
 use rangehound_shared::scenario::PLANNERS;
@@ -6,18 +6,27 @@ use serde_json::{Value, json};
 
 use super::*;
 
-const KEYS: [&str; 8] =
-    ["certified", "headings_rad", "lower_bound", "objective", "plan_us", "planner", "position_trace_m2", "speeds_mps"];
+const KEYS: [&str; 9] = [
+    "certified",
+    "headings_rad",
+    "lower_bound",
+    "lower_bound_trace_m2",
+    "objective",
+    "plan_us",
+    "planner",
+    "position_trace_m2",
+    "speeds_mps",
+];
 
-fn desk() -> LineSolver {
-    // A wide grid: teams of some robots are to be served, and soon.
+fn solver() -> LineSolver {
+    // A coarse grid, so that teams of several robots are served quickly.
     LineSolver::new(PlannerTable { step_rad: Some(0.3), ..PlannerTable::default() }, 1).unwrap()
 }
 
 /// The answer to a line; fails unless it is one line of one of the two kinds.
-fn answered(desk: &mut LineSolver, number: u64, line: &[u8]) -> Result<Value, String> {
+fn answered(solver: &mut LineSolver, number: u64, line: &[u8]) -> Result<Value, String> {
     let mut answer = Vec::new();
-    let problem = desk.answer(number, line, &mut answer);
+    let problem = solver.answer(number, line, &mut answer);
     let text = String::from_utf8(answer).unwrap();
     assert_eq!(text.matches('\n').count(), 1, "{text}");
     assert!(text.ends_with('\n'), "{text}");
@@ -49,7 +58,7 @@ fn without_time(mut answer: Value) -> Value {
     answer
 }
 
-/// Numbers as programs write them, the ends of what is taken and what is beyond them.
+/// Numbers as programs write them, the bounds, and numbers beyond them.
 fn odd_number() -> impl Strategy<Value = &'static str> {
     proptest::sample::select(vec![
         "0",
@@ -126,7 +135,7 @@ fn odd_line() -> impl Strategy<Value = String> {
         })
 }
 
-/// A change somewhere in a text: bytes put in, taken out or doubled.
+/// Changes to a text: bytes inserted, removed or doubled.
 fn mutated(line: &str, changes: &[(u8, usize, usize, Vec<u8>)]) -> Vec<u8> {
     let mut bytes = line.as_bytes().to_vec();
     for (kind, from, length, put) in changes {
@@ -150,8 +159,8 @@ proptest! {
 
     #[test]
     fn any_text_has_one_answer(line in ".*", bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
-        prop_assert!(answered(&mut desk(), 1, line.as_bytes()).is_err());
-        prop_assert!(answered(&mut desk(), 1, &bytes).is_err());
+        prop_assert!(answered(&mut solver(), 1, line.as_bytes()).is_err());
+        prop_assert!(answered(&mut solver(), 1, &bytes).is_err());
     }
 
     #[test]
@@ -164,18 +173,18 @@ proptest! {
                     .prop_map(|text| text.as_bytes().to_vec()),
             ]), 0..4),
     ) {
-        let _ = answered(&mut desk(), 7, line.as_bytes());
-        let _ = answered(&mut desk(), 7, &mutated(&line, &changes));
+        let _ = answered(&mut solver(), 7, line.as_bytes());
+        let _ = answered(&mut solver(), 7, &mutated(&line, &changes));
     }
 
-    /// Whatever came before, but for the time it took.
+    /// Answers do not depend on earlier lines, except for the time.
     #[test]
     fn an_answer_depends_on_its_line_alone(lines in proptest::collection::vec(odd_line(), 2..6)) {
-        let mut used = desk();
+        let mut used = solver();
         for (index, line) in lines.iter().enumerate() {
             let number = 1 + index as u64;
             let [again, fresh] =
-                [&mut used, &mut desk()].map(|desk| answered(desk, number, line.as_bytes()).map(without_time));
+                [&mut used, &mut solver()].map(|solver| answered(solver, number, line.as_bytes()).map(without_time));
             prop_assert_eq!(again, fresh);
         }
     }
@@ -202,8 +211,8 @@ proptest! {
             "separation_m": (clearance[clearances.2]), "planner": planner,
         });
         let ends = variances.0 == variances.1;
-        let answer = answered(&mut desk(), 1, line.to_string().as_bytes());
-        // Variances of 1e-9 and 1e12 side by side are not told from a singular matrix.
+        let answer = answered(&mut solver(), 1, line.to_string().as_bytes());
+        // A matrix with variances of 1e-9 and 1e12 counts as singular.
         prop_assert_eq!(answer.is_ok(), ends, "{:?}", answer);
     }
 }
@@ -213,11 +222,11 @@ fn no_depth_of_nesting_is_too_deep() {
     let deep = 1_000_000;
     for (open, end) in [("[", "]"), ("{\"target\":", "}"), ("{\"target\":[1,2,[", "]]}"), ("[{\"robots\":", "}]")] {
         for line in [open.repeat(deep), open.repeat(deep) + &end.repeat(deep)] {
-            answered(&mut desk(), 1, line.as_bytes()).unwrap_err();
+            answered(&mut solver(), 1, line.as_bytes()).unwrap_err();
         }
     }
     let line = format!("{{\"target\":[1,2,{}{}]}}", "[".repeat(deep), "]".repeat(deep));
-    answered(&mut desk(), 1, line.as_bytes()).unwrap_err();
+    answered(&mut solver(), 1, line.as_bytes()).unwrap_err();
 }
 
 /// A precise range beside a vague prior: `T - |S|` would be nothing but rounding.
@@ -227,7 +236,7 @@ fn the_trace_keeps_its_digits_beside_very_precise_ranges() {
         "prior_position_covariance": [[1e12, 0], [0, 1e12]], "target": [0, 0], "time_step_s": 0.1,
         "robots": [{"position": [20, 0], "max_speed": 10, "range_std": 1e-4}],
     });
-    let answer = answered(&mut desk(), 1, line.to_string().as_bytes()).unwrap();
+    let answer = answered(&mut solver(), 1, line.to_string().as_bytes()).unwrap();
     let trace = answer["position_trace_m2"].as_f64().unwrap();
     assert!((trace / 1e12 - 1.0).abs() < 1e-12, "{trace}");
 }

@@ -27,20 +27,20 @@ const FRAME: u32 = 110;
 /// Most marks that can be distinguished along a row.
 const PLACES: f64 = 500.0;
 
-/// A kind of trouble in the logs: its name, and the number of robots concerned.
+/// A kind of trouble in the logs: its name, and the number of affected robots.
 type Trouble = (&'static str, fn(&Bucket) -> u64);
 
 const TROUBLES: [Trouble; 4] = [
-    ("robots missing", |stretch| stretch.missing),
-    ("ranges late", |stretch| stretch.late),
-    ("robots distrusted", |stretch| stretch.distrusted),
-    ("without heading", |stretch| stretch.without_heading),
+    ("robots missing", |bucket| bucket.missing),
+    ("ranges late", |bucket| bucket.late),
+    ("robots distrusted", |bucket| bucket.distrusted),
+    ("without heading", |bucket| bucket.without_heading),
 ];
 
 /// All failures that the logs and the supervisor recorded.
 pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Section> {
     let nodes: Vec<&NodeSummary> = report.nodes.iter().filter(|node| has_failed(node)).collect();
-    let count = |of: fn(&Bucket) -> u64| curves.stretches.iter().map(of).fold(0, u64::saturating_add);
+    let count = |of: fn(&Bucket) -> u64| curves.buckets.iter().map(of).fold(0, u64::saturating_add);
     let troubles: Vec<Trouble> = TROUBLES.into_iter().filter(|(_, of)| count(*of) > 0).collect();
     if nodes.is_empty() && troubles.is_empty() {
         let text = "No node ended before the run did; no robot was missing, late or distrusted.".to_owned();
@@ -71,14 +71,10 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
     };
     if !troubles.is_empty() {
         let totals: Vec<String> = totals.collect();
-        write!(
-            text,
-            " Summed over the ticks: {}; the stronger the grey, the larger the part of the team.",
-            totals.join(", ")
-        )?;
+        write!(text, " Sums over the ticks: {}. Darker grey is a larger part of the team.", totals.join(", "))?;
     }
     if let Some(more) = nodes.len().checked_sub(NODES_MAX).filter(|more| *more > 0) {
-        write!(text, " {more} nodes more failed too.")?;
+        write!(text, " {more} more nodes failed too.")?;
     }
     Ok(Section { heading: "Faults", text, picture, below: table(report, curves, &nodes) })
 }
@@ -98,7 +94,7 @@ fn colour_of(incident: Incident) -> RGBColor {
 }
 
 fn key(has_troubles: bool, nodes: &[&NodeSummary]) -> Vec<KeyEntry> {
-    let troubles = has_troubles.then(|| ("part of the team concerned".to_owned(), grey(0.5).stroke_width(24)));
+    let troubles = has_troubles.then(|| ("affected part of the team".to_owned(), grey(0.5).stroke_width(24)));
     let happened = |incident| nodes.iter().any(|node| incidents(node).any(|(_, what)| what == incident));
     let incidents = Incident::ALL.into_iter().filter(|incident| happened(*incident));
     let incidents = incidents.map(|incident| (incident.to_string(), colour_of(incident).stroke_width(16)));
@@ -116,7 +112,7 @@ fn grey(part: f64) -> RGBColor {
     RGBColor(shade, shade, shade)
 }
 
-/// The darkness of a bucket is the part of the team that is concerned.
+/// The darkness of a bucket is the affected part of the team.
 fn draw_troubles(
     chart: &mut chart::Plane<'_, '_>,
     curves: &Curves,
@@ -124,10 +120,10 @@ fn draw_troubles(
     of: fn(&Bucket) -> u64,
     top: f64,
 ) -> Drawn {
-    let ends = curves.stretches.iter().skip(1).map(|next| next.time_s).chain([curves.span_s().end]);
-    for (stretch, end_s) in curves.stretches.iter().zip(ends).filter(|(stretch, _)| of(stretch) > 0) {
-        let part = of(stretch) as f64 / (stretch.ticks as f64 * robots as f64);
-        let corners = [(stretch.time_s, top - 0.85), (end_s, top - 0.15)];
+    let ends = curves.buckets.iter().skip(1).map(|next| next.time_s).chain([curves.span_s().end]);
+    for (bucket, end_s) in curves.buckets.iter().zip(ends).filter(|(bucket, _)| of(bucket) > 0) {
+        let part = of(bucket) as f64 / (bucket.ticks as f64 * robots as f64);
+        let corners = [(bucket.time_s, top - 0.85), (end_s, top - 0.15)];
         chart.draw_series(std::iter::once(Rectangle::new(corners, grey(part).filled())))?;
     }
     Ok(())

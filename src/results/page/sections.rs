@@ -42,7 +42,8 @@ fn section(heading: &'static str, text: impl Into<String>, picture: String) -> S
 fn paths(curves: &Curves) -> anyhow::Result<Section> {
     let size = curves.paths.whole_size(WIDTH);
     let picture = chart::draw_to_string(size, |area| curves.paths.draw_whole(area))?;
-    let mut text = "The field from above, with 3 sigma ellipses of the estimate. Marks are where all ended.".to_owned();
+    let mut text =
+        "The field from above, with 3 sigma ellipses of the estimate. Marks show the last positions.".to_owned();
     // On a large field the ellipse is too small to see, so the text gives its half axes.
     let last = curves.paths.estimates_m.last().zip(curves.paths.covariances_m2.last());
     if let Some((centre_m, covariance_m2)) = last {
@@ -65,8 +66,8 @@ fn errors(curves: &Curves) -> anyhow::Result<Option<Section>> {
         error_of_axis(curves, 0, "x: estimate − truth, m", true).draw(&upper, curves.span_s(), limits())?;
         error_of_axis(curves, 1, "y: estimate − truth, m", false).draw(&lower, curves.span_s(), limits())
     })?;
-    let text = "On the filter's own standard deviations: if it is right about itself, the error is within 1 sigma \
-                two thirds of the time, and hardly ever beyond 3. What is beyond an edge lies on it.";
+    let text = "The error on the filter's own standard deviations: if the filter is consistent, the error is within \
+                1 sigma two thirds of the time, and hardly ever beyond 3. Values beyond an edge are drawn on it.";
     Ok(Some(section("Position error", text, picture)))
 }
 
@@ -115,15 +116,15 @@ fn trace(curves: &Curves) -> anyhow::Result<Section> {
     let trace = Line { name: name("trace"), style: ESTIMATE.stroke_width(3), points: curves.traces_m2().collect() };
     // Thin and on top: the trace mostly coincides with it.
     let least =
-        is_proven.then(|| Line { name: name("least by any headings"), style: BLACK.stroke_width(1), points: least_m2 });
+        is_proven.then(|| Line { name: name("proven lower bound"), style: BLACK.stroke_width(1), points: least_m2 });
     let lines = [trace].into_iter().chain(least).collect();
     let chart = OverTime { label: "trace, m²".to_owned(), lines, ..OverTime::default() };
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw_log(area, curves.span_s()))?;
     let mut text = "Trace of the position covariance: what the planner minimises.".to_owned();
     if is_proven {
         text.push_str(
-            " The thin line is the planner's proven bound: the least that any headings at the tick before could have led to, \
-             with all ranges fused.",
+            " The thin line is the planner's proven lower bound: no headings at the previous tick lead to less, if all ranges \
+             are fused.",
         );
     }
     Ok(section("Trace", text, picture))
@@ -132,12 +133,12 @@ fn trace(curves: &Curves) -> anyhow::Result<Section> {
 /// Innovations beside the filter's own covariance; `None` if no range was fused.
 fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let fused: Vec<&Bucket> =
-        curves.stretches.iter().filter(|stretch| stretch.fused > 0 && stretch.nis.abs() <= DRAWABLE_MAX).collect();
+        curves.buckets.iter().filter(|bucket| bucket.fused > 0 && bucket.nis.abs() <= DRAWABLE_MAX).collect();
     let Some(first) = fused.first() else { return Ok(None) };
-    let point = |stretch: &&Bucket| (stretch.time_s, stretch.nis / stretch.fused as f64);
-    let band = |stretch: &&Bucket| {
-        let Interval { low, high } = chi_square_mean_bounds(1, stretch.fused as usize);
-        (stretch.time_s, low, high)
+    let point = |bucket: &&Bucket| (bucket.time_s, bucket.nis / bucket.fused as f64);
+    let band = |bucket: &&Bucket| {
+        let Interval { low, high } = chi_square_mean_bounds(1, bucket.fused as usize);
+        (bucket.time_s, low, high)
     };
     let points: Vec<(f64, f64)> = fused.iter().map(point).collect();
     let bounds: Vec<(f64, f64, f64)> = fused.iter().map(band).collect();
@@ -166,7 +167,7 @@ fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let ticks = first.ticks;
     let each = if ticks > 1 { format!(" Each point is the mean of {ticks} ticks.") } else { String::new() };
     let text =
-        format!("Innovations squared over their covariance: 1 is ideal, more is a filter too sure of itself.{each}");
+        format!("Innovations squared over their covariance: 1 is ideal; above 1 the filter is overconfident.{each}");
     Ok(Some(section("NIS", text, picture)))
 }
 
@@ -174,7 +175,7 @@ fn latency(report: &Report) -> anyhow::Result<Section> {
     let curve = (report.percentiles.as_slice(), COLOURS[6]);
     let samples = report.latency_us.count;
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| percentiles::draw_curves(area, &[curve], samples))?;
-    let text = format!("From publishing a range to holding the heading computed from it: {samples} samples.");
+    let text = format!("Time from publishing a range to receiving the heading computed from it: {samples} samples.");
     Ok(section("Latency", text, picture))
 }
 
@@ -182,5 +183,5 @@ fn hops(report: &Report) -> anyhow::Result<Section> {
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| {
         percentiles::draw_hops(area, &report.hops_us, COLOURS[6], "µs: median, and pale up to 99 %")
     })?;
-    Ok(section("Hops", "Where that time goes, on a logarithmic axis.", picture))
+    Ok(section("Hops", "The parts of this time, on a logarithmic axis.", picture))
 }

@@ -147,7 +147,7 @@ impl Accumulator {
 
     /// Adds the ranges of a tick that fusion has but the simulator did not log as published: the message reached the
     /// simulator too late, or the simulator ended before the tick did.
-    pub fn add_untold(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
+    pub fn add_unlogged(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
             let is_heard = exchange.heard.is_some_and(|heard| heard.measurement.range().is_some());
@@ -328,14 +328,14 @@ mod tests {
             command: Command::default(),
         };
         let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
-        let told = RobotRecord { range_sent_ns: Some(1), ..RobotRecord::default() };
-        let robots = [told, RobotRecord::default(), RobotRecord::default(), told];
+        let answered = RobotRecord { range_sent_ns: Some(1), ..RobotRecord::default() };
+        let robots = [answered, RobotRecord::default(), RobotRecord::default(), answered];
         let mut totals = Accumulator::new().unwrap();
         totals.add_world(1, &robots);
-        totals.add_untold(&heard, &robots);
+        totals.add_unlogged(&heard, &robots);
         assert_eq!(totals.ranges.published, 3);
         // The tick in progress at the end of a run: the simulator has not logged it.
-        totals.add_untold(&heard, &[]);
+        totals.add_unlogged(&heard, &[]);
         assert_eq!(totals.ranges.published, 5);
     }
 
@@ -357,10 +357,10 @@ mod tests {
             Exchange::default(),
             exchange(Some((rejected, Some(20.0)))),
         ]);
-        let told: Vec<SensorSummary> = totals.sensors.iter().map(|sensor| sensor.summary("a")).collect();
+        let summaries: Vec<SensorSummary> = totals.sensors.iter().map(|sensor| sensor.summary("a")).collect();
         let expected = [(2, 2, 0, 0, Some(0.5)), (0, 0, 0, 0, None), (2, 0, 1, 1, Some(12.5))];
-        for (told, (ranges, fused, rejected, distrusted, nis_mean)) in told.into_iter().zip(expected) {
-            assert_eq!(told, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
+        for (summary, (ranges, fused, rejected, distrusted, nis_mean)) in summaries.into_iter().zip(expected) {
+            assert_eq!(summary, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
         }
     }
 

@@ -24,7 +24,7 @@ use rangehound_shared::scenario::{Scenario, Source};
 
 use crate::files::atomic_file;
 use crate::files::layout::REPORT;
-use crate::results::frame::{Frames, PutDown};
+use crate::results::frame::{Frames, LoggedTick};
 pub use accumulator::{Accumulator, Background, position_covariance, position_error};
 pub use summary::{
     Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
@@ -42,12 +42,12 @@ pub fn from_logs(
     description: &RunDescription,
     truth: Option<&Truth>,
     nodes: Vec<NodeSummary>,
-    mut also: impl FnMut(PutDown<'_>),
+    mut also: impl FnMut(LoggedTick<'_>),
 ) -> anyhow::Result<Report> {
     let mut builder = ReportBuilder::new(truth)?;
-    Frames::open(description)?.for_each(|put_down| {
-        builder.add(put_down);
-        also(put_down);
+    Frames::open(description)?.for_each(|logged| {
+        builder.add(logged);
+        also(logged);
         Ok(())
     })?;
     Ok(builder.finish(&description.scenario, nodes))
@@ -71,19 +71,19 @@ impl<'a> ReportBuilder<'a> {
     }
 
     /// Adds the next tick.
-    fn add(&mut self, put_down: PutDown<'_>) {
+    fn add(&mut self, logged: LoggedTick<'_>) {
         let Self { totals, truth, overlap } = self;
-        let PutDown { tick, fusion, world } = put_down;
+        let LoggedTick { tick, fusion, world } = logged;
         if let Some(world) = world {
             totals.add_world(world.ended_ns, &world.robots);
         }
         let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return };
-        totals.add_untold(exchanges, world.map_or(&[][..], |world| &world.robots));
+        totals.add_unlogged(exchanges, world.map_or(&[][..], |world| &world.robots));
         totals.add_sensors(exchanges);
         if let Some(world) = world {
             totals.add_hops(&estimate.stages, &world.robots);
         }
-        let truth_m = put_down.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s)));
+        let truth_m = logged.target_m().or_else(|| truth.and_then(|truth| truth.at(*time_s)));
         if let Some(overlap) = overlap.as_mut().filter(|_| tick > 0) {
             overlap.add(*time_s, truth_m.is_some());
         }

@@ -25,7 +25,7 @@ pub struct Report {
     pub planner: String,
     /// Robots (or sensors of a recording).
     pub robots: usize,
-    /// Time steps done.
+    /// Completed time steps.
     pub ticks: u64,
     /// From the end of tick 0, when the team is complete, to the end of the last tick, s.
     pub wall_s: f64,

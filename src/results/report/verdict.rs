@@ -177,7 +177,7 @@ impl Symptoms {
         let mut reasons: Vec<String> = recording.clone().flat_map(|recording| recording.doubts.clone()).collect();
         if self.contradicts() && recording.clone().any(|recording| recording.has_unused_heights) {
             reasons.push(
-                "the sensors are at heights that the target's may differ from: the ranges are slant, and too long on \
+                "the sensors have heights, and the target may have another: the ranges are then slant, too long for \
                  the plane; give --target-height M"
                     .to_owned(),
             );
@@ -186,7 +186,7 @@ impl Symptoms {
             let ([from_s, to_s], [first_s, last_s]) = (truth.span_s, truth.run_span_s);
             reasons.push(format!(
                 "the true track ({from_s:.1} to {to_s:.1} s) does not overlap the run ({first_s:.1} to {last_s:.1} s), so \
-                 there is no error to tell: two clocks? Shift the stamps of one file"
+                 no error is known: if the two files have different clocks, shift the stamps of one"
             ));
         }
         if self.contradicts() && reasons.is_empty() {
@@ -202,7 +202,7 @@ impl Symptoms {
         let std_m = evidence.range_std_m;
         let heard = evidence.sensors.iter().filter(|sensor| sensor.ranges > 0).count();
         if self.nothing_fused && evidence.sensors.iter().all(|sensor| sensor.ranges == 0) {
-            return "no range came in: see logs/ in the run folder".to_owned();
+            return "no range was received: see logs/ in the run folder".to_owned();
         }
         let is_recorded = evidence.recording.is_some();
         if !is_recorded && self.errs && !self.misfits {
@@ -226,7 +226,7 @@ impl Symptoms {
             _ if self.errs && heard <= 2 => self.reason_of_vagueness(evidence),
             Some(misfit) => format!(
                 "the ranges differ from what is expected by {misfit:.1} times the assumed {std_m} m: a bias, sensors in \
-                 the wrong place, or more noise (--range-std {:.2}); `rangehound calibrate` tells",
+                 the wrong place, or more noise (--range-std {:.2}); `rangehound calibrate` shows which",
                 std_m * misfit
             ),
             None if self.errs => "the error is larger than the filter believes although the ranges fit: a bias that is \
@@ -243,12 +243,12 @@ impl Symptoms {
         let std_m = evidence.position_std_m;
         match heard {
             0..=2 => format!(
-                "{heard} sensor{} cannot tell the target from its mirror image: the position is known to {std_m:.1} m only; \
+                "{heard} sensor{} cannot distinguish the target from its mirror image: the position is known to {std_m:.1} m only; \
                  add a sensor, or give --start",
                 if heard == 1 { "" } else { "s" }
             ),
             _ => format!(
-                "the position is known to {std_m:.1} m only: the sensors lie on a line, too few ranges came in, or the \
+                "the position is known to {std_m:.1} m only: the sensors lie on a line, too few ranges were received, or the \
                  target's noise (--accel-psd) is set far too high"
             ),
         }
@@ -298,7 +298,7 @@ fn notes(evidence: &Evidence, sound: bool) -> Vec<String> {
         evidence.truth.filter(|truth| (f64::MIN_POSITIVE..TRUTH_SHARE_MIN).contains(&truth.covered_share))
     {
         let share = 100.0 * truth.covered_share;
-        notes.push(format!("the error is of {share:.0} % of the ticks: the true track tells nothing of the others"));
+        notes.push(format!("the error covers {share:.0} % of the ticks: the true track has no others"));
     }
     notes
 }

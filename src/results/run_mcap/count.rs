@@ -36,15 +36,20 @@ pub fn look(path: &Path, run_id: u64) -> Found {
     }
     // In a damaged file, the summary may count more ticks than can be read.
     let (mut ticks, mut next) = (0, 0);
-    let tell = |missing: Missing| log::warn!("{}: {missing}: the file is damaged, or has holes", path.display());
+    let warn = |missing: Missing| {
+        log::warn!(
+            "{}: {missing}: the file is damaged or has holes: `rangehound replay --repair FILE` keeps the ticks before the damage",
+            path.display()
+        )
+    };
     while let Ok(Some(frame)) = reader.next_frame() {
         if frame.tick > next {
-            tell(Missing::between(next, frame.tick));
+            warn(Missing::between(next, frame.tick));
         }
         (ticks, next) = (ticks + 1, frame.tick + 1);
     }
     if let Some(missing) = reader.missing_at_end() {
-        tell(missing);
+        warn(missing);
     }
     Found::Same(ticks)
 }

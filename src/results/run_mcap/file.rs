@@ -42,7 +42,7 @@ pub struct RunFile {
 
 /// The error for a file that cannot be created.
 pub fn unusable(error: anyhow::Error) -> Failure {
-    Failure::input(format!("expected a file that can be written: {error:#}"))
+    Failure::input(format!("cannot write the recording: expected a file that can be written: {error:#}"))
 }
 
 /// The name of an unfinished file.
@@ -53,7 +53,7 @@ pub fn partial(path: &Path) -> PathBuf {
 
 /// A recording with more ticks of the run exists already.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: it holds {there} ticks of the run, what is left of the logs only {made}: it is kept as it is", .path.display())]
+#[error("{} is kept: it holds {there} ticks of the run, and the logs have only {made} left", .path.display())]
 pub struct Poorer {
     path: PathBuf,
     there: u64,
@@ -83,7 +83,7 @@ impl RunFile {
     ) -> anyhow::Result<Self> {
         let run_id = description.run_id;
         if look(path, run_id) == Found::Foreign {
-            bail!("{}: it is there already, and no recording of this run: choose another name", path.display());
+            bail!("{} exists already and is no recording of this run: choose another name", path.display());
         }
         let (file, leftover) = lock(partial, run_id)?;
         let writer = FrameWriter::begin(file, description, scenario, bytes_max).map_err(|error| {
@@ -120,11 +120,15 @@ impl RunFile {
         let Self { path, partial, run_id, leftover, taken, writer } = self;
         let file = writer.finish().map_err(|error| named(&partial, of(error)))?;
         if !is_named(&file, &partial) {
-            bail!("{}: another process has taken its name away", partial.display());
+            bail!("{} was renamed or removed by another process: record the run again", partial.display());
         }
         match ticks_told(&file) {
             Some(ticks) if ticks == taken => {}
-            ticks => bail!("{}: it holds {} ticks, {taken} were written", partial.display(), ticks.unwrap_or(0)),
+            ticks => bail!(
+                "{} holds {} ticks, but {taken} were written: record the run again",
+                partial.display(),
+                ticks.unwrap_or(0)
+            ),
         }
         let rename = match look(&path, run_id) {
             Found::Same(there) if there > taken => {
@@ -189,7 +193,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
             }
             Err(TryLockError::WouldBlock) => {
                 bail!(
-                    "{}: another process is writing it: wait for its end, or choose another name with --out",
+                    "another process is writing it, {}: wait for its end, or choose another name with --out",
                     named()
                 );
             }
@@ -204,7 +208,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
             return Ok((file, None));
         }
         if !matches!(look(partial, run_id), Found::Same(_)) && !out_folder::is_ours(partial) {
-            bail!("{}: it is there already, and no recording of this run: move it away", named());
+            bail!("{} exists already and is no recording of this run: move it away", named());
         }
         let aside = with_ending(partial.with_extension("").as_path(), &format!(".{}{PARTIAL}", std::process::id()));
         atomic_file::rename_to_free(partial, &aside).with_context(named)?;
@@ -213,7 +217,7 @@ fn lock(partial: &Path, run_id: u64) -> anyhow::Result<(File, Option<PathBuf>)> 
         // The new file is locked before the old lock is released.
         let locked = made.try_lock();
         if matches!(locked, Err(TryLockError::WouldBlock)) {
-            bail!("{}: another process is writing it", named());
+            bail!("another process is writing it, {}: wait for its end", named());
         }
         out_folder::note_growing(partial).with_context(named)?;
         return Ok((made, Some(aside)));

@@ -50,16 +50,16 @@ pub enum ReadError {
         after: Option<u64>,
     },
     /// It is an MCAP file, but not one of a run.
-    #[error("holds no run: expected a run.mcap that rangehound recorded")]
+    #[error("it holds no run: expected a run.mcap that rangehound recorded")]
     Foreign,
     /// The description of the run cannot be read.
-    #[error("what it says of its run cannot be used: {0}")]
+    #[error("its description of the run cannot be used: {0}")]
     Description(#[from] SealError),
     /// The messages do not form a tick of a run.
     #[error(transparent)]
     Senseless(#[from] Senseless),
     /// A tick is out of order.
-    #[error("tick {tick} stands after tick {after}: expected ticks in order")]
+    #[error("tick {tick} comes after tick {after}: expected ticks in order")]
     Disordered {
         /// The tick.
         tick: u64,
@@ -100,8 +100,10 @@ impl std::fmt::Display for Missing {
 fn cut_position(after: Option<u64>) -> String {
     match after {
         Some(tick) => format!("after tick {tick}"),
-        None => "before its first tick: it holds nothing; `rangehound record DIR` makes one of a run folder's logs"
-            .to_owned(),
+        None => {
+            "before its first tick, so it holds nothing: `rangehound record DIR` makes one from a run folder's logs"
+                .to_owned()
+        }
     }
 }
 
@@ -130,7 +132,7 @@ struct Run {
     /// Number of ticks read, number of ticks missing between them, and the number of ticks in the file's summary, if any.
     count: u64,
     skipped: u64,
-    told: Option<u64>,
+    counted: Option<u64>,
     /// True if the data are over: index and summary follow.
     is_data_over: bool,
     is_over: bool,
@@ -175,8 +177,8 @@ impl<R: Read> FrameReader<R> {
     /// chunk with a damaged record type is skipped like any record of an unknown type.
     #[must_use]
     pub fn missing_at_end(&self) -> Option<Missing> {
-        let Run { last, count, skipped, told, .. } = &self.run;
-        let number = told.unwrap_or(0).checked_sub(count + skipped).filter(|number| *number > 0)?;
+        let Run { last, count, skipped, counted, .. } = &self.run;
+        let number = counted.unwrap_or(0).checked_sub(count + skipped).filter(|number| *number > 0)?;
         let first = last.map_or(0, |last| last + 1);
         Some(Missing { first, last: first.saturating_add(number - 1), number })
     }
@@ -245,7 +247,7 @@ impl Run {
         match opcode {
             op::HEADER if record.string() != Some(PROFILE.as_bytes()) => Err(ReadError::Foreign),
             op::ATTACHMENT => {
-                let (name, data) = record.attachment().ok_or_else(|| self.damaged("an attachment makes no sense"))?;
+                let (name, data) = record.attachment().ok_or_else(|| self.damaged("an attachment is invalid"))?;
                 if name == SCENARIO.as_bytes() {
                     self.scenario_text = Some(data.to_owned());
                 } else if name == DESCRIPTION.as_bytes() && self.description.is_none() {
@@ -254,7 +256,7 @@ impl Run {
                 Ok(None)
             }
             op::CHANNEL => {
-                let (id, topic) = record.channel().ok_or_else(|| self.damaged("a channel makes no sense"))?;
+                let (id, topic) = record.channel().ok_or_else(|| self.damaged("a channel is invalid"))?;
                 let topic = TOPICS.iter().position(|known| known.as_bytes() == topic);
                 if let Some(topic) = topic.filter(|_| !self.channels.iter().any(|(known, _)| *known == id)) {
                     self.channels.push((id, topic));
@@ -268,13 +270,13 @@ impl Run {
             op::STATISTICS => {
                 let of_channel =
                     |topic: usize| self.channels.iter().find(|(_, known)| *known == topic).map(|(id, _)| *id);
-                self.told = of_channel(ESTIMATE).and_then(|id| count_of(id, data));
+                self.counted = of_channel(ESTIMATE).and_then(|id| count_of(id, data));
                 Ok(None)
             }
             // The record that ended the data was not valid.
-            op::MESSAGE if self.is_data_over => Err(self.damaged("messages stand after the end of the data")),
+            op::MESSAGE if self.is_data_over => Err(self.damaged("messages come after the end of the data")),
             op::MESSAGE => {
-                let (channel, data) = record.message().ok_or_else(|| self.damaged("a message makes no sense"))?;
+                let (channel, data) = record.message().ok_or_else(|| self.damaged("a message is invalid"))?;
                 self.hear(channel, data)
             }
             _ => Ok(None),
@@ -315,7 +317,7 @@ impl Run {
         self.is_over = true;
         let Some((tick, gathering)) = self.gathering.take() else { return Ok(None) };
         match gathering.into_frame() {
-            Err(Senseless::Lacking { .. }) if self.told.is_some() => Ok(None),
+            Err(Senseless::Lacking { .. }) if self.counted.is_some() => Ok(None),
             framed => {
                 (self.last, self.count) = (Some(tick), self.count + 1);
                 Ok(Some(framed?))

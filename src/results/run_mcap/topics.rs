@@ -122,7 +122,7 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Senseless {
     /// A message's bytes or numbers are invalid.
-    #[error("tick {tick}: a message on {topic} makes no sense")]
+    #[error("a message on {topic} is invalid in tick {tick}")]
     Message {
         /// The tick.
         tick: u64,
@@ -130,7 +130,7 @@ pub enum Senseless {
         topic: &'static str,
     },
     /// A message is missing.
-    #[error("tick {tick}: nothing on {topic}")]
+    #[error("no message on {topic} in tick {tick}")]
     Lacking {
         /// The tick.
         tick: u64,
@@ -185,10 +185,10 @@ impl Gathering {
     fn admit(&mut self, message: OnTopic) -> Option<()> {
         match message {
             OnTopic::World(World { time_s, robots, ended_ns, .. }) => {
-                let sound = |place: &Place| {
+                let is_valid = |place: &Place| {
                     [place.x_m, place.y_m, place.height_m, place.range_m.unwrap_or(0.0)].into_iter().all(is_near)
                 };
-                (robots.len() == self.robots && robots.iter().all(sound) && time_s.is_finite()).then_some(())?;
+                (robots.len() == self.robots && robots.iter().all(is_valid) && time_s.is_finite()).then_some(())?;
                 let record = |place: Place| {
                     let Place { x_m, y_m, range_m, height_m, position_covariance_m2 } = place;
                     let pose = Pose { x_m, y_m, height_m, covariance_m2: covariance_of(&position_covariance_m2)? };
@@ -203,9 +203,9 @@ impl Gathering {
                 let Range { x_m, y_m, range_m, range_std_m, taken_at_tick, height_m, used, normalised_square, .. } =
                     range;
                 let range_m = range_m.zip(range_std_m);
-                let is_sound =
+                let is_valid =
                     range_m.is_none_or(|(range_m, std_m)| is_near(range_m) && bounds::STD_M.contains(&std_m));
-                ([x_m, y_m, height_m].into_iter().all(is_near) && is_sound).then_some(())?;
+                ([x_m, y_m, height_m].into_iter().all(is_near) && is_valid).then_some(())?;
                 let judged = match used {
                     None => None,
                     Some(name) => {

@@ -52,7 +52,7 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
         let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
         return Err(Failure::input(format!("--target-height: {problem}")));
     }
-    summary.lines().iter().for_each(|line| failure::tell(format_args!("recording: {line}")));
+    summary.lines().iter().for_each(|line| failure::print_stderr(format_args!("recording: {line}")));
     let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
     inputs.extend(truth.map(Path::to_owned));
     let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
@@ -64,7 +64,7 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
     let problem = Problem::new(&readings, names.len());
     if problem.thinned > 0 {
         let used = problem.observations.len();
-        failure::tell(format_args!("{used} of {} ranges are used, spread evenly in time", readings.len()));
+        failure::print_stderr(format_args!("{used} of {} ranges are used, spread evenly in time", readings.len()));
     }
     let (findings, points) = match &truth {
         Some(truth) => against_truth(&readings, &names, truth),

@@ -97,7 +97,7 @@ impl<'a> Campaign<'a> {
         for pid in processes_left.iter().filter_map(|pid| Pid::from_raw(*pid)) {
             let _ = kill_process(pid, Signal::KILL);
         }
-        let alone = (ended == Ended::Done).then(|| alone(&joined)).transpose()?;
+        let baseline = (ended == Ended::Done).then(|| baseline(&joined)).transpose()?;
         Ok(Round {
             seed,
             ended,
@@ -105,7 +105,7 @@ impl<'a> Campaign<'a> {
             wall_s: began.elapsed().as_secs_f64(),
             // A run that ended early may have left no logs.
             tally: tally(&joined).unwrap_or_default(),
-            alone,
+            baseline,
             is_repeatable: is_repeatable(&joined.scenario),
             files_left: files_of(name).iter().map(|path| path.display().to_string()).collect(),
             processes_left,
@@ -130,7 +130,7 @@ impl<'a> Campaign<'a> {
             description = Some(rendezvous.description().clone());
             match self.inject_until_it_ends(run, &rendezvous, recovering.take())? {
                 Life::Over(ended) => return Ok((description, ended)),
-                Life::BlackedOut(hit) => {
+                Life::AllKilled(hit) => {
                     drop(rendezvous);
                     recovering = Some(Recovering {
                         hit,
@@ -163,7 +163,7 @@ impl<'a> Campaign<'a> {
             if self.termination.requested() {
                 break Life::Over(Ended::Interrupted);
             }
-            live.look(&mut self.injected);
+            live.update(&mut self.injected);
             let idle = live.ticks.since.elapsed();
             if idle >= STILL {
                 // After a stall, faults that became due meanwhile do not hit the first tick.
@@ -178,12 +178,12 @@ impl<'a> Campaign<'a> {
                 self.next_number += 1;
                 self.next = self.faults.at(self.next_number);
                 due = Instant::now() + self.next.gap;
-                if kind == Kind::Blackout {
-                    break Life::BlackedOut(self.injected.len() - 1);
+                if kind == Kind::TotalOutage {
+                    break Life::AllKilled(self.injected.len() - 1);
                 }
             }
             if idle > HUNG && live.last_fault.elapsed() > HUNG {
-                failure::tell(Status::of(rendezvous).text(false));
+                failure::print_stderr(Status::of(rendezvous).text(false));
                 break Life::Over(Ended::Hung);
             }
             let message = format!("run {}, tick {}", self.rounds, live.ticks.newest);
@@ -200,7 +200,7 @@ impl<'a> Campaign<'a> {
 enum Life {
     Over(Ended),
     /// All processes are to be killed, for the hit of this number.
-    BlackedOut(usize),
+    AllKilled(usize),
 }
 
 fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
@@ -210,12 +210,12 @@ fn tally(description: &RunDescription) -> anyhow::Result<RunResult> {
 }
 
 /// The baseline: the same run without faults, in this process.
-fn alone(description: &RunDescription) -> anyhow::Result<RunResult> {
+fn baseline(description: &RunDescription) -> anyhow::Result<RunResult> {
     let out_dir = description.out_dir.join("alone");
     let claim = out_folder::claim(&out_dir, crate::files::layout::Kind::Run, &[])
         .map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
     claim.clear().map_err(|refusal| anyhow::anyhow!("{refusal}"))?;
-    let alone = RunDescription { out_dir, ..description.clone() };
-    in_process::run(&alone, |_| {})?;
-    tally(&alone)
+    let baseline = RunDescription { out_dir, ..description.clone() };
+    in_process::run(&baseline, |_| {})?;
+    tally(&baseline)
 }

@@ -15,16 +15,18 @@ pub enum Kind {
     /// One node is stopped for a while.
     Stop,
     /// One node is killed, and its successors during their start.
-    Storm,
+    #[serde(rename = "storm")]
+    CrashLoop,
     /// Several nodes are killed at once.
     Several,
     /// All processes are killed at once, including the supervisor, and the run is resumed.
-    Blackout,
+    #[serde(rename = "blackout")]
+    TotalOutage,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::Storm, Self::Several, Self::Blackout];
+    pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::CrashLoop, Self::Several, Self::TotalOutage];
 }
 
 /// A kind of node that faults hit.
@@ -71,7 +73,7 @@ pub(super) struct PlannedFault {
     pub(super) gap: Duration,
     /// The kind.
     pub(super) kind: Kind,
-    /// The target: one node, except for [`Kind::Several`]; unused for [`Kind::Blackout`].
+    /// The target: one node, except for [`Kind::Several`]; unused for [`Kind::TotalOutage`].
     pub(super) roles: Vec<Role>,
     /// How long a stop lasts.
     pub(super) stop: Duration,
@@ -79,7 +81,7 @@ pub(super) struct PlannedFault {
     pub(super) kills: u32,
 }
 
-/// The faults of a seed: each depends on its number alone, not on the faults before.
+/// The faults of a seed: each depends on its number, not on the faults before.
 #[derive(Debug, Clone)]
 pub(super) struct Faults {
     draws: Draws,
@@ -99,11 +101,10 @@ const FIXED_DRAWS: usize = 5;
 impl Faults {
     /// The requested faults, for a team of this many robots.
     pub(super) fn new(asked: &Asked, robots: usize) -> Self {
-        let hurts_all =
-            [Victim::Sim, Victim::Fusion, Victim::Robot].iter().all(|victim| asked.victims.contains(victim));
+        let hits_all = [Victim::Sim, Victim::Fusion, Victim::Robot].iter().all(|victim| asked.victims.contains(victim));
         let is_asked = |kind: &Kind| match &asked.kinds {
             Some(kinds) => kinds.contains(kind),
-            None => *kind != Kind::Blackout || hurts_all,
+            None => *kind != Kind::TotalOutage || hits_all,
         };
         let nodes_of = |victim: Victim| match victim {
             Victim::Sim => vec![Role::Sim],
@@ -204,7 +205,7 @@ mod tests {
         assert!(all.iter().all(|fault| (3..=5).contains(&fault.kills)));
         assert!(all.iter().all(|fault| fault.stop.as_millis() >= 10 && fault.stop.as_millis() <= 500));
         let without_fusion = faults(2, |asked| asked.victims = vec![Victim::Sim, Victim::Robot]);
-        assert!(without_fusion.iter().all(|fault| fault.kind != Kind::Blackout));
+        assert!(without_fusion.iter().all(|fault| fault.kind != Kind::TotalOutage));
         let standbys = faults(2, |asked| (asked.victims, asked.standbys) = (vec![Victim::Standby], 2));
         assert!(standbys.iter().any(|fault| fault.roles == [Role::Standby(2)]));
         let only = faults(256, |asked| {
@@ -223,7 +224,7 @@ mod tests {
             roles.dedup();
             assert!(roles.len() == fault.roles.len() && (2..=5).contains(&roles.len()), "{fault:?}");
         }
-        let alone = faults(3, |asked| (asked.kinds, asked.victims) = (Some(vec![Kind::Several]), vec![Victim::Sim]));
-        assert!(alone.iter().all(|fault| fault.roles == [Role::Sim]));
+        let one = faults(3, |asked| (asked.kinds, asked.victims) = (Some(vec![Kind::Several]), vec![Victim::Sim]));
+        assert!(one.iter().all(|fault| fault.roles == [Role::Sim]));
     }
 }

@@ -20,11 +20,11 @@ pub(super) struct Live<'a> {
     pub(super) ticks: Ticks<'a>,
     /// Stopped nodes to continue, and when.
     pub(super) stopped: Vec<(Instant, Process)>,
-    pub(super) storms: Vec<Storm>,
+    pub(super) crash_loops: Vec<CrashLoop>,
     pub(super) recovering: Vec<Recovering>,
 }
 
-pub(super) struct Storm {
+pub(super) struct CrashLoop {
     pub(super) hit: usize,
     pub(super) role: Role,
     /// Starts of the role at the last kill.
@@ -44,34 +44,34 @@ pub(super) struct Recovering {
 impl<'a> Live<'a> {
     pub(super) fn new(run: &'a Rendezvous, round: usize, recovering: Option<Recovering>) -> Self {
         let now = Instant::now();
-        let (stopped, storms, recovering) = (Vec::new(), Vec::new(), recovering.into_iter().collect());
-        Self { run, round, began: now, last_fault: now, ticks: Ticks::of(run), stopped, storms, recovering }
+        let (stopped, crash_loops, recovering) = (Vec::new(), Vec::new(), recovering.into_iter().collect());
+        Self { run, round, began: now, last_fault: now, ticks: Ticks::of(run), stopped, crash_loops, recovering }
     }
 
     /// Injects a fault into those of its nodes that are there. False if none is there, so that it is tried again.
     pub(super) fn inject(&mut self, fault: u64, what: &PlannedFault, injected: &mut Vec<Injected>) -> bool {
         let mut is_done = false;
         let everything = [Role::Supervisor];
-        let roles = if what.kind == Kind::Blackout { &everything[..] } else { &what.roles };
+        let roles = if what.kind == Kind::TotalOutage { &everything[..] } else { &what.roles };
         for role in roles {
             let Some(role) = self.present(*role) else { continue };
             let hit = injected.len();
             let is_hit = match what.kind {
                 Kind::Stop => self.stop(role, what.stop),
-                Kind::Kill | Kind::Several | Kind::Storm => self.kill(role, hit),
+                Kind::Kill | Kind::Several | Kind::CrashLoop => self.kill(role, hit),
                 // The caller does this, without the run.
-                Kind::Blackout => true,
+                Kind::TotalOutage => true,
             };
             if !is_hit {
                 continue;
             }
             is_done = true;
             match what.kind {
-                Kind::Storm => {
+                Kind::CrashLoop => {
                     let starts = self.recovering.last().map_or(0, |last| last.starts);
-                    self.storms.push(Storm { hit, role, starts, left: what.kills - 1 });
+                    self.crash_loops.push(CrashLoop { hit, role, starts, left: what.kills - 1 });
                 }
-                Kind::Kill | Kind::Stop | Kind::Several | Kind::Blackout => {}
+                Kind::Kill | Kind::Stop | Kind::Several | Kind::TotalOutage => {}
             }
             let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
             let round = self.round;
@@ -120,9 +120,9 @@ impl<'a> Live<'a> {
     }
 
     /// Completes the due parts of earlier faults, and records recoveries.
-    pub(super) fn look(&mut self, injected: &mut [Injected]) {
+    pub(super) fn update(&mut self, injected: &mut [Injected]) {
         let now = Instant::now();
-        self.ticks.look();
+        self.ticks.update();
         let run = self.run;
         self.stopped.retain(|(due, process)| {
             let is_due = now >= *due;
@@ -131,14 +131,14 @@ impl<'a> Live<'a> {
             }
             !is_due
         });
-        for mut storm in std::mem::take(&mut self.storms) {
-            let successor = run.roster().starts(storm.role);
-            if successor > storm.starts && self.kill(storm.role, storm.hit) {
-                (storm.starts, storm.left) = (successor, storm.left - 1);
+        for mut crash_loop in std::mem::take(&mut self.crash_loops) {
+            let successor = run.roster().starts(crash_loop.role);
+            if successor > crash_loop.starts && self.kill(crash_loop.role, crash_loop.hit) {
+                (crash_loop.starts, crash_loop.left) = (successor, crash_loop.left - 1);
                 self.last_fault = now;
             }
-            if storm.left > 0 {
-                self.storms.push(storm);
+            if crash_loop.left > 0 {
+                self.crash_loops.push(crash_loop);
             }
         }
         let ticks = &self.ticks;

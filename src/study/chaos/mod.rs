@@ -1,6 +1,6 @@
 //! `chaos`: injects faults into its own runs at random times, and checks the promised invariants.
 //!
-//! The seed of chaos alone determines the faults and their targets. The state that a fault meets depends on the
+//! The seed of the faults determines the faults and their targets. The state of the run at a fault also depends on the
 //! kernel's scheduling, as in practice.
 
 mod campaign;
@@ -31,7 +31,7 @@ pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), F
     let Experiment { name, description, .. } = experiment;
     let faults = Faults::new(asked, description.scenario.robots.len());
     if living_runs().contains(name) {
-        return Err(Failure::input(format!("--name: expected a free name, run {name} goes on")));
+        return Err(Failure::input(format!("run {name} (--name) is already running: choose another name")));
     }
     let termination = Termination::listen()?;
     let claim = out_folder::claim(&description.out_dir, Kind::Chaos, &experiment.inputs())?;

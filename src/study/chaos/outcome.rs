@@ -56,9 +56,11 @@ pub(super) struct Outcome {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct PositionError {
     /// Of the faulted runs.
-    pub(super) hurt: f64,
+    #[serde(rename = "hurt")]
+    pub(super) faulted: f64,
     /// Of the baselines: the same runs in one process, where no range is ever missing.
-    pub(super) alone: f64,
+    #[serde(rename = "alone")]
+    pub(super) baseline: f64,
 }
 
 /// Hits on nodes of one kind, and their times of recovery from kills.
@@ -66,16 +68,18 @@ pub(super) struct PositionError {
 pub(super) struct RoleSummary {
     /// `sim`, `fusion`, `robot`, `standby`, or `run` for all at once.
     pub(super) role: &'static str,
-    /// Killed alone.
+    /// Killed, one node at a time.
     pub(super) kill: usize,
     /// Stopped for a while.
     pub(super) stop: usize,
     /// Killed again and again while starting.
-    pub(super) storm: usize,
+    #[serde(rename = "storm")]
+    pub(super) crash_loop: usize,
     /// Killed with others.
     pub(super) several: usize,
     /// Killed with everything.
-    pub(super) blackout: usize,
+    #[serde(rename = "blackout")]
+    pub(super) total_outage: usize,
     /// From a kill until the role is taken again; `None` before the first.
     pub(super) restart_ms: Option<Percentiles>,
     /// From a kill until the first tick with the successor; `None` before the first.
@@ -158,7 +162,8 @@ pub(super) struct Round {
     /// The result in its logs.
     pub(super) tally: RunResult,
     /// The result of the baseline.
-    pub(super) alone: Option<RunResult>,
+    #[serde(rename = "alone")]
+    pub(super) baseline: Option<RunResult>,
     /// True if both must be equal: in lock step.
     pub(super) is_repeatable: bool,
     /// Files in shared memory after the end.
@@ -214,8 +219,8 @@ impl Outcome {
         self.without_heading = self.headings.late + self.headings.none;
         self.files_left.extend_from_slice(&round.files_left);
         self.processes_left.extend_from_slice(&round.processes_left);
-        if let Some(alone) = round.alone.as_ref().filter(|_| round.is_repeatable) {
-            self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.tally.digest == alone.digest);
+        if let Some(baseline) = round.baseline.as_ref().filter(|_| round.is_repeatable) {
+            self.digest_equal = Some(self.digest_equal.unwrap_or(true) && round.tally.digest == baseline.digest);
         }
         self.rounds.push(round);
     }
@@ -224,7 +229,8 @@ impl Outcome {
     pub(super) fn judge(&mut self) {
         let always = ["sim", "fusion", "robot"].map(|role| self.of_role(role));
         let sometimes = ["standby", "run"].map(|role| self.of_role(role));
-        let is_hit = |role: &RoleSummary| role.kill + role.stop + role.storm + role.several + role.blackout > 0;
+        let is_hit =
+            |role: &RoleSummary| role.kill + role.stop + role.crash_loop + role.several + role.total_outage > 0;
         self.faults = always.into_iter().chain(sometimes.into_iter().filter(is_hit)).collect();
         self.position_rmse_m = self.position_error();
         self.broken = self.rounds.iter().flat_map(Round::broken).collect();
@@ -237,9 +243,9 @@ impl Outcome {
             role,
             kill: count(Kind::Kill),
             stop: count(Kind::Stop),
-            storm: count(Kind::Storm),
+            crash_loop: count(Kind::CrashLoop),
             several: count(Kind::Several),
-            blackout: count(Kind::Blackout),
+            total_outage: count(Kind::TotalOutage),
             restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
             recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
         }
@@ -255,7 +261,10 @@ impl Outcome {
             let ticks: f64 = squares.iter().map(|(ticks, _)| ticks).sum();
             (ticks > 0.0).then(|| (squares.iter().map(|(ticks, square)| ticks * square).sum::<f64>() / ticks).sqrt())
         };
-        Some(PositionError { hurt: mean(|round| Some(&round.tally))?, alone: mean(|round| round.alone.as_ref())? })
+        Some(PositionError {
+            faulted: mean(|round| Some(&round.tally))?,
+            baseline: mean(|round| round.baseline.as_ref())?,
+        })
     }
 
     /// Writes `chaos.json`.
@@ -286,10 +295,10 @@ impl Round {
             Ended::Done => {}
             Ended::Failed => broken.push(format!("the run failed: {}", self.last_message)),
             Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
-            Ended::Interrupted => broken.push("ended before its last fault, as asked".to_owned()),
+            Ended::Interrupted => broken.push("asked to end before its last fault".to_owned()),
         }
-        if let Some(alone) = self.alone.as_ref().filter(|_| self.is_repeatable) {
-            let (got, expected) = (&self.tally, alone);
+        if let Some(baseline) = self.baseline.as_ref().filter(|_| self.is_repeatable) {
+            let (got, expected) = (&self.tally, baseline);
             for (what, got, expected) in [
                 ("ticks", got.ticks, expected.ticks),
                 ("ranges published", got.ranges.published, expected.ranges.published),
@@ -330,16 +339,16 @@ impl std::fmt::Display for Outcome {
         let driven = format!("{fresh} fresh, {late} late, {none} none, {refused} refused");
         writeln!(f, "{}", field("headings", driven))?;
         // If the estimates must be equal, so must their error.
-        if let Some(PositionError { hurt, alone }) =
+        if let Some(PositionError { faulted, baseline }) =
             self.position_rmse_m.as_ref().filter(|_| self.digest_equal.is_none())
         {
-            let more = 100.0 * (hurt / alone - 1.0);
-            let error = format!("{hurt:.3} m RMS, {alone:.3} left alone: {more:+.1} %");
+            let more = 100.0 * (faulted / baseline - 1.0);
+            let error = format!("{faulted:.3} m RMS, {baseline:.3} without faults: {more:+.1} %");
             writeln!(f, "{}", field("position error", error))?;
         }
         let digest = match self.digest_equal {
-            Some(true) => "that of the run left alone".to_owned(),
-            Some(false) => format!("{BAD}NOT{BAD:#} that of the run left alone"),
+            Some(true) => "equal to the same run without faults".to_owned(),
+            Some(false) => format!("{BAD}NOT equal{BAD:#} to the same run without faults"),
             None => "not compared".to_owned(),
         };
         writeln!(f, "{}", field("digest", digest))?;
@@ -356,20 +365,20 @@ impl std::fmt::Display for Outcome {
 impl Outcome {
     /// Number of hits by kind, and recovery times of each kind of node.
     fn fmt_faults(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let [kill, stop, storm, several, blackout] = ["kill", "stop", "storm", "several", "blackout"];
-        writeln!(f, "  {:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}", "hit")?;
-        for RoleSummary { role, kill, stop, storm, several, blackout, .. } in &self.faults {
-            writeln!(f, "  {role:<16} {kill:>8} {stop:>8} {storm:>8} {several:>8} {blackout:>8}")?;
+        let [kill, stop, crash_loop, several, outage] = ["kill", "stop", "crash loop", "several", "outage"];
+        writeln!(f, "  {:<16} {kill:>8} {stop:>8} {crash_loop:>11} {several:>8} {outage:>8}", "hits")?;
+        for RoleSummary { role, kill, stop, crash_loop, several, total_outage, .. } in &self.faults {
+            writeln!(f, "  {role:<16} {kill:>8} {stop:>8} {crash_loop:>11} {several:>8} {total_outage:>8}")?;
         }
-        writeln!(f, "  {:<16} {:>26} {:>30}", "back, ms", "until its role is taken", "until it is at work")?;
+        writeln!(f, "  {:<16} {:>26} {:>30}", "recovery, ms", "until its role is taken", "until it takes part")?;
         let [p50, p99, max] = ["p50", "p99", "max"];
         writeln!(f, "  {:<16} {p50:>8} {p99:>8} {max:>8} {p50:>12} {p99:>8} {max:>8}", "")?;
         for RoleSummary { role, restart_ms, recovery_ms, .. } in &self.faults {
-            let [taken, at_work] = [restart_ms, recovery_ms].map(|times_ms| match times_ms {
+            let [taken, takes_part] = [restart_ms, recovery_ms].map(|times_ms| match times_ms {
                 Some(Percentiles { p50, p99, max, .. }) => [p50, p99, max].map(|time_ms| format!("{time_ms:.1}")),
                 None => ["-"; 3].map(str::to_owned),
             });
-            let [[a, b, c], [d, e, g]] = [taken, at_work];
+            let [[a, b, c], [d, e, g]] = [taken, takes_part];
             writeln!(f, "  {role:<16} {a:>8} {b:>8} {c:>8} {d:>12} {e:>8} {g:>8}")?;
         }
         Ok(())
@@ -395,7 +404,7 @@ mod tests {
             last_message: String::new(),
             wall_s: 1.0,
             tally: tally.clone(),
-            alone: Some(tally),
+            baseline: Some(tally),
             is_repeatable: true,
             files_left: Vec::new(),
             processes_left: Vec::new(),
@@ -405,8 +414,8 @@ mod tests {
     #[test]
     fn each_broken_promise_is_reported() {
         assert_eq!(round().broken(), [""; 0]);
-        type Hurt = fn(&mut Round);
-        let hurt: [(Hurt, &str); 8] = [
+        type Fault = fn(&mut Round);
+        let faults: [(Fault, &str); 8] = [
             (|round| round.tally.digest = "b".to_owned(), "seed 1: digest b, expected a"),
             (|round| round.tally.ranges.published = 29, "seed 1: 29 ranges published, expected 30"),
             (|round| round.tally.ranges.fused = 29, "seed 1: 29 ranges fused, expected 30"),
@@ -416,9 +425,9 @@ mod tests {
             (|round| round.files_left.push("x".to_owned()), "seed 1: left in shared memory: x"),
             (|round| round.processes_left.push(7), "seed 1: left running: processes [7]"),
         ];
-        for (hurt, expected) in hurt {
+        for (inject, expected) in faults {
             let mut round = round();
-            hurt(&mut round);
+            inject(&mut round);
             assert_eq!(round.broken(), [expected]);
         }
     }

@@ -37,7 +37,7 @@ impl Run {
         let scenario = out_dir.with_extension("toml");
         atomic_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
         let name = experiment.name.clone();
-        let mut run = Command::new(std::env::current_exe().context("where this program is")?);
+        let mut run = Command::new(std::env::current_exe().context("cannot find this program's own file")?);
         run.arg("run").arg(&scenario).args(["--seed", &seed.to_string(), "--out"]).arg(out_dir);
         let child = Self::spawn(run, &name, standbys, out_dir)?;
         Ok(Self { child, name, standbys, out_dir: out_dir.to_owned() })
@@ -80,7 +80,7 @@ impl Run {
             std::thread::sleep(POLL);
         }
         self.child.wait()?;
-        let mut resume = Command::new(std::env::current_exe().context("where this program is")?);
+        let mut resume = Command::new(std::env::current_exe().context("cannot find this program's own file")?);
         resume.arg("resume").arg(&self.out_dir);
         self.child = Self::spawn(resume, &self.name, self.standbys, &self.out_dir)?;
         Ok(())

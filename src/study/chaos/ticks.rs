@@ -32,7 +32,7 @@ impl<'a> Ticks<'a> {
         Self { description, world: None, estimate: None, newest, since, newest_estimate, read: None, heard }
     }
 
-    pub(super) fn look(&mut self) {
+    pub(super) fn update(&mut self) {
         // A log exists once its node has started.
         if self.world.is_none() {
             self.world = logs::read_worlds(self.description).ok();

@@ -75,14 +75,15 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
 fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
     let Given { file, file_name, .. } = &trials.given;
     if file.recording.is_some() {
-        let problem = "recording: expected a simulated target: robots of a recording cannot be planned for";
-        return Err(Failure::input(format!("{file_name}: {problem}")));
+        return Err(Failure::input(format!(
+            "recording is given in {file_name}: expected a simulated target, because recorded sensors cannot be planned for"
+        )));
     }
     let scenarios: Result<Vec<Scenario>, _> = trials.planners.iter().map(|name| trials.scenario(name, 0)).collect();
     let scenarios = scenarios.map_err(Failure::input)?;
     for scenario in &scenarios {
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
-            .map_err(|error| Failure::input(format!("{file_name}: {error}")))?;
+            .map_err(|error| Failure::input(format!("{error} (in {file_name})")))?;
     }
     Ok(scenarios)
 }

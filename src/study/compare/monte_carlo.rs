@@ -1,7 +1,7 @@
 //! Many runs of each planner, spread over threads, with common random numbers.
 //!
 //! Run `i` of every planner has the seed `first_seed + i`. Prior mean, target noise and range noise are
-//! functions of seed, tick and robot alone, so planners differ only in their headings.
+//! functions of seed, tick and robot, so planners differ only in their headings.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -75,7 +75,7 @@ impl Trials {
     /// The scenario of one run.
     ///
     /// # Errors
-    /// [`ScenarioError`] for the first thing that is wrong with it.
+    /// [`ScenarioError`] for the first fault.
     pub fn scenario(&self, planner: &str, run: u64) -> Result<Scenario, ScenarioError> {
         let Given { file, file_name, folder, .. } = &self.given;
         let mut file = file.clone();
@@ -101,14 +101,18 @@ impl Trials {
             let workers: std::io::Result<Vec<_>> = (0..self.threads).map(start).collect();
             let workers = workers
                 .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))
-                .with_context(|| format!("the system refuses {} threads", self.threads))?;
+                .with_context(|| format!("cannot start {} threads: choose fewer with --threads", self.threads))?;
             while workers.iter().any(|worker| !worker.is_finished()) {
                 on_progress(done.load(Ordering::Relaxed));
                 std::thread::sleep(LOOK);
             }
             let mut indexed = Vec::with_capacity(self.count() as usize);
             for worker in workers {
-                indexed.extend(worker.join().map_err(|_| anyhow::anyhow!("a thread broke off"))??);
+                indexed.extend(
+                    worker
+                        .join()
+                        .map_err(|_| anyhow::anyhow!("a thread of the comparison panicked: please report this"))??,
+                );
             }
             Ok::<_, anyhow::Error>(indexed)
         })?;

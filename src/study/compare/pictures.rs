@@ -1,4 +1,4 @@
-//! The pictures of a comparison, drawn from its figures alone; the paths from one more run each.
+//! The pictures of a comparison, drawn from its figures; the paths come from one more run of each planner.
 
 use std::ops::Range;
 use std::path::Path;

@@ -16,7 +16,7 @@ const SIZES: [usize; 7] = [1, 3, 10, 30, 100, 300, 1_000];
 /// Time limit for one planner at one size; the step that exceeds it is the last, except below the least number of steps.
 const BUDGET: Duration = Duration::from_millis(60);
 
-/// Least number of measured steps, whatever their duration: a single step that other programs delay decides nothing.
+/// Least number of measured steps, whatever their duration: a single delayed step must not decide the result.
 const STEPS_MIN: usize = 3;
 
 /// Most measured steps.

@@ -16,10 +16,11 @@ pub const DIVERGED_TICKS: usize = 50;
 /// See [`DIVERGED_TICKS`]; m.
 pub const DIVERGED_ERROR_M: f64 = 10.0;
 
-/// Gaps at which their distribution is given: decades from the smallest, below a certificate's width.
+/// Range of the gaps at which their distribution is given, in decades from the smallest, which is below a certificate's
+/// tolerance.
 const GAP_DECADES: std::ops::RangeInclusive<i32> = -12..=0;
 
-/// Points of the distribution a decade.
+/// Points of the distribution per decade.
 const GAP_POINTS: i32 = 20;
 
 /// The whole comparison; its fields are the keys of `compare.json`.
@@ -62,10 +63,10 @@ pub struct Summary {
     pub max_eigenvalue_m2: OverTime,
     /// Root mean square of the position error, m.
     pub position_rmse_m: Rmse,
-    /// Position error squared over its covariance, a degree of freedom, mean over runs and ticks: 1
-    /// for a consistent filter.
+    /// Position error squared over its covariance per degree of freedom, mean over runs and ticks: 1 for a consistent
+    /// filter.
     pub anees: f64,
-    /// Innovation squared over its covariance, a range, mean over runs and ticks: 1 for a consistent filter.
+    /// Innovation squared over its covariance per range, mean over runs and ticks: 1 for a consistent filter.
     pub nis_per_dof: f64,
     /// Runs that lost the target.
     pub divergence: Divergence,
@@ -75,7 +76,7 @@ pub struct Summary {
     pub gap: Spread,
     /// The planned position trace above the least that the bound allows, %.
     pub trace_excess_percent: Spread,
-    /// Part of the steps whose bound is not proven to be the optimum.
+    /// Share of the steps whose bound is not proven to be the optimum.
     pub uncertified: f64,
     /// By tick.
     pub series: Series,
@@ -130,7 +131,7 @@ pub struct Spread {
 pub struct Series {
     /// Trace of the position covariance, m^2.
     pub trace_m2: Band,
-    /// Position error squared over its covariance, a degree of freedom, mean.
+    /// Mean position error squared over its covariance, per degree of freedom.
     pub anees: Vec<f64>,
     /// Root mean square of the position error, m.
     pub rmse_m: Vec<f64>,
@@ -274,7 +275,7 @@ law of the time to plan from M = 10 to 1000, or as many as are served in time."
     }
 }
 
-/// A row of a table: a name and figures below their heads.
+/// A row of a table: a name, and figures below their column heads.
 fn write_row(f: &mut Formatter<'_>, name: &str, figures: impl IntoIterator<Item = impl Display>) -> std::fmt::Result {
     write!(f, "{name:<10}")?;
     for figure in figures {
@@ -325,7 +326,7 @@ impl Summary {
     }
 }
 
-/// A rate in percent; of a small one the first digit.
+/// A rate in percent; a small one with its first digit.
 fn percent(rate: f64) -> String {
     match 100.0 * rate {
         0.0 => "0.0".to_owned(),
@@ -381,7 +382,7 @@ mod tests {
         assert_eq!(summary.planning_us.p99, 1.0);
     }
 
-    /// A run that ends early has diverged; the others' figures continue without it.
+    /// A run that ends early has diverged; later ticks are averaged over the others.
     #[test]
     fn lost_runs_are_counted() {
         let mut ended = trial(&[1.0]);

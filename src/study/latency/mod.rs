@@ -1,4 +1,4 @@
-//! `rangehound latency`: the time from range to heading of the real system, beside two references with the same exchange.
+//! `rangehound latency`: the time from range to heading of the system, compared with two references for the same exchange.
 //!
 //! `docs/latency.md` describes the measurement.
 //!
@@ -24,7 +24,7 @@ use rangehound_shared::scenario::{Clock, Scenario};
 use crate::failure::{self, Failure};
 use crate::files::layout::Kind;
 use crate::files::out_folder::{self, claim_or_number};
-use crate::results::frame::{Frames, PutDown};
+use crate::results::frame::{Frames, LoggedTick};
 use crate::results::hops::HopSummary;
 use crate::run::experiment::Experiment;
 use crate::run::pin::Pin;
@@ -75,7 +75,7 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
             measured.map_err(|failure| {
                 progress.finish();
                 // After a requested end, errors of the measured processes do not matter.
-                let asked = || anyhow::anyhow!("ended before the last round, as asked").into();
+                let asked = || anyhow::anyhow!("asked to end before the last round").into();
                 if termination.requested() { asked() } else { failure }
             })?;
         }
@@ -124,7 +124,7 @@ impl Round<'_> {
         let mut robots: Vec<Waits> = scenario.robots.iter().map(|_| Waits::new(dt_ns(scenario))).collect();
         let mut sample = |latency_ns| latencies_us.add(latency_ns);
         let mut ended_ns = 0;
-        Frames::open(&description)?.for_each(|PutDown { tick, world, .. }| {
+        Frames::open(&description)?.for_each(|LoggedTick { tick, world, .. }| {
             let Some(world) = world else { return Ok(()) };
             ended_ns = world.ended_ns;
             if tick > warm_up_ticks(scenario) {

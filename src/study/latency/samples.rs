@@ -11,7 +11,7 @@ pub(super) struct Exchange {
 ///
 /// Each range is a sample. It waits until its robot has a heading computed from it or from a later range. If ranges
 /// are due at a steady rate, ranges that were delayed wait too, each from its due time:
-/// a stall counts for every range that it delayed, not for the first alone.
+/// a stall counts for every range that it delayed, not only for the first.
 #[derive(Debug)]
 pub(super) struct Waits {
     dt_ns: Option<u64>,

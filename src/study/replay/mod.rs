@@ -76,7 +76,7 @@ pub struct Show {
 }
 
 fn open(path: &Path) -> Result<FrameReader<BufReader<File>>, Failure> {
-    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
+    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("cannot replay {}: {error}", path.display()));
     let file = File::open(path).map_err(|error| refuse(&error))?;
     FrameReader::open(BufReader::new(file)).map_err(|error| refuse(&error))
 }
@@ -86,7 +86,7 @@ fn open(path: &Path) -> Result<FrameReader<BufReader<File>>, Failure> {
 /// # Errors
 /// [`Failure`]: of the input, if the file cannot be read to its end; of the run, if the replay differs.
 pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) -> Result<(), Failure> {
-    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("{}: {error}", path.display()));
+    let refuse = |error: &dyn std::fmt::Display| Failure::input(format!("cannot replay {}: {error}", path.display()));
     let mut reader = open(path)?;
     let recorded = reader.description().map_err(|error| refuse(&error))?.scenario.clone();
     let replayed = changed(&recorded, changes)?;
@@ -94,12 +94,12 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
     let is_changed = recorded != replayed;
     let fed = feed(&mut reader, begin()?, &recorded, is_changed).map_err(|error| match error {
         Stopped::Reading(error @ (ReadError::Cut { after: Some(_) } | ReadError::Damaged { after: Some(_), .. })) => {
-            refuse(&format!("{error}: `rangehound replay --repair` makes a whole file of what is before"))
+            refuse(&format!("{error}: `rangehound replay --repair` makes a complete file of the ticks before that"))
         }
         Stopped::Reading(error) => refuse(&error),
         Stopped::Empty => match reader.missing_at_end() {
-            Some(missing) => Failure::Running(anyhow::anyhow!("{}: {missing}: it is damaged", path.display())),
-            None => refuse(&"holds no tick"),
+            Some(missing) => Failure::Running(anyhow::anyhow!("{missing} in {}: the file is damaged", path.display())),
+            None => refuse(&"it has no tick: record the run again"),
         },
         Stopped::Stepping(error @ StepError::Senseless { .. }) => refuse(&error),
         // Missing ticks are a difference; divergence after changed settings is a result too.
@@ -138,12 +138,13 @@ pub fn replay(path: &Path, changes: &Changes, show: Option<Show>, json: bool) ->
         show::show(open(path)?, begin()?, &replayed, port, speed)?;
     }
     match (&outcome.first_difference, outcome.ticks_missing) {
-        (Some(difference), _) => {
-            Err(Failure::Running(anyhow::anyhow!("the replay differs from tick {} on", difference.tick)))
-        }
+        (Some(difference), _) => Err(Failure::Running(anyhow::anyhow!(
+            "the replay differs from the recording from tick {} on",
+            difference.tick
+        ))),
         (None, Some(missing)) => {
             let path = path.display();
-            Err(Failure::Running(anyhow::anyhow!("{path}: {missing} at the end of the recording: it is damaged")))
+            Err(Failure::Running(anyhow::anyhow!("{missing} at the end of {path}: the file is damaged")))
         }
         (None, None) => Ok(()),
     }
@@ -155,7 +156,7 @@ fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> 
     if let Some(name) = &changes.planner {
         if matches!(recorded.source, Source::Recorded { .. }) {
             return Err(Failure::input(
-                "--planner: expected a run with robots that are told where to go, got recorded ranges",
+                "--planner is given for recorded ranges: expected a run whose robots receive headings",
             ));
         }
         let table = PlannerTable { name: Some(name.clone()), ..PlannerTable::default() };
@@ -175,7 +176,9 @@ fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> 
     scenario.distrust = changes.distrust.unwrap_or(scenario.distrust);
     if let Some(psd) = changes.accel_psd {
         let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
-            return Err(Failure::input("--accel-psd: expected a target model with a spectral density, got matrices"));
+            return Err(Failure::input(
+                "--accel-psd is given for a target model of matrices: expected a model with a spectral density",
+            ));
         };
         *noise_psd = psd;
     }

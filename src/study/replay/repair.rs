@@ -33,11 +33,14 @@ struct Repaired {
 /// # Errors
 /// [`Failure`] if no tick can be read, or the new file cannot be written.
 pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure> {
-    let refuse = |error: &ReadError| Failure::input(format!("{}: {error}", path.display()));
+    let refuse = |error: &ReadError| Failure::input(format!("cannot repair {}: {error}", path.display()));
     let mut reader = super::open(path)?;
     let out = out.map_or_else(|| whole_name(path), Path::to_owned);
     if out.symlink_metadata().is_ok() {
-        return Err(Failure::input(format!("{}: expected a name that is free: choose one with --out", out.display())));
+        return Err(Failure::input(format!(
+            "{} exists already: expected a name that is free: choose one with --out",
+            out.display()
+        )));
     }
     let description = reader.description().map_err(|error| refuse(&error))?.clone();
     // The damaged file may be all that remains of the run: it keeps its name until a file with more ticks exists.
@@ -49,9 +52,10 @@ pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure
     }
     let (ticks, why) = copied.map_err(Failure::Running)?;
     let Some((first_tick, ticks)) = ticks else {
-        return Err(
-            why.map_or_else(|| Failure::input(format!("{}: holds no tick", path.display())), |why| refuse(&why))
-        );
+        return Err(why.map_or_else(
+            || Failure::input(format!("{} has no tick: there is nothing to repair", path.display())),
+            |why| refuse(&why),
+        ));
     };
     let (file, whole) = (path.display().to_string(), out.display().to_string());
     let ticks_of_run = description.scenario.ticks;
@@ -60,7 +64,7 @@ pub fn repair(path: &Path, out: Option<&Path>, json: bool) -> Result<(), Failure
         return failure::print_json(&Repaired { file, whole, first_tick, ticks, ticks_of_run, reason });
     }
     if let Some(why) = why.filter(|why| !matches!(why, ReadError::Cut { .. })) {
-        failure::tell(format_args!("{file}: {why}"));
+        failure::print_stderr(format_args!("{file}: {why}"));
     }
     failure::print(format_args!("repaired: ticks {first_tick} to {ticks} of {ticks_of_run} in {whole}\n"))
 }

@@ -17,10 +17,12 @@ use crate::results::run_mcap::read::Missing;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StepError {
     /// A tick is not in the recording: all later estimates depend on it.
-    #[error("{0} in the recording, so that nothing after can be replayed")]
+    #[error("{0} in the recording: no tick after it can be replayed")]
     Hole(Missing),
     /// The recording contains an impossible step of fusion.
-    #[error("tick {tick}: a range of robot {robot} cannot have been taken at tick {taken_at}")]
+    #[error(
+        "a range of robot {robot} cannot have been taken at tick {taken_at}, in tick {tick}: the file is not a valid recording"
+    )]
     Senseless {
         /// Tick of the range.
         tick: u64,

@@ -4,7 +4,7 @@ use std::io::Read;
 
 use super::names::{Kind, Name};
 use super::stamp;
-use super::{ColumnMap, Role, Told};
+use super::{ColumnMap, ColumnOption, Role};
 use crate::recording::error::{RecordingError, listed, shown};
 use crate::recording::table::Table;
 use crate::recording::table::unit::Unit;
@@ -16,7 +16,7 @@ pub(in crate::recording) struct Column {
     /// The column's unit, if it holds numbers.
     pub(in crate::recording) unit: Unit,
     /// The user gave the unit.
-    pub(in crate::recording) is_told: bool,
+    pub(in crate::recording) is_chosen: bool,
 }
 
 /// Finds columns in a header, and collects questions to the user.
@@ -27,7 +27,7 @@ pub(in crate::recording) struct Finder<'a> {
     map: &'a ColumnMap,
     used: Vec<bool>,
     /// Columns of unknown unit, each with the most likely unit.
-    asks: Vec<Told>,
+    asks: Vec<ColumnOption>,
     read_as: Vec<String>,
 }
 
@@ -46,23 +46,24 @@ impl<'a> Finder<'a> {
         table: &Table<R>,
     ) -> Result<Option<usize>, RecordingError> {
         // A column number for the log does not apply to its anchors file.
-        let is_of_log = |told: &&Told| self.kind == Kind::Anchors && role == Role::Sensor && told.is_by_number();
-        if let Some(told) = self.map.get(role).filter(|told| !is_of_log(told)) {
-            let found = self.told_index(&told.column);
+        let is_of_log =
+            |option: &&ColumnOption| self.kind == Kind::Anchors && role == Role::Sensor && option.is_by_number();
+        if let Some(option) = self.map.get(role).filter(|option| !is_of_log(option)) {
+            let found = self.chosen_index(&option.column);
             return match found {
                 // An anchors file and its log often use different names for the sensor column.
                 None if self.kind == Kind::Anchors && role == Role::Sensor => self.named_index(role, table),
-                None => Err(table.header_error(&format!(
-                    "--columns {told}: expected one of the columns {}",
-                    table.listed_columns()
-                ))),
+                None => Err(table.header_error(
+                    format!("no column of --columns {option}"),
+                    format!("expected one of the columns {}", table.listed_columns()),
+                )),
                 found => Ok(found),
             };
         }
         self.named_index(role, table)
     }
 
-    fn told_index(&self, column: &str) -> Option<usize> {
+    fn chosen_index(&self, column: &str) -> Option<usize> {
         let same = |name: &&String| name.as_str() == column;
         let alike = |name: &String| name.eq_ignore_ascii_case(column);
         let by_number = || column.parse::<usize>().ok().and_then(|number| number.checked_sub(1));
@@ -83,23 +84,23 @@ impl<'a> Finder<'a> {
         if rivals.len() > 1 {
             let names = listed(rivals.iter().map(|index| self.header[*index].as_str()));
             let what = role.key();
-            let told = Told { role, column: self.column_to_type(index), unit: None };
-            let told = match self.unit_of(role, index) {
-                Some(_) => told,
-                None => Told { unit: self.likely_unit(role, index), ..told },
+            let option = ColumnOption { role, column: self.column_to_type(index), unit: None };
+            let option = match self.unit_of(role, index) {
+                Some(_) => option,
+                None => ColumnOption { unit: self.likely_unit(role, index), ..option },
             };
-            let hint = self.hint(&[told]);
-            return Err(table.header_error(&format!("each of the columns {names} may be the {what}: {hint}")));
+            let hint = self.hint(&[option]);
+            return Err(table.header_error(format!("several columns, {names}, that may be the {what},"), hint));
         }
         Ok(Some(index))
     }
 
     /// The option to type, or what to do if no option helps.
-    fn hint(&self, told: &[Told]) -> String {
+    fn hint(&self, options: &[ColumnOption]) -> String {
         if self.kind == Kind::Track {
-            return "name the right ones time_s, x_m, y_m".to_owned();
+            return "expected one of each: name the right ones time_s, x_m, y_m".to_owned();
         }
-        format!("type {}, or as it should be", shown_line(&self.map.line_to_type(told)))
+        format!("expected one: type {}, or the right one in its place", shown_line(&self.map.line_to_type(options)))
     }
 
     /// A column as it can stand in `--columns`.
@@ -116,8 +117,8 @@ impl<'a> Finder<'a> {
         if is_stamp {
             return Some(Unit::Iso);
         }
-        let told = self.map.get(role).and_then(|told| told.unit);
-        told.or_else(|| Name::read(&self.header[index]).unit.filter(|unit| role.takes(*unit)))
+        let unit = self.map.get(role).and_then(|option| option.unit);
+        unit.or_else(|| Name::read(&self.header[index]).unit.filter(|unit| role.takes(*unit)))
     }
 
     fn likely_unit(&self, role: Role, index: usize) -> Option<Unit> {
@@ -156,10 +157,10 @@ impl<'a> Finder<'a> {
         self.take(role, index, unit);
         if unit.is_none() {
             let unit = self.likely_unit(role, index);
-            self.asks.push(Told { role, column: self.column_to_type(index), unit });
+            self.asks.push(ColumnOption { role, column: self.column_to_type(index), unit });
         }
-        let is_told = self.map.get(role).is_some_and(|told| told.unit.is_some());
-        Ok(Some(Column { index, unit: unit.unwrap_or(Unit::Metre), is_told }))
+        let is_chosen = self.map.get(role).is_some_and(|option| option.unit.is_some());
+        Ok(Some(Column { index, unit: unit.unwrap_or(Unit::Metre), is_chosen }))
     }
 
     /// Marks a column as read.
@@ -170,8 +171,8 @@ impl<'a> Finder<'a> {
     }
 
     /// Asks for an unknown unit.
-    pub(in crate::recording) fn ask(&mut self, told: Told) {
-        self.asks.push(told);
+    pub(in crate::recording) fn ask(&mut self, option: ColumnOption) {
+        self.asks.push(option);
     }
 
     pub(in crate::recording) fn header(&self) -> &[String] {
@@ -190,18 +191,15 @@ impl<'a> Finder<'a> {
         hint: &str,
     ) -> RecordingError {
         let own: Vec<&str> = roles.iter().map(|role| self.kind.own_name(*role)).collect();
-        let told: Vec<String> = roles.iter().map(|role| format!("{}=NAME", role.key())).collect();
+        let options: Vec<String> = roles.iter().map(|role| format!("{}=NAME", role.key())).collect();
         let other = if self.kind == Kind::Track {
             String::new()
         } else {
-            format!("; if another is meant, type --columns {}{hint}", told.join(","))
+            format!("; if one of them is meant, type --columns {}{hint}", options.join(","))
         };
-        let columns = if own.len() > 1 { "columns" } else { "a column" };
-        table.header_error(&format!(
-            "expected {columns} {}, the columns are {}{other}",
-            own.join(" and "),
-            table.listed_columns()
-        ))
+        let columns = if own.len() > 1 { "columns" } else { "column" };
+        let wrong = format!("missing {columns} {}", own.join(" and "));
+        table.header_error(wrong, format!("expected it among the columns {}{other}", table.listed_columns()))
     }
 
     /// The unused columns, and how the others are read.
@@ -213,21 +211,21 @@ impl<'a> Finder<'a> {
         table: &Table<R>,
     ) -> Result<(Vec<String>, String), RecordingError> {
         if !self.asks.is_empty() {
-            let columns = listed(self.asks.iter().map(|told| told.column.as_str()));
+            let columns = listed(self.asks.iter().map(|option| option.column.as_str()));
             let of = if self.asks.len() > 1 { "units of the columns" } else { "unit of the column" };
             let units: Vec<&str> = [(true, "s, ms, us, ns"), (false, "m, cm, mm")]
                 .into_iter()
-                .filter(|(of_time, _)| self.asks.iter().any(|told| (told.role == Role::Time) == *of_time))
+                .filter(|(of_time, _)| self.asks.iter().any(|option| (option.role == Role::Time) == *of_time))
                 .map(|(_, units)| units)
                 .collect();
             let units = units.join("; ");
             let hint = if self.kind == Kind::Track {
-                "name them as in time_s, x_m, y_m".to_owned()
+                "expected a unit in each name, as in time_s, x_m, y_m".to_owned()
             } else {
-                format!("type {}", shown_line(&self.map.line_to_type(&self.asks)))
+                format!("expected units: type {}", shown_line(&self.map.line_to_type(&self.asks)))
             };
             return Err(
-                table.header_error(&format!("the {of} {columns} cannot be told: {hint} with the right one of {units}"))
+                table.header_error(format!("unknown {of} {columns}"), format!("{hint} with the right one of {units}"))
             );
         }
         let ignored = self.header.iter().zip(&self.used).filter(|(_, used)| !**used);

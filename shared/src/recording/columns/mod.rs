@@ -59,45 +59,45 @@ impl Role {
 /// stands for the anchor's name.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ColumnMap {
-    told: Vec<Told>,
+    options: Vec<ColumnOption>,
 }
 
 /// The user's option for one column.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Told {
+pub(super) struct ColumnOption {
     pub(super) role: Role,
     pub(super) column: String,
     pub(super) unit: Option<Unit>,
 }
 
-/// Why a column option is invalid. Displays what was expected and what was given.
+/// Why a column option is invalid. Displays what was given and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("expected {expected}, got {got:?}")]
+#[error("{got:?} is not valid: expected {expected}")]
 pub struct ColumnMapError {
-    expected: String,
-    got: String,
+    pub(crate) expected: String,
+    pub(crate) got: String,
 }
 
 impl ColumnMap {
-    pub(super) fn get(&self, role: Role) -> Option<&Told> {
-        self.told.iter().find(|told| told.role == role)
+    pub(super) fn get(&self, role: Role) -> Option<&ColumnOption> {
+        self.options.iter().find(|option| option.role == role)
     }
 
     /// True if all columns are given by number, as for a file without a header.
     pub(super) fn is_by_number(&self) -> bool {
-        !self.told.is_empty() && self.told.iter().all(Told::is_by_number)
+        !self.options.is_empty() && self.options.iter().all(ColumnOption::is_by_number)
     }
 
     /// True if a column is given by name. Numbers do not count: a row of values may contain them.
     pub(super) fn names(&self, column: &str) -> bool {
-        self.told.iter().any(|told| !told.is_by_number() && told.column.eq_ignore_ascii_case(column))
+        self.options.iter().any(|option| !option.is_by_number() && option.column.eq_ignore_ascii_case(column))
     }
 
     /// The option to type: the current options plus `more`.
-    pub(super) fn line_to_type(&self, more: &[Told]) -> String {
-        let replaced = |role| more.iter().any(|told| told.role == role);
-        let all = self.told.iter().filter(|told| !replaced(told.role)).chain(more);
-        let words: Vec<String> = all.map(Told::to_string).collect();
+    pub(super) fn line_to_type(&self, more: &[ColumnOption]) -> String {
+        let replaced = |role| more.iter().any(|option| option.role == role);
+        let all = self.options.iter().filter(|option| !replaced(option.role)).chain(more);
+        let words: Vec<String> = all.map(ColumnOption::to_string).collect();
         let words = words.join(",");
         // A shell does not interpret these characters.
         let is_plain = words.chars().all(|c| c.is_alphanumeric() || "=:,._-".contains(c));
@@ -105,14 +105,14 @@ impl ColumnMap {
     }
 }
 
-impl Told {
+impl ColumnOption {
     /// True if the column is given by number.
     pub(super) fn is_by_number(&self) -> bool {
         self.column.parse::<usize>().is_ok()
     }
 }
 
-impl std::fmt::Display for Told {
+impl std::fmt::Display for ColumnOption {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}={}", self.role.key(), self.column)?;
         self.unit.map_or(Ok(()), |unit| write!(f, ":{}", unit.symbol()))
@@ -123,7 +123,7 @@ impl std::str::FromStr for ColumnMap {
     type Err = ColumnMapError;
 
     fn from_str(text: &str) -> Result<Self, ColumnMapError> {
-        let mut told: Vec<Told> = Vec::new();
+        let mut options: Vec<ColumnOption> = Vec::new();
         for word in text.split(',') {
             let refuse =
                 |expected: &str| ColumnMapError { expected: expected.to_owned(), got: word.chars().take(60).collect() };
@@ -146,18 +146,18 @@ impl std::str::FromStr for ColumnMap {
             if column.is_empty() || column.len() > 200 || column.chars().any(char::is_control) {
                 return Err(refuse("the name of a column after \"=\""));
             }
-            if told.iter().any(|before| before.role == role) {
+            if options.iter().any(|before| before.role == role) {
                 return Err(refuse("each key once"));
             }
-            told.push(Told { role, column: column.to_owned(), unit });
+            options.push(ColumnOption { role, column: column.to_owned(), unit });
         }
-        Ok(Self { told })
+        Ok(Self { options })
     }
 }
 
 impl std::fmt::Display for ColumnMap {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let words: Vec<String> = self.told.iter().map(Told::to_string).collect();
+        let words: Vec<String> = self.options.iter().map(ColumnOption::to_string).collect();
         f.write_str(&words.join(","))
     }
 }
@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_are_told_by_key_name_and_unit() {
+    fn columns_are_given_by_key_name_and_unit() {
         let text = "time=stamp_ns:ns,sensor=anchor:id,range=dist:mm,x=3";
         let map: ColumnMap = text.parse().unwrap();
         assert_eq!(map.to_string(), text);

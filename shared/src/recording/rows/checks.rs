@@ -1,7 +1,7 @@
 //! Plausibility checks of a recording's units.
 
 use crate::ROBOTS_MAX;
-use crate::recording::columns::{ColumnMap, Role, Told};
+use crate::recording::columns::{ColumnMap, ColumnOption, Role};
 use crate::recording::table::unit::Unit;
 use crate::recording::{Doubt, DoubtKind, RecordedRange, Recording};
 
@@ -29,7 +29,7 @@ pub(super) struct Columns<'a> {
 pub(super) fn line_to_type(map: &ColumnMap, role: Role, name: Option<&String>, index: usize, unit: Unit) -> String {
     let is_plain = |name: &&String| name.len() <= 40 && !name.chars().any(|c| c.is_control() || ",='\"".contains(c));
     let column = name.filter(is_plain).cloned().unwrap_or_else(|| (index + 1).to_string());
-    format!("type {}", map.line_to_type(&[Told { role, column, unit: Some(unit) }]))
+    format!("type {}", map.line_to_type(&[ColumnOption { role, column, unit: Some(unit) }]))
 }
 
 /// Reasons to distrust a recording.

@@ -11,8 +11,8 @@ use crate::recording::anchors::Anchors;
 use crate::recording::columns::layout::{Column, Finder, unit_of_epoch};
 use crate::recording::columns::names::Kind;
 use crate::recording::columns::stamp;
-use crate::recording::columns::{Role, Told};
-use crate::recording::error::{Complaint, Problem, RecordingError, listed, shown};
+use crate::recording::columns::{ColumnOption, Role};
+use crate::recording::error::{Complaint, Problem, RecordingError, listed, quoted, shown};
 use crate::recording::table::unit::Unit;
 use crate::recording::table::{Row, Table};
 use crate::recording::{ReadOptions, ReadSummary, RecordedRange, Recording};
@@ -78,7 +78,7 @@ pub(super) fn read<R: Read>(
 ) -> Result<(Recording, ReadSummary), RecordingError> {
     let ReadOptions { columns, anchors, .. } = options;
     let anchors = anchors.as_ref();
-    let is_wide = !columns.get(Role::Range).is_some_and(Told::is_by_number);
+    let is_wide = !columns.get(Role::Range).is_some_and(ColumnOption::is_by_number);
     let knows = |name: &str| {
         let is_anchor = is_wide && anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
         Kind::Log.knows(name) || columns.names(name) || is_anchor
@@ -125,7 +125,7 @@ fn layout<R: Read>(
             let number = gathering.sensor(column.anchor.as_str().as_bytes());
             number
                 .map(|number| (column, number))
-                .map_err(|_| table.error(format!("it has more than {} anchors", crate::ROBOTS_MAX)))
+                .map_err(|_| table.error("too many anchors", format!("expected at most {}", crate::ROBOTS_MAX)))
         };
         Ranges::Wide(wide.into_iter().map(number).collect::<Result<_, _>>()?)
     };
@@ -140,25 +140,23 @@ fn wide_columns<R: Read>(
     options: &ReadOptions,
 ) -> Result<Vec<AnchorColumn>, RecordingError> {
     let ReadOptions { columns, anchors, .. } = options;
-    let is_told = wide::pattern(columns).is_some();
+    let is_chosen = wide::pattern(columns).is_some();
     let Some(anchors) = anchors else {
-        if is_told {
-            return Err(table.header_error("expected --anchors FILE: a log with a column for each anchor needs it"));
+        if is_chosen {
+            return Err(table.header_error("a column for each anchor", "expected --anchors FILE with their places"));
         }
         return Ok(Vec::new());
     };
     // If several columns fit, ask only once the log is known not to be a wide one.
     let has = |role| finder.index(role, table).is_ok_and(|index| index.is_some());
-    if !is_told && has(Role::Range) && has(Role::Sensor) {
+    if !is_chosen && has(Role::Range) && has(Role::Sensor) {
         return Ok(Vec::new());
     }
     let found = wide::anchor_columns(finder, table, anchors, columns)?;
-    if is_told && found.is_empty() {
+    if is_chosen && found.is_empty() {
         let names = listed(anchors.iter().map(|(name, _)| name.as_str()));
-        return Err(table.header_error(&format!(
-            "expected columns called after the anchors {names}, the columns are {}",
-            table.listed_columns()
-        )));
+        let wrong = format!("no column of the anchors {names}");
+        return Err(table.header_error(wrong, format!("expected one among the columns {}", table.listed_columns())));
     }
     Ok(found)
 }
@@ -221,7 +219,7 @@ impl<R: Read> Log<'_, R> {
                 Err(RowError::Bad(complaint)) => {
                     self.summary.bad_rows += 1;
                     if self.summary.first_bad_row.is_none() {
-                        self.summary.first_bad_row = Some(self.table.row_problem(complaint).to_string());
+                        self.summary.first_bad_row = Some(self.table.row_message(&complaint));
                     }
                 }
             }
@@ -235,7 +233,7 @@ impl<R: Read> Log<'_, R> {
             return Ok(());
         }
         let time_s = self.time_s()?;
-        // Taken out while rows are read through it.
+        // Taken out, because the row is read through `self`.
         let ranges = std::mem::replace(&mut self.layout.ranges, Ranges::Wide(Vec::new()));
         let taken = match &ranges {
             Ranges::Long { sensor, range, place } => self.take_long(time_s, *sensor, *range, place.as_ref()),
@@ -263,7 +261,7 @@ impl<R: Read> Log<'_, R> {
     }
 
     fn time_s(&mut self) -> Result<f64, RowError> {
-        let Column { index, unit, is_told } = self.layout.time;
+        let Column { index, unit, is_chosen } = self.layout.time;
         if unit == Unit::Iso {
             let time_s = stamp::seconds(self.table.field(index));
             return time_s.ok_or_else(|| RowError::Bad(self.table.complaint(index, A_STAMP)));
@@ -278,7 +276,7 @@ impl<R: Read> Log<'_, R> {
             self.last_time.1 = time_s;
             return Ok(time_s);
         }
-        let likely = time_s.and_then(unit_of_epoch).filter(|_| unit == Unit::Second && !is_told);
+        let likely = time_s.and_then(unit_of_epoch).filter(|_| unit == Unit::Second && !is_chosen);
         if let Some(likely) = likely
             && self.gathering.len() == 0
         {
@@ -322,7 +320,7 @@ impl<R: Read> Log<'_, R> {
         let mut first_fault = None;
         for (column, sensor) in columns {
             let Some(place) = self.gathering.place(*sensor) else { continue };
-            let cell = Column { index: column.index, unit: column.unit, is_told: true };
+            let cell = Column { index: column.index, unit: column.unit, is_chosen: true };
             let field = self.table.field(cell.index);
             if is_nothing(field) {
                 continue;
@@ -373,7 +371,7 @@ impl<R: Read> Log<'_, R> {
     }
 
     fn finish(self) -> Result<(Recording, ReadSummary), RecordingError> {
-        self.look_at_targets()?;
+        self.check_targets()?;
         let Self { table, layout, options, gathering, mut summary, .. } = self;
         let rows = table.rows();
         if summary.bad_rows * 2 > rows
@@ -385,18 +383,19 @@ impl<R: Read> Log<'_, R> {
         if !gathering.unplaced.is_empty() {
             let names = listed(gathering.unplaced.iter().map(crate::recording::SensorName::as_str));
             let file = options.anchors.as_ref().map(|anchors| anchors.file().display().to_string()).unwrap_or_default();
-            return Err(table.error(format!("expected every sensor in {}, without a row there: {names}", shown(&file))));
+            let wrong = format!("sensors without a place, {names},");
+            return Err(table.error(wrong, format!("expected a row for every sensor in {}", shown(&file))));
         }
         if gathering.len() == 0 && summary.not_heard > 0 {
-            let count = summary.not_heard;
-            return Err(table.error(format!("expected ranges, all {count} are 0 or say that nothing was heard")));
+            let hint = format!("expected ranges, but all {} are 0 or mean that nothing was heard", summary.not_heard);
+            return Err(table.error("no range", hint));
         }
         if table.rows() == 0 {
-            return Err(table.error("row 0 (the header): expected rows of ranges under the header, there is none"));
+            return Err(table.header_error("no row", "expected rows of ranges under the header"));
         }
         if gathering.len() == 0 {
             let expected = format!("1 to {} different sensors up to this last row", crate::ROBOTS_MAX);
-            let complaint = Complaint { column: "sensor_id".to_owned(), expected, got: "0".to_owned() };
+            let complaint = Complaint { column: "sensor_id".to_owned(), expected, got: "missing".to_owned() };
             return Err(table.row_error(complaint));
         }
         summary.read_as = format!("{}; {}", table.dialect(), summary.read_as);
@@ -422,20 +421,19 @@ impl<R: Read> Log<'_, R> {
     }
 
     /// A recording has one target.
-    fn look_at_targets(&self) -> Result<(), RecordingError> {
+    fn check_targets(&self) -> Result<(), RecordingError> {
         let Some(index) = self.layout.target else { return Ok(()) };
         let column = self.table.header().get(index).map_or("", String::as_str);
         let names = listed(self.targets.iter().map(String::as_str));
         match &self.options.target {
-            None if self.targets.len() > 1 => Err(self.table.error(format!(
-                "expected one target, column {} has {names}: type --target NAME for one of them",
-                shown(column)
-            ))),
-            Some(wanted) if !self.is_target_found => Err(self.table.error(format!(
-                "--target: expected one of the targets of column {}, {names}, got {}",
-                shown(column),
-                crate::recording::error::quoted(wanted)
-            ))),
+            None if self.targets.len() > 1 => Err(self.table.error(
+                format!("several targets, {names}, in column {}", shown(column)),
+                "expected one target: type --target NAME for one of them",
+            )),
+            Some(wanted) if !self.is_target_found => Err(self.table.error(
+                format!("no target {} (--target)", quoted(wanted)),
+                format!("expected one of the targets of column {}: {names}", shown(column)),
+            )),
             _ => Ok(()),
         }
     }

@@ -6,7 +6,7 @@ use crate::recording::SensorName;
 use crate::recording::anchors::Anchors;
 use crate::recording::columns::layout::Finder;
 use crate::recording::columns::names::Name;
-use crate::recording::columns::{ColumnMap, Role, Told};
+use crate::recording::columns::{ColumnMap, ColumnOption, Role};
 use crate::recording::error::{RecordingError, listed};
 use crate::recording::table::Table;
 use crate::recording::table::unit::Unit;
@@ -31,13 +31,13 @@ pub(super) fn is_of_anchor(column: &str, anchors: &Anchors, map: &ColumnMap) -> 
 }
 
 /// The user's pattern for the names of the anchors' columns, with `*` for the anchor.
-pub(super) fn pattern(map: &ColumnMap) -> Option<&Told> {
-    map.get(Role::Range).filter(|told| told.column.contains('*'))
+pub(super) fn pattern(map: &ColumnMap) -> Option<&ColumnOption> {
+    map.get(Role::Range).filter(|option| option.column.contains('*'))
 }
 
 /// How well a column fits an anchor: 0 is best.
-fn fit(column: &str, anchor: &str, pattern: Option<&Told>) -> Option<usize> {
-    match pattern.map(|told| told.column.as_str()) {
+fn fit(column: &str, anchor: &str, pattern: Option<&ColumnOption>) -> Option<usize> {
+    match pattern.map(|option| option.column.as_str()) {
         None | Some("*") => fit_by_words(column, anchor),
         Some(pattern) => pattern.replacen('*', anchor, 1).eq_ignore_ascii_case(column.trim()).then_some(0),
     }
@@ -91,15 +91,14 @@ pub(super) fn anchor_columns<R: Read>(
         let rivals: Vec<&str> =
             fits.iter().filter(|(fit, _)| *fit == best).map(|(_, index)| header[*index].as_str()).collect();
         if rivals.len() > 1 || used[index] {
-            return Err(table.header_error(&format!(
-                "the ranges of anchor \"{anchor}\" may be in {}: tell how the columns are called, with * for the \
-                 anchor's name, as in --columns 'range=range_*:m'",
-                listed(rivals)
-            )));
+            return Err(table.header_error(
+                format!("several columns, {}, that may have the ranges of anchor \"{anchor}\",", listed(rivals)),
+                "give the pattern of the columns, with * for the anchor's name, as in --columns 'range=range_*:m'",
+            ));
         }
         used[index] = true;
         let unit = pattern
-            .and_then(|told| told.unit)
+            .and_then(|option| option.unit)
             .or_else(|| Name::read(&header[index]).unit.filter(|unit| Role::Range.takes(*unit)));
         has_unknown_unit |= unit.is_none();
         columns.push(AnchorColumn { index, anchor: anchor.clone(), unit: unit.unwrap_or(Unit::Metre) });
@@ -108,8 +107,8 @@ pub(super) fn anchor_columns<R: Read>(
         return Ok(columns);
     }
     if has_unknown_unit {
-        let column = pattern.map_or("*", |told| &told.column).to_owned();
-        finder.ask(Told { role: Role::Range, column, unit: Some(Unit::Metre) });
+        let column = pattern.map_or("*", |option| &option.column).to_owned();
+        finder.ask(ColumnOption { role: Role::Range, column, unit: Some(Unit::Metre) });
     }
     for column in &columns {
         finder.take(Role::Range, column.index, Some(column.unit));

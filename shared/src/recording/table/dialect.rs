@@ -62,8 +62,8 @@ pub(super) fn is_empty(line: &[u8]) -> bool {
 /// The text of a comment line, which starts with `#`, `%` or `//`.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii_start();
-    let said = line.strip_prefix(b"//").or_else(|| line.strip_prefix(b"%")).or_else(|| line.strip_prefix(b"#"))?;
-    Some(said.trim_ascii())
+    let text = line.strip_prefix(b"//").or_else(|| line.strip_prefix(b"%")).or_else(|| line.strip_prefix(b"#"))?;
+    Some(text.trim_ascii())
 }
 
 /// The fields of one row.

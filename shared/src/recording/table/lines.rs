@@ -32,13 +32,16 @@ impl<R: Read> Lines<R> {
             return Ok(false);
         }
         if self.number == 1 {
-            look_at_start(line)?;
+            check_start(line)?;
         }
         if line.len() > LINE_LEN_MAX {
-            return Err(refuse(format!("line {} has more than {LINE_LEN_MAX} bytes", self.number)));
+            return Err(refuse(format!(
+                "line {} has more than {LINE_LEN_MAX} bytes: break it into several lines",
+                self.number
+            )));
         }
         if self.number > LINES_MAX {
-            return Err(refuse(format!("it has more than {LINES_MAX} lines")));
+            return Err(refuse(format!("it has more than {LINES_MAX} lines: split the file")));
         }
         if line.last() == Some(&b'\n') {
             line.pop();
@@ -51,14 +54,14 @@ impl<R: Read> Lines<R> {
 }
 
 /// Removes a byte order mark, and reports files that are not UTF-8 text.
-fn look_at_start(line: &mut Vec<u8>) -> Result<()> {
+fn check_start(line: &mut Vec<u8>) -> Result<()> {
     match line.as_slice() {
         [0xEF, 0xBB, 0xBF, ..] => {
             line.drain(..3);
             Ok(())
         }
         [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] => {
-            Err(refuse("it is text in UTF-16: convert it, as by `iconv -f UTF-16 -t UTF-8`".to_owned()))
+            Err(refuse("it is text in UTF-16: convert it with `iconv -f UTF-16 -t UTF-8`".to_owned()))
         }
         [0x1F, 0x8B, ..] => {
             Err(refuse("it is compressed by gzip: unpack it, or give `zcat FILE` as a pipe".to_owned()))
@@ -76,11 +79,11 @@ fn look_at_start(line: &mut Vec<u8>) -> Result<()> {
             Err(refuse("it is a zip archive, as spreadsheets are: unpack it, or export it as CSV".to_owned()))
         }
         _ if line.contains(&0) => Err(refuse(
-            "it holds bytes that are 0: it is no text, or text in UTF-16 to convert, as by `iconv -f UTF-16LE -t UTF-8`"
+            "it contains zero bytes, so it is not text, or text in UTF-16: convert that with `iconv -f UTF-16LE -t UTF-8`"
                 .to_owned(),
         )),
         [start @ .., _, _] if start.contains(&b'\r') && !start.ends_with(b"\r") => {
-            Err(refuse("its lines end with CR alone: convert it, as by `tr '\\r' '\\n'`".to_owned()))
+            Err(refuse("its lines end with CR only: convert it with `tr '\\r' '\\n'`".to_owned()))
         }
         _ => Ok(()),
     }

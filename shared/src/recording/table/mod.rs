@@ -104,16 +104,17 @@ impl<R: Read> Table<R> {
     /// Takes the first line as the header, unless the file has none.
     fn take_header(&mut self, known: usize, by_number: Option<bool>) -> Result<(), RecordingError> {
         let Some((number, line)) = self.pending.pop_front() else {
-            return Err(self.header_error("expected a header that names the columns, the file is empty"));
+            return Err(self.header_error("no line", "expected a header that names the columns"));
         };
         (self.header_line, self.line) = (number, number);
         let fields = Fields::of(&line, self.separator);
         if known == 0
             && let Some(format) = radio_of(&line)
         {
-            return Err(self.header_error(&format!(
-                "expected a header that names the columns; if this is a log of a radio's port, type --format {format}"
-            )));
+            let hint = format!(
+                "expected a header that names the columns; for a log of a radio's port, type --format {format}"
+            );
+            return Err(self.header_error("a line of a radio", hint));
         }
         let is_data =
             known == 0 && (0..fields.len()).any(|index| self.numbers.read(fields.get(index), Unit::Metre).is_some());
@@ -125,11 +126,11 @@ impl<R: Read> Table<R> {
             self.pending.push_front((number, line));
         } else {
             let or = match by_number {
-                Some(_) => "; or tell the columns by number, as in --columns time=1:s,sensor=2,range=3:m",
+                Some(_) => "; or give the columns by number, as in --columns time=1:s,sensor=2,range=3:m",
                 None => "",
             };
-            let got = quoted(&String::from_utf8_lossy(&line));
-            return Err(self.header_error(&format!("expected a header that names the columns, got {got}{or}")));
+            let values = format!("values instead of names, {},", quoted(&String::from_utf8_lossy(&line)));
+            return Err(self.header_error(values, format!("expected a header that names the columns{or}")));
         }
         Ok(())
     }
@@ -189,7 +190,7 @@ impl<R: Read> Table<R> {
         self.row += 1;
         if !self.fields.split(self.separator) {
             let expected = "fields with a quote at both ends or at none";
-            return Ok(Some(Row::Bad(Complaint::new("row", expected, &self.fields.line))));
+            return Ok(Some(Row::Bad(Complaint::new("the row", expected, &self.fields.line))));
         }
         let (count, width) = (self.fields.len(), self.header.len());
         if count > width {
@@ -201,7 +202,8 @@ impl<R: Read> Table<R> {
         if count < width {
             let column = &self.header[count];
             let expected = format!("{width} fields as in the header");
-            return Ok(Some(Row::Bad(Complaint { column: shown(column), expected, got: count.to_string() })));
+            let got = format!("missing, the row has {count} fields,");
+            return Ok(Some(Row::Bad(Complaint { column: shown(column), expected, got })));
         }
         Ok(Some(Row::Whole))
     }
@@ -217,9 +219,9 @@ impl<R: Read> Table<R> {
             "the columns have shifted: put fields that contain a separator in quotes, and name every column in the header"
         };
         let complaint = Complaint {
-            column: "row".to_owned(),
-            expected: format!("{width} fields as in the header"),
-            got: format!("{count}; {cause}"),
+            column: "the row".to_owned(),
+            expected: format!("{width} fields as in the header; {cause}"),
+            got: format!("{count} fields long"),
         };
         self.row_error(complaint)
     }
@@ -268,26 +270,31 @@ impl<R: Read> Table<R> {
         } else if self.numbers.is_other_mark(field) {
             expected.push_str(" with the decimal mark of the rows above");
         }
-        Complaint::new(self.header.get(index).map_or("", String::as_str), expected, field)
+        match self.header.get(index) {
+            Some(name) if !name.is_empty() => Complaint::new(name, expected, field),
+            _ => Complaint::new(&format!("column {}", index + 1), expected, field),
+        }
     }
 
     /// Refuses the file because of the last row read.
     pub(super) fn row_error(&self, complaint: Complaint) -> RecordingError {
-        RecordingError::new(&self.path, self.row_problem(complaint))
+        RecordingError::new(&self.path, Problem::Row { row: self.row, line: self.line, complaint })
     }
 
-    pub(super) fn row_problem(&self, complaint: Complaint) -> Problem {
-        Problem::Row { row: self.row, line: self.line, complaint }
+    /// The message for the last row read, without the file's name.
+    pub(super) fn row_message(&self, complaint: &Complaint) -> String {
+        complaint.at(format_args!("row {} (line {})", self.row, self.line))
     }
 
     /// Refuses the file because of its header.
-    pub(super) fn header_error(&self, text: &str) -> RecordingError {
-        RecordingError::new(&self.path, Problem::Header { line: self.header_line, text: text.to_owned() })
+    pub(super) fn header_error(&self, wrong: impl Into<String>, hint: impl Into<String>) -> RecordingError {
+        let (line, wrong, hint) = (self.header_line, wrong.into(), hint.into());
+        RecordingError::new(&self.path, Problem::Header { line, wrong, hint })
     }
 
     /// Refuses the file for a fault without a row.
-    pub(super) fn error(&self, text: impl Into<String>) -> RecordingError {
-        RecordingError::whole(&self.path, text)
+    pub(super) fn error(&self, wrong: impl Into<String>, hint: impl Into<String>) -> RecordingError {
+        RecordingError::of_file(&self.path, wrong, hint)
     }
 
     /// The columns of the file, for display.

@@ -8,7 +8,7 @@ mod values;
 
 use std::time::Duration;
 
-use super::bounds::{DT_S, GATE_SIGMA, NOISE_PSD, PATIENCE_S, STD_M, TICKS_MAX};
+use super::bounds::{DT_S, GATE_SIGMA, NOISE_PSD, STD_M, TICKS_MAX, TIMEOUT_S};
 use super::{
     Clearance, Clock, FilterTable, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario, ScenarioError,
     ScenarioFile, Source, Timeout, TimeoutKey, defaults,
@@ -25,7 +25,7 @@ impl Scenario {
     /// [`ScenarioError`] for the first fault; also for a recording, which needs [`Self::from_file_with`].
     pub fn from_file(raw: &ScenarioFile, file: &str) -> Result<Self, ScenarioError> {
         Self::from_file_with(raw, file, |_| {
-            Err(Checker { file }.refuse("recording", "a simulated run", "a recorded one"))
+            Err(Checker { file }.refuse("recording", "a simulated run, without this key", "given"))
         })
     }
 
@@ -76,7 +76,7 @@ impl Checker<'_> {
     ) -> Result<Scenario, ScenarioError> {
         let name = raw.name.clone().unwrap_or_else(|| defaults::NAME.to_owned());
         if let Err(problem) = name.parse::<RunName>() {
-            return Err(self.refuse("name", problem.expected(), name));
+            return Err(self.refuse("name", problem.expected(), quoted(&name)));
         }
         let seed = raw.seed.unwrap_or(defaults::SEED);
         let dt_s = self.number("dt_s", raw.dt_s, defaults::DT_S, DT_S)?;
@@ -108,17 +108,17 @@ impl Checker<'_> {
             scenario.prior = self.prior(&raw.prior.clone().unwrap_or_default(), &target_start, seed)?;
             scenario.source = Source::Simulated { target_start };
             scenario.robots = self.team(raw.robots.as_ref(), raw.robot.as_deref())?;
-            self.tell_filter(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;
+            self.set_filter_noise(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;
         }
         Ok(scenario)
     }
 
     /// Gives the filter of a simulation a noise that differs from the truth.
-    fn tell_filter(&self, table: &FilterTable, scenario: &mut Scenario) -> Result<(), ScenarioError> {
+    fn set_filter_noise(&self, table: &FilterTable, scenario: &mut Scenario) -> Result<(), ScenarioError> {
         if let Some(psd) = table.noise_psd {
             let psd = self.number("filter.noise_psd", Some(psd), psd, NOISE_PSD)?;
             let MotionModel::IntegratorChain { noise_psd, .. } = &mut scenario.filter_motion else {
-                return Err(self.refuse("filter.noise_psd", "no spectral density beside target.qd", "one"));
+                return Err(self.refuse("filter.noise_psd", "no such key beside target.qd", "given"));
             };
             *noise_psd = psd;
         }
@@ -128,6 +128,7 @@ impl Checker<'_> {
         }
         Ok(())
     }
+
     fn clock(&self, raw: &ScenarioFile) -> Result<Clock, ScenarioError> {
         let default = if raw.recording.is_some() { defaults::RECORDING_CLOCK } else { defaults::CLOCK };
         match raw.clock.as_deref().unwrap_or(default) {
@@ -139,9 +140,9 @@ impl Checker<'_> {
 
     fn timeout(&self, key: Option<&TimeoutKey>) -> Result<Timeout, ScenarioError> {
         match key {
-            None => Ok(Timeout::After(Duration::from_secs_f64(defaults::PATIENCE_S))),
+            None => Ok(Timeout::After(Duration::from_secs_f64(defaults::TIMEOUT_S))),
             Some(TimeoutKey::Word(word)) if word == "forever" => Ok(Timeout::Forever),
-            Some(TimeoutKey::Seconds(seconds)) if PATIENCE_S.contains(seconds) => {
+            Some(TimeoutKey::Seconds(seconds)) if TIMEOUT_S.contains(seconds) => {
                 Ok(Timeout::After(Duration::from_secs_f64(*seconds)))
             }
             Some(TimeoutKey::Word(word)) => Err(self.refuse("timeout_s", timeout_expected(), quoted(word))),
@@ -165,5 +166,5 @@ impl Checker<'_> {
 }
 
 fn timeout_expected() -> String {
-    format!("seconds from {} to {} or \"forever\"", PATIENCE_S.start(), PATIENCE_S.end())
+    format!("seconds from {} to {} or \"forever\"", TIMEOUT_S.start(), TIMEOUT_S.end())
 }

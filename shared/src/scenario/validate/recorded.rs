@@ -26,7 +26,7 @@ impl Checker<'_> {
             ("target.start", raw.target.as_ref().is_some_and(|target| target.start.is_some())),
         ];
         if let Some((key, _)) = simulated_only.iter().find(|(_, present)| *present) {
-            return Err(self.refuse(key, "no such key beside [recording], whose ranges tell", "one"));
+            return Err(self.refuse(key, "no such key in a scenario with [recording]", "given"));
         }
         let filter = raw.filter.as_ref();
         for (key, instead, present) in [
@@ -34,7 +34,7 @@ impl Checker<'_> {
             ("filter.range_std_m", "recording.range_std_m", filter.is_some_and(|filter| filter.range_std_m.is_some())),
         ] {
             if present {
-                return Err(self.refuse(key, format!("{instead} in a scenario with [recording]"), "this key"));
+                return Err(self.refuse(key, format!("{instead} instead, in a scenario with [recording]"), "given"));
             }
         }
         let height = |height_m| self.number("recording.target_height_m", Some(height_m), height_m, COORDINATE);
@@ -42,7 +42,7 @@ impl Checker<'_> {
         let prior = self.known_start(table, &scenario.motion)?;
         let (recording, summary) = read(table)?;
         if target_height_m.is_some() {
-            self.look_for_heights(&recording)?;
+            self.require_heights(&recording)?;
         }
         scenario.prior = prior;
         let std_m = self.number("recording.range_std_m", table.range_std_m, defaults::RECORDED_RANGE_STD_M, STD_M)?;
@@ -69,7 +69,7 @@ impl Checker<'_> {
                 return Err(self.refuse(&key("id"), expected, &sensor.id));
             };
             if special[..index].iter().any(|before| before.id == sensor.id) {
-                return Err(self.refuse(&key("id"), "each sensor once", format!("{} twice", sensor.id)));
+                return Err(self.refuse(&key("id"), "each sensor once", format!("{} for the second time", sensor.id)));
             }
             let robot = &mut scenario.robots[robot];
             robot.range_std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
@@ -87,7 +87,7 @@ impl Checker<'_> {
         let Some(start_m) = table.start_m else {
             return match table.start_std_m {
                 None => Ok(Prior::FromRanges),
-                Some(_) => Err(self.refuse("recording.start_m", "a place [x, y] beside start_std_m", "nothing")),
+                Some(_) => Err(self.refuse("recording.start_m", "a place [x, y] beside start_std_m", "missing")),
             };
         };
         self.point("recording.start_m", Some(start_m))?;
@@ -109,14 +109,14 @@ impl Checker<'_> {
     }
 
     /// A height of the target needs a height of every sensor.
-    pub(super) fn look_for_heights(&self, recording: &Recording) -> Result<(), ScenarioError> {
+    pub(super) fn require_heights(&self, recording: &Recording) -> Result<(), ScenarioError> {
         let mut readings = (0..recording.len()).filter_map(|index| recording.instant(index)).flat_map(|(_, of)| of);
         match readings.find(|reading| reading.height_m.is_none()) {
             None => Ok(()),
             Some(reading) => {
                 let name = recording.sensors().get(reading.sensor).map_or("?", |sensor| sensor.name.as_str());
-                let expected = "the height of every sensor beside it (a column sensor_z_m, or z_m in the anchors file)";
-                let got = format!("none for sensor {name}");
+                let expected = "the height of every sensor (a column sensor_z_m, or z_m in the anchors file)";
+                let got = format!("given without a height of sensor {name}");
                 Err(self.refuse("recording.target_height_m", expected, got))
             }
         }

@@ -1,7 +1,7 @@
 //! The target's motion, its start, and the knowledge of it before the first range.
 
 use super::Checker;
-use super::values::{per_state, quoted};
+use super::values::{list_of, quoted};
 use crate::draws::{Draws, Stream};
 use crate::motion::MotionModel;
 use crate::motion::matrix::{Matrix, square_root};
@@ -25,7 +25,7 @@ impl Checker<'_> {
         };
         for (key, given) in [("phi", table.phi.is_some()), ("g", table.g.is_some()), ("qd", table.qd.is_some())] {
             if given {
-                return Err(self.refuse(&format!("target.{key}"), "no matrix unless model = \"custom\"", "one"));
+                return Err(self.refuse(&format!("target.{key}"), "no such key unless model = \"custom\"", "given"));
             }
         }
         let default = if recorded { defaults::RECORDED_ACCEL_PSD } else { defaults::NOISE_PSD };
@@ -35,7 +35,7 @@ impl Checker<'_> {
 
     pub(super) fn custom_motion(&self, table: &TargetTable) -> Result<MotionModel, ScenarioError> {
         if table.noise_psd.is_some() {
-            return Err(self.refuse("target.noise_psd", "no spectral density beside target.qd", "one"));
+            return Err(self.refuse("target.noise_psd", "no such key beside target.qd", "given"));
         }
         let phi = self.matrix("target.phi", table.phi.as_deref())?;
         let n = phi.shape().0;
@@ -46,7 +46,11 @@ impl Checker<'_> {
         }
         let qd = self.matrix("target.qd", table.qd.as_deref())?;
         if qd.relative_min_eigenvalue().is_none_or(|minimum| minimum < -1e-12) {
-            return Err(self.refuse("target.qd", "a symmetric positive semi-definite matrix", "another"));
+            return Err(self.refuse(
+                "target.qd",
+                "a symmetric positive semi-definite matrix",
+                "asymmetric or indefinite",
+            ));
         }
         let g = match table.g.as_deref() {
             None => Matrix::from_diagonal(&vec![1.0; n]),
@@ -80,13 +84,17 @@ impl Checker<'_> {
                 Matrix::from_diagonal(variances)
             }
             CovarianceKey::Rows(rows) if rows.len() == n => self.matrix(key, Some(rows))?,
-            CovarianceKey::Diagonal(list) => return Err(self.refuse(key, per_state(n, "variance"), list.len())),
-            CovarianceKey::Rows(rows) => return Err(self.refuse(key, per_state(n, "row"), rows.len())),
+            CovarianceKey::Diagonal(list) => {
+                return Err(self.refuse(key, list_of(n, "variance"), format!("a list of {}", list.len())));
+            }
+            CovarianceKey::Rows(rows) => {
+                return Err(self.refuse(key, list_of(n, "row"), format!("a list of {}", rows.len())));
+            }
         };
         match covariance.relative_min_eigenvalue() {
             Some(minimum) if minimum > RELATIVE_EIGENVALUE_MIN => {}
-            Some(_) => return Err(self.refuse(key, "a positive definite matrix", "an indefinite or singular one")),
-            None => return Err(self.refuse(key, "a symmetric matrix", "an asymmetric one")),
+            Some(_) => return Err(self.refuse(key, "a positive definite matrix", "indefinite or singular")),
+            None => return Err(self.refuse(key, "a symmetric matrix", "asymmetric")),
         }
         let mean = match table.mean.as_ref().unwrap_or(&MeanKey::Word(defaults::PRIOR_MEAN.to_owned())) {
             MeanKey::Word(word) if word == "start" => target_start.to_vec(),

@@ -12,9 +12,11 @@ impl Checker<'_> {
         each: Option<&[RobotTable]>,
     ) -> Result<Vec<RobotSpec>, ScenarioError> {
         match (alike, each) {
-            (Some(_), Some(_)) => {
-                Err(self.refuse("robots", "either [robots] with a count or a [[robot]] for each", "both"))
-            }
+            (Some(_), Some(_)) => Err(self.refuse(
+                "robots",
+                "either [robots] with a count or a [[robot]] for each",
+                "given beside [[robot]]",
+            )),
             (alike, None) => self.alike_team(&alike.cloned().unwrap_or_default()),
             (None, Some(tables)) => self.mixed_team(tables),
         }
@@ -44,7 +46,7 @@ impl Checker<'_> {
     pub(super) fn mixed_team(&self, tables: &[RobotTable]) -> Result<Vec<RobotSpec>, ScenarioError> {
         let count = tables.len();
         if !(1..=ROBOTS_MAX).contains(&count) {
-            return Err(self.refuse("robot", format!("1 to {ROBOTS_MAX} robots"), count));
+            return Err(self.refuse("robot", format!("1 to {ROBOTS_MAX} robots"), format!("a list of {count}")));
         }
         let mut robots: Vec<Option<RobotSpec>> = vec![None; count];
         for (index, table) in tables.iter().enumerate() {
@@ -54,7 +56,7 @@ impl Checker<'_> {
                 return Err(self.refuse(&key("id"), format!("an id from 0 to {}", count - 1), id));
             };
             if slot.is_some() {
-                return Err(self.refuse(&key("id"), "each id once", format!("{id} twice")));
+                return Err(self.refuse(&key("id"), "each id once", format!("{id} for the second time")));
             }
             let range_std_m = self.number(&key("range_std_m"), table.range_std_m, defaults::RANGE_STD_M, STD_M)?;
             *slot = Some(RobotSpec {

@@ -19,7 +19,7 @@ impl Checker<'_> {
 
     pub(super) fn state(&self, key: &str, state: &[f64], n: usize) -> Result<Vec<f64>, ScenarioError> {
         if state.len() != n {
-            return Err(self.refuse(key, per_state(n, "number"), state.len()));
+            return Err(self.refuse(key, list_of(n, "number"), format!("a list of {}", state.len())));
         }
         for value in state {
             self.number(key, Some(*value), *value, STATE)?;
@@ -29,12 +29,12 @@ impl Checker<'_> {
 
     pub(super) fn matrix(&self, key: &str, rows: Option<&[Vec<f64>]>) -> Result<Matrix, ScenarioError> {
         let Some(rows) = rows else {
-            return Err(self.refuse(key, "a matrix as a list of rows", "nothing"));
+            return Err(self.refuse(key, "a matrix as a list of rows", "missing"));
         };
         for value in rows.iter().flatten() {
             self.number(key, Some(*value), *value, MATRIX_ENTRY)?;
         }
-        Matrix::from_rows(rows).ok_or_else(|| self.refuse(key, "a matrix with rows of one length", "none"))
+        Matrix::from_rows(rows).ok_or_else(|| self.refuse(key, "a matrix with rows of one length", "not a matrix"))
     }
 
     pub(super) fn number(
@@ -70,7 +70,7 @@ impl Checker<'_> {
     }
 
     pub(super) fn refuse(&self, key: &str, expected: impl Display, got: impl Display) -> ScenarioError {
-        ScenarioError::Senseless {
+        ScenarioError::WrongValue {
             file: self.file.to_owned(),
             key: key.to_owned(),
             expected: expected.to_string(),
@@ -83,6 +83,7 @@ pub(super) fn quoted(text: &str) -> String {
     format!("{text:?}")
 }
 
-pub(super) fn per_state(n: usize, what: &str) -> String {
-    format!("{n} of them, one {what} for each state of the model")
+/// The description of a list with an item for each state.
+pub(super) fn list_of(n: usize, what: &str) -> String {
+    format!("a list of {n}, one {what} for each state of the model")
 }

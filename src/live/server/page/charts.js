@@ -1,16 +1,16 @@
-// Curves over the whole run: thinned by the server, so that there are never more than some hundred points.
+// Curves over the whole run. The server thins them to some hundred points.
 
 import { axisNumber, metres, micros, niceStep, number } from "./figures.js";
 
-// Places in a point, as the server's history.rs writes it.
+// Indices in a point, as the server's history.rs writes it.
 const [TIME, ERROR, TRACE, NIS, NIS_LOW, NIS_HIGH, LATENCY, LATENCY_MAX, LEAST_NEXT] = [1, 2, 3, 4, 5, 6, 7, 8, 9];
 
 const BAND_OPACITY = 0.18;
 
 const sigma = (times) => (point) => (point[TRACE] == null ? null : times * Math.sqrt(Math.max(point[TRACE], 0)));
 
-// What is drawn: a band between two curves, and lines, by name and colour, some of them of a later time than their point.
-// `of` tells the newest value.
+// The charts: a band between two curves, and lines, each with name and colour; `after_s` shifts a line in time.
+// `of` formats the newest value.
 function allCharts(about) {
   const ink = "--ink";
   const estimate = about.estimate_colour;
@@ -23,10 +23,10 @@ function allCharts(about) {
     },
     {
       name: "Position trace", unit: "m²", isLog: true,
-      // The planner's bound is on the tick after; mostly the trace lies on it.
+      // The planner's bound is for the next tick; the trace mostly equals it.
       lines: [
         { value: (p) => p[TRACE], colour: estimate, name: "trace", width: 2.5 },
-        { value: (p) => p[LEAST_NEXT], after_s: about.dt_s, colour: ink, name: "least that headings can reach", width: 1 },
+        { value: (p) => p[LEAST_NEXT], after_s: about.dt_s, colour: ink, name: "proven lower bound", width: 1 },
       ],
       of: (p) => `${number(p[TRACE])} m²`,
     },
@@ -69,7 +69,7 @@ export class Charts {
     });
   }
 
-  // The points from one on replace those that are there.
+  // The new points replace all from an index on.
   add({ from, points }) {
     this.points.length = Math.min(this.points.length, from);
     this.points.push(...points);
@@ -81,7 +81,7 @@ export class Charts {
     for (const chart of this.charts) {
       const text = chart.of(newest);
       chart.now.textContent = text;
-      // What nobody knows has no entry.
+      // Unknown quantities have no entry.
       for (const { item, value } of chart.key) item.hidden = !this.points.some((point) => value(point) != null);
       chart.canvas.setAttribute("aria-label", `${chart.name} over time: ${text}`);
       drawChart(chart, this.points);
@@ -89,7 +89,7 @@ export class Charts {
   }
 }
 
-// A name beside its line, or beside a piece of its band.
+// A legend entry: a name beside its line or band.
 function keyItem({ name, colour, width = 1.75, high }) {
   const item = document.createElement("li");
   const line = document.createElement("i");
@@ -132,7 +132,7 @@ function drawChart({ canvas, band, lines, isLog, unit }, points) {
     let isOn = false;
     for (const point of points) {
       const value = line.value(point);
-      // A gap is a gap.
+      // Missing values leave a gap.
       if (value == null) { isOn = false; continue; }
       context[isOn ? "lineTo" : "moveTo"](x(point[TIME] + (line.after_s ?? 0)), y(value));
       isOn = true;
@@ -142,7 +142,7 @@ function drawChart({ canvas, band, lines, isLog, unit }, points) {
   context.restore();
 }
 
-// Where the axis ends: a poor start or a short loss must not hide the rest.
+// The limit of the axis: a poor start or a short loss must not hide the rest.
 function limitsOf(points, band, lines, isLog) {
   const curves = [...lines.map((line) => line.value), ...(band ? [band.low, band.high] : [])];
   const values = curves.flatMap((curve) => points.map(curve)).filter((value) => Number.isFinite(value) && (!isLog || value > 0));
@@ -172,7 +172,7 @@ function drawAxes(context, { left, right, top, bottom, x, y, begin, end, low, hi
   for (let time_s = Math.ceil(begin / step) * step; time_s <= end + 1e-9; time_s += step) {
     context.moveTo(x(time_s), bottom);
     context.lineTo(x(time_s), bottom + 3);
-    // Not where the unit is.
+    // No label at the place of the unit.
     if (x(time_s) < right - 22) context.fillText(axisNumber(time_s), x(time_s), bottom + 14);
   }
   context.rect(left + 0.5, top + 0.5, right - left - 1, bottom - top - 1);
@@ -189,7 +189,7 @@ function linearTicks(low, high) {
   return Array.from({ length: Math.floor(high / step) - first + 1 }, (_, index) => (first + index) * step);
 }
 
-// Powers of ten, and 2 and 5 times where there is room.
+// Powers of ten, and 2 and 5 times these if there is room.
 function logTicks(low, high) {
   const decades = Math.log10(high / low);
   const factors = decades > 3 ? [1] : decades > 1.3 ? [1, 3] : [1, 2, 5];
@@ -200,12 +200,12 @@ function logTicks(low, high) {
   return ticks;
 }
 
-// The colour of a name in style.css, which light and dark have their own of, or a colour itself.
+// The colour of a variable in style.css, which differs between light and dark, or the colour itself.
 export function colour(name) {
   return name.startsWith("--") ? getComputedStyle(document.documentElement).getPropertyValue(name).trim() : name;
 }
 
-// An empty canvas with as many pixels as the screen has there.
+// An empty canvas with the pixels of the screen.
 export function clear(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas;
   const ratio = devicePixelRatio || 1;

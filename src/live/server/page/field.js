@@ -1,10 +1,10 @@
-// The field from above: who is where, what they know of the target and where they are told to go.
+// The field from above: positions, the estimate of the target, and the commanded headings.
 
 import { clear, colour } from "./charts.js";
 import { niceStep, number } from "./figures.js";
 import { SIGMAS, View } from "./view.js";
 
-// Teams up to this size have circles, arrows and names that can be told apart.
+// Teams up to this size have circles, arrows and names.
 const FEW = 16;
 
 export class Field {
@@ -35,14 +35,14 @@ export class Field {
     this.picture = picture;
     const { tick, target_m, estimate_m } = picture;
     const last = this.trails.at(-1);
-    // A run that was resumed or shown anew may go back.
+    // A resumed or repeated run may go back in ticks.
     if (last && last.tick > tick) this.trails = [];
     if (last?.tick === tick) return;
     this.trails.push({ tick, target_m, estimate_m, robots_m: picture.robots.map((robot) => robot.position_m) });
     while (this.trails.length > this.about.trail_max) this.trails.shift();
   }
 
-  // Draws, and says whether the view is still on its way.
+  // Draws; returns true while the view is still moving.
   draw() {
     const { context, width, height } = clear(this.canvas);
     const isMoving = this.view.follow(width, height, this.picture, this.trails);
@@ -58,7 +58,7 @@ export class Field {
     return isMoving;
   }
 
-  // Of the four, where the fewest robots are hidden and the target is farthest.
+  // The corner of the four that hides the fewest robots and is farthest from the target.
   corner(width, height, radius, at) {
     const [low, high] = [radius + 30, radius + 12];
     const corners = [[width - high, high], [width - high, height - low], [low, high], [low, height - low]];
@@ -66,7 +66,7 @@ export class Field {
     const worth = (corner) => {
       const robots = this.picture.robots.filter((robot) => hidden(corner, robot.position_m)).length;
       const [px, py] = at(this.picture.estimate_m);
-      // Where it is stays as it is if another is hardly better.
+      // Keeps its place unless another is clearly better.
       const bonus = corner.join() === this.lastCorner ? 0.2 : 0;
       return Math.hypot(px - corner[0], py - corner[1]) / Math.hypot(width, height) - robots + bonus;
     };
@@ -75,14 +75,14 @@ export class Field {
     return best;
   }
 
-  // A closer look at the target, where its ellipse is too small to be seen.
+  // An enlarged view of the target, if its ellipse is too small to be seen.
   drawLens(context, width, height, at) {
     const { covariance_m2: [xx, , yy], estimate_m } = this.picture;
     const spread_m = SIGMAS * Math.sqrt(Math.max(xx, yy, 0));
     const radius = Math.min(width, height) * 0.15;
     if (!(spread_m > 0) || spread_m / this.view.place.scale > radius * 0.5) return;
     const [x, y] = this.corner(width, height, radius, at);
-    // Steps, so that the scale can be read and does not flicker.
+    // In steps, so that the scale is readable and does not flicker.
     const step_m = niceStep(spread_m);
     const scale = (1.6 * step_m) / radius;
     const lens = ([x_m, y_m]) => [x + (x_m - estimate_m[0]) / scale, y - (y_m - estimate_m[1]) / scale];
@@ -138,7 +138,7 @@ export class Field {
     context.lineWidth = 1;
     context.globalAlpha = few ? 0.4 : Math.max(0.06, 3 / this.picture.robots.length);
     this.picture.robots.forEach(({ range_m, range_from_m }, id) => {
-      // A negative range, which noise can make, has no circle.
+      // Noise can make a range negative: it has no circle.
       if (!range_from_m || !(range_m > 0)) return;
       context.strokeStyle = this.robotColour(id);
       context.beginPath();
@@ -160,7 +160,7 @@ export class Field {
     context.lineWidth = 2;
     context.fillStyle = `${stroke}26`;
     context.beginPath();
-    // Pixels count downwards, so the angle turns round.
+    // Pixels count downwards, so the angle changes its sign.
     context.ellipse(px, py, axis(mean + root), axis(mean - root), -0.5 * Math.atan2(2 * xy, xx - yy), 0, 2 * Math.PI);
     context.fill();
     context.stroke();

@@ -1,6 +1,6 @@
 // Numbers with their units, and the row of key figures.
 
-// Three digits that count, without powers of ten where people can read them plainly.
+// Three significant digits, without powers of ten if possible.
 export function number(value) {
   if (value == null) return "–";
   const size = Math.abs(value);
@@ -10,27 +10,27 @@ export function number(value) {
   return String(Number(value.toPrecision(3)));
 }
 
-// As number, in as little room as an axis has.
+// As `number`, shorter, for an axis.
 export function axisNumber(value) {
   const size = Math.abs(value);
   if (size >= 1e9 || size < 1e4) return number(value);
   return size >= 1e6 ? `${number(value / 1e6)}M` : `${number(value / 1e3)}k`;
 }
 
-// 1, 2 or 5 times a power of ten, from this on.
+// The next number that is 1, 2 or 5 times a power of ten.
 export function niceStep(least) {
   const power = 10 ** Math.floor(Math.log10(least));
   return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= least);
 }
 
-// Digits in threes, with narrow spaces.
+// Groups of three digits, with narrow spaces.
 export const whole = (value) => Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
 export const metres = (value) => (value == null ? "–" : `${value >= 10 ? value.toFixed(1) : value.toFixed(2)} m`);
 
 export const micros = (value) => (value == null ? "–" : value >= 1000 ? `${number(value / 1e3)} ms` : `${number(value)} µs`);
 
-// A count in few digits, for where the exact one does not matter.
+// A count with few digits.
 export const rough = (value) => (value >= 1e6 ? `${number(value / 1e6)} M` : whole(value));
 
 function percentiles(some) {
@@ -52,7 +52,7 @@ function figuresOf({ tick, time_s, ticks_per_s, tally, latency }, about) {
   ];
 }
 
-// Elements are made once; later only what has changed is written.
+// Elements are made once; later only changes are written.
 export function showFigures(place, picture, about) {
   figuresOf(picture, about).forEach(([name, html, kind], index) => {
     let card = place.children[index];

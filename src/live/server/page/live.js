@@ -1,4 +1,4 @@
-// The page: takes the stream of events and hands each to who shows it.
+// The page: receives the stream of events and passes each on to the part that shows it.
 
 import { Charts } from "./charts.js";
 import { Field } from "./field.js";
@@ -7,14 +7,14 @@ import { Processes } from "./nodes.js";
 
 const byId = (id) => document.getElementById(id);
 
-// The token goes out of sight: nobody reads it from a screen or finds it in the browser's history. A page that is
-// loaded again finds it in this tab's own storage (refused.js).
+// Removes the token from the address, so that nobody reads it on the screen or in the browser's history. A reloaded page
+// finds it in the storage of its tab (refused.js).
 const token = document.documentElement.dataset.token;
 sessionStorage.setItem("rangehound-token", token);
 history.replaceState(null, "", "/");
 
 const RETRY_MS = 1000;
-// A run that goes on tells of its processes once a second at the least.
+// A running run reports its processes at least once a second.
 const QUIET_MS = 4000;
 
 const field = new Field(byId("field"), byId("fit"), byId("legend"));
@@ -56,12 +56,12 @@ const listeners = {
   },
   ended(reason) {
     isEnded = true;
-    tell("ended", reason);
+    setConnection("ended", reason);
     processes.end();
   },
 };
 
-// At most once for each frame of the screen, and not at all while nobody sees it.
+// At most once per frame of the screen, and not while the page is hidden.
 function draw() {
   if (isDrawing) return;
   isDrawing = true;
@@ -71,11 +71,11 @@ function draw() {
     const isMoving = field.draw();
     charts.draw(picture);
     showFigures(byId("figures"), picture, about);
-    // A run that is faster than the eye is looked at in samples.
+    // Of a fast run only some ticks are read.
     const { ticks } = picture.tally;
-    byId("about").textContent = ticks < picture.tick ? `${about.text}; counts are of ${rough(ticks)} ticks looked at` : about.text;
+    byId("about").textContent = ticks < picture.tick ? `${about.text}; counts are of ${rough(ticks)} ticks` : about.text;
     byId("progress").firstElementChild.style.width = `${(100 * picture.tick) / Math.max(about.ticks, 1)}%`;
-    // For tests and the curious: how many pictures have been drawn, and when the first was.
+    // For tests: the number of drawn pictures, and the time of the first.
     const drawn = document.documentElement.dataset;
     drawn.pictures = Number(drawn.pictures ?? 0) + 1;
     drawn.firstMs ??= String(Math.round(performance.timeOrigin + performance.now()));
@@ -83,7 +83,7 @@ function draw() {
   });
 }
 
-function tell(state, text) {
+function setConnection(state, text) {
   const connection = byId("connection");
   if (connection.textContent === text) return;
   connection.dataset.state = state;
@@ -95,16 +95,16 @@ function open() {
   for (const [name, listen] of Object.entries(listeners)) {
     stream.addEventListener(name, (event) => {
       newsAt = performance.now();
-      if (!isEnded) tell("live", "live");
+      if (!isEnded) setConnection("live", "live");
       listen(JSON.parse(event.data));
       if (isEnded) stream.close();
     });
   }
-  // The browser's own retries end at the first answer that is no stream; these go on.
+  // The browser stops retrying after an answer that is not a stream; this code continues.
   stream.addEventListener("error", () => {
     stream.close();
     if (isEnded) return;
-    tell("lost", "connection lost, trying again");
+    setConnection("lost", "connection lost, trying again");
     setTimeout(open, RETRY_MS);
   });
 }
@@ -112,7 +112,7 @@ function open() {
 setInterval(() => {
   const quietMs = performance.now() - newsAt;
   const isOpen = byId("connection").dataset.state === "live" || byId("connection").dataset.state === "quiet";
-  if (isOpen && !isEnded && about?.what === "run" && quietMs > QUIET_MS) tell("quiet", `no news for ${Math.round(quietMs / 1000)} s`);
+  if (isOpen && !isEnded && about?.what === "run" && quietMs > QUIET_MS) setConnection("quiet", `no news for ${Math.round(quietMs / 1000)} s`);
 }, 1000);
 
 addEventListener("resize", draw);

@@ -1,6 +1,6 @@
-// The processes of the run, and what one may do to them.
+// The processes of the run, and the actions on them.
 
-// A table of more processes is folded to those that are worth a look.
+// A table of more processes shows only those that need attention.
 const FEW = 14;
 
 const SUPERVISOR = "run";
@@ -11,7 +11,7 @@ export class Processes {
     this.place = place;
     this.body = place.querySelector("tbody");
     this.fold = place.querySelector("#fold");
-    this.said = place.querySelector("#said");
+    this.message = place.querySelector("#message");
     this.leads = place.querySelector("#leads");
     this.rows = new Map();
     this.nodes = [];
@@ -44,7 +44,7 @@ export class Processes {
     this.order();
   }
 
-  // Robots that are not there as they should be: name and state.
+  // Robots that are not running: name and state.
   down() {
     return new Map(this.nodes.filter((node) => !isWell(node.state)).map((node) => [node.name, node.state]));
   }
@@ -81,7 +81,7 @@ export class Processes {
     kill.hidden = stop.hidden = !isThere;
     restart.hidden = !isThere || !this.hasSupervisor;
     const action = node.state === "stopped" ? "continue" : "stop";
-    // One button for both keeps the keyboard's focus where it is.
+    // One button for both actions keeps the keyboard's focus.
     label(stop, action, node.name);
   }
 
@@ -101,7 +101,7 @@ export class Processes {
     }
     cells.name.append(node.name === SUPERVISOR ? "supervisor" : node.name);
     if (node.sensor != null) {
-      // Whatever direction the name is written in, the rest of the row keeps its own.
+      // A name in a right-to-left script must not change the direction of the rest of the row.
       const sensor = document.createElement("bdi");
       sensor.textContent = `(${node.sensor})`;
       cells.name.append(" ", sensor);
@@ -118,19 +118,19 @@ export class Processes {
       cells.actions.append(button);
       buttons[action] = button;
     }
-    // A supervisor has none, and needs no branches elsewhere.
+    // A supervisor has no such actions: its buttons are not shown.
     for (const action of ["kill", "stop", "restart"]) buttons[action] ??= document.createElement("button");
     return { element, cells, buttons, pid: null, state: null, was: null };
   }
 
-  // Not running first, then in the order of the team; a large team is folded.
+  // Processes that do not run come first, then the team in its order; a large team is folded.
   order() {
     const rank = (node) => (isWell(node.state) || (node.name === SUPERVISOR && node.pid == null) ? 1 : 0);
     const isLarge = this.nodes.length > FEW;
     const sorted = isLarge ? this.nodes.toSorted((a, b) => rank(a) - rank(b)) : this.nodes;
     const shown = isLarge && !this.isOpen ? sorted.slice(0, FEW - 2) : sorted;
     const elements = shown.map((node) => this.rows.get(node.name).element);
-    // Moved only if they must: a row that is taken out and in loses the keyboard's focus.
+    // Moves a row only if necessary, because a moved row loses the keyboard's focus.
     const isSame = this.body.children.length === elements.length && elements.every((element, index) => this.body.children[index] === element);
     if (!isSame) this.body.replaceChildren(...elements);
     this.fold.hidden = !isLarge;
@@ -149,12 +149,12 @@ export class Processes {
   }
 
   say(text, isBad = false) {
-    this.said.textContent = text;
-    this.said.classList.toggle("bad", isBad);
+    this.message.textContent = text;
+    this.message.classList.toggle("bad", isBad);
   }
 }
 
-// As it should be: at work, or done.
+// A good state: running, or ended.
 const isWell = (state) => state === "running" || state === "ended";
 
 function label(button, action, node) {
@@ -171,7 +171,7 @@ function was(pid) {
   return old;
 }
 
-// Starts again if it goes on already.
+// Restarts the animation if it is still running.
 function flash(element) {
   element.classList.remove("flash");
   void element.offsetWidth;

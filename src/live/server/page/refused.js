@@ -1,5 +1,5 @@
-// A page that is loaded again has no token in its address, but this tab had one. It is tried once: the page keeps it
-// again if it was right.
+// A reloaded page has no token in its address, but this tab may have stored one. It is tried once; the page stores it
+// again if it is valid.
 const KEY = "rangehound-token";
 const token = sessionStorage.getItem(KEY);
 sessionStorage.removeItem(KEY);

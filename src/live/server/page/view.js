@@ -1,18 +1,18 @@
-// Which part of the field is seen: all that matters, or what the user looks at.
+// The visible part of the field: everything, or the part that the user chose.
 
 import { colour } from "./charts.js";
 import { niceStep } from "./figures.js";
 
-// Of the estimate's ellipse.
+// Size of the estimate's ellipse, in standard deviations.
 export const SIGMAS = 3;
-// Around all that is shown, as a part of it.
+// Margin around everything, as a part of its size.
 const MARGIN = 0.12;
 const SMALLEST_M = 1;
 
 export class View {
   constructor(canvas, fit) {
     Object.assign(this, { canvas, fit });
-    // Centre in m, and m per pixel. The user's own stays until all is asked for again.
+    // Centre in m, and m per pixel. A view that the user chose stays until "show all".
     this.place = null;
     this.isOwn = false;
     this.onChange = () => {};
@@ -29,7 +29,7 @@ export class View {
     return ([x_m, y_m]) => [width / 2 + (x_m - x) / scale, height / 2 - (y_m - y) / scale];
   }
 
-  // Moves the view so that all is in it: out at once, in slowly, as the picture shall not shake.
+  // Moves the view so that it holds everything: outwards at once, inwards slowly, so that the picture does not shake.
   follow(width, height, picture, trails) {
     if (this.isOwn && this.place) return false;
     const { covariance_m2: [xx, , yy], estimate_m, target_m, robots } = picture;
@@ -86,12 +86,12 @@ export class View {
       const py = Math.round(height / 2 - (y_m - y) / scale) + 0.5;
       context.moveTo(0, py);
       context.lineTo(width, py);
-      // Not into the corner, where the unit is.
+      // No label in the corner, where the unit is.
       if (py > 24 && py < height - 16) labels.push([y_m.toFixed(digits), 3, py - 3]);
     }
     context.stroke();
     labels.push(["m", 3, 12]);
-    // On a rim of the ground's colour: no line strikes through them.
+    // With an outline in the background's colour, so that lines do not cross the text.
     context.strokeStyle = colour("--card");
     context.lineWidth = 4;
     context.lineJoin = "round";
@@ -101,7 +101,7 @@ export class View {
     }
   }
 
-  // Wheel, mouse and keys look closer or elsewhere. Fingers move the page, as they do everywhere.
+  // Wheel, mouse and keys zoom and move the view. Touch scrolls the page, as usual.
   listen() {
     const { canvas } = this;
     const own = (change) => {
@@ -152,7 +152,7 @@ export class View {
   }
 }
 
-// Where they have come from, as far as it does not make them small.
+// Trails, as far as they do not make the rest too small.
 function recent(places, trails) {
   const extent = (some) => Math.max(...[0, 1].map((axis) => Math.max(...some.map((p) => p[axis])) - Math.min(...some.map((p) => p[axis]))));
   const most = 2.5 * Math.max(extent(places), 10 * SMALLEST_M);

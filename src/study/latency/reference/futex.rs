@@ -52,7 +52,7 @@ impl Board {
 }
 
 fn refused(reason: BlockError) -> anyhow::Error {
-    anyhow!("shared memory of the futex reference {reason}")
+    anyhow!("the shared memory of the futex reference {reason}")
 }
 
 /// Creates the block, before any node opens it.
@@ -73,7 +73,7 @@ fn wait_for(board: &Board, word: &AtomicU32, value: u32) -> anyhow::Result<()> {
             return Ok(());
         }
         if board.given_up.load(Relaxed) != 0 {
-            bail!("ended before its last tick, as asked or because nobody was heard any more");
+            bail!("ended before the last tick: on request, or because the other nodes went silent");
         }
         match futex::wait(word, futex::Flags::empty(), now, None) {
             Ok(()) | Err(Errno::AGAIN | Errno::INTR) => {}
@@ -129,7 +129,7 @@ impl super::Centre for Centre {
             *range = words.each_ref().map(|word| word.load(Relaxed));
             if range[RANGE_TICK] != tick {
                 return Err(anyhow!(
-                    "robot {}: expected the range of tick {tick}, got {}",
+                    "a range of robot {} is not of tick {tick}, but of {}",
                     range[ROBOT],
                     range[RANGE_TICK]
                 ));

@@ -20,7 +20,7 @@ use rangehound_node::system::signal::Termination;
 use super::{Command, RANGE_TICK, ROBOT, Range, TICK, WAIT};
 
 fn refused(what: &str, reason: impl std::fmt::Debug) -> anyhow::Error {
-    anyhow!("{what} of the iceoryx2 reference: iceoryx2 says {reason:?}")
+    anyhow!("{what} of the iceoryx2 reference failed: iceoryx2 says {reason:?}")
 }
 
 /// A process's node among `robots` and a centre.
@@ -95,10 +95,10 @@ impl<'a> Vigil<'a> {
     /// Call this after a wait without result.
     fn keep(&mut self) -> anyhow::Result<()> {
         if self.termination.requested() {
-            bail!("ended before its last tick, as asked");
+            bail!("asked to end before the last tick");
         }
         if self.since.get_or_insert_with(Instant::now).elapsed() > self.limit {
-            bail!("heard nothing for {:?}", self.limit);
+            bail!("received nothing for {:?}", self.limit);
         }
         Ok(())
     }
@@ -153,8 +153,9 @@ impl super::Centre for Centre<'_> {
                 let range = *sample.payload();
                 let newest = self.newest.get_mut(range[ROBOT] as usize);
                 let newest = newest.filter(|newest| range[RANGE_TICK] == tick && newest[RANGE_TICK] < tick);
-                *newest.ok_or_else(|| anyhow!("expected a range of tick {tick} from each robot, got {range:?}"))? =
-                    range;
+                *newest.ok_or_else(|| {
+                    anyhow!("unexpected range {range:?}: expected one of tick {tick} from each robot")
+                })? = range;
                 missing -= 1;
             }
         }
@@ -215,6 +216,6 @@ impl super::Robot for Robot<'_> {
             }
         }
         self.vigil.end();
-        newest.ok_or_else(|| anyhow!("expected the command of tick {tick}"))
+        newest.ok_or_else(|| anyhow!("no command came: expected that of tick {tick}"))
     }
 }

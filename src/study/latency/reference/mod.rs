@@ -1,4 +1,4 @@
-//! The same exchange without filter, planner or checkpoints: the time of the transport alone.
+//! The same exchange without filter, planner or checkpoints: the time of the transport only.
 //!
 //! Each robot publishes a range of 32 bytes; a centre waits for all of them and answers all with 272 bytes. Every
 //! node is a process that sleeps in the kernel until it is woken. The references differ in the way of waking:
@@ -65,7 +65,7 @@ trait Centre {
 
 /// A robot's end of a reference.
 trait Robot {
-    /// Sends a range, and wakes the centre if that is this robot's to do.
+    /// Sends a range, and wakes the centre if it is this robot's turn.
     fn publish(&mut self, range: &Range) -> anyhow::Result<()>;
 
     /// Waits for the command of a tick.

@@ -87,7 +87,7 @@ fn be_robot(mut link: impl Robot, id: usize, scenario: &Scenario) -> anyhow::Res
         let command = link.command(tick)?;
         held_ns = monotonic_ns();
         if command[TICK] != tick {
-            return Err(anyhow!("expected the command of tick {tick}, got {}'s", command[TICK]));
+            return Err(anyhow!("the command is not of tick {tick}, but of {}", command[TICK]));
         }
         due_ns = command[DUE];
         stamps.push([sent_ns, held_ns]);

@@ -75,12 +75,12 @@ impl Team<'_> {
     ) -> anyhow::Result<()> {
         for node in &mut self.nodes {
             if node.read_word()? != READY {
-                return Err(anyhow!("{} is not ready: its first word is unexpected", node.role));
+                return Err(anyhow!("{} did not report that it is ready", node.role));
             }
         }
         let start_ns = monotonic_ns() + LEAD.as_nanos() as u64;
         for node in &mut self.nodes {
-            let input = node.child.stdin.as_mut().context("a node without an input")?;
+            let input = node.child.stdin.as_mut().context("a node has no standard input")?;
             input.write_all(&start_ns.to_le_bytes())?;
         }
         for node in self.nodes.iter_mut().filter(|node| matches!(node.role, Role::Robot(_))) {
@@ -145,7 +145,7 @@ impl<'a> Node<'a> {
             .stderr(log)
             .spawn()
             .with_context(|| format!("cannot start {role}"))?;
-        let pipe = child.stdout.take().with_context(|| format!("cannot hear {role}"))?;
+        let pipe = child.stdout.take().with_context(|| format!("cannot read the output of {role}"))?;
         Ok(Self { role, child, output: BufReader::new(Output { pipe, termination }) })
     }
 

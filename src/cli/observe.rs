@@ -18,7 +18,7 @@ use crate::study::replay::{self, Changes, Show, repair};
 /// `watch`.
 #[derive(Debug, Args)]
 pub struct WatchArgs {
-    /// Which run
+    /// The run
     #[command(flatten)]
     pub node: NodeArgs,
     /// Print the report as one line of JSON, with the keys of report.json
@@ -32,7 +32,7 @@ pub struct LiveArgs {
     /// The run
     #[command(flatten)]
     pub node: NodeArgs,
-    /// Port on 127.0.0.1 [default: any that is free]
+    /// Port on 127.0.0.1 [default: any free port]
     #[arg(long, value_name = "PORT", value_parser = port, allow_negative_numbers = true)]
     pub port: Option<u16>,
     /// Print the address as one line of JSON
@@ -43,19 +43,19 @@ pub struct LiveArgs {
 /// `record`.
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// Folder of a run that is over [default: the run of --name, while it goes on]
+    /// Folder of a finished run [default: the running run of --name]
     #[arg(value_name = "DIR", conflicts_with = "name")]
     pub folder: Option<PathBuf>,
-    /// The run, while it goes on
+    /// The running run
     #[command(flatten)]
     pub node: NodeArgs,
-    /// The file [default: run.mcap in the run folder]
+    /// File to write [default: run.mcap in the run folder]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// How large it may become
+    /// Its largest size
     #[command(flatten)]
     pub limit: RecordLimitArgs,
-    /// Print what has been recorded as one line of JSON
+    /// Print the result as one line of JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -65,28 +65,28 @@ pub struct RecordArgs {
 pub struct ReplayArgs {
     /// The recording: run.mcap of a run folder
     pub file: PathBuf,
-    /// Another planner: what would it have told the robots, where they were?
+    /// Use another planner: which headings would it have chosen?
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
-    /// Another gate
+    /// Use another gate
     #[command(flatten)]
     pub gate: GateArgs,
-    /// Another spectral density of the target's noise, such as of its acceleration, m^2/s^3
+    /// Use another spectral density of the target's noise (of its acceleration, m^2/s^3)
     #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
     pub accel_psd: Option<f64>,
-    /// Print one line of JSON
+    /// Print the result as one line of JSON
     #[arg(long)]
     pub json: bool,
-    /// Whether it is shown, after it was compared
+    /// Whether the replay is shown on the page after the comparison
     #[command(flatten)]
     pub show: ShowArgs,
-    /// Seconds of the run in a second on the page
+    /// Speed on the page: seconds of the run per second
     #[arg(long, value_name = "X", requires = "live", value_parser = speed, allow_negative_numbers = true, default_value_t = 1.0)]
     pub speed: f64,
-    /// Make a whole file of one that was cut short or damaged, with all ticks up to there
+    /// Write a complete file with all ticks before the place where this one was cut short or damaged
     #[arg(long, conflicts_with_all = ["planner", "gate", "distrust", "no_distrust", "accel_psd", "live"])]
     pub repair: bool,
-    /// The whole file [default: FILE without .partial, or with .repaired before .mcap]
+    /// File to write with --repair [default: FILE without .partial, or with .repaired before .mcap]
     #[arg(long, value_name = "FILE", requires = "repair")]
     pub out: Option<PathBuf>,
 }
@@ -97,10 +97,10 @@ pub struct StatusArgs {
     /// The run
     #[command(flatten)]
     pub run: RemoteArgs,
-    /// Show robots one by one, however many are well
+    /// Show a line for each robot
     #[arg(long)]
     pub all: bool,
-    /// Show it again every second, until the run ends or Ctrl-C
+    /// Repeat every second, until the run ends or Ctrl-C
     #[arg(long)]
     pub watch: bool,
 }
@@ -108,10 +108,10 @@ pub struct StatusArgs {
 /// A run to act on from another terminal.
 #[derive(Debug, Args)]
 pub struct RemoteArgs {
-    /// Name of the run [default: the only one that goes on]
+    /// Name of the run [default: the only running one]
     #[arg(long)]
     pub name: Option<RunName>,
-    /// Print one line of JSON
+    /// Print the result as one line of JSON
     #[arg(long)]
     pub json: bool,
 }
@@ -119,7 +119,7 @@ pub struct RemoteArgs {
 /// `kill` and `restart`.
 #[derive(Debug, Args)]
 pub struct RemoteNodeArgs {
-    /// sim, fusion or robot-N
+    /// The node: sim, fusion or robot-N
     pub node: Role,
     /// The run
     #[command(flatten)]
