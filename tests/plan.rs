@@ -114,6 +114,7 @@ fn the_answer_has_the_keys_of_the_contract() {
             "lower_bound",
             "certified",
             "position_trace_m2",
+            "lower_bound_trace_m2",
             "plan_us",
         ];
         expected.sort_unstable();

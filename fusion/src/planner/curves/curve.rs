@@ -245,12 +245,16 @@ fn restrict(pieces: &mut Pieces, parts: impl Fn(&Piece) -> Pieces) {
     *pieces = pieces.iter().flat_map(&parts).collect();
 }
 
+/// True if the target is within half the field of view after this way.
+pub(super) fn is_in_view(way_m: Vector, sight_m: Vector, half_rad: f64) -> bool {
+    way_m.cross(sight_m).abs().atan2(way_m.dot(sight_m)) <= half_rad
+}
+
 /// The parts of a piece from which the target is within half the field of view, which is centred on the way there.
 fn parts_in_view(piece: &Piece, to_target_m: Vector, half_rad: f64) -> Pieces {
     let is_seen = |u: f64| {
         let sight_m = piece.sight_m(u);
-        let way_m = to_target_m - sight_m;
-        way_m.cross(sight_m).abs().atan2(way_m.dot(sight_m)) <= half_rad
+        is_in_view(to_target_m - sight_m, sight_m, half_rad)
     };
     let crossing = |mut seen: f64, mut unseen: f64| {
         for _ in 0..40 {

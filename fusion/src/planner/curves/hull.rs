@@ -67,12 +67,13 @@ fn line_search(criterion: Criterion, from: Information, step: Information, most:
         return most;
     }
     // Regula falsi, with the weight of an end halved that stays (Illinois).
-    let mut stays = 0;
+    let (mut stays, mut last) = (0, 0.0);
     for _ in 0..STEPS_MAX {
         let middle = (low * high_fall - high * low_fall) / (high_fall - low_fall);
         if !(middle > low && middle < high) {
             break;
         }
+        last = middle;
         let middle_fall = fall(middle);
         if middle_fall > 0.0 {
             (low, low_fall) = (middle, middle_fall);
@@ -87,5 +88,5 @@ fn line_search(criterion: Criterion, from: Information, step: Information, most:
             break;
         }
     }
-    low
+    last
 }

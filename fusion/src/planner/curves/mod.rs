@@ -31,6 +31,9 @@ use crate::vector::Vector;
 use information::{Cost, Information};
 use team::Team;
 
+/// What a heading's rounding may turn the target out of the field of view.
+const ROUNDING_RAD: f64 = 1e-9;
+
 /// The planner for all sensors that a scenario asks for.
 #[derive(Debug)]
 pub(super) struct Curves {
@@ -127,8 +130,12 @@ fn commands(team: &Team, problem: &Problem, at: &[f64]) -> impl Iterator<Item = 
 fn commanded(team: &Team, situation: &Situation, problem: &Problem, plan: &Plan) -> Information {
     team.fused().fold(team.prior, |sum, i| {
         let Command { heading_rad, speed_mps } = plan.commands[i];
-        let offset_m = Vector::from_angle(heading_rad) * (speed_mps * situation.step_s);
-        sum + team.curves[i].noise.information(problem.reaches[i].to_target_m - offset_m)
+        let way_m = Vector::from_angle(heading_rad) * (speed_mps * situation.step_s);
+        let sight_m = problem.reaches[i].to_target_m - way_m;
+        let half_rad = 0.5 * situation.team[i].sensor.field_of_view_rad;
+        // At rest its heading is not the planner's to choose.
+        let is_seen = way_m == Vector::default() || curve::is_in_view(way_m, sight_m, half_rad + ROUNDING_RAD);
+        if is_seen { sum + team.curves[i].noise.information(sight_m) } else { sum }
     })
 }
 
