@@ -405,6 +405,20 @@ fn a_bad_line_is_reported_by_number_and_key_and_the_others_are_answered() {
         (but("\"range_std\":1}", "\"range_std\":1,\"colour\":2}"), "robots[1].colour"),
         (but("[0,15]", "[0]"), "robots[1].position"),
         (but("{\"position\":[20,0],\"max_speed\":10.0,\"range_std\":1.0}", "[[20,0],10,1]"), "robots[0]"),
+        (but("\"range_std\":1}", "\"bearing_std_rad\":0}"), "robots[1].bearing_std_rad"),
+        (but("\"range_std\":1}", "\"range_std_per_m\":0.1,\"bearing_std_rad\":0.1}"), "robots[1].range_std_per_m"),
+        (but("\"range_std\":1}", "\"range_std\":1,\"max_range_m\":0}"), "robots[1].max_range_m"),
+        (but("\"range_std\":1}", "\"range_std\":1,\"field_of_view_rad\":7}"), "robots[1].field_of_view_rad"),
+        (but("\"range_std\":1}", "\"range_std\":1,\"heading_std_rad\":-1}"), "robots[1].heading_std_rad"),
+        (
+            but("\"range_std\":1}", "\"range_std\":1,\"position_covariance\":[[1,2],[2,1]]}"),
+            "robots[1].position_covariance",
+        ),
+        (
+            but("\"range_std\":1}", "\"range_std\":1,\"position_covariance\":[[1,2],[0,1]]}"),
+            "robots[1].position_covariance",
+        ),
+        with("\"criterion\":\"size\"", "criterion"),
         with("\"planner\":\"luck\"", "planner"),
         with("\"planner\":7", "planner"),
         with("\"stand_off_m\":-1", "stand_off_m"),
@@ -433,6 +447,37 @@ fn a_bad_line_is_reported_by_number_and_key_and_the_others_are_answered() {
         assert_eq!(answer.as_object().unwrap().len(), 2);
         assert!(!error.starts_with('?') && !error.contains(".?"), "{bad}: {error}");
         assert_eq!(complaints[k], format!("error: steps.jsonl: line {number}: {error}"));
+    }
+}
+
+/// One camera and a round prior: straight ahead is as good as any way and nearest, so the answer has a closed form. A range
+/// beside it and an uncertain position do too.
+#[test]
+fn a_camera_that_goes_straight_to_the_target_has_the_information_of_where_it_gets() {
+    let line = |robot: &str| {
+        format!(
+            "{{\"prior_position_covariance\":[[4,0],[0,4]],\"target\":[0,0],\"time_step_s\":1,\"stand_off_m\":2,\"robots\":[{{\"position\":[20,0],\"max_speed\":5,{robot}}}]}}"
+        )
+    };
+    let across = |variance_m2: f64| 1.0 / (0.25 + 1.0 / variance_m2);
+    let (camera, turned) = (0.05_f64 * 15.0, 0.05_f64.hypot(0.1) * 15.0);
+    let cases = [
+        ("\"bearing_std_rad\":0.05", 4.0 + across(camera * camera)),
+        ("\"bearing_std_rad\":0.05,\"range_std\":0.5", across(0.25) + across(camera * camera)),
+        ("\"bearing_std_rad\":0.05,\"heading_std_rad\":0.1", 4.0 + across(turned * turned)),
+        ("\"bearing_std_rad\":0.05,\"position_covariance\":[[1,0],[0,1]]", 4.0 + across(camera * camera + 1.0)),
+        ("\"range_std\":0.5,\"range_std_per_m\":0.1", 4.0 + across(4.0)),
+        ("\"bearing_std_rad\":0.05,\"max_range_m\":10", 8.0),
+    ];
+    let lines: Vec<String> = cases.iter().map(|(robot, _)| line(robot)).collect();
+    let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
+    for planner in ["certified", "adaptive", "greedy", "pursue"] {
+        for (answer, (robot, trace_m2)) in answers(&lines, &format!("--planner {planner}")).iter().zip(&cases) {
+            let found_m2 = number(answer, "position_trace_m2");
+            assert!((found_m2 / trace_m2 - 1.0).abs() < 1e-6, "{planner} {robot}: {found_m2} for {trace_m2}");
+            assert!(number(answer, "lower_bound_trace_m2") <= trace_m2 * (1.0 + 1e-9), "{planner} {robot}");
+            assert!(planner != "certified" || answer["certified"] == true, "{robot}");
+        }
     }
 }
 

@@ -114,12 +114,17 @@ measure (s), and the team. Written in one line:
    {\"position\":[0,15],\"max_speed\":10,\"range_std\":1}]}
 
 Optional keys: stand_off_m, stand_off_sigma and separation_m (clearances, 0 if
-absent) and planner (a name). The answers are lines in the same order:
+absent), planner (a name), criterion (trace, eigenvalue or determinant).
+Optional keys of a robot: bearing_std_rad (beside range_std or instead of it),
+range_std_per_m, max_range_m, field_of_view_rad, position_covariance (m^2) and
+heading_std_rad. The answers are lines in the same order:
 
   {\"planner\":..,\"headings_rad\":[..],\"speeds_mps\":[..],\"objective\":..,
-   \"lower_bound\":..,\"certified\":..,\"position_trace_m2\":..,\"plan_us\":..}
+   \"lower_bound\":..,\"certified\":..,\"position_trace_m2\":..,
+   \"lower_bound_trace_m2\":..,\"plan_us\":..}
 
-objective is |S|, and no headings reach less than lower_bound. certified means
+objective is |S|, or the criterion's value if a robot measures more than ranges
+of constant noise. No headings reach less than lower_bound. certified means
 that no headings are better, up to rounding. The answer to an invalid line is
 {\"line\":N,\"error\":\"..\"}. The error is also printed to standard error, the next
 lines are still answered, and the exit code is 2. Lines count from 1; blank

@@ -217,6 +217,49 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(1_000))]
+
+    /// At the ends of what sensors and uncertain poses may be: an answer whose numbers hold together, or a refusal.
+    #[test]
+    fn the_ends_of_all_sensors_are_answered_or_refused(
+        robots in proptest::collection::vec((0..4_usize, 0..4_usize, 0..8_u32, 0..2_usize, 0..3_usize, 0..3_usize), 1..4),
+        variance in 0..3_usize, step in 0..3_usize, stand_off in 0..3_usize, separation in 0..2_usize,
+        criterion in proptest::sample::select(vec!["trace", "eigenvalue", "determinant"]),
+        planner in proptest::sample::select(vec!["certified", "adaptive", "standard", "greedy", "pursue", "random"]),
+    ) {
+        let robots: Vec<Value> = robots.iter().map(|&(x, y, kinds, end, pose, speed)| {
+            let (x_m, y_m, max_speed) = ([-1e8, 1e8, 0.0, 1.0][x], [-1e8, 0.0, 1e-9, 7.0][y], [0.0, 10.0, 1e5][speed]);
+            let mut robot = json!({"position": [x_m, y_m], "max_speed": max_speed});
+            if kinds & 1 == 1 {
+                robot["range_std"] = json!([1e-4, 1e5][end]);
+                robot["range_std_per_m"] = json!([0.0, 10.0][end]);
+            }
+            if kinds & 1 == 0 || kinds & 2 == 2 {
+                robot["bearing_std_rad"] = json!([1e-5, 3.2][end]);
+                robot["heading_std_rad"] = json!([3.2, 0.0][end]);
+            }
+            if kinds & 4 == 4 {
+                robot["max_range_m"] = json!([1e-3, 1e8][end]);
+                robot["field_of_view_rad"] = json!([6.3, 1e-3][end]);
+            }
+            robot["position_covariance"] = json!([[[0.0, 0.0], [0.0, 0.0]], [[1e12, 0.0], [0.0, 1e12]], [[1.0, 1.0], [1.0, 1.0]]][pose]);
+            robot
+        }).collect();
+        let prior = [1e-9, 1.0, 1e12][variance];
+        let line = json!({
+            "prior_position_covariance": [[prior, 0.0], [0.0, prior]], "target": [0.0, 0.0],
+            "time_step_s": ([1e-4, 1.0, 1e4][step]), "robots": robots,
+            "stand_off_m": ([0.0, 1.0, 1e6][stand_off]), "separation_m": ([0.0, 1.0][separation]), "planner": planner, "criterion": criterion,
+        });
+        let table = PlannerTable { nodes: Some(50), ..PlannerTable::default() };
+        let answer = answered(&mut LineSolver::new(table, 1).unwrap(), 1, line.to_string().as_bytes());
+        if let Err(problem) = answer {
+            prop_assert!(problem.contains("finite"), "{problem}");
+        }
+    }
+}
+
 #[test]
 fn no_depth_of_nesting_is_too_deep() {
     let deep = 1_000_000;

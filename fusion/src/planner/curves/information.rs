@@ -10,6 +10,9 @@ use crate::vector::Vector;
 /// Smoothing of the largest eigenvalue where the two eigenvalues meet, relative to the trace of the information.
 const SMOOTHING: f64 = 1e-7;
 
+/// What sums of information may be off by, relative to their trace: an eigenvalue that is less of it is not known.
+pub(super) const ROUNDING: f64 = 64.0 * f64::EPSILON;
+
 /// A symmetric 2x2 matrix `J` as `T = tr J` and `S = (J_11 - J_22, 2 J_12)`, 1/m^2.
 ///
 /// Its eigenvalues are `(T + |S|) / 2` and `(T - |S|) / 2`.
@@ -27,9 +30,9 @@ impl Information {
         Self { t: (p[(0, 0)] + p[(1, 1)]) * scale, s }
     }
 
-    /// `T - |S|`, twice the least eigenvalue.
+    /// `T - |S|`, twice the least eigenvalue; no less than rounding leaves of it.
     pub(super) fn least(self) -> f64 {
-        self.t - self.s.norm()
+        (self.t - self.s.norm()).max(ROUNDING * self.t)
     }
 
     /// The size of a difference of information along a multiplier and across.
@@ -44,8 +47,7 @@ impl Information {
 
     /// Trace of the inverse: `4 T / (T^2 - |S|^2)`, m^2.
     pub(super) fn position_trace_m2(self) -> f64 {
-        let s = self.s.norm();
-        4.0 * self.t / ((self.t - s) * (self.t + s))
+        4.0 * self.t / (self.least() * (self.t + self.s.norm()))
     }
 }
 
@@ -94,10 +96,11 @@ pub(super) trait Cost {
 impl Cost for Criterion {
     fn cost(self, information: Information) -> f64 {
         let (t, s) = (information.t, information.s.norm());
+        let least = (t - s).max(ROUNDING * t);
         match self {
-            Self::Trace => 4.0 * t / ((t - s) * (t + s)),
-            Self::Eigenvalue => 2.0 / (t - s.hypot(SMOOTHING * t)),
-            Self::Determinant => 4.0 / ((t - s) * (t + s)),
+            Self::Trace => 4.0 * t / (least * (t + s)),
+            Self::Eigenvalue => 2.0 / (t - s.hypot(SMOOTHING * t)).max(ROUNDING * t),
+            Self::Determinant => 4.0 / (least * (t + s)),
         }
     }
 

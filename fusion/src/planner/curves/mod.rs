@@ -87,7 +87,10 @@ fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) 
             let answer = search::search(team, std::mem::take(at), nodes);
             let least_trace_m2 = match team.criterion {
                 Criterion::Trace => answer.bound,
-                _ => team.bound(Criterion::Trace, team.total(&answer.at)),
+                _ => {
+                    let total = team.total(&answer.at);
+                    team.bound(Criterion::Trace, total).min(total.position_trace_m2())
+                }
             };
             *at = answer.at;
             Some(Certificate {
@@ -144,10 +147,11 @@ pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &
     let mut team = Team::default();
     team.pose(situation, problem);
     let total = commanded(&team, situation, problem, plan);
-    let lower_bound = team.bound(team.criterion, total);
+    // Rounding may put a bound above what it bounds.
+    let lower_bound = team.bound(team.criterion, total).min(plan.worth.objective);
     Certificate {
         lower_bound,
-        least_trace_m2: team.bound(Criterion::Trace, total),
+        least_trace_m2: team.bound(Criterion::Trace, total).min(plan.worth.position_trace_m2),
         is_optimal: plan.worth.objective - lower_bound <= search::GAP_MAX * plan.worth.objective,
     }
 }

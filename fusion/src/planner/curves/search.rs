@@ -150,7 +150,7 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
             found.total += support.information;
             (found.at[i], found.told[i]) = (support.at, support.information);
         }
-        bound = bound.max(criterion.bound(m, h));
+        bound = bound.max(criterion.bound(m, h + team.rounding(found.total)));
         keep(team, &found.at, criterion.cost(found.total), answer);
         if bound >= answer.cost * (1.0 - AIM) {
             answer.bound = answer.bound.min(bound);

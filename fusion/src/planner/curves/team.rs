@@ -3,7 +3,7 @@
 use rangehound_shared::scenario::Criterion;
 
 use super::curve::Curve;
-use super::information::{Cost, Information};
+use super::information::{Cost, Information, ROUNDING};
 use super::minimum::minimum;
 use crate::planner::Situation;
 use crate::planner::range_only::Problem;
@@ -63,8 +63,18 @@ impl Team {
     pub(super) fn bound(&self, criterion: Criterion, information: Information) -> f64 {
         let m = criterion.multiplier(information);
         let slack = 1e-9 * information.along(m).abs() / self.curves.len().max(1) as f64;
-        let support = |i: usize| self.curves[i].support((0.0, self.curves[i].end()), m, slack).bound;
-        criterion.bound(m, self.fused().fold(self.prior.along(m), |sum, i| sum + support(i)))
+        let (mut h, mut total) = (self.prior.along(m), self.prior);
+        for i in self.fused() {
+            let support = self.curves[i].support((0.0, self.curves[i].end()), m, slack);
+            h += support.bound;
+            total += support.information;
+        }
+        criterion.bound(m, h + self.rounding(total))
+    }
+
+    /// What rounding may have taken from a sum of supports of this total.
+    pub(super) fn rounding(&self, total: Information) -> f64 {
+        ROUNDING * (1 + self.curves.len()) as f64 * total.t
     }
 
     /// The robots that count.
