@@ -19,7 +19,6 @@ use super::roles::sim::SIM;
 use super::supervisor::Supervisor;
 use super::trace::TraceLine;
 use super::witness::Witness;
-use crate::run::supervisor::silence;
 
 /// Time at which the team is started: late enough for clocks of different rates to have diverged.
 const START_NS: u64 = 1_000_000_000;
@@ -245,10 +244,7 @@ impl<'a> Cluster<'a> {
             SimEvent::ProcessStarts { node, life } if self.nodes[node].life == life => self.start_process(node),
             SimEvent::ProcessContinues { node, life } if self.nodes[node].life == life => self.continue_process(node),
             SimEvent::ProcessStarts { .. } | SimEvent::ProcessContinues { .. } => Ok(()),
-            SimEvent::SupervisorLooks => {
-                self.after(silence::LOOK.as_nanos() as u64, SimEvent::SupervisorLooks);
-                self.check_heartbeats()
-            }
+            SimEvent::SupervisorLooks => self.look_when_due(),
             SimEvent::SupervisorActs => self.supervise(),
             SimEvent::SupervisorContinues => self.continue_supervisor(),
         }

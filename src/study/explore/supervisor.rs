@@ -11,6 +11,9 @@ use crate::run::supervisor::machine::{Action, Machine, Seen};
 use crate::run::supervisor::restart::{Policies, Rule};
 use crate::run::supervisor::silence;
 
+/// Interval between two looks at the heartbeats, ns.
+const LOOK_NS: u64 = silence::LOOK.as_nanos() as u64;
+
 /// Longest time that the start of a process takes, ns.
 const START_NS: u64 = 5_000_000;
 
@@ -18,6 +21,8 @@ const START_NS: u64 = 5_000_000;
 pub(super) struct Supervisor {
     machine: Machine<u64>,
     is_stopped: bool,
+    /// When it last checked the heartbeats.
+    looked_ns: u64,
     /// Number of starts that the system will refuse.
     pub(super) refusals: u32,
     /// Ends of processes that it has not noticed yet.
@@ -34,6 +39,7 @@ impl Supervisor {
         Self {
             machine: Machine::new(roles, &Policies::new(&rules)),
             is_stopped: false,
+            looked_ns: 0,
             refusals: 0,
             ends: Vec::new(),
             witness: Supervision::new(plan),
@@ -50,7 +56,8 @@ impl Cluster<'_> {
             let soon_ns = self.random.random_range(0..20_000_000);
             self.spawn(node, soon_ns);
         }
-        self.after(silence::LOOK.as_nanos() as u64, SimEvent::SupervisorLooks);
+        self.supervisor.looked_ns = self.now_ns;
+        self.after(LOOK_NS, SimEvent::SupervisorLooks);
     }
 
     pub(super) fn stop_supervisor(&mut self, for_ns: u64) {
@@ -62,14 +69,23 @@ impl Cluster<'_> {
     pub(super) fn continue_supervisor(&mut self) -> Result<(), Violation> {
         self.trace(None, || "the supervisor continues".to_owned());
         self.supervisor.is_stopped = false;
-        self.check_heartbeats()
+        if self.now_ns < self.supervisor.looked_ns + LOOK_NS { self.supervise() } else { self.check_heartbeats() }
+    }
+
+    /// Its timer for the next look: a supervisor that was stopped may have looked since it was set.
+    pub(super) fn look_when_due(&mut self) -> Result<(), Violation> {
+        let due_ns = self.supervisor.looked_ns + LOOK_NS;
+        let is_due = due_ns <= self.now_ns;
+        self.after(if is_due { LOOK_NS } else { due_ns - self.now_ns }, SimEvent::SupervisorLooks);
+        if is_due { self.check_heartbeats() } else { Ok(()) }
     }
 
     /// Checks every process's heartbeat.
-    pub(super) fn check_heartbeats(&mut self) -> Result<(), Violation> {
+    fn check_heartbeats(&mut self) -> Result<(), Violation> {
         if self.supervisor.is_stopped {
             return Ok(());
         }
+        self.supervisor.looked_ns = self.now_ns;
         let Self { supervisor, nodes, lead, scenario, .. } = self;
         supervisor.machine.look(scenario, |node| {
             let leads = lead.last == Some((node, nodes[node].life));
