@@ -19,8 +19,8 @@ pub(super) type Vertices = SmallVec<[Vertex; 4]>;
 pub(super) struct Vertex {
     /// Each robot's place.
     pub(super) at: SmallVec<[f64; 10]>,
-    /// What it tells from there.
-    pub(super) told: SmallVec<[Information; 10]>,
+    /// What each robot adds from there.
+    pub(super) parts: SmallVec<[Information; 10]>,
     /// What is known then.
     pub(super) total: Information,
     /// Part of it in the best point; all parts add up to 1.

@@ -130,9 +130,9 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
         for i in team.fused() {
             let at = vertex.at[i].clamp(intervals[i].0, intervals[i].1);
             if at != vertex.at[i] {
-                let told = team.curves[i].information(at);
-                vertex.total = vertex.total - vertex.told[i] + told;
-                (vertex.at[i], vertex.told[i]) = (at, told);
+                let part = team.curves[i].information(at);
+                vertex.total = vertex.total - vertex.parts[i] + part;
+                (vertex.at[i], vertex.parts[i]) = (at, part);
             }
         }
     }
@@ -140,7 +140,7 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
     let mut bound = 0.0_f64;
     for _ in 0..MULTIPLIERS_MAX {
         let m = criterion.multiplier(best);
-        // No more than all else that is uncertain about the bound.
+        // How far each support may be from its maximum.
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
         let mut found = Vertex { share: 0.0, total: team.prior, ..vertices[0].clone() };
         let mut h = team.prior.along(m);
@@ -148,7 +148,7 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
             let support = team.curves[i].support(intervals[i], m, slack);
             h += support.bound;
             found.total += support.information;
-            (found.at[i], found.told[i]) = (support.at, support.information);
+            (found.at[i], found.parts[i]) = (support.at, support.information);
         }
         bound = bound.max(criterion.bound(m, h + team.rounding(found.total)));
         keep(team, &found.at, criterion.cost(found.total), answer);
@@ -156,7 +156,7 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
             answer.bound = answer.bound.min(bound);
             return None;
         }
-        // What better multipliers could still prove.
+        // No better multiplier proves much more.
         let left = criterion.cost(best) - bound;
         if left <= 0.1 * (answer.cost - bound) || found.total.along(m) <= best.along(m) + slack {
             break;
@@ -178,8 +178,8 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
 }
 
 fn vertex(team: &Team, at: &[f64]) -> Vertex {
-    let told = at.iter().zip(&team.curves).map(|(at, curve)| curve.information(*at)).collect();
-    Vertex { at: SmallVec::from_slice(at), told, total: team.total(at), share: 1.0 }
+    let parts = at.iter().zip(&team.curves).map(|(at, curve)| curve.information(*at)).collect();
+    Vertex { at: SmallVec::from_slice(at), parts, total: team.total(at), share: 1.0 }
 }
 
 fn keep(team: &Team, at: &[f64], cost: f64, answer: &mut Answer) {
@@ -200,10 +200,10 @@ fn split(team: &Team, intervals: &[(f64, f64)], vertices: &Vertices, best: Infor
         let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
         let mut middle = Information::default();
         for vertex in vertices {
-            middle += vertex.told[i] * vertex.share;
+            middle += vertex.parts[i] * vertex.share;
             (first, last) = (first.min(vertex.at[i]), last.max(vertex.at[i]));
         }
-        let spread = vertices.iter().map(|vertex| vertex.share * (vertex.told[i] - middle).size(m)).sum::<f64>();
+        let spread = vertices.iter().map(|vertex| vertex.share * (vertex.parts[i] - middle).size(m)).sum::<f64>();
         // Between its places, but not so near to an end that the other half stays as it is.
         let margin = 0.05 * (high - low);
         let cut = (0.5 * (first + last)).clamp(low + margin, high - margin);

@@ -77,7 +77,7 @@ fn reachable(problem: &Problem, robot: usize, heading: f64, share: f64) -> Optio
 }
 
 /// What the robot tells from there, if the target is in its field of view.
-fn told(curve: &Curve, member: &TeamMember, problem: &Problem, robot: usize, offset_m: Vector) -> Information {
+fn added(curve: &Curve, member: &TeamMember, problem: &Problem, robot: usize, offset_m: Vector) -> Information {
     let sight_m = problem.reaches[robot].to_target_m - offset_m;
     let turn_rad = offset_m.cross(sight_m).abs().atan2(offset_m.dot(sight_m));
     let is_seen = offset_m == Vector::default() || turn_rad <= 0.5 * member.sensor.field_of_view_rad;
@@ -124,7 +124,7 @@ proptest! {
             if let Some(offset_m) = reachable(&problem, i, heading, share)
                 && (offset_m != Vector::default() || member.sensor.field_of_view_rad >= TAU)
             {
-                let value = told(&curve, member, &problem, i, offset_m).along(m);
+                let value = added(&curve, member, &problem, i, offset_m).along(m);
                 prop_assert!(value <= support.bound + 1e-6 * (1.0 + value.abs()), "{offset_m:?}: {value} {support:?}");
             }
         }
@@ -166,7 +166,7 @@ proptest! {
             let mut total = team.prior;
             for (i, member) in situation.team.iter().enumerate() {
                 if let Some(offset_m) = reachable(&problem, i, sample[i].0, sample[i].1) {
-                    total += told(&team.curves[i], member, &problem, i, offset_m);
+                    total += added(&team.curves[i], member, &problem, i, offset_m);
                 }
             }
             prop_assert!(situation.criterion.cost(total) >= certificate.lower_bound * (1.0 - 1e-9));
