@@ -6,16 +6,15 @@ use std::rc::Rc;
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
-use rangehound_shared::protocol::wake::Event;
+use rangehound_shared::protocol::wake::{Answers, Event};
 use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::sealed::slots::Turns;
 
 use super::disk::Disk;
 use super::lead::Lead;
-use super::network::{GroupState, Message};
-use super::plan::Plan;
-use super::process::{Node, Process};
-use super::roles::sim::SIM;
+use super::message::Message;
+use super::node::{Node, Process};
+use super::plan::{Plan, SIM};
 use super::supervisor::Supervisor;
 use super::trace::TraceLine;
 use super::witness::Witness;
@@ -93,6 +92,13 @@ impl Ord for Due {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         (self.at_ns, self.order).cmp(&(other.at_ns, other.order))
     }
+}
+
+/// One wait group: how many answers it waits for, and how many have come.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct GroupState {
+    pub(super) expected: usize,
+    pub(super) answers: Answers,
 }
 
 /// A team under exploration.

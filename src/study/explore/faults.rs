@@ -3,8 +3,6 @@
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::plan::Plan;
-
 /// A hang that only the supervisor ends, ns.
 const FOR_EVER_NS: u64 = 1_000_000_000_000;
 
@@ -130,11 +128,22 @@ impl Fault {
 /// Largest number of own failures in a run that must not end because of them.
 const OWN_FAILURES_MAX: u32 = 4;
 
+/// What faults depend on.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Team {
+    /// Number of nodes: sim, fusion, standbys, robots.
+    pub(super) nodes: usize,
+    /// Number of standbys.
+    pub(super) standbys: usize,
+    /// True if no robot is ever left out.
+    pub(super) is_endless: bool,
+}
+
 /// The faults of a plan, in order of time.
-pub(super) fn draw(random: &mut ChaCha8Rng, plan: &Plan, span_ns: u64) -> Vec<Fault> {
+pub(super) fn draw(random: &mut ChaCha8Rng, team: Team, span_ns: u64) -> Vec<Fault> {
     let mut faults: Vec<Fault> = Vec::new();
     for _ in 0..random.random_range(0..=6) {
-        let fault = Fault { at_ns: random.random_range(0..span_ns), kind: kind(random, plan) };
+        let fault = Fault { at_ns: random.random_range(0..span_ns), kind: kind(random, team) };
         let own_failures: u32 = faults.iter().map(Fault::own_failures).sum::<u32>() + fault.own_failures();
         // At most one hang and one broken node: a second one might leave no node that can take its place.
         let is_twice = |is: fn(&Fault) -> bool| is(&fault) && faults.iter().any(is);
@@ -150,8 +159,8 @@ pub(super) fn draw(random: &mut ChaCha8Rng, plan: &Plan, span_ns: u64) -> Vec<Fa
     faults
 }
 
-fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
-    let (nodes, can_lead) = (plan.nodes(), 2 + plan.standbys);
+fn kind(random: &mut ChaCha8Rng, team: Team) -> FaultKind {
+    let (nodes, can_lead) = (team.nodes, 2 + team.standbys);
     // Half of all faults concern the nodes that have state, or may get it.
     let node = if random.random_bool(0.5) { random.random_range(0..can_lead) } else { random.random_range(0..nodes) };
     let after_actions = random.random_range(0..24);
@@ -175,8 +184,8 @@ fn kind(random: &mut ChaCha8Rng, plan: &Plan) -> FaultKind {
         39..45 => FaultKind::KillSuccessor { after_actions: few_actions },
         45..62 => FaultKind::Stop { node, after_actions, for_ns },
         62..74 => FaultKind::StopLeader { after_actions, for_ns },
-        74..80 if !plan.is_endless => FaultKind::Stop { node, after_actions, for_ns: FOR_EVER_NS },
-        74..80 if plan.standbys > 0 => FaultKind::StopLeader { after_actions, for_ns: FOR_EVER_NS },
+        74..80 if !team.is_endless => FaultKind::Stop { node, after_actions, for_ns: FOR_EVER_NS },
+        74..80 if team.standbys > 0 => FaultKind::StopLeader { after_actions, for_ns: FOR_EVER_NS },
         80..85 => FaultKind::StopAll { with_supervisor: random.random_bool(0.5), for_ns: 2 * for_ns },
         85..88 => FaultKind::StopSupervisor { for_ns },
         88..90 => FaultKind::RefuseStarts { times: random.random_range(1..=OWN_FAILURES_MAX) },

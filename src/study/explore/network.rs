@@ -1,14 +1,13 @@
 //! The network between nodes: messages that are lost, doubled, slow, garbled or cut off; wake-ups.
 
-use std::rc::Rc;
-
 use rand::RngExt as _;
-use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
-use rangehound_shared::protocol::wake::{Answers, Event, Notification, WaitGroup, When};
+use rangehound_shared::message::Header;
+use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup, When};
 use rangehound_shared::scenario::Clock;
 
 use super::cluster::{Cluster, SimEvent};
-use super::process::Process;
+use super::message::Message;
+use super::node::Process;
 
 /// Least delay of a message, and the delay of a wake-up.
 const MESSAGE_NS: u64 = 2_000;
@@ -16,61 +15,6 @@ pub(super) const WAKE_NS: u64 = 5_000;
 
 /// Size of a process's inbox; new messages displace the oldest.
 const INBOX: usize = 64;
-
-/// More ticks than any run has.
-const NO_TICK: u64 = 1_000;
-
-/// The id of a robot that no team has.
-const NO_ROBOT: u64 = 200;
-
-/// A message from one node to another.
-#[derive(Debug, Clone)]
-pub(super) enum Message {
-    World(Header, Rc<[WorldEntry]>),
-    Range(Header, Range),
-    Heading(Header, Rc<[Command]>),
-    Drive(u64, Drive),
-}
-
-/// One wait group: how many answers it waits for, and how many have come.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct GroupState {
-    pub(super) expected: usize,
-    answers: Answers,
-}
-
-impl Message {
-    /// An invalid copy, of some kind: its receiver must act as if it had not arrived.
-    fn garbled(self, kind: u32) -> Self {
-        match self {
-            Self::World(header, entries) => {
-                let mut entries = entries.to_vec();
-                match kind {
-                    0 => return Self::World(Header { tick: header.tick + NO_TICK, ..header }, entries.into()),
-                    1 => entries.iter_mut().for_each(|entry| entry.pose.x_m = f64::NAN),
-                    2 => entries.iter_mut().for_each(|entry| entry.range_kind = u64::MAX),
-                    _ => entries.clear(),
-                }
-                Self::World(header, entries.into())
-            }
-            Self::Range(header, mut range) => {
-                match kind {
-                    0 => return Self::Range(Header { tick: header.tick + NO_TICK, ..header }, range),
-                    1 => range.robot = NO_ROBOT,
-                    2 => range.measurement.range_m = f64::NAN,
-                    3 => range.measurement.pose.x_m += 1e6,
-                    _ => range.measurement.range_m += 5.0,
-                }
-                Self::Range(header, range)
-            }
-            Self::Heading(header, commands) => {
-                let one = Command { heading_rad: 1.0, speed_mps: 1.0 };
-                Self::Heading(header, commands.iter().map(|_| one).chain([one]).collect())
-            }
-            Self::Drive(tick, drive) => Self::Drive(tick, Drive { robot: NO_ROBOT, ..drive }),
-        }
-    }
-}
 
 fn message_of((message, _): (Message, bool)) -> Message {
     message

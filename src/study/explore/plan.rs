@@ -8,7 +8,10 @@ use rand_chacha::ChaCha8Rng;
 use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::Clock;
 
-use super::faults::{self, Fault};
+use super::faults::{self, Fault, Team};
+
+/// The simulator's node.
+pub(super) const SIM: usize = 0;
 
 /// One exploration.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,8 +87,8 @@ impl Plan {
         let is_endless = random.random_bool(0.7);
         let leaves_robots = (clock == Clock::Realtime || !is_endless) && random.random_bool(0.1);
         let measures_anew = random.random_bool(0.2);
-        let faults = Vec::new();
-        let plan = Self {
+        let faults = faults::draw(&mut random, Team { nodes, standbys, is_endless }, span_ns);
+        Self {
             seed,
             clock,
             is_endless,
@@ -97,9 +100,7 @@ impl Plan {
             network,
             clock_rates,
             faults,
-        };
-        let faults = faults::draw(&mut random, &plan, span_ns);
-        Self { faults, ..plan }
+        }
     }
 
     /// Number of nodes: sim, fusion, standbys, robots.

@@ -1,17 +1,14 @@
 //! The processes of nodes: started, stopped, killed between two actions, or asleep.
 
 use rand::RngExt as _;
-use rangehound_robot::sensor::Sensor;
 use rangehound_shared::protocol::timing::ROUND_MAX_NS;
 use rangehound_shared::protocol::wake::Event;
-use rangehound_sim::machine as sim;
 
 use super::cluster::{Cluster, SimEvent, Violation};
 use super::faults::FaultKind;
 use super::lead::HEARTBEAT_NS;
-use super::network::{Message, WAKE_NS};
-use super::roles::fusion::{Leading, StandingBy, Successor};
-use super::witness::robot::RobotWitness;
+use super::network::WAKE_NS;
+use super::node::{Fate, PendingFault, Process};
 use crate::run::supervisor::deaths::End;
 
 /// Interval in which a process checks everything even if nothing wakes it.
@@ -19,125 +16,6 @@ const IDLE_NS: u64 = 100_000_000;
 
 /// Largest number of actions of a process before it sleeps.
 const ACTIONS_MAX: u32 = 10_000;
-
-/// A robot's machine, sensor and checks.
-pub(super) struct Robot {
-    pub(super) machine: rangehound_robot::machine::Machine,
-    pub(super) sensor: Sensor,
-    pub(super) witness: RobotWitness,
-}
-
-/// The process of a node.
-pub(super) enum Process {
-    None,
-    /// It has not taken its role yet.
-    Starting,
-    Sim(Box<sim::Machine>),
-    Standby(Box<StandingBy>),
-    Successor(Box<Successor>),
-    Leader(Box<Leading>),
-    Robot(Box<Robot>),
-}
-
-impl Process {
-    /// False for a process that does not read messages.
-    pub(super) fn is_woken(&self) -> bool {
-        matches!(self, Self::Sim(_) | Self::Leader(_) | Self::Robot(_))
-    }
-}
-
-/// A node, and the history of its processes.
-pub(super) struct Node {
-    pub(super) clock_rate: f64,
-    pub(super) process: Process,
-    /// Counts the starts and ends of its processes.
-    pub(super) life: u32,
-    pub(super) is_stopped: bool,
-    /// It was stopped between two actions: it finishes its actions before it reads messages, like a real process.
-    pub(super) is_interrupted: bool,
-    /// Its process has started, and has not ended.
-    takes_part: bool,
-    /// The fault of its process after some more actions.
-    pending_fault: Option<PendingFault>,
-    /// Faults of its later processes.
-    later_faults: Vec<PendingFault>,
-    /// Messages that have arrived, and whether each is garbled.
-    pub(super) inbox: Vec<(Message, bool)>,
-    /// The newest tick of which a range has arrived, the time of the first such range, and the node that sent it.
-    pub(super) first_arrival: Option<(u64, u64, usize)>,
-    /// Actions since it last slept.
-    actions: u32,
-    pub(super) wakes_at_ns: u64,
-    pub(super) incarnation: u64,
-    /// Its process's last heartbeat, in a role of its own.
-    pub(super) heartbeat_ns: Option<u64>,
-    /// Time since which its process has been in its state: taking part, stopped or starting.
-    pub(super) state_since_ns: u64,
-    /// Time for which its process was stopped.
-    pub(super) stopped_ns: u64,
-    /// The part of that time which it can notice: a running process may sleep for as long as the rest.
-    pub(super) suspended_ns: u64,
-    /// Time that its next process takes to start.
-    pub(super) up_ns: u64,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct PendingFault {
-    after_actions: u32,
-    fault: usize,
-}
-
-/// Effect of a fault on a node at an action.
-pub(super) enum Fate {
-    Lives,
-    /// It still does this action, and is then stopped.
-    Stops,
-    /// It does not do this action. If the action is to write a checkpoint, this share of it is written.
-    Dies {
-        written: f64,
-    },
-}
-
-impl Node {
-    pub(super) fn new(clock_rate: f64) -> Self {
-        Self {
-            clock_rate,
-            process: Process::None,
-            life: 0,
-            is_stopped: false,
-            is_interrupted: false,
-            takes_part: false,
-            pending_fault: None,
-            later_faults: Vec::new(),
-            inbox: Vec::new(),
-            first_arrival: None,
-            actions: 0,
-            wakes_at_ns: u64::MAX,
-            incarnation: 0,
-            heartbeat_ns: None,
-            state_since_ns: 0,
-            stopped_ns: 0,
-            suspended_ns: 0,
-            up_ns: 0,
-        }
-    }
-
-    /// Time for which its process has taken part undisturbed, ns.
-    pub(super) fn well_for_ns(&self, now_ns: u64) -> u64 {
-        if self.takes_part && !self.is_stopped { now_ns - self.state_since_ns } else { 0 }
-    }
-
-    /// Time for which its process has been stopped, ns.
-    pub(super) fn stopped_for_ns(&self, now_ns: u64) -> u64 {
-        if self.is_stopped { now_ns - self.state_since_ns } else { 0 }
-    }
-
-    /// Its process has started.
-    pub(super) fn start_process(&mut self, process: Process, now_ns: u64) {
-        self.process = process;
-        (self.takes_part, self.heartbeat_ns, self.state_since_ns) = (true, Some(now_ns), now_ns);
-    }
-}
 
 impl Cluster<'_> {
     /// Spawns a process, which starts after a delay.

@@ -8,44 +8,8 @@ use rangehound_shared::sealed::slots::Turns;
 
 use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::lead::Lease;
-use crate::study::explore::process::{Fate, Process};
+use crate::study::explore::node::{Fate, Leading, Process, StandingBy, Successor};
 use crate::study::explore::witness::succession;
-
-/// A standby.
-pub(in crate::study::explore) struct StandingBy {
-    standby: Standby<u64, u64>,
-    /// The lock that it waits for.
-    pub(in crate::study::explore) waits_for: u64,
-    since_ns: u64,
-    looks_at_ns: u64,
-    /// The last heartbeat of a leader that it is about to depose.
-    deposes: Option<u64>,
-}
-
-/// A process that has taken the lead but does not lead yet.
-pub(in crate::study::explore) struct Successor {
-    pub(in crate::study::explore) lease: Lease,
-    /// The state that it goes on from, once it has read it.
-    read: Option<(Leader, Turns)>,
-}
-
-/// A process that leads.
-pub(in crate::study::explore) struct Leading {
-    pub(in crate::study::explore) machine: Leader,
-    pub(in crate::study::explore) lease: Lease,
-    /// Its checkpoint file, if it has one.
-    pub(in crate::study::explore) disk: Option<usize>,
-    pub(in crate::study::explore) turns: Turns,
-    pub(in crate::study::explore) since_ns: u64,
-    /// A tick and when its first range arrived, by its own clock; `None` if a process was stopped since.
-    pub(in crate::study::explore) first_range: Option<(u64, u64)>,
-    /// The same in time for which it ran, whichever process was stopped.
-    pub(in crate::study::explore) ran_at_first_ns: Option<(u64, u64)>,
-    /// True if it has checked that it leads since it last sent headings.
-    pub(in crate::study::explore) has_looked: bool,
-    /// The newest tick of which a range has arrived.
-    pub(in crate::study::explore) newest_heard: u64,
-}
 
 impl Cluster<'_> {
     /// If there are standbys, fusion is started as a standby too.

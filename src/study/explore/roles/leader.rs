@@ -6,11 +6,10 @@ use rangehound_fusion::leader::{Action, Notice};
 use rangehound_shared::message::Command;
 use rangehound_shared::protocol::wake::{Event, WaitGroup};
 
-use super::fusion::Leading;
-use super::sim::SIM;
 use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
-use crate::study::explore::network::Message;
-use crate::study::explore::process::{Fate, Node, Process};
+use crate::study::explore::message::Message;
+use crate::study::explore::node::{Fate, Leading, Node, Process};
+use crate::study::explore::plan::SIM;
 use crate::study::explore::witness::timing::{Closing, Missing};
 
 /// Ticks after a fault from which on no robot may be missing because of it.

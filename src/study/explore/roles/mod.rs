@@ -1,6 +1,7 @@
 //! The roles' machines in simulated time.
 
-pub(super) mod fusion;
+mod fusion;
 mod leader;
 mod robot;
-pub(super) mod sim;
+mod sim;
+mod supervisor;

@@ -5,9 +5,9 @@ use rangehound_robot::sensor::{Sensor, measure};
 use rangehound_shared::message::{Command, Outgoing};
 
 use crate::study::explore::cluster::{Cluster, Violation};
-use crate::study::explore::network::Message;
-use crate::study::explore::process::{Fate, Process, Robot};
-use crate::study::explore::roles::sim::SIM;
+use crate::study::explore::message::Message;
+use crate::study::explore::node::{Fate, Process, Robot};
+use crate::study::explore::plan::SIM;
 use crate::study::explore::witness::robot::RobotWitness;
 
 /// Change of the range of a robot that measures anew, m.

@@ -9,11 +9,9 @@ use rangehound_shared::sealed::slots::Turns;
 use rangehound_sim::machine::{Action, Machine, Saved};
 
 use crate::study::explore::cluster::{Cluster, Violation};
-use crate::study::explore::network::Message;
-use crate::study::explore::process::{Fate, Process};
-
-/// The simulator's node.
-pub(in crate::study::explore) const SIM: usize = 0;
+use crate::study::explore::message::Message;
+use crate::study::explore::node::{Fate, Process};
+use crate::study::explore::plan::SIM;
 
 impl Cluster<'_> {
     pub(in crate::study::explore) fn start_sim(&mut self) -> Result<Process, Violation> {

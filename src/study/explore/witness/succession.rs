@@ -1,7 +1,7 @@
 //! When a standby takes the lead.
 
 use crate::study::explore::lead::Lead;
-use crate::study::explore::process::Node;
+use crate::study::explore::node::Node;
 
 /// A standby must take a free lead within this time: at once, or at its next look, ns.
 const SUCCEEDS_NS: u64 = 60_000_000;

@@ -3,8 +3,8 @@
 use crate::run::supervisor::deaths::End;
 use crate::study::explore::faults::FaultKind;
 use crate::study::explore::lead::Lead;
+use crate::study::explore::node::{Node, Process};
 use crate::study::explore::plan::Plan;
-use crate::study::explore::process::{Node, Process};
 
 /// Silence that is not a hang, ns: the time-out, or that of a deposed fusion, less the first look.
 const SILENCE_MIN_NS: u64 = 1_900_000_000;
