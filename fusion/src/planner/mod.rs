@@ -8,7 +8,7 @@
 //! A planner is a pure function of (tick, situation): nothing is kept from one step to the next, so
 //! a restarted fusion plans as the old one would have.
 
-pub mod curves;
+mod curves;
 pub mod range_only;
 mod situation;
 

@@ -1,7 +1,7 @@
 //! Planners of teams with any sensors and uncertain positions.
 //!
-//! Each robot is a curve of the places that may be best for it ([`curve`]); what it tells from there is a symmetric 2x2 matrix
-//! ([`information`]). The planners minimise a [`Criterion`](rangehound_shared::scenario::Criterion) of the sum.
+//! Each robot is a curve of the places that may be best for it (`curve`); what it adds from there is a symmetric 2x2 matrix
+//! (`information`). The planners minimise a [`Criterion`] of the sum.
 //!
 //! | planner | method |
 //! |---|---|
