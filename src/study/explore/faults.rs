@@ -113,7 +113,7 @@ impl Fault {
         }
     }
 
-    fn is_break(&self) -> bool {
+    pub(super) fn is_break(&self) -> bool {
         matches!(self.kind, FaultKind::Break { .. })
     }
 

@@ -88,6 +88,8 @@ impl Plan {
         let leaves_robots = (clock == Clock::Realtime || !is_endless) && random.random_bool(0.1);
         let measures_anew = random.random_bool(0.2);
         let faults = faults::draw(&mut random, Team { nodes, standbys, is_endless }, span_ns);
+        // A broken node that waits out a time-out for a lost robot lives too long to be given up.
+        let leaves_robots = leaves_robots && !faults.iter().any(Fault::is_break);
         Self {
             seed,
             clock,
