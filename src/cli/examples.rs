@@ -167,13 +167,16 @@ Examples:
   rangehound chaos --standby 1 --roles fusion,standby --kinds kill";
 
 const EXPLORE: &str = "A whole team (simulator, fusion, standbys, robots) runs in this process on
-simulated time. Its faults, network delays and clocks are drawn from the seed.
-If it breaks a promise, the smallest set of faults that breaks it is printed,
-and the exit code is 1.
+simulated time. Its faults, network delays and clocks are drawn from the seed:
+nodes are stopped, killed between two actions with a checkpoint half written,
+fail by themselves or start late, the supervisor is stopped, starts are refused,
+the team is cut in two, and messages are lost, delayed, doubled, reordered or
+garbled. If the team breaks a promise, the smallest set of faults that breaks it
+is printed, and the exit code is 1.
 
 Examples:
   rangehound explore --seed 1 --seeds 20000
-  rangehound explore --seed 7 --seeds 1 --story    prints what each node did";
+  rangehound explore --seed 39 --seeds 1 --story   prints what each node did";
 
 const LATENCY: &str = "It measures the whole system (simulator, fusion with filter, planner and
 checkpoints, robots) and two references that only exchange messages, over

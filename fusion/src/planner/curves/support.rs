@@ -53,6 +53,18 @@ impl Curve {
             }
             let (index, leaf, is_searched) = open.swap_remove(next);
             let (mut cut, mut is_at_maximum) = (0.5 * (leaf.low + leaf.high), false);
+            // The first and the last control point are places.
+            if guess == leaf.low || guess == leaf.high {
+                let information = self.information_on(index, guess);
+                if information.along(m) > most {
+                    most = information.along(m);
+                    (best.at, best.information) = (Self::base(index) + guess, information);
+                }
+                if bound <= most + slack {
+                    best.bound = bound.max(most);
+                    return best;
+                }
+            }
             if !is_searched {
                 let value = |u: f64| -self.information_on(index, u).along(m);
                 let u = minimum(value, (leaf.low, leaf.high), guess, ACCURACY);
