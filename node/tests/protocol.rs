@@ -23,7 +23,7 @@ const HISTORY: [(u32, u64); 5] = [
 ];
 
 /// The same for the description of a recorded run.
-const RECORDED: (u32, u64) = (5, 0x28cc_c856_7779_fe98);
+const RECORDED: (u32, u64) = (5, 0x7cde_d6f5_fd39_40eb);
 
 /// The versioned type names that iceoryx2 compares; reading them through iceoryx2 would take `unsafe`.
 fn type_names() -> String {
