@@ -23,18 +23,17 @@ const NEAREST: f64 = 1e-6;
 /// The same for a bearing from a known place: from next to the target it would tell everything.
 const NEAREST_BEARING: f64 = 1e-2;
 
-/// Pieces on each side of a bound of the field of view, by which that is found.
+/// Samples of a piece at which the field of view is checked; between two of them its end is bisected.
 const VIEWS: usize = 16;
 
 /// From one piece's parameter to the next one's.
 const PIECE: f64 = 2.0;
 
-/// Pieces without neighbours need no heap.
+/// Robots without neighbours have few pieces, which need no heap.
 type Pieces = SmallVec<[Piece; 8]>;
 
-/// The places that count for one robot. Their parameter goes from 0 to 1 in the first piece, from 2 to 3 in the second and so
-/// on: pieces need not touch, so a number in a gap is no
-/// place of either.
+/// The places that count for one robot. Their parameter goes from 0 to 1 in the first piece, from 2 to 3 in the second, and
+/// so on. Pieces need not touch: a number between two of them is a place of neither.
 #[derive(Debug, Clone)]
 pub(super) struct Curve {
     pub(super) pieces: Pieces,

@@ -16,7 +16,7 @@ use super::team::Team;
 /// A plan is optimal if its cost is at most this share above the bound.
 pub(super) const GAP_MAX: f64 = 1e-6;
 
-/// Part of the gap up to which a node is to be closed: what is left is room for rounding.
+/// Gap at which a node is closed; the rest of [`GAP_MAX`] is room for rounding.
 const AIM: f64 = 0.5 * GAP_MAX;
 
 /// Multipliers that are tried for one node.
