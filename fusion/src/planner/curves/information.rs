@@ -96,11 +96,10 @@ pub(super) trait Cost {
 impl Cost for Criterion {
     fn cost(self, information: Information) -> f64 {
         let (t, s) = (information.t, information.s.norm());
-        let least = (t - s).max(ROUNDING * t);
         match self {
-            Self::Trace => 4.0 * t / (least * (t + s)),
+            Self::Trace => information.position_trace_m2(),
             Self::Eigenvalue => 2.0 / (t - s.hypot(SMOOTHING * t)).max(ROUNDING * t),
-            Self::Determinant => 4.0 / (least * (t + s)),
+            Self::Determinant => 4.0 / (information.least() * (t + s)),
         }
     }
 

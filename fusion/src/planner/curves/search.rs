@@ -142,15 +142,12 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
         let m = criterion.multiplier(best);
         // How far each support may be from its maximum.
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
-        let mut found = Vertex { share: 0.0, total: team.prior, ..vertices[0].clone() };
-        let mut h = team.prior.along(m);
-        for i in team.fused() {
-            let support = team.curves[i].support(intervals[i], m, slack);
-            h += support.bound;
-            found.total += support.information;
+        let mut found = Vertex { share: 0.0, ..vertices[0].clone() };
+        let (h, total) = team.supports(&intervals, m, slack, |i, support| {
             (found.at[i], found.parts[i]) = (support.at, support.information);
-        }
-        bound = bound.max(criterion.bound(m, h + team.rounding(found.total)));
+        });
+        found.total = total;
+        bound = bound.max(criterion.bound(m, h));
         keep(team, &found.at, criterion.cost(found.total), answer);
         if bound >= answer.cost * (1.0 - AIM) {
             answer.bound = answer.bound.min(bound);

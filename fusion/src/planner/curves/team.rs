@@ -5,8 +5,10 @@ use rangehound_shared::scenario::Criterion;
 use super::curve::Curve;
 use super::information::{Cost, Information, ROUNDING};
 use super::minimum::minimum;
+use super::support::Support;
 use crate::planner::Situation;
 use crate::planner::range_only::Problem;
+use crate::vector::Vector;
 
 /// Sampled places of each piece, from which a robot's best place is looked for.
 const SAMPLES: usize = 4;
@@ -63,18 +65,27 @@ impl Team {
     pub(super) fn bound(&self, criterion: Criterion, information: Information) -> f64 {
         let m = criterion.multiplier(information);
         let slack = 1e-9 * information.along(m).abs() / self.curves.len().max(1) as f64;
-        let (mut h, mut total) = (self.prior.along(m), self.prior);
-        for i in self.fused() {
-            let support = self.curves[i].support((0.0, self.curves[i].end()), m, slack);
-            h += support.bound;
-            total += support.information;
-        }
-        criterion.bound(m, h + self.rounding(total))
+        let (h, _) = self.supports(&self.whole(), m, slack, |_, _| ());
+        criterion.bound(m, h)
     }
 
-    /// What rounding may have taken from a sum of supports of this total.
-    pub(super) fn rounding(&self, total: Information) -> f64 {
-        ROUNDING * (1 + self.curves.len()) as f64 * total.t
+    /// The most that `T + m . S` of the team can be on these intervals, with room for rounding; and what is known after
+    /// measurements from the places that have most, each of which `visit` is called with.
+    pub(super) fn supports(
+        &self,
+        intervals: &[(f64, f64)],
+        m: Vector,
+        slack: f64,
+        mut visit: impl FnMut(usize, Support),
+    ) -> (f64, Information) {
+        let (mut h, mut total) = (self.prior.along(m), self.prior);
+        for i in self.fused() {
+            let support = self.curves[i].support(intervals[i], m, slack);
+            h += support.bound;
+            total += support.information;
+            visit(i, support);
+        }
+        (h + ROUNDING * (1 + self.curves.len()) as f64 * total.t, total)
     }
 
     /// The robots that count.
