@@ -6,7 +6,7 @@ use std::time::Instant;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
-use rangehound_fusion::filter::{Gaussian, RangeInformation};
+use rangehound_fusion::filter::{Gaussian, Information};
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
 use rangehound_fusion::planner::{self, Plan, Situation};
 use rangehound_fusion::vector::Vector;
@@ -40,7 +40,7 @@ fn filter(criterion: &mut Criterion) {
         group.bench_with_input(BenchmarkId::from_parameter(robots), &readings, |bencher, readings| {
             bencher.iter(|| {
                 let predicted = black_box(&start).predict(black_box(&transition));
-                let mut information = RangeInformation::default();
+                let mut information = Information::default();
                 for (position_m, range_m, std_m) in readings {
                     information.add(&predicted.innovation(*position_m, *range_m, *std_m));
                 }

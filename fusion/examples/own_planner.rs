@@ -74,10 +74,11 @@ fn median_trace_m2(scenario: &Scenario, planner: Box<dyn Planner>) -> Result<f64
         let measured = robots_m.iter().zip(&mut noise).zip(&scenario.robots).map(|((at_m, noise), robot)| {
             let mut drawn = [0.0];
             noise.standard_normal(tick, &mut drawn);
-            let range_m = (target_m - *at_m).norm() + robot.range_std_m * drawn[0];
+            let std_m = robot.sensor.range.map_or(1.0, |range| range.std_m);
+            let range_m = (target_m - *at_m).norm() + std_m * drawn[0];
             // At tick 0 nothing is measured yet.
             let pose = Pose::at([at_m.x, at_m.y]);
-            Some(Measurement::new(pose, (tick > 0).then_some((range_m, robot.range_std_m))))
+            Some(Measurement::new(pose, (tick > 0).then_some((range_m, std_m))))
         });
         let reports: Vec<Option<Measurement>> = measured.collect();
         centre.update(time_s, &reports)?;

@@ -1,22 +1,31 @@
-//! The extended Kalman filter (Eqs. 1-13) for a linear target model and range measurements.
+//! The extended Kalman filter (Eqs. 1-13) for a linear target model and measurements of range and bearing.
 //!
-//! Ranges inform the position alone, so an update needs only 2 x 2 sums over the robots
-//! ([`RangeInformation`]) and a regression of the other states on the position. Its cost is O(M) for
-//! M ranges; there is no M x M matrix and no heap allocation.
+//! Both inform the position alone, so an update needs only 2 x 2 sums over the measurements
+//! ([`Information`]) and a regression of the other states on the position. Its cost is O(M) for
+//! M measurements; there is no M x M matrix and no heap allocation.
+
+use std::f64::consts::PI;
 
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use rangehound_shared::angle::wrapped_rad;
 use rangehound_shared::motion::Transition;
 use serde::{Deserialize, Serialize};
 
 /// Below this distance from the estimate, m, a range has no line of sight and carries no information.
 const LINE_OF_SIGHT_MIN_M: f64 = 1e-9;
 
+/// Variance of a direction that is not known at all, rad^2.
+const UNKNOWN_DIRECTION_RAD2: f64 = PI * PI / 3.0;
+
+/// Largest second-order mean of a bearing, rad: beyond it the target is about on the robot, and the bearing tells nothing.
+const MEAN_BEND_MAX_RAD: f64 = 0.5;
+
 /// Relative inflation of the variances in each step. It exceeds the rounding that could make a covariance indefinite if
 /// directions are known to very different degrees, and has no other effect.
 const ROUNDING: f64 = 1e-12;
 
 /// Rounding of a difference relative to its operands: about a hundred units in the last place.
-const DIFFERENCE_ROUNDING: f64 = 3e-14;
+pub(crate) const DIFFERENCE_ROUNDING: f64 = 3e-14;
 
 /// Gaussian estimate of the target: `X` (position first) and its error covariance `P`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -27,31 +36,32 @@ pub struct Gaussian<const N: usize> {
     pub p: SMatrix<f64, N, N>,
 }
 
-/// Information of a set of ranges about the target's position, linearised about one estimate.
+/// Information of a set of measurements about the target's position, linearised about one estimate.
 ///
-/// With `e_i` the line of sight from robot i to the estimate and `nu_i = z_i - d_i` the innovation:
-/// `J = sum e_i e_i^T / sigma_i^2` (the sum of Eq. 13), `y = sum e_i nu_i / sigma_i^2`.
+/// With `h_i` the gradient of measurement i and `nu_i` its innovation: `J = sum h_i h_i^T / sigma_i^2` (the sum of Eq. 13,
+/// where `h_i` is the line of sight from robot i to the estimate), `y = sum h_i nu_i / sigma_i^2`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RangeInformation {
+pub struct Information {
     /// `J`.
     pub matrix: Matrix2<f64>,
     /// `y`.
     pub vector: Vector2<f64>,
-    /// Ranges in the sums.
+    /// Measurements in the sums.
     pub count: u32,
 }
 
-/// A range compared with the estimate's prediction of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// A range or a bearing compared with the estimate's prediction of it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Innovation {
-    /// Gradient of the distance, a row of `H`: the unit vector from the robot to the estimated target. For a sensor at
-    /// another height it is the horizontal part of that vector, which is zero straight above the target. Zero without a
+    /// Gradient of the predicted value with the target's position, a row of `H`. For a range it is the unit vector from the
+    /// robot to the estimated target; for a sensor at another height the horizontal part of that vector, which is zero
+    /// straight above the target. For a bearing it is the normal of that unit vector over the distance, 1/m. Zero without a
     /// line of sight.
-    pub line_of_sight: Vector2<f64>,
-    /// `nu = z - d`, m.
-    pub innovation_m: f64,
-    /// Measurement variance `sigma^2`, m^2.
-    pub noise_variance_m2: f64,
+    pub gradient: Vector2<f64>,
+    /// `nu = z - h(X)`, m or rad; that of a bearing is within `(-pi, pi]`.
+    pub innovation: f64,
+    /// Measurement variance `sigma^2`, m^2 or rad^2.
+    pub noise_variance: f64,
 }
 
 impl<const N: usize> Gaussian<N> {
@@ -86,16 +96,50 @@ impl<const N: usize> Gaussian<N> {
     pub fn slant_innovation(&self, sensor: Vector2<f64>, height_m: f64, range_m: f64, std_m: f64) -> Innovation {
         let sight = self.position() - sensor;
         let distance_m = (sight.norm_squared() + height_m * height_m).sqrt();
-        let line_of_sight = if distance_m > LINE_OF_SIGHT_MIN_M { sight / distance_m } else { Vector2::zeros() };
-        Innovation { line_of_sight, innovation_m: range_m - distance_m, noise_variance_m2: std_m * std_m }
+        let gradient = if distance_m > LINE_OF_SIGHT_MIN_M { sight / distance_m } else { Vector2::zeros() };
+        Innovation { gradient, innovation: range_m - distance_m, noise_variance: std_m * std_m }
+    }
+
+    /// The innovation of a bearing measured at `sensor`, counter-clockwise from the x axis, with standard deviation
+    /// `std_rad`.
+    ///
+    /// The direction to a near target is far from linear in its position. With the covariance `P` of the sight, its
+    /// components along (a) and across (c) the line of sight, and `d = |sight|`, the second-order terms are: mean
+    /// `-P_ac / d^2` and variance `(P_aa P_cc + P_ac^2) / d^4`. They let a bearing of a target on the robot tell nothing.
+    #[must_use]
+    pub fn bearing_innovation(
+        &self,
+        sensor: Vector2<f64>,
+        sight_covariance: &Matrix2<f64>,
+        (bearing_rad, std_rad): (f64, f64),
+    ) -> Innovation {
+        let sight = self.position() - sensor;
+        let square_m2 = sight.norm_squared();
+        if square_m2 < LINE_OF_SIGHT_MIN_M * LINE_OF_SIGHT_MIN_M {
+            let noise_variance = std_rad * std_rad + UNKNOWN_DIRECTION_RAD2;
+            return Innovation { noise_variance, ..Innovation::default() };
+        }
+        let across = Vector2::new(-sight.y, sight.x);
+        let (p_sight, p_across) = (sight_covariance * sight, sight_covariance * across);
+        // Each of these is a component of P times d^2.
+        let [along_along, across_across, along_across] =
+            [sight.dot(&p_sight), across.dot(&p_across), sight.dot(&p_across)];
+        let fourth = square_m2 * square_m2;
+        let mean_rad = (along_across / fourth).clamp(-MEAN_BEND_MAX_RAD, MEAN_BEND_MAX_RAD);
+        let bend_rad2 = (along_along * across_across + along_across * along_across) / (fourth * fourth);
+        Innovation {
+            gradient: across / square_m2,
+            innovation: wrapped_rad(bearing_rad - sight.y.atan2(sight.x) + mean_rad),
+            noise_variance: std_rad * std_rad + bend_rad2,
+        }
     }
 
     /// The second-order terms of a distance of `distance_m` with this gradient. Its second derivative is
     /// `(I - e e^T) / d` at any height, so the terms are: mean `tr((I - e e^T) P) / 2 d` and variance
     /// `tr(((I - e e^T) P)^2) / 2 d^2`.
     #[must_use]
-    pub fn bend(&self, line_of_sight: &Vector2<f64>, distance_m: f64) -> Bend {
-        let (p, e) = (self.position_covariance(), line_of_sight);
+    pub fn bend(&self, gradient: &Vector2<f64>, distance_m: f64) -> Bend {
+        let (p, e) = (self.position_covariance(), gradient);
         let along_m2 = e.dot(&(p * e));
         let across_m2 = (p.trace() - along_m2).max(0.0);
         // A distance changes by no more than the position does.
@@ -105,14 +149,14 @@ impl<const N: usize> Gaussian<N> {
         Bend { mean_m, variance_m2 }
     }
 
-    /// Joint update with all ranges of `information`, which must be linearised about this estimate (Eqs. 9-13).
+    /// Joint update with all measurements of `information`, which must be linearised about this estimate (Eqs. 9-13).
     ///
     /// The position's posterior covariance is `(P_11^-1 + J)^-1`, written for 2 x 2 matrices without an
     /// inverse as `(P_11 + |P_11| adj J) / (1 + tr(P_11 J) + |P_11| |J|)`: a sum of positive terms, so
-    /// it stays positive definite however precise the ranges are. The other states follow by their
+    /// it stays positive definite however precise the measurements are. The other states follow by their
     /// regression `B = P_21 P_11^-1` on the position; their conditional covariance does not change.
     #[must_use]
-    pub fn update(&self, information: &RangeInformation) -> Self {
+    pub fn update(&self, information: &Information) -> Self {
         let prior = self.position_covariance();
         let prior_det = determinant(&prior);
         let posterior = posterior_covariance(&prior, prior_det, &information.matrix);
@@ -141,15 +185,15 @@ impl<const N: usize> Gaussian<N> {
         Self { x, p: conditioned(&p) }
     }
 
-    /// Joint normalised innovation squared of ranges linearised about this estimate: `nu^T S^-1 nu`, chi-square with
-    /// one degree of freedom for each range.
+    /// Joint normalised innovation squared of measurements linearised about this estimate: `nu^T S^-1 nu`, chi-square with
+    /// one degree of freedom for each measurement.
     ///
-    /// It is the residual of the least squares of prior and ranges:
-    /// `min_s s^T P_11^-1 s + sum (nu_i - e_i . s)^2 / sigma_i^2`. Rotations add the ranges to the square root of the
+    /// It is the residual of the least squares of prior and measurements:
+    /// `min_s s^T P_11^-1 s + sum (nu_i - h_i . s)^2 / sigma_i^2`. Rotations add the measurements to the square root of the
     /// prior's information one by one, and the squares of the residuals are summed. All terms are positive, so nothing
-    /// cancels, however vague the prior and however precise the ranges are.
+    /// cancels, however vague the prior and however precise the measurements are.
     #[must_use]
-    pub fn nis<'a>(&self, ranges: impl Iterator<Item = &'a Innovation>) -> f64 {
+    pub fn nis<'a>(&self, measured: impl Iterator<Item = &'a Innovation>) -> f64 {
         let prior = self.position_covariance();
         // P^-1 = R^T R, where the coordinate with the smaller variance comes first.
         let larger = usize::from(prior[(1, 1)] > prior[(0, 0)]);
@@ -157,10 +201,10 @@ impl<const N: usize> Gaussian<N> {
         let rest_m2 = (determinant(&prior) / prior[(larger, larger)]).max(f64::EPSILON * prior[(lesser, lesser)]);
         let mut first = [rest_m2.sqrt().recip(), -prior[(0, 1)] / prior[(larger, larger)] / rest_m2.sqrt(), 0.0];
         let mut second = [prior[(larger, larger)].sqrt().recip(), 0.0];
-        ranges.fold(0.0, |nis, range| {
-            let weight = range.noise_variance_m2.sqrt().recip();
-            let e = range.line_of_sight;
-            let row = [e[lesser], e[larger], range.innovation_m].map(|value| value * weight);
+        measured.fold(0.0, |nis, one| {
+            let weight = one.noise_variance.sqrt().recip();
+            let e = one.gradient;
+            let row = [e[lesser], e[larger], one.innovation].map(|value| value * weight);
             let (cos, sin) = rotation(first[0], row[0]);
             let [across, value] = [1, 2].map(|i| cos * row[i] - sin * first[i]);
             first = std::array::from_fn(|i| cos * first[i] + sin * row[i]);
@@ -179,7 +223,7 @@ fn rotation(kept: f64, taken: f64) -> (f64, f64) {
 }
 
 /// `(P^-1 + J)^-1` without an inverse, as a sum of positive terms.
-fn posterior_covariance(prior: &Matrix2<f64>, prior_det: f64, j: &Matrix2<f64>) -> Matrix2<f64> {
+pub(crate) fn posterior_covariance(prior: &Matrix2<f64>, prior_det: f64, j: &Matrix2<f64>) -> Matrix2<f64> {
     let j_adjugate = Matrix2::new(j[(1, 1)], -j[(0, 1)], -j[(1, 0)], j[(0, 0)]);
     let trace_pj = prior[(0, 0)] * j[(0, 0)] + 2.0 * prior[(0, 1)] * j[(0, 1)] + prior[(1, 1)] * j[(1, 1)];
     let gain = 1.0 / (1.0 + trace_pj.max(0.0) + prior_det * determinant(j));
@@ -196,37 +240,37 @@ pub struct Bend {
 }
 
 impl Innovation {
-    /// Variance of the innovation, `S = e^T P_11 e + sigma^2`, m^2.
+    /// Variance of the innovation, `S = h^T P_11 h + sigma^2`, m^2 or rad^2.
     #[must_use]
-    pub fn variance_m2(&self, position_covariance: &Matrix2<f64>) -> f64 {
-        self.line_of_sight.dot(&(position_covariance * self.line_of_sight)) + self.noise_variance_m2
+    pub fn variance(&self, position_covariance: &Matrix2<f64>) -> f64 {
+        self.gradient.dot(&(position_covariance * self.gradient)) + self.noise_variance
     }
 
-    /// `nu^2 / S` for this range alone: chi-square with one degree of freedom.
+    /// `nu^2 / S` for this measurement alone: chi-square with one degree of freedom.
     #[must_use]
     pub fn normalised_square(&self, position_covariance: &Matrix2<f64>) -> f64 {
-        self.innovation_m * self.innovation_m / self.variance_m2(position_covariance)
+        self.innovation * self.innovation / self.variance(position_covariance)
     }
 }
 
-impl RangeInformation {
-    /// Adds one range.
-    pub fn add(&mut self, range: &Innovation) {
-        let weight = 1.0 / range.noise_variance_m2;
-        let weighted_sight = range.line_of_sight * weight;
-        self.matrix += weighted_sight * range.line_of_sight.transpose();
-        self.vector += weighted_sight * range.innovation_m;
+impl Information {
+    /// Adds one measurement.
+    pub fn add(&mut self, measured: &Innovation) {
+        let weight = 1.0 / measured.noise_variance;
+        let weighted = measured.gradient * weight;
+        self.matrix += weighted * measured.gradient.transpose();
+        self.vector += weighted * measured.innovation;
         self.count += 1;
     }
 }
 
 /// Determinant of a positive semi-definite matrix: never below zero, whatever the rounding.
-fn determinant(m: &Matrix2<f64>) -> f64 {
+pub(crate) fn determinant(m: &Matrix2<f64>) -> f64 {
     (m[(0, 0)] * m[(1, 1)] - m[(0, 1)] * m[(1, 0)]).max(0.0)
 }
 
 /// The matrix made symmetric to the bit, with variances inflated against rounding.
-fn conditioned<const N: usize>(m: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
+pub(crate) fn conditioned<const N: usize>(m: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
     let mut conditioned = (m + m.transpose()) * 0.5;
     for i in 0..N {
         conditioned[(i, i)] *= 1.0 + ROUNDING;
@@ -245,8 +289,8 @@ mod tests {
         ranges.iter().map(|&(x, y, range_m, std_m)| at.innovation(Vector2::new(x, y), range_m, std_m)).collect()
     }
 
-    fn information<const N: usize>(at: &Gaussian<N>, ranges: &[(f64, f64, f64, f64)]) -> RangeInformation {
-        let mut information = RangeInformation::default();
+    fn information<const N: usize>(at: &Gaussian<N>, ranges: &[(f64, f64, f64, f64)]) -> Information {
+        let mut information = Information::default();
         innovations(at, ranges).iter().for_each(|range| information.add(range));
         information
     }
@@ -310,19 +354,19 @@ mod tests {
             let estimate = Gaussian { x: SVector::from([at.0, at.1]), p: (root * root.transpose() + SMatrix::identity() * 0.1) * 0.1 };
             let range = estimate.slant_innovation(sensor, height_m, 1.0, 1.0);
             let d = slant(at.0, at.1);
-            prop_assert!((range.innovation_m - (1.0 - d)).abs() < 1e-12);
+            prop_assert!((range.innovation - (1.0 - d)).abs() < 1e-12);
             let step = 1e-4;
             let gradient = Vector2::new(
                 slant(at.0 + step, at.1) - slant(at.0 - step, at.1), slant(at.0, at.1 + step) - slant(at.0, at.1 - step),
             ) / (2.0 * step);
-            prop_assert!((range.line_of_sight - gradient).norm() < 1e-7);
+            prop_assert!((range.gradient - gradient).norm() < 1e-7);
             let second = |i: usize, j: usize| {
                 let [a, b] = [i, j].map(|axis| Vector2::ith(axis, step));
                 let at = |v: Vector2<f64>| slant(at.0 + v.x, at.1 + v.y);
                 (at(a + b) - at(a - b) - at(b - a) + at(-a - b)) / (4.0 * step * step)
             };
             let hp = Matrix2::new(second(0, 0), second(0, 1), second(1, 0), second(1, 1)) * estimate.p;
-            let bend = estimate.bend(&range.line_of_sight, d);
+            let bend = estimate.bend(&range.gradient, d);
             let mean_m = (0.5 * hp.trace()).min(estimate.p.trace().sqrt());
             prop_assert!((bend.mean_m - mean_m).abs() < 1e-5 * (1.0 + mean_m), "{} {mean_m}", bend.mean_m);
             let variance_m2 = 0.5 * (hp * hp).trace();

@@ -9,6 +9,7 @@
 use std::borrow::Cow;
 use std::collections::VecDeque;
 
+use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::{Estimate, Header, Range, Refusal, Stages};
 use rangehound_shared::protocol::timing::Suspension;
 use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
@@ -53,14 +54,15 @@ pub enum Notice {
         /// The last of them.
         last: u64,
     },
-    /// Most sensors fail together: the reported noise of all ranges is multiplied by this factor, and no robot is distrusted.
-    Widened(f64),
-    /// Most sensors no longer fail together.
-    NoLongerWidened,
-    /// A robot is distrusted.
-    Distrusted(usize),
-    /// A robot is trusted again.
-    Trusted(usize),
+    /// Most sensors of this kind fail together: the reported noise of all their measurements is multiplied by this factor,
+    /// and none of them is distrusted.
+    Widened(Kind, f64),
+    /// Most sensors of this kind no longer fail together.
+    NoLongerWidened(Kind),
+    /// A robot's measurements of this kind are distrusted.
+    Distrusted(Kind, usize),
+    /// They are trusted again.
+    Trusted(Kind, usize),
     /// Messages are refused for this cause: reported once.
     Refused(Refusal),
 }
@@ -99,8 +101,8 @@ pub struct Leader {
     stages: Stages,
     pub(crate) counts: IntakeCounts,
     estimate: Estimate,
-    distrusted: RobotSet,
-    noise_scale: f64,
+    distrusted: [RobotSet; Kind::COUNT],
+    noise_scales: [f64; Kind::COUNT],
     /// Causes of refusal that have been reported.
     refusals_reported: [bool; Refusal::ALL.len()],
     suspension: Suspension,
@@ -141,8 +143,8 @@ impl Leader {
             stages: Stages::default(),
             counts: IntakeCounts::default(),
             estimate: Estimate::default(),
-            distrusted: RobotSet::default(),
-            noise_scale: 1.0,
+            distrusted: Default::default(),
+            noise_scales: [1.0; Kind::COUNT],
             refusals_reported: [false; Refusal::ALL.len()],
             suspension: Suspension::default(),
         }
@@ -159,7 +161,7 @@ impl Leader {
         if !self.intake.restore(intake.into_owned(), now_ns) {
             return Err(SealError::Malformed);
         }
-        (self.distrusted, self.noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
+        (self.distrusted, self.noise_scales) = (self.centre.distrusted(), self.centre.noise_scales());
         // The process may be suspended before it first reads the clock: seed 52747 of `rangehound explore`.
         self.suspension.look(now_ns);
         if self.centre.next_tick() > 0 {
@@ -352,18 +354,22 @@ impl Leader {
     /// Reports when most sensors begin or cease to fail together; otherwise the robots that have become distrusted or
     /// trusted since the last tick.
     fn report_trust(&mut self) {
-        let (now, noise_scale) = (self.centre.distrusted(), self.centre.noise_scale());
+        let (now, scales) = (self.centre.distrusted(), self.centre.noise_scales());
         let before = std::mem::replace(&mut self.distrusted, now);
-        let noise_scale_before = std::mem::replace(&mut self.noise_scale, noise_scale);
-        if noise_scale > 1.0 && noise_scale_before == 1.0 {
-            self.report(Notice::Widened(noise_scale));
-            return;
+        let scales_before = std::mem::replace(&mut self.noise_scales, scales);
+        for kind in Kind::ALL {
+            let [now, before] = [now, before].map(|of| of[kind as usize]);
+            let [scale, scale_before] = [scales, scales_before].map(|of| of[kind as usize]);
+            if scale > 1.0 && scale_before == 1.0 {
+                self.report(Notice::Widened(kind, scale));
+                continue;
+            }
+            if scale == 1.0 && scale_before > 1.0 {
+                self.report(Notice::NoLongerWidened(kind));
+            }
+            now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.report(Notice::Distrusted(kind, id)));
+            before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.report(Notice::Trusted(kind, id)));
         }
-        if noise_scale == 1.0 && noise_scale_before > 1.0 {
-            self.report(Notice::NoLongerWidened);
-        }
-        now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.report(Notice::Distrusted(id)));
-        before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.report(Notice::Trusted(id)));
     }
 
     /// Reports each cause of refusal once; the run's report has the counts.

@@ -1,21 +1,22 @@
 //! The fusion centre.
 //!
-//! It receives the robots' ranges, sends their headings, and publishes estimates for observers:
+//! It receives the robots' measurements, sends their headings, and publishes estimates for observers:
 //!
 //! ```text
 //! robot 0..M-1 --range--> FUSION --heading--> robot 0..M-1
 //!                           `--estimate--> observers
 //! ```
 //!
-//! Each tick it takes the ranges of all robots, updates the target's estimate with an extended Kalman filter, predicts
-//! it one step ahead, and plans every robot's heading so that the next ranges are most informative. [`Centre`] is the
+//! Each tick it takes the measurements of all robots, updates the target's estimate with an extended Kalman filter, predicts
+//! it one step ahead, and plans every robot's heading so that the next measurements are most informative. [`Centre`] is the
 //! pure step.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`filter`] | prediction and joint update of one Gaussian estimate (Eqs. 1-13) |
+//! | [`nuisance`] | errors of the robots' poses and biases of their ranges, which the estimate depends on |
 //! | [`tracker`] | the estimate over time: gating, start without a prior, recovery from lock-out |
-//! | [`trust`] | whose ranges are fused: a robot that keeps failing the gate is distrusted until its ranges pass again |
+//! | [`trust`] | whose measurements are fused: a sensor that keeps failing the gate is distrusted until it passes again |
 //! | [`belief`] | the estimate that trackers give to planners |
 //! | [`vector`] | plane vectors; bearings are unit vectors |
 //! | [`planner`] | the optimisation (Eqs. 14-29) and its solvers |
@@ -29,6 +30,7 @@ pub mod centre;
 pub mod filter;
 pub mod intake;
 pub mod leader;
+pub mod nuisance;
 mod past;
 pub mod planner;
 pub mod standby;

@@ -1,64 +1,96 @@
 //! Tracker and trust together: processes a tick's reports, and processes past ticks again when a report arrives late.
 
-use rangehound_shared::measurement::Measurement;
-use rangehound_shared::record::{Judged, RangeUse};
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::measurement::{Kind, Measurement};
+use rangehound_shared::record::{JudgedKinds, Use};
+use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::scenario::{RobotSpec, Scenario};
 use rangehound_shared::sealed::SealError;
 
 use crate::past::PastTick;
 use crate::tracker::{self, Fit, Reading, Tracker};
 use crate::trust::{Policy, Trust};
 
-/// The estimate, and the trust that decides whose ranges are fused.
+/// The estimate, and the trust that decides whose measurements are fused.
 #[derive(Debug)]
 pub(crate) struct Tracking {
     pub(crate) tracker: Box<dyn Tracker>,
-    pub(crate) trust: Trust,
+    /// The trust in the robots' measurements of each kind.
+    pub(crate) trusts: [Trust; Kind::COUNT],
+    /// Growth of the standard deviation of each robot's ranges with the distance.
+    stds_per_m: Vec<f64>,
     readings: Vec<Reading>,
-    /// What the last step did with each robot's range.
-    judged: Vec<Option<Judged>>,
+    /// What the last step did with each robot's report.
+    judged: Vec<JudgedKinds>,
 }
 
 impl Tracking {
     pub(crate) fn new(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
-        let tracker = tracker::for_scenario(scenario);
         let policy =
             Policy { distrusts: scenario.distrust, widens: scenario.distrust || scenario.gate_sigma.is_some() };
+        let std_per_m = |robot: &RobotSpec| robot.reported.range.map_or(0.0, |range| range.std_per_m);
         Self {
-            tracker,
-            trust: Trust::new(robots, policy),
-            readings: Vec::with_capacity(robots),
-            judged: vec![None; robots],
+            tracker: tracker::for_scenario(scenario),
+            trusts: std::array::from_fn(|_| Trust::new(robots, policy)),
+            stds_per_m: scenario.robots.iter().map(std_per_m).collect(),
+            readings: Vec::with_capacity(Kind::COUNT * robots),
+            judged: vec![JudgedKinds::default(); robots],
         }
     }
 
-    /// What the last step did with each robot's range.
-    pub(crate) fn judged(&self) -> &[Option<Judged>] {
+    /// What the last step did with each robot's report.
+    pub(crate) fn judged(&self) -> &[JudgedKinds] {
         &self.judged
     }
 
-    /// Predicts over `dt_s` seconds, then updates with the reports' ranges in order of the robots' ids.
+    /// Robots whose measurements of each kind are distrusted.
+    pub(crate) fn distrusted(&self) -> [RobotSet; Kind::COUNT] {
+        std::array::from_fn(|kind| self.trusts[kind].distrusted())
+    }
+
+    /// Factors on the reported standard deviations of each kind.
+    pub(crate) fn noise_scales(&self) -> [f64; Kind::COUNT] {
+        std::array::from_fn(|kind| self.trusts[kind].noise_scale())
+    }
+
+    /// Predicts over `dt_s` seconds, then updates with the reports in order of the robots' ids.
     pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Measurement>]) -> Fit {
-        let (distrusted, noise_scale) = (self.trust.distrusted(), self.trust.noise_scale());
+        let (distrusted, noise_scales) = (self.distrusted(), self.noise_scales());
         self.readings.clear();
+        let mut kinds = [false; Kind::COUNT];
         for (robot, report) in reports.iter().enumerate() {
-            let range = report.and_then(|report| Some((report.pose, report.range()?)));
-            if let Some((pose, (range_m, range_std_m))) = range {
-                let (position_m, height_m) = (pose.position_m(), pose.height_m);
-                let distrusted = distrusted.contains(robot);
-                let range_std_m = range_std_m * noise_scale;
-                self.readings.push(Reading { robot, position_m, height_m, range_m, range_std_m, distrusted });
+            let Some(report) = report else { continue };
+            for kind in Kind::ALL {
+                let Some((value, std)) = report.of(kind) else { continue };
+                let std_per_m = if kind == Kind::Range { self.stds_per_m[robot] } else { 0.0 };
+                let noise_scale = noise_scales[kind as usize];
+                kinds[kind as usize] = true;
+                self.readings.push(Reading {
+                    robot,
+                    kind,
+                    pose: report.pose,
+                    value,
+                    std: std * noise_scale,
+                    std_per_m: std_per_m * noise_scale,
+                    distrusted: distrusted[kind as usize].contains(robot),
+                });
             }
         }
         let fit = self.tracker.step(dt_s, &self.readings);
-        self.judged.fill(None);
+        self.judged.fill(JudgedKinds::default());
+        let mut factor = 1.0_f64;
         for (reading, judged) in self.readings.iter().zip(self.tracker.judged()) {
-            self.judged[reading.robot] = Some(*judged);
+            self.judged[reading.robot][reading.kind as usize] = Some(*judged);
         }
-        let squares = self.readings.iter().zip(self.tracker.judged());
-        let squares = squares.map(|(reading, judged)| (reading.robot, judged.normalised_square));
-        let factor = self.trust.judge(squares, &fit.failed);
+        for kind in Kind::ALL {
+            // Without any measurement of a kind, its trust does not change.
+            if !kinds[kind as usize] {
+                continue;
+            }
+            let of_kind = self.readings.iter().zip(self.tracker.judged()).filter(|(reading, _)| reading.kind == kind);
+            let squares = of_kind.map(|(reading, judged)| (reading.robot, judged.normalised_square));
+            factor = factor.max(self.trusts[kind as usize].judge(squares, &fit.failed[kind as usize]));
+        }
         if factor > 1.0 {
             self.tracker.widen(factor);
         }
@@ -70,13 +102,13 @@ impl Tracking {
     /// # Errors
     /// If the tracker cannot be encoded.
     pub(crate) fn save_before(&self, past: &mut PastTick) -> Result<(), SealError> {
-        past.trust.copy_from(&self.trust);
+        copy_trusts(&mut past.trusts, &self.trusts);
         past.tracker.clear();
         self.tracker.save(&mut past.tracker)
     }
 
-    /// Restores the state before the first of these ticks and processes all of them again. True if this robot's range
-    /// was fused at the first of them.
+    /// Restores the state before the first of these ticks and processes all of them again. True if anything of this
+    /// robot's report was fused at the first of them.
     ///
     /// # Errors
     /// If the saved state is not this tracker's.
@@ -89,14 +121,20 @@ impl Tracking {
         for past in ticks {
             if fused.is_none() {
                 self.tracker.restore(&past.tracker)?;
-                self.trust.copy_from(&past.trust);
+                copy_trusts(&mut self.trusts, &past.trusts);
             } else {
                 self.save_before(past)?;
             }
             self.step(past.dt_s, &past.reports);
             past.judged.copy_from_slice(&self.judged);
-            fused.get_or_insert(self.judged[robot].is_some_and(|judged| judged.used == RangeUse::Fused));
+            let is_fused = || self.judged[robot].iter().flatten().any(|judged| judged.used == Use::Fused);
+            fused.get_or_insert_with(is_fused);
         }
         Ok(fused.unwrap_or(false))
     }
+}
+
+/// Copies the trusts of the same team without allocating.
+fn copy_trusts(into: &mut [Trust; Kind::COUNT], from: &[Trust; Kind::COUNT]) {
+    into.iter_mut().zip(from).for_each(|(into, from)| into.copy_from(from));
 }

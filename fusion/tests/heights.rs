@@ -4,12 +4,16 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
 use nalgebra::{SMatrix, SVector, Vector2};
+use rangehound_fusion::filter::Gaussian;
+use rangehound_fusion::nuisance::Chain;
 use rangehound_fusion::tracker::imm::Imm;
 use rangehound_fusion::tracker::kalman::Kalman;
 use rangehound_fusion::tracker::{Gate, Reading, Tracker};
 use rangehound_shared::draws::{Draws, Stream};
+use rangehound_shared::measurement::Pose;
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::motion::matrix::{Matrix, square_root};
+use rangehound_shared::motion::matrix::square_root;
+use rangehound_shared::scenario::{NuisanceSpec, Treatment};
 
 const DT_S: f64 = 0.1;
 const STD_M: f64 = 0.1;
@@ -72,16 +76,9 @@ fn walk(
             .iter()
             .enumerate()
             .map(|(robot, anchor_m)| {
-                let position_m = Vector2::from(*anchor_m);
-                let range_m = (target_m - position_m).norm().hypot(HEIGHT_M) + STD_M * noise[robot];
-                Reading {
-                    robot,
-                    position_m,
-                    height_m: assumed_height_m,
-                    range_m,
-                    range_std_m: STD_M,
-                    ..Reading::default()
-                }
+                let pose = Pose { height_m: assumed_height_m, ..Pose::at(*anchor_m) };
+                let value = (target_m - pose.position_m()).norm().hypot(HEIGHT_M) + STD_M * noise[robot];
+                Reading { robot, pose, value, std: STD_M, ..Reading::default() }
             })
             .collect();
         let fit = tracker.step(if tick == 1 { 0.0 } else { DT_S }, &readings);
@@ -99,13 +96,19 @@ fn walk(
     }
 }
 
+/// Sensors without nuisances.
+fn exact() -> Chain {
+    Chain::of(vec![NuisanceSpec::default(); ANCHORS_M.len()], Treatment::Schmidt)
+}
+
 /// A filter that starts from the truth with an error of the stated covariance.
 fn kalman(seed: u64, start: [f64; 4], variance_m2: f64) -> Kalman<4> {
     let mut drawn = [0.0; 4];
     Draws::new(seed, Stream::PriorMean).standard_normal(0, &mut drawn);
-    let variances = [variance_m2, variance_m2, 0.1, 0.1];
-    let mean: Vec<f64> = (0..4).map(|i| start[i] + variances[i].sqrt() * drawn[i]).collect();
-    Kalman::new(motion(), &mean, &Matrix::from_diagonal(&variances), Gate::new(None))
+    let variances = SVector::from([variance_m2, variance_m2, 0.1, 0.1]);
+    let x = SVector::from_fn(|i, _| start[i] + variances[i].sqrt() * drawn[i]);
+    let prior = Gaussian { x, p: SMatrix::from_diagonal(&variances) };
+    Kalman::new(motion(), prior, Gate::new(None), exact())
 }
 
 fn over_seeds(seeds: u64, mut one: impl FnMut(u64, &mut Consistency)) -> Consistency {
@@ -131,7 +134,7 @@ fn trilateration_from_anchors_four_metres_above_is_consistent() {
 fn the_first_ranges_determine_the_position_beneath_the_anchors() {
     let start = [3.0, 3.0, 0.3, 0.1];
     let sum = over_seeds(20, |seed, sum| {
-        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)), exact());
         walk(&mut imm, seed, start, &ANCHORS_M, HEIGHT_M, 20, sum);
     });
     // The calm model beside the true one makes it a little too sure.
@@ -144,23 +147,24 @@ fn a_target_straight_beneath_an_anchor_is_not_known_better_than_that() {
     let start = [0.0, 0.0, 0.0, 0.0];
     for seed in 1..=20 {
         let mut sum = Consistency::default();
-        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)), exact());
         walk(&mut imm, seed, start, &ANCHORS_M[..1], HEIGHT_M, 1, &mut Consistency::default());
-        let mut early = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
-        let readings = [Reading { height_m: HEIGHT_M, range_m: HEIGHT_M, range_std_m: STD_M, ..Reading::default() }];
+        let mut early = Imm::<4>::new(&motion(), Gate::new(Some(4.0)), exact());
+        let pose = Pose { height_m: HEIGHT_M, ..Pose::default() };
+        let readings = [Reading { pose, value: HEIGHT_M, std: STD_M, ..Reading::default() }];
         early.step(0.0, &readings);
         // A range as long as the height: the place is the foot, give or take sqrt(2 h sigma).
         let spread_m = early.covariance()[0].sqrt();
         assert!((0.4..1.0).contains(&spread_m) && early.state()[..2].iter().all(|x| x.abs() < 1e-9), "{spread_m}");
         // One that is shorter than the height is noise.
         for range_m in [HEIGHT_M - STD_M, HEIGHT_M - 4.0 * STD_M, 0.1] {
-            let mut short = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
-            short.step(0.0, &[Reading { range_m, ..readings[0] }]);
+            let mut short = Imm::<4>::new(&motion(), Gate::new(Some(4.0)), exact());
+            short.step(0.0, &[Reading { value: range_m, ..readings[0] }]);
             let short_m = short.covariance()[0].sqrt();
             assert!(short_m > 0.1 && short_m < spread_m, "{range_m}: {short_m}");
         }
         // From there with all anchors: they determine the position.
-        let mut all = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        let mut all = Imm::<4>::new(&motion(), Gate::new(Some(4.0)), exact());
         walk(&mut all, seed, start, &ANCHORS_M, HEIGHT_M, 250, &mut sum);
         assert!(sum.rmse_m() < 0.4, "{seed}: {sum:?}");
     }
@@ -173,7 +177,7 @@ fn a_target_that_starts_beneath_an_anchor_is_followed_consistently() {
         over_seeds(40, |seed, sum| walk(&mut kalman(seed, start, 1.0), seed, start, &ANCHORS_M, HEIGHT_M, 1, sum));
     assert!((0.85..1.2).contains(&sum.anees()) && (0.9..1.1).contains(&sum.nis_mean()), "{sum:?}");
     let from_ranges = over_seeds(20, |seed, sum| {
-        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)));
+        let mut imm = Imm::<4>::new(&motion(), Gate::new(Some(4.0)), exact());
         walk(&mut imm, seed, start, &ANCHORS_M, HEIGHT_M, 20, sum);
     });
     assert!((0.7..1.6).contains(&from_ranges.anees()) && from_ranges.rmse_m() < 0.3, "{from_ranges:?}");
@@ -185,9 +189,11 @@ fn a_target_that_starts_beneath_an_anchor_is_followed_consistently() {
 fn the_information_of_a_range_falls_to_nothing_straight_beneath_the_anchor() {
     let informs = |away_m: f64| {
         let mean = [away_m, 0.0, 0.0, 0.0];
-        let mut kalman = Kalman::<4>::new(motion(), &mean, &Matrix::from_diagonal(&[0.01; 4]), Gate::new(None));
+        let prior = Gaussian { x: SVector::from(mean), p: SMatrix::identity() * 0.01 };
+        let mut kalman = Kalman::<4>::new(motion(), prior, Gate::new(None), exact());
         let range_m = away_m.hypot(HEIGHT_M);
-        let reading = Reading { height_m: HEIGHT_M, range_m, range_std_m: STD_M, ..Reading::default() };
+        let pose = Pose { height_m: HEIGHT_M, ..Pose::default() };
+        let reading = Reading { pose, value: range_m, std: STD_M, ..Reading::default() };
         kalman.step(0.0, &[reading]);
         kalman.covariance()[0].recip() - 100.0
     };

@@ -31,7 +31,7 @@ use rangehound_fusion::{Centre, centre};
 use rangehound_node::checkpoint::{Checkpoint, CheckpointError};
 use rangehound_node::rendezvous::{Role, RunDescription};
 use rangehound_node::world::world_of;
-use rangehound_robot::sensor::Sensor;
+use rangehound_robot::{pose, sensor};
 use rangehound_shared::radio::log::{LogOptions, read_log};
 use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
 use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
@@ -152,7 +152,7 @@ fn recording(bytes: &[u8], options: &ReadOptions) -> Verdict {
     let mut world = Playback::new(recording.into(), None);
     for _ in 0..20 {
         world.advance(&[]);
-        let numbers = world.entries().iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
+        let numbers = world.entries().iter().flat_map(|entry| entry.numbers());
         assert!(numbers.chain([world.time_s()]).all(f64::is_finite));
     }
     Ok(())
@@ -236,7 +236,7 @@ fn run_description(bytes: &[u8]) -> Verdict {
     let RunDescription { scenario, .. } = RunDescription::open(bytes)?;
     // An accepted description has valid dimensions at least.
     for id in 0..scenario.robots.len() {
-        assert!(Sensor::new(&scenario, id).is_some());
+        assert!(sensor::of_scenario(&scenario, id).is_some() && pose::of_scenario(&scenario, id).is_some());
     }
     let _ = world_of(&scenario, Path::new("")).map(|mut world| world.advance(&[]));
     let _ = Centre::new(&scenario);

@@ -273,17 +273,20 @@ impl<'a> Driver<'a> {
         let name_of = |id| self.scenario.name_of(id);
         match notice {
             Notice::Missed { first, last } => log::warn!("missed ticks {first} to {last}"),
-            Notice::Widened(noise_scale) => log::warn!(
-                "most sensors fail together: assumes {noise_scale:.1} times their stated range noise, and distrusts no sensor"
+            Notice::Widened(kind, noise_scale) => log::warn!(
+                "most sensors fail together: assumes {noise_scale:.1} times their stated {} noise, and distrusts no sensor",
+                kind.name()
             ),
-            Notice::NoLongerWidened => {
-                log::warn!("most sensors no longer fail together: assumes their stated range noise again");
+            Notice::NoLongerWidened(kind) => {
+                log::warn!("most sensors no longer fail together: assumes their stated {} noise again", kind.name());
             }
-            Notice::Distrusted(id) => {
-                log::warn!("{} is distrusted: {FAILURES_MAX} of its last {RECENT} ranges failed the gate", name_of(id));
-            }
-            Notice::Trusted(id) => {
-                log::warn!("{} is trusted again: its last {RECENT} ranges passed the gate", name_of(id));
+            Notice::Distrusted(kind, id) => log::warn!(
+                "{} is distrusted: {FAILURES_MAX} of its last {RECENT} {}s failed the gate",
+                name_of(id),
+                kind.name()
+            ),
+            Notice::Trusted(kind, id) => {
+                log::warn!("{} is trusted again: its last {RECENT} {}s passed the gate", name_of(id), kind.name());
             }
             Notice::Refused(refusal) => {
                 log::warn!("refused a range message ({}); further ones are counted in the report", refusal.name());

@@ -1,8 +1,9 @@
-//! The robot's process: a [`Machine`] over shared memory, with a [`RangeSensor`] and an [`Actuator`].
+//! The robot's process: a [`Machine`] over shared memory, with a [`Sensor`], a [`PoseSource`] and an [`Actuator`].
 
 use rangehound_robot::drive::{Actuator, SimulatedActuator};
 use rangehound_robot::machine::{Action, Machine};
-use rangehound_robot::sensor::{RangeSensor, Sensor, measure};
+use rangehound_robot::pose::{self, PoseSource};
+use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
 use rangehound_shared::scenario::{Clock, Scenario};
 
@@ -42,19 +43,19 @@ impl RobotError {
 /// [`RobotError`].
 pub fn run(rendezvous: &Rendezvous, id: usize, termination: &Termination) -> Result<(), RobotError> {
     let scenario = &rendezvous.description().scenario;
-    let mut sensor = Sensor::new(scenario, id).ok_or_else(|| RobotError::no_such(scenario, id))?;
-    run_with(rendezvous, id, &mut sensor, &mut SimulatedActuator, termination)
+    let mut sensor = sensor::of_scenario(scenario, id).ok_or_else(|| RobotError::no_such(scenario, id))?;
+    let mut poses = pose::of_scenario(scenario, id).ok_or_else(|| RobotError::no_such(scenario, id))?;
+    run_with(rendezvous, id, (sensor.as_mut(), poses.as_mut(), &mut SimulatedActuator), termination)
 }
 
-/// Runs one robot with the caller's sensor and actuator. The last command is always to stop, however the run ends.
+/// Runs one robot with the caller's sensor, localiser and actuator. The last command is always to stop, however the run ends.
 ///
 /// # Errors
 /// [`RobotError`].
-pub fn run_with<S: RangeSensor, A: Actuator>(
+pub fn run_with<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator>(
     rendezvous: &Rendezvous,
     id: usize,
-    sensor: &mut S,
-    actuator: &mut A,
+    (sensor, poses, actuator): (&mut S, &mut P, &mut A),
     termination: &Termination,
 ) -> Result<(), RobotError> {
     let scenario = &rendezvous.description().scenario;
@@ -69,6 +70,7 @@ pub fn run_with<S: RangeSensor, A: Actuator>(
         clock: scenario.clock,
         machine,
         sensor,
+        poses,
         actuator,
         ranges: bus.publisher(1)?,
         drives: bus.publisher(1)?,
@@ -83,10 +85,11 @@ pub fn run_with<S: RangeSensor, A: Actuator>(
     ended
 }
 
-struct Driver<'a, S, A> {
+struct Driver<'a, S: ?Sized, P: ?Sized, A> {
     clock: Clock,
     machine: Machine,
     sensor: &'a mut S,
+    poses: &'a mut P,
     actuator: &'a mut A,
     ranges: Publisher<Range>,
     drives: Publisher<Drive>,
@@ -97,7 +100,7 @@ struct Driver<'a, S, A> {
     fusion: Notifier,
 }
 
-impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
+impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A> {
     fn take_part(
         &mut self,
         rendezvous: &Rendezvous,
@@ -149,9 +152,9 @@ impl<S: RangeSensor, A: Actuator> Driver<'_, S, A> {
     fn act(&mut self) -> Result<(), BusError> {
         while let Some(action) = self.machine.next_action(monotonic_ns()) {
             match action {
-                Action::Measure { tick, entry } => {
-                    let (range_m, std_m) = measure(self.sensor, tick, &entry);
-                    self.machine.measured(range_m, std_m, monotonic_ns());
+                Action::Measure { tick, time_s, entry } => {
+                    let measurement = measure(self.sensor, self.poses, (tick, time_s), &entry);
+                    self.machine.measured(measurement, monotonic_ns());
                 }
                 Action::CarryOut(command) => {
                     let driven = self.actuator.carry_out(command);

@@ -166,7 +166,8 @@ impl<'a> Driver<'a> {
         let (machine, Some(log)) = (&self.machine, &mut self.log) else { return };
         let world = machine.world();
         let fill = |record: &mut WorldRecord| {
-            record.set(world.time_s(), monotonic_ns(), world.truth(), world.entries(), machine.drives());
+            let times = (world.time_s(), monotonic_ns());
+            record.set(times, world.truth(), world.poses(), world.entries(), machine.drives());
         };
         if let Err(error) = log.write(machine.tick(), fill) {
             log::warn!("{error}: the run continues without this log; report and recording will miss these ticks");

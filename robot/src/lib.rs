@@ -6,18 +6,20 @@
 //! sim --world--> ROBOT --range--> fusion --heading--> ROBOT --drive--> sim
 //! ```
 //!
-//! At each tick it measures its range, publishes it, and drives the heading that fusion returns.
+//! At each tick it measures, publishes the measurement, and drives the heading that fusion returns.
 //! It needs no checkpoint: after a restart it continues with the present tick.
 //!
-//! Your own robot is a [`sensor::RangeSensor`] and a [`drive::Actuator`], passed to `rangehound_node::robot::run_with` in
-//! place of the simulated ones; `node/examples/serial_range.rs` is such a program.
+//! Your own robot is a [`sensor::Sensor`], a [`pose::PoseSource`] and a [`drive::Actuator`], passed to
+//! `rangehound_node::robot::run_with` in place of the simulated ones; `node/examples/serial_range.rs` is such a program.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`sensor`] | the range sensor: simulated (noise), recorded (calibration), or your own |
+//! | [`sensor`] | the sensor of ranges and bearings: simulated (noise), recorded (calibration), or your own |
+//! | [`pose`] | the localiser: simulated, recorded, or your own |
 //! | [`drive`] | the motion controller, from headings or their absence to commands, and the actuator |
 //! | [`machine`] | the protocol: messages in, actions out |
 
 pub mod drive;
 pub mod machine;
+pub mod pose;
 pub mod sensor;

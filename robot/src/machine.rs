@@ -17,10 +17,12 @@ use crate::drive::{Controller, HOLD_TICKS};
 /// The driver's next action.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Action {
-    /// Ask the sensor for the range at a tick, and answer with [`Machine::measured`].
+    /// Ask localiser and sensor for the measurement of a tick, and answer with [`Machine::measured`].
     Measure {
         /// The tick.
         tick: u64,
+        /// Its time, s.
+        time_s: f64,
         /// This robot's entry of the world.
         entry: WorldEntry,
     },
@@ -74,7 +76,6 @@ struct Present {
 enum Asked {
     Range {
         header: Header,
-        entry: WorldEntry,
     },
     /// A command from a heading that was received at this time; 0 without a heading.
     Drive {
@@ -174,17 +175,12 @@ impl Machine {
         }
     }
 
-    /// Answers [`Action::Measure`]: the range, m, if there is one, and its standard deviation. It is published next.
-    pub fn measured(&mut self, range_m: Option<f64>, std_m: f64, now_ns: u64) {
-        let Some(Asked::Range { header, entry }) = self.asked.take_if(|asked| matches!(asked, Asked::Range { .. }))
-        else {
+    /// Answers [`Action::Measure`]. The measurement is published next.
+    pub fn measured(&mut self, measurement: Measurement, now_ns: u64) {
+        let Some(Asked::Range { header }) = self.asked.take_if(|asked| matches!(asked, Asked::Range { .. })) else {
             return;
         };
-        let range = Range {
-            robot: self.id as u64,
-            measurement: Measurement::new(entry.pose, range_m.map(|range_m| (range_m, std_m))),
-            tick_began_ns: header.sent_ns,
-        };
+        let range = Range { robot: self.id as u64, measurement, tick_began_ns: header.sent_ns };
         self.present = Some(Present {
             sim_incarnation: header.incarnation,
             tick: header.tick,
@@ -247,8 +243,8 @@ impl Machine {
             if let Some(reported) = self.present.and_then(|present| present.drive) {
                 self.headings_refused -= reported.headings_refused;
             }
-            self.asked = Some(Asked::Range { header, entry });
-            self.actions.push_back(Action::Measure { tick: header.tick, entry });
+            self.asked = Some(Asked::Range { header });
+            self.actions.push_back(Action::Measure { tick: header.tick, time_s: header.valid_at_s, entry });
         }
         // A restarted simulator may go back in ticks; the same incarnation never does.
     }
@@ -301,7 +297,7 @@ impl Machine {
             robot: self.id as u64,
             heading_rad: driven.heading_rad,
             speed_mps: driven.speed_mps,
-            range_sent_ns: if present.range.measurement.range().is_some() { present.range_sent_ns } else { 0 },
+            range_sent_ns: if present.range.measurement.kinds != 0 { present.range_sent_ns } else { 0 },
             heading_held_ns,
             heading_late: u64::from(is_late),
             headings_refused: self.headings_refused,

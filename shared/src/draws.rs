@@ -27,6 +27,16 @@ pub enum Stream {
         /// The robot's id.
         robot: usize,
     },
+    /// Noise of one robot's bearing.
+    BearingNoise {
+        /// The robot's id.
+        robot: usize,
+    },
+    /// Errors of one robot's pose and bias of its ranges.
+    Nuisances {
+        /// The robot's id.
+        robot: usize,
+    },
 }
 
 impl Stream {
@@ -38,6 +48,8 @@ impl Stream {
             Self::Faults => 3,
             // Far above the fixed purposes, so that a new purpose does not change any robot's noise.
             Self::RangeNoise { robot } => 1_000 + robot as u64,
+            Self::BearingNoise { robot } => 1_000_000 + robot as u64,
+            Self::Nuisances { robot } => 2_000_000 + robot as u64,
         }
     }
 }

@@ -14,10 +14,11 @@
 //! |---|---|
 //! | [`scenario`] | the experiment: file format, defaults, validation |
 //! | [`motion`] | linear target models, exactly discretised; matrices of run-time size |
+//! | [`angle`] | angles within one turn |
 //! | [`draws`] | random numbers as a function of (seed, stream, tick) |
 //! | [`recording`] | recorded ranges: tables from loggers, and logs of radios |
 //! | [`radio`] | output formats of ranging radios |
-//! | [`measurement`] | a robot's measurement and its place |
+//! | [`measurement`] | a robot's measurement and its pose |
 //! | [`message`] | the payload of each topic |
 //! | [`robot_set`] | a set of robots' ids |
 //! | [`record`] | the log record of each tick, and the rolling digest over all estimates |
@@ -25,6 +26,7 @@
 //! | [`protocol`] | compatibility of builds, wake-ups, deadlines of a real-time tick |
 //! | [`run_name`] | names of runs |
 
+pub mod angle;
 pub mod draws;
 pub mod measurement;
 pub mod message;

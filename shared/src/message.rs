@@ -7,7 +7,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 use serde::{Deserialize, Serialize};
 
-use crate::measurement::{Measurement, Pose};
+use crate::measurement::{Kind, Measurement, Pose};
 use crate::{STATE_DIM_MAX, robot_set};
 
 /// Header of every message.
@@ -38,67 +38,77 @@ pub struct Outgoing<T> {
     pub entry: T,
 }
 
-/// Topic `world`, an entry for each robot: its place and its sensor's input.
+/// Topic `world`, an entry for each robot: the output of its localiser and the input of its sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.WorldEntry.v3"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.WorldEntry.v4"))]
 #[repr(C)]
 pub struct WorldEntry {
-    /// Place of the robot.
+    /// Where the robot's simulated or recorded localiser says that it is.
     pub pose: Pose,
-    /// Range to the target, m; see `range_kind`.
+    /// What its sensor can measure at this tick: the [bits](Kind::bit) of the kinds. The other fields are zero.
+    pub kinds: u64,
+    /// [`Origin`] of range and bearing, as a number.
+    pub origin: u64,
+    /// Range to the target, m.
     pub range_m: f64,
-    /// [`RangeKind`] as a number.
-    pub range_kind: u64,
+    /// Bearing of the target from the robot's true heading, rad.
+    pub bearing_rad: f64,
 }
 
 impl WorldEntry {
-    /// True if its numbers are finite and its range kind is known.
+    /// The range and the bearing of this origin, as far as there are any.
+    #[must_use]
+    pub fn of(&self, origin: Origin) -> (Option<f64>, Option<f64>) {
+        let value = |kind: Kind, value: f64| {
+            (self.origin == origin.to_bits() && self.kinds & kind.bit() != 0 && value.is_finite()).then_some(value)
+        };
+        (value(Kind::Range, self.range_m), value(Kind::Bearing, self.bearing_rad))
+    }
+
+    /// The numbers of which each must be finite.
+    pub fn numbers(&self) -> impl Iterator<Item = f64> {
+        self.pose.numbers().into_iter().chain([self.range_m, self.bearing_rad])
+    }
+
+    /// True if its numbers are finite, and its kinds and origin are known.
     #[must_use]
     pub fn is_valid(&self) -> bool {
-        let Self { pose, range_m, range_kind } = *self;
-        pose.numbers().iter().all(|value| value.is_finite())
-            && range_m.is_finite()
-            && RangeKind::from_bits(range_kind).is_some()
+        self.numbers().all(f64::is_finite) && self.kinds >> Kind::COUNT == 0 && Origin::from_bits(self.origin).is_some()
     }
 }
 
-/// Meaning of the range of a [`WorldEntry`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RangeKind {
-    /// No range at this tick.
-    Absent,
-    /// The true distance: the robot's sensor adds its noise.
-    True,
-    /// A recorded measurement: the robot's sensor only calibrates it.
-    Measured,
+/// Where the measurements of a [`WorldEntry`] come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Origin {
+    /// From the simulated target: the true values, to which the robot's sensor adds its noise.
+    #[default]
+    Simulated,
+    /// From a recording: measured values, which the robot's sensor only calibrates.
+    Recorded,
 }
 
-impl RangeKind {
-    /// The number of this kind in a message.
+impl Origin {
+    /// The number of this origin in a message.
     #[must_use]
     pub fn to_bits(self) -> u64 {
-        match self {
-            Self::Absent => 0,
-            Self::True => 1,
-            Self::Measured => 2,
-        }
+        self as u64
     }
 
-    /// The kind with this number.
+    /// The origin with this number.
     #[must_use]
     pub fn from_bits(bits: u64) -> Option<Self> {
-        [Self::Absent, Self::True, Self::Measured].into_iter().find(|kind| kind.to_bits() == bits)
+        [Self::Simulated, Self::Recorded].into_iter().find(|origin| origin.to_bits() == bits)
     }
 }
 
-/// Topic `range`: one robot's measurement at this tick; also sent without a range.
+/// Topic `range`: one robot's measurement at this tick, a range, a bearing or both; also sent without any.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v3"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v4"))]
 #[repr(C)]
 pub struct Range {
     /// Id of the robot.
     pub robot: u64,
-    /// The measurement and the sensor's place.
+    /// The measurement and the sensor's pose.
     pub measurement: Measurement,
     /// Start of the tick, monotonic ns, as in `world`: real-time deadlines count from it.
     pub tick_began_ns: u64,
@@ -174,7 +184,7 @@ impl Refusal {
 
 /// Topic `estimate`: fusion's result of a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v6"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Estimate.v7"))]
 #[repr(C)]
 pub struct Estimate {
     /// Dimension n of the state.
@@ -191,9 +201,9 @@ pub struct Estimate {
     pub nis_all: f64,
     /// Number of these ranges: the degrees of freedom.
     pub tested: u64,
-    /// Factor on the stated standard deviations of ranges, from the next range on: more than 1
-    /// while most sensors fail together.
-    pub noise_scale: f64,
+    /// Factor on the stated standard deviations of each [`Kind`], from the next measurement on: more than 1 while most
+    /// sensors of that kind fail together.
+    pub noise_scale: [f64; Kind::COUNT],
     /// Ranges that failed the gate, or whose robot is distrusted.
     pub rejected: u64,
     /// Robots without a message.
@@ -206,8 +216,8 @@ pub struct Estimate {
     pub rejected_late: u64,
     /// Messages refused since the last estimate, in the order of [`Refusal::ALL`].
     pub refused: [u64; Refusal::ALL.len()],
-    /// Robots that are distrusted: bits of a [`RobotSet`](robot_set::RobotSet).
-    pub distrusted: [u64; robot_set::WORDS],
+    /// Robots whose measurements of each [`Kind`] are distrusted: bits of a [`RobotSet`](robot_set::RobotSet).
+    pub distrusted: [[u64; robot_set::WORDS]; Kind::COUNT],
     /// Planner's `|S|`, 1/m^2.
     pub objective: f64,
     /// Lower bound on it; `-inf` from planners that prove none.
@@ -266,14 +276,14 @@ impl Default for Estimate {
             fused: 0,
             nis_all: 0.0,
             tested: 0,
-            noise_scale: 1.0,
+            noise_scale: [1.0; Kind::COUNT],
             rejected: 0,
             missing: 0,
             late: 0,
             fused_late: 0,
             rejected_late: 0,
             refused: [0; Refusal::ALL.len()],
-            distrusted: [0; robot_set::WORDS],
+            distrusted: [[0; robot_set::WORDS]; Kind::COUNT],
             objective: 0.0,
             lower_bound: f64::NEG_INFINITY,
             least_trace_m2: 0.0,
@@ -297,11 +307,11 @@ impl Drive {
 // The memory layout that other builds read: change it only on purpose.
 const _: () = {
     assert!(size_of::<Header>() == 40);
-    assert!(size_of::<WorldEntry>() == 64);
-    assert!(size_of::<Range>() == 88);
+    assert!(size_of::<WorldEntry>() == 96);
+    assert!(size_of::<Range>() == 120);
     assert!(size_of::<Command>() == 16);
     assert!(size_of::<Drive>() == 56);
-    assert!(size_of::<Estimate>() == 928);
+    assert!(size_of::<Estimate>() == 1064);
     assert!(size_of::<Truth>() == 88);
 };
 
@@ -311,15 +321,18 @@ mod tests {
 
     #[test]
     fn an_invalid_world_entry_is_detected() {
-        let valid = WorldEntry { range_kind: RangeKind::True.to_bits(), ..WorldEntry::default() };
+        let valid = WorldEntry { kinds: 3, origin: Origin::Recorded.to_bits(), ..WorldEntry::default() };
         assert!(valid.is_valid());
         for nonsense in [
             WorldEntry { pose: Pose::at([f64::NAN, 0.0]), ..valid },
             WorldEntry { pose: Pose::at([0.0, f64::INFINITY]), ..valid },
             WorldEntry { range_m: f64::NAN, ..valid },
+            WorldEntry { bearing_rad: f64::INFINITY, ..valid },
             WorldEntry { pose: Pose { height_m: f64::NAN, ..Pose::default() }, ..valid },
+            WorldEntry { pose: Pose { heading_rad: f64::NAN, ..Pose::default() }, ..valid },
             WorldEntry { pose: Pose { covariance_m2: [f64::NAN, 0.0, 0.0], ..Pose::default() }, ..valid },
-            WorldEntry { range_kind: 3, ..valid },
+            WorldEntry { kinds: 4, ..valid },
+            WorldEntry { origin: 2, ..valid },
         ] {
             assert!(!nonsense.is_valid(), "{nonsense:?}");
         }

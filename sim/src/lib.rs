@@ -7,17 +7,19 @@
 //!                          `--truth--> observers
 //! ```
 //!
-//! It keeps the team's clock: `world(k)` has each robot's position and the range that its sensor would measure,
+//! It keeps the team's clock: `world(k)` has what each robot's localiser says and what its sensor can measure,
 //! and the next tick starts when all robots have sent their drives (lock step) or by the clock (real time).
-//! Robots receive ranges only; the target's true state goes to observers.
+//! Robots receive measurements only; the target's true state goes to observers.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`world`] | the trait of both kinds of world |
 //! | [`simulation`] | the target moves by its model, the robots by their drives |
+//! | `errors` | errors of the robots' poses, and biases of their ranges |
 //! | [`playback`] | recorded ranges in place of a simulation |
 //! | [`machine`] | the protocol: messages in, actions out |
 
+mod errors;
 pub mod machine;
 pub mod playback;
 pub mod simulation;

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use rangehound_shared::measurement::Pose;
-use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
+use rangehound_shared::measurement::{Kind, Pose};
+use rangehound_shared::message::{Drive, Origin, WorldEntry};
 use rangehound_shared::recording::{RecordedRange, Recording};
 use rangehound_shared::sealed::{self, SealError};
 
@@ -17,19 +17,18 @@ pub struct Playback {
     next_instant: usize,
     time_s: f64,
     entries: Vec<WorldEntry>,
+    poses: Vec<Pose>,
 }
 
 impl Playback {
     /// Plays a recording from its start. With the target's height, the sensors' heights are relative to it.
     #[must_use]
     pub fn new(recording: Arc<Recording>, target_height_m: Option<f64>) -> Self {
-        let entries = recording
-            .sensors()
-            .iter()
-            .map(|sensor| WorldEntry { pose: Pose::at(sensor.first_position_m), ..WorldEntry::default() })
-            .collect();
+        let poses: Vec<Pose> = recording.sensors().iter().map(|sensor| Pose::at(sensor.first_position_m)).collect();
+        let origin = Origin::Recorded.to_bits();
+        let entries = poses.iter().map(|pose| WorldEntry { pose: *pose, origin, ..WorldEntry::default() }).collect();
         let time_s = recording.instant(0).map_or(0.0, |(time_s, _)| time_s);
-        Self { recording, target_height_m, next_instant: 0, time_s, entries }
+        Self { recording, target_height_m, next_instant: 0, time_s, entries, poses }
     }
 }
 
@@ -42,14 +41,17 @@ impl World for Playback {
         &self.entries
     }
 
+    fn poses(&self) -> &[Pose] {
+        &self.poses
+    }
+
     fn truth(&self) -> &[f64] {
         &[]
     }
 
     fn advance(&mut self, _drives: &[Option<Drive>]) {
         for entry in &mut self.entries {
-            entry.range_kind = RangeKind::Absent.to_bits();
-            entry.range_m = 0.0;
+            (entry.kinds, entry.range_m, entry.bearing_rad) = (0, 0.0, 0.0);
         }
         if let Some((time_s, readings)) = self.recording.instant(self.next_instant) {
             self.time_s = time_s;
@@ -58,9 +60,10 @@ impl World for Playback {
                 // Without the target's height, ranges are taken as horizontal.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
-                let range_kind = RangeKind::Measured.to_bits();
                 let pose = Pose { height_m, ..Pose::at(position_m) };
-                self.entries[sensor] = WorldEntry { pose, range_m, range_kind };
+                let (kinds, origin) = (Kind::Range.bit(), Origin::Recorded.to_bits());
+                self.entries[sensor] = WorldEntry { pose, kinds, origin, range_m, bearing_rad: 0.0 };
+                self.poses[sensor] = pose;
             }
             self.next_instant += 1;
         }
@@ -72,10 +75,11 @@ impl World for Playback {
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
         let (next_instant, time_s, entries): (usize, f64, Vec<WorldEntry>) = sealed::decode(bytes)?;
-        let places = entries.iter().flat_map(|entry| entry.pose.numbers().into_iter().chain([entry.range_m]));
+        let places = entries.iter().flat_map(WorldEntry::numbers);
         if entries.len() != self.entries.len() || !are_valid(places.chain([time_s])) {
             return Err(SealError::Malformed);
         }
+        self.poses = entries.iter().map(|entry| entry.pose).collect();
         (self.next_instant, self.time_s, self.entries) = (next_instant, time_s, entries);
         Ok(())
     }
@@ -95,8 +99,8 @@ mod tests {
         let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
         let mut world = Playback::new(Arc::new(recording), None);
         let heard = |world: &Playback| -> Vec<(f64, f64, f64)> {
-            let measured = |entry: &&WorldEntry| entry.range_kind == RangeKind::Measured.to_bits();
-            world.entries().iter().filter(measured).map(|e| (e.pose.x_m, e.pose.y_m, e.range_m)).collect()
+            let measured = |e: &WorldEntry| Some((e.pose.x_m, e.pose.y_m, e.of(Origin::Recorded).0?));
+            world.entries().iter().filter_map(measured).collect()
         };
         assert_eq!((world.time_s(), heard(&world)), (5.0, vec![]));
         world.advance(&[]);

@@ -1,5 +1,6 @@
 //! The team's environment, pure: no I/O, no clock.
 
+use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Drive, WorldEntry};
 use rangehound_shared::sealed::SealError;
 
@@ -16,8 +17,11 @@ pub trait World: std::fmt::Debug + Send {
     /// Time of the present tick, s.
     fn time_s(&self) -> f64;
 
-    /// Each robot's position and the range that its sensor would measure.
+    /// What each robot's localiser says, and what its sensor can measure.
     fn entries(&self) -> &[WorldEntry];
+
+    /// Each robot's true pose; in a recording, what its localiser said.
+    fn poses(&self) -> &[Pose];
 
     /// The target's true state; empty if unknown.
     fn truth(&self) -> &[f64];

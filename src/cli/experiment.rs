@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use rangehound_shared::scenario::{
-    FilterTable, PlannerTable, RecordingTable, RobotsTable, ScenarioFile, SensorTable, TargetTable, defaults,
+    FilterTable, PlannerTable, RecordedSensorTable, RecordingTable, RobotsTable, ScenarioFile, TargetTable, defaults,
 };
 
 use super::{ExperimentArgs, InputArgs, PerSensor, TrackArgs};
@@ -70,7 +70,7 @@ impl TrackArgs {
             start_std_m: self.start_std,
             ..self.input.table()?
         };
-        let mut sensors: Vec<SensorTable> = Vec::new();
+        let mut sensors: Vec<RecordedSensorTable> = Vec::new();
         apply(&self.range_bias, &mut recording.bias_m, &mut sensors, |sensor| &mut sensor.bias_m);
         apply(&self.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
         recording.sensor = Some(sensors);
@@ -142,15 +142,15 @@ impl InputArgs {
 fn apply(
     values: &[PerSensor],
     all: &mut Option<f64>,
-    sensors: &mut Vec<SensorTable>,
-    field: impl Fn(&mut SensorTable) -> &mut Option<f64>,
+    sensors: &mut Vec<RecordedSensorTable>,
+    field: impl Fn(&mut RecordedSensorTable) -> &mut Option<f64>,
 ) {
     for PerSensor { sensor, value } in values {
         match sensor {
             None => *all = Some(*value),
             Some(id) => {
                 let index = sensors.iter().position(|known| known.id == *id).unwrap_or_else(|| {
-                    sensors.push(SensorTable::new(id.clone()));
+                    sensors.push(RecordedSensorTable::new(id.clone()));
                     sensors.len() - 1
                 });
                 *field(&mut sensors[index]) = Some(*value);

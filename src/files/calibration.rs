@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use rangehound_shared::recording::SensorName;
-use rangehound_shared::scenario::{RecordingTable, SensorTable};
+use rangehound_shared::scenario::{RecordedSensorTable, RecordingTable};
 use serde::Deserialize;
 
 use crate::failure::{self, Failure};
@@ -114,10 +114,10 @@ pub fn merge(file: &Calibration, known: &[String], table: &mut RecordingTable, p
 }
 
 /// The table's entry of a sensor; created if it is missing.
-fn entry<'a>(sensors: &'a mut Vec<SensorTable>, name: &str) -> Option<&'a mut SensorTable> {
+fn entry<'a>(sensors: &'a mut Vec<RecordedSensorTable>, name: &str) -> Option<&'a mut RecordedSensorTable> {
     let id: SensorName = name.parse().ok()?;
     let index = sensors.iter().position(|sensor| sensor.id == id).unwrap_or_else(|| {
-        sensors.push(SensorTable::new(id));
+        sensors.push(RecordedSensorTable::new(id));
         sensors.len() - 1
     });
     sensors.get_mut(index)

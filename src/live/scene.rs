@@ -213,7 +213,7 @@ impl Scene {
     fn picture(&self, frame: &Frame, known: &mut Known) -> Picture<'_> {
         let Places { tick, target_m, estimate_m, .. } = Places::of(frame);
         let p: Matrix2<f64> = position_covariance(&frame.fusion.estimate);
-        let distrusted = RobotSet::from_bits(frame.fusion.estimate.distrusted);
+        let distrusted = frame.fusion.estimate.distrusted.map(RobotSet::from_bits);
         let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges).enumerate();
         Picture {
             tick,
@@ -234,7 +234,7 @@ impl Scene {
                         command_mps: milli(exchange.command.speed_mps),
                         range_m: range.map(|(range_m, _)| milli(range_m)),
                         range_from_m: range.map(|(_, pose)| at(pose)),
-                        is_distrusted: distrusted.contains(id),
+                        is_distrusted: distrusted.iter().any(|of_kind| of_kind.contains(id)),
                     }
                 })
                 .collect(),

@@ -1,19 +1,18 @@
 //! One line in, one line out: a problem and its answer, without I/O.
 
-use std::f64::consts::TAU;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::time::Instant;
 
 use nalgebra::Matrix2;
-use rangehound_fusion::planner::{
-    self, Certificate, Plan, Planner, RangeNoise, Sensor, Situation, TeamMember, Worth, hull_certificate,
-};
+use rangehound_fusion::planner::{self, Certificate, Plan, Planner, Situation, TeamMember, Worth, hull_certificate};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::message::Command;
 use rangehound_shared::motion::matrix::Matrix;
-use rangehound_shared::scenario::{Clearance, Criterion, PlannerSpec, PlannerTable, ScenarioError, bounds};
+use rangehound_shared::scenario::{
+    Clearance, Criterion, PlannerSpec, PlannerTable, RangeNoise, ScenarioError, SensorSpec, bounds,
+};
 use serde::{Serialize, Serializer};
 
 use super::schema::{Number, Object, Pair, ProblemLine, RobotLine};
@@ -244,14 +243,19 @@ fn member(robot: &RobotLine) -> Result<TeamMember, String> {
         position_covariance_m2,
         heading_std_rad: optional("heading_std_rad", robot.heading_std_rad, bounds::HEADING_STD_RAD, 0.0)?,
         max_speed_mps,
-        sensor: Sensor {
+        sensor: SensorSpec {
             range: std_m.map(|std_m| RangeNoise { std_m, std_per_m }),
             bearing_std_rad,
-            max_range_m: optional("max_range_m", robot.max_range_m, bounds::MAX_RANGE_M, f64::INFINITY)?,
-            field_of_view_rad: optional("field_of_view_rad", robot.field_of_view_rad, bounds::FIELD_OF_VIEW_RAD, TAU)?,
+            max_range_m: maybe("max_range_m", robot.max_range_m, bounds::MAX_RANGE_M)?,
+            field_of_view_rad: maybe("field_of_view_rad", robot.field_of_view_rad, bounds::FIELD_OF_VIEW_RAD)?,
         },
         is_fused: true,
     })
+}
+
+/// A value that need not be given.
+fn maybe(key: &str, value: Option<Number>, bounds: RangeInclusive<f64>) -> Result<Option<f64>, String> {
+    value.map(|value| number(key, Some(value), bounds)).transpose()
 }
 
 fn criterion(name: &str) -> Result<Criterion, String> {

@@ -71,7 +71,7 @@ impl Bucket {
         add(&mut self.fused, estimate.fused);
         add(&mut self.missing, estimate.missing);
         add(&mut self.late, estimate.late);
-        add(&mut self.distrusted, RobotSet::from_bits(estimate.distrusted).len() as u64);
+        add(&mut self.distrusted, estimate.distrusted.map(|bits| RobotSet::from_bits(bits).len() as u64).iter().sum());
     }
 }
 

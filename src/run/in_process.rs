@@ -14,7 +14,8 @@ use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_node::world::{PlaybackError, world_of};
 use rangehound_robot::machine as robot;
-use rangehound_robot::sensor::{Sensor, measure};
+use rangehound_robot::pose::{self, PoseSource};
+use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::{Drive, Header, Outgoing, Range};
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rangehound_sim::World;
@@ -38,7 +39,8 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
         let (centre, world) = (team.centre(), team.world());
         estimates.write(tick, |record| record.set(centre.time_s(), &centre.estimate(), team.leader.exchanges()))?;
         worlds.write(tick, |record| {
-            record.set(world.time_s(), monotonic_ns(), world.truth(), world.entries(), team.drives());
+            let times = (world.time_s(), monotonic_ns());
+            record.set(times, world.truth(), world.poses(), world.entries(), team.drives());
         })?;
         team.advance();
         on_tick(tick);
@@ -51,9 +53,24 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
 pub struct Team {
     sim: sim::Machine,
     leader: Leader,
-    robots: Vec<(robot::Machine, Sensor)>,
+    robots: Vec<Robot>,
     /// The tick's messages of the topic `range`.
     ranges: Vec<Outgoing<Range>>,
+}
+
+/// One robot with its sensor and its localiser.
+#[derive(Debug)]
+struct Robot {
+    machine: robot::Machine,
+    sensor: Box<dyn Sensor>,
+    poses: Box<dyn PoseSource>,
+}
+
+impl Robot {
+    fn new(scenario: &Scenario, id: usize) -> Option<Self> {
+        let machine = robot::Machine::new(scenario, id, 0)?;
+        Some(Self { machine, sensor: sensor::of_scenario(scenario, id)?, poses: pose::of_scenario(scenario, id)? })
+    }
 }
 
 /// Why a team cannot be put together.
@@ -89,9 +106,7 @@ impl Team {
             sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),
             // No report is late here: past ticks are not stored.
             leader: Leader::of_centre(scenario, Centre::new(scenario)?),
-            robots: team
-                .filter_map(|id| Some((robot::Machine::new(scenario, id, 0)?, Sensor::new(scenario, id)?)))
-                .collect(),
+            robots: team.filter_map(|id| Robot::new(scenario, id)).collect(),
             ranges: Vec::with_capacity(scenario.robots.len()),
         })
     }
@@ -122,7 +137,7 @@ impl Team {
             if action == leader::Action::SendHeadings {
                 let centre = self.leader.centre();
                 let header = Header { tick: centre.next_tick() - 1, ..Header::default() };
-                self.robots.iter_mut().for_each(|(robot, _)| robot.on_heading(&header, centre.commands()));
+                self.robots.iter_mut().for_each(|robot| robot.machine.on_heading(&header, centre.commands()));
             }
         }
         self.step_robots();
@@ -141,19 +156,19 @@ impl Team {
             if action == sim::Action::SendWorld {
                 let (tick, world) = (self.sim.tick(), self.sim.world());
                 let header = Header { incarnation: 1, tick, valid_at_s: world.time_s(), ..Header::default() };
-                self.robots.iter_mut().for_each(|(robot, _)| robot.on_world(&header, world.entries()));
+                self.robots.iter_mut().for_each(|robot| robot.machine.on_world(&header, world.entries()));
             }
         }
     }
 
     fn step_robots(&mut self) {
         let Self { sim, robots, ranges, .. } = self;
-        for (robot, sensor) in robots {
+        for Robot { machine: robot, sensor, poses } in robots {
             while let Some(action) = robot.next_action(HEADING_HELD_NS) {
                 match action {
-                    robot::Action::Measure { tick, entry } => {
-                        let (range_m, std_m) = measure(sensor, tick, &entry);
-                        robot.measured(range_m, std_m, RANGE_SENT_NS);
+                    robot::Action::Measure { tick, time_s, entry } => {
+                        let measurement = measure(sensor.as_mut(), poses.as_mut(), (tick, time_s), &entry);
+                        robot.measured(measurement, RANGE_SENT_NS);
                     }
                     robot::Action::CarryOut(command) => robot.carried_out(command),
                     robot::Action::SendRange(message) => ranges.push(message),

@@ -23,7 +23,8 @@ use rangehound::results::report::Truth;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::world::world_of;
 use rangehound_robot::drive::Controller;
-use rangehound_robot::sensor::{RangeSensor, Sensor};
+use rangehound_robot::pose;
+use rangehound_robot::sensor::{self, measure};
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Command, Drive, WorldEntry};
 use rangehound_shared::recording::{ReadOptions, Recording};
@@ -233,15 +234,18 @@ fn hostile_messages() {
         heading_late: words[3],
         headings_refused: words[4],
     });
-    let entry = ([(); 7].map(|()| number.clone()), prop_oneof![2 => 0..4_u64, 1 => word.clone()]);
-    let entry = entry.prop_map(|([x_m, y_m, range_m, height_m, xx_m2, xy_m2, yy_m2], range_kind)| WorldEntry {
-        pose: Pose { x_m, y_m, height_m, covariance_m2: [xx_m2, xy_m2, yy_m2] },
-        range_m,
-        range_kind,
+    let bits = prop_oneof![2 => 0..4_u64, 1 => word.clone()];
+    let entry = ([(); 10].map(|()| number.clone()), bits.clone(), bits);
+    let entry = entry.prop_map(|(numbers, kinds, origin)| {
+        let [x_m, y_m, range_m, height_m, xx_m2, xy_m2, yy_m2, heading_rad, heading_std_rad, bearing_rad] = numbers;
+        let covariance_m2 = [xx_m2, xy_m2, yy_m2];
+        let pose = Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad };
+        WorldEntry { pose, kinds, origin, range_m, bearing_rad }
     });
     let command = [number.clone(), number].prop_map(|[heading_rad, speed_mps]| Command { heading_rad, speed_mps });
     let step = (command, [(); 3].map(|()| word.clone()), entry, vec(proptest::option::of(drive), 0..6));
-    let sensor = std::cell::RefCell::new(Sensor::new(&scenario, 0).unwrap());
+    let equipment = (sensor::of_scenario(&scenario, 0).unwrap(), pose::of_scenario(&scenario, 0).unwrap());
+    let equipment = std::cell::RefCell::new(equipment);
     for_all(20_000, &vec(step, 4), |steps| {
         let mut controller = Controller::new(limit_mps);
         let mut world = world_of(&scenario, Path::new("")).unwrap();
@@ -249,8 +253,10 @@ fn hostile_messages() {
             for driven in [controller.obey(given, command), controller.hold(asked)] {
                 assert!(driven.heading_rad.is_finite() && (0.0..=limit_mps).contains(&driven.speed_mps), "{driven:?}");
             }
-            let range_m = sensor.borrow_mut().measure(tick, &entry);
-            assert!(range_m.is_none_or(f64::is_finite), "{entry:?} {range_m:?}");
+            let (sensor, poses) = &mut *equipment.borrow_mut();
+            let measured = measure(sensor.as_mut(), poses.as_mut(), (tick, 0.1), &entry);
+            let values = [measured.range(), measured.bearing()];
+            assert!(values.into_iter().flatten().all(|(value, _)| value.is_finite()), "{entry:?} {measured:?}");
             let _ = drives.iter().flatten().filter_map(Drive::latency_ns).max();
             world.advance(&drives);
             assert!(world.entries().iter().all(|entry| entry.is_valid()));

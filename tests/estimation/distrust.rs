@@ -45,7 +45,7 @@ fn run(team: &mut Team, bias_m: f64) -> Outcome {
                 .for_each(|range| range.entry.measurement.range_m += bias_m);
         })
         .unwrap();
-        let distrusted = team.centre().distrusted();
+        let [distrusted, _] = team.centre().distrusted();
         if distrusted.contains(1) {
             named_at.get_or_insert(tick);
         }
@@ -54,7 +54,7 @@ fn run(team: &mut Team, bias_m: f64) -> Outcome {
         error_m = position_error(&team.centre().estimate(), truth_m).0.sqrt();
         team.advance();
     }
-    let all_trusted_at_the_end = team.centre().distrusted().is_empty();
+    let all_trusted_at_the_end = team.centre().distrusted().iter().all(|of_kind| of_kind.is_empty());
     Outcome { named_at, another_was_named, all_trusted_at_the_end, error_at_the_end_m: error_m }
 }
 

@@ -1,7 +1,7 @@
 //! The filter against a reference on which Stone Soup, filterpy and 50-digit arithmetic agree.
 
 use nalgebra::{SMatrix, SVector, Vector2};
-use rangehound_fusion::filter::{Gaussian, RangeInformation};
+use rangehound_fusion::filter::{Gaussian, Information};
 use rangehound_shared::motion::MotionModel;
 use serde_json::Value;
 
@@ -28,7 +28,7 @@ fn covariance(value: &Value) -> SMatrix<f64, 4, 4> {
 fn step(before: Gaussian<4>, sensors: &Value, ranges: &Value) -> (Gaussian<4>, Gaussian<4>) {
     let model = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 };
     let predicted = before.predict(&model.transition(0.1));
-    let mut information = RangeInformation::default();
+    let mut information = Information::default();
     for (sensor, range_m) in sensors.as_array().unwrap().iter().zip(numbers(ranges)) {
         information.add(&predicted.innovation(Vector2::from_row_slice(&numbers(sensor)), range_m, 1.0));
     }

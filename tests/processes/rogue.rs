@@ -53,7 +53,7 @@ fn rogue() {
             let drive = Drive { robot, heading_rad: 1.0, speed_mps: 1e9, heading_held_ns: 1, ..Drive::default() };
             drives.send(tick, 0.0, &[drive]).unwrap();
             worlds
-                .send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, range_kind: 1, ..WorldEntry::default() }; robots])
+                .send(tick, 0.0, &vec![WorldEntry { range_m: 3.0, kinds: 1, ..WorldEntry::default() }; robots])
                 .unwrap();
         }
         for notifier in &notifiers {

@@ -10,7 +10,7 @@ use rangehound::files::input;
 use rangehound::results::report::Truth;
 use rangehound::run::in_process::Team;
 use rangehound_shared::scenario::{
-    FilterTable, GateKey, RecordingTable, Scenario, ScenarioFile, SensorTable, TargetTable,
+    FilterTable, GateKey, RecordedSensorTable, RecordingTable, Scenario, ScenarioFile, TargetTable,
 };
 
 /// A recording with its assumed noise.
@@ -110,13 +110,13 @@ fn real_recordings_are_tracked_to_the_figures() {
 /// Each sensor's own calibration is removed from its own ranges.
 #[test]
 fn bias_and_scale_of_one_sensor_are_its_own() {
-    let sensor = |bias_m, scale| SensorTable {
+    let sensor = |bias_m, scale| RecordedSensorTable {
         id: "2".parse().unwrap(),
         bias_m: Some(bias_m),
         scale: Some(scale),
         range_std_m: Some(0.3),
     };
-    let file = |sensor: Option<Vec<SensorTable>>| ScenarioFile {
+    let file = |sensor: Option<Vec<RecordedSensorTable>>| ScenarioFile {
         recording: Some(RecordingTable { ranges: Some("ranges.csv".to_owned()), sensor, ..RecordingTable::default() }),
         filter: Some(FilterTable { gate_sigma: Some(GateKey::Sigma(3.0)), ..FilterTable::default() }),
         ..ScenarioFile::default()
@@ -124,9 +124,9 @@ fn bias_and_scale_of_one_sensor_are_its_own() {
     let plain = input::scenario(&file(None), "test", &shipped()).unwrap();
     let special = input::scenario(&file(Some(vec![sensor(0.5, 0.1)])), "test", &shipped()).unwrap();
     assert_eq!(plain.robots[..2], special.robots[..2]);
-    assert_eq!((special.robots[2].calibration.bias_m, special.robots[2].range_std_m), (0.5, 0.3));
+    assert_eq!((special.robots[2].calibration.bias_m, special.robots[2].sensor.range.unwrap().std_m), (0.5, 0.3));
 
-    let unknown = SensorTable::new("77".parse().unwrap());
+    let unknown = RecordedSensorTable::new("77".parse().unwrap());
     let error = input::scenario(&file(Some(vec![unknown])), "test", &shipped()).unwrap_err().to_string();
     assert!(
         error.contains("recording.sensor[0].id is 77 in test: expected a sensor of the recording (0, 1, 2)"),

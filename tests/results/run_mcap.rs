@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use rangehound::results::run_mcap::read::FrameReader;
 use rangehound_shared::measurement::{Measurement, Pose};
-use rangehound_shared::record::{Heading, Heard, Judged, RangeUse};
+use rangehound_shared::record::{Heading, Heard, Judged, JudgedKinds, Use};
 use rustix::process::{Pid, Signal};
 use serde_json::Value;
 
@@ -358,14 +358,17 @@ fn every_frame_comes_back_to_the_bit() {
                 Some((-0.5, 1.5)),
             ),
             taken_at: 9,
-            judged: None,
+            judged: JudgedKinds::default(),
         });
         let pose = Pose { height_m: 2.5, ..Pose::default() };
-        let heard = Heard { measurement: Measurement::new(pose, None), taken_at: 7, judged: None };
+        let heard = Heard { measurement: Measurement::new(pose, None), taken_at: 7, judged: JudgedKinds::default() };
         strange.fusion.exchanges[2].heard = Some(heard);
-        let judged = Judged { used: RangeUse::Distrusted, normalised_square: None };
+        let judged = Judged { used: Use::Distrusted, normalised_square: None };
+        let bearing = Judged { used: Use::Rejected, normalised_square: Some(20.0) };
+        let both = Measurement::new(Pose { heading_rad: 0.7, heading_std_rad: 0.1, ..pose }, Some((2.0, 0.1)));
+        let both = both.with_bearing(Some((-1.5, 0.02)));
         all[8].fusion.exchanges[0].heard =
-            Some(Heard { judged: Some(judged), measurement: Measurement::new(pose, Some((2.0, 0.1))), taken_at: 8 });
+            Some(Heard { judged: [Some(judged), Some(bearing)], measurement: both, taken_at: 8 });
         let strange = &mut all[7];
         strange.world.robots[0].range_sent_ns = Some(5);
         strange.world.robots[0].pose.height_m = -1.25;
@@ -373,10 +376,13 @@ fn every_frame_comes_back_to_the_bit() {
         strange.world.robots[1].heading = Heading::Late;
         strange.world.robots[2].heading = Heading::Unknown;
         strange.world.robots[2].range_m = None;
+        strange.world.robots[2].bearing_rad = Some(0.3);
+        strange.world.robots[2].pose.heading_rad = -2.0;
         let estimate = &mut strange.fusion.estimate;
         (estimate.late, estimate.fused_late, estimate.rejected_late, estimate.missing) = (4, 2, 1, 1);
-        (estimate.nis_all, estimate.tested, estimate.noise_scale) = (12.5, 4, 1.75);
-        (estimate.refused, estimate.distrusted[0]) = ([1, 2, 3, 4, 5, 6], 5);
+        (estimate.nis_all, estimate.tested, estimate.noise_scale) = (12.5, 4, [1.75, 1.25]);
+        estimate.refused = [1, 2, 3, 4, 5, 6];
+        (estimate.distrusted[0][0], estimate.distrusted[1][0]) = (5, 2);
         (estimate.lower_bound, estimate.objective) = (f64::NEG_INFINITY, -0.0);
         let bytes = recorded(&description, &all);
         let mut reader = FrameReader::open(&bytes[..]).unwrap();

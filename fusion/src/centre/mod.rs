@@ -2,12 +2,12 @@
 
 use std::borrow::Cow;
 
-use rangehound_shared::measurement::Measurement;
+use rangehound_shared::measurement::{Kind, Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate};
 use rangehound_shared::record::digest::Digest;
-use rangehound_shared::record::{Exchange, Heard, Judged};
+use rangehound_shared::record::{Exchange, Heard, JudgedKinds};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{Scenario, Source};
+use rangehound_shared::scenario::{RangeNoise, RobotSpec, Scenario, SensorSpec, Source, Treatment};
 use rangehound_shared::sealed::SealError;
 use serde::{Deserialize, Serialize};
 
@@ -27,12 +27,12 @@ const BOUND: f64 = 1e18;
 /// Outcome of a report that arrived after its tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Late {
-    /// Its range was fused at its own time.
+    /// Its range or its bearing was fused at its own time.
     Fused,
-    /// Its range was rejected: it failed the gate, or its robot was distrusted.
+    /// What it measured was rejected: it failed the gate, or its sensor was distrusted.
     Rejected,
-    /// The report has no range.
-    NoRange,
+    /// It measured nothing.
+    Nothing,
     /// Its tick is no longer stored, or the robot's report of that tick has already arrived.
     Missed,
 }
@@ -46,9 +46,9 @@ pub enum Late {
 pub struct Centre {
     recorded: bool,
     dt_s: f64,
-    speed_limits_mps: Vec<f64>,
-    /// Standard deviations of the robots' ranges before their first report, m.
-    reported_stds_m: Vec<f64>,
+    robots: Vec<RobotSpec>,
+    /// True if the planner takes the robots' poses as exact.
+    ignores_nuisances: bool,
     tracking: Tracking,
     /// `None`: late reports are missed.
     past: Option<Past>,
@@ -57,8 +57,8 @@ pub struct Centre {
     time_s: f64,
     digest: Digest,
     fit: Fit,
-    /// How each robot's range was used at the last tick.
-    judged: Vec<Option<Judged>>,
+    /// How each robot's report was used at the last tick.
+    judged: Vec<JudgedKinds>,
     missing: u64,
     bodies: Vec<Option<Body>>,
     situation: Situation,
@@ -75,23 +75,45 @@ pub struct Saved<'a> {
     time_s: f64,
     digest: Digest,
     fit: Fit,
-    judged: Cow<'a, [Option<Judged>]>,
+    judged: Cow<'a, [JudgedKinds]>,
     missing: u64,
     worth: Worth,
     certificate: Option<Certificate>,
     bodies: Cow<'a, [Option<Body>]>,
     commands: Cow<'a, [Command]>,
     tracker: Cow<'a, [u8]>,
-    trust: Cow<'a, Trust>,
+    trusts: Cow<'a, [Trust; Kind::COUNT]>,
 }
 
-/// A robot's last known or predicted position.
+/// A robot's last known or predicted pose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Body {
     position_m: Vector,
+    /// Covariance of the position, m^2, and standard deviation of the heading, rad, as it last reported them.
+    covariance_m2: [f64; 3],
+    heading_std_rad: f64,
     heard_at: u64,
-    /// Standard deviation of its last range, m, if it has had one.
-    range_std_m: Option<f64>,
+    /// Standard deviation of its last measurement of each kind, m or rad, if it has had one.
+    stds: [Option<f64>; Kind::COUNT],
+}
+
+impl Body {
+    /// A robot that has reported this, and was known like that before.
+    fn of(report: &Measurement, position_m: Vector, heard_at: u64, before: Option<Self>) -> Self {
+        let Pose { covariance_m2, heading_std_rad, .. } = report.pose;
+        let stds = Kind::ALL.map(|kind| {
+            let measured = report.of(kind).map(|(_, std)| std);
+            measured.or(before.and_then(|before| before.stds[kind as usize]))
+        });
+        Self { position_m, covariance_m2, heading_std_rad, heard_at, stds }
+    }
+
+    fn is_valid(&self, next_tick: u64) -> bool {
+        let numbers = self.covariance_m2.iter().chain([&self.position_m.x, &self.position_m.y, &self.heading_std_rad]);
+        self.heard_at < next_tick
+            && numbers.copied().all(|value| value.abs() <= BOUND)
+            && self.stds.iter().flatten().all(|std| *std > 0.0 && *std <= BOUND)
+    }
 }
 
 /// The estimate exceeds all bounds.
@@ -112,8 +134,8 @@ impl Centre {
         Ok(Self {
             recorded: matches!(scenario.source, Source::Recorded { .. }),
             dt_s: scenario.dt_s,
-            speed_limits_mps: scenario.robots.iter().map(|robot| robot.speed_mps).collect(),
-            reported_stds_m: scenario.robots.iter().map(|robot| robot.reported_std_m).collect(),
+            robots: scenario.robots.clone(),
+            ignores_nuisances: scenario.treatment == Treatment::Ignored,
             tracking: Tracking::new(scenario),
             past: None,
             planner: planner::for_team(scenario.planner, robots, scenario.seed)?,
@@ -121,13 +143,14 @@ impl Centre {
             time_s: 0.0,
             digest: Digest::default(),
             fit: Fit::default(),
-            judged: vec![None; robots],
+            judged: vec![JudgedKinds::default(); robots],
             missing: 0,
             bodies: vec![None; robots],
             situation: Situation {
                 motion: scenario.filter_motion.clone(),
                 team: Vec::with_capacity(robots),
                 clearance: scenario.clearance,
+                criterion: scenario.criterion,
                 step_s: scenario.dt_s,
                 ..Situation::default()
             },
@@ -169,7 +192,7 @@ impl Centre {
             bodies: Cow::Borrowed(&self.bodies),
             commands: Cow::Borrowed(&self.commands),
             tracker: Cow::Borrowed(&self.tracker_bytes),
-            trust: Cow::Borrowed(&self.tracking.trust),
+            trusts: Cow::Borrowed(&self.tracking.trusts),
         })
     }
 
@@ -179,19 +202,17 @@ impl Centre {
     /// If the state is invalid or belongs to another scenario.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
-        let Saved { bodies, commands, judged, trust, .. } = &restored;
-        let is_body = |body: &Body| {
-            body.heard_at < restored.next_tick
-                && [body.position_m.x, body.position_m.y].iter().all(|place| place.abs() <= BOUND)
-                && body.range_std_m.is_none_or(|std_m| std_m > 0.0 && std_m <= BOUND)
-        };
-        let is_valid = bodies.iter().flatten().all(is_body)
+        let Saved { bodies, commands, judged, trusts, .. } = &restored;
+        let is_valid = bodies.iter().flatten().all(|body| body.is_valid(restored.next_tick))
             && commands.iter().all(|command| command.heading_rad.is_finite() && command.speed_mps.is_finite());
-        if [bodies.len(), commands.len(), judged.len(), trust.robots()] != [robots; 4] || !is_valid {
+        let trusted = trusts.iter().map(Trust::robots);
+        if ![bodies.len(), commands.len(), judged.len()].into_iter().chain(trusted).all(|len| len == robots)
+            || !is_valid
+        {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
-        self.tracking.trust = restored.trust.into_owned();
+        self.tracking.trusts = restored.trusts.into_owned();
         self.past.iter_mut().for_each(Past::clear);
         self.next_tick = restored.next_tick;
         self.time_s = restored.time_s;
@@ -225,12 +246,11 @@ impl Centre {
         self.next_tick += 1;
         for (body, report) in self.bodies.iter_mut().zip(reports) {
             let Some(report) = report else { continue };
-            let range_std_m = last_std_m(report.range(), *body);
-            *body = Some(Body { position_m: report.pose.into(), heard_at: tick, range_std_m });
+            *body = Some(Body::of(report, report.pose.into(), tick, *body));
         }
         self.missing = reports.iter().filter(|report| report.is_none()).count() as u64;
         self.fit = Fit::default();
-        self.judged.fill(None);
+        self.judged.fill(JudgedKinds::default());
         if tick == 0 {
             self.missing = 0;
         } else {
@@ -258,7 +278,7 @@ impl Centre {
     /// Stores the state before the tick, if past ticks are stored.
     fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Measurement>]) {
         let Some(past) = &mut self.past else { return };
-        let mut place = past.place(reports.len(), &self.tracking.trust);
+        let mut place = past.place(reports.len(), &self.tracking.trusts);
         (place.tick, place.dt_s) = (tick, dt_s);
         place.reports.copy_from_slice(reports);
         match self.tracking.save_before(&mut place) {
@@ -274,10 +294,11 @@ impl Centre {
         self.past.as_ref()?.at(tick)?.reports.get(id).copied()?
     }
 
-    /// The gate's decision on a robot's range of one of the last ticks, if that tick is stored.
+    /// The gate's decisions on a robot's report of one of the last ticks; none if that tick is not stored.
     #[must_use]
-    pub fn judged_at(&self, tick: u64, id: usize) -> Option<Judged> {
-        self.past.as_ref()?.at(tick)?.judged.get(id).copied()?
+    pub fn judged_at(&self, tick: u64, id: usize) -> JudgedKinds {
+        let past = self.past.as_ref().and_then(|past| past.at(tick));
+        past.and_then(|past| past.judged.get(id).copied()).unwrap_or_default()
     }
 
     /// Takes a report of an earlier tick: restores the state before that tick, and processes it and all later ticks
@@ -295,11 +316,10 @@ impl Centre {
             let steps = past.since(tick).map(|past| past.commands[id]);
             let position_m =
                 steps.fold(report.pose.into(), |position_m, command| moved(position_m, command, self.dt_s));
-            let range_std_m = last_std_m(report.range(), self.bodies[id]);
-            self.bodies[id] = Some(Body { position_m, heard_at: tick, range_std_m });
+            self.bodies[id] = Some(Body::of(&report, position_m, tick, self.bodies[id]));
         }
-        if report.range().is_none() {
-            return Late::NoRange;
+        if report.count() == 0 {
+            return Late::Nothing;
         }
         match self.tracking.process_again(id, past.since(tick)) {
             Ok(true) => Late::Fused,
@@ -314,9 +334,9 @@ impl Centre {
     /// Plans the step to the next tick: predicts to k+1|k, chooses the headings of all robots that
     /// reported recently; the others are commanded to stop. Sensors of a recording are not commanded.
     ///
-    /// The plan counts only ranges that will be fused, with the standard deviations of the robots' last messages. A
-    /// distrusted robot does not count. It is still sent to where its range would add most information to the others', so
-    /// that it is useful as soon as it is trusted again.
+    /// The plan counts only measurements that will be fused, with the standard deviations of the robots' last messages. A
+    /// distrusted robot does not count. It is still sent to where its measurements would add most information to the
+    /// others', so that it is useful as soon as it is trusted again.
     pub fn plan(&mut self) -> &[Command] {
         if self.recorded {
             return &self.commands;
@@ -329,12 +349,24 @@ impl Centre {
                 self.planned.push(id);
             }
         }
-        let (distrusted, noise_scale) = (self.tracking.trust.distrusted(), self.tracking.trust.noise_scale());
+        let (distrusted, noise_scales) = (self.tracking.distrusted(), self.tracking.noise_scales());
         let team = self.planned.iter().filter_map(|&id| {
-            let Body { position_m, range_std_m, .. } = self.bodies[id]?;
-            let std_m = range_std_m.unwrap_or(self.reported_stds_m[id]) * noise_scale;
-            let member = TeamMember::ranging(position_m, self.speed_limits_mps[id], std_m);
-            Some(TeamMember { is_fused: !distrusted.contains(id), ..member })
+            let (spec, body) = (&self.robots[id], self.bodies[id]?);
+            let sensor = sensor_of(&spec.reported, &body, noise_scales);
+            let trusted = trusted_part(sensor, distrusted.map(|robots| robots.contains(id)));
+            let pose = if self.ignores_nuisances {
+                Pose::default()
+            } else {
+                Pose { covariance_m2: body.covariance_m2, ..Pose::default() }
+            };
+            Some(TeamMember {
+                position_m: body.position_m,
+                position_covariance_m2: pose.position_covariance_m2(),
+                heading_std_rad: if self.ignores_nuisances { 0.0 } else { body.heading_std_rad },
+                max_speed_mps: spec.speed_mps,
+                sensor: trusted.unwrap_or(sensor),
+                is_fused: trusted.is_some(),
+            })
         });
         self.situation.team.clear();
         self.situation.team.extend(team);
@@ -401,16 +433,16 @@ impl Centre {
         self.tracking.tracker.covariance()
     }
 
-    /// Robots whose ranges are not fused because they kept failing the gate.
+    /// Robots whose measurements of each kind are not fused because they kept failing the gate.
     #[must_use]
-    pub fn distrusted(&self) -> RobotSet {
-        self.tracking.trust.distrusted()
+    pub fn distrusted(&self) -> [RobotSet; Kind::COUNT] {
+        self.tracking.distrusted()
     }
 
-    /// Factor on the reported standard deviations of ranges: 1 unless most sensors fail together.
+    /// Factors on the reported standard deviations of each kind: 1 unless most sensors fail together.
     #[must_use]
-    pub fn noise_scale(&self) -> f64 {
-        self.tracking.trust.noise_scale()
+    pub fn noise_scales(&self) -> [f64; Kind::COUNT] {
+        self.tracking.noise_scales()
     }
 
     /// The last tick's message for observers; the caller adds durations, late ranges and refusals.
@@ -423,10 +455,10 @@ impl Centre {
             fused: u64::from(self.fit.fused),
             nis_all: self.fit.nis_all,
             tested: u64::from(self.fit.tested),
-            noise_scale: self.noise_scale(),
+            noise_scale: self.noise_scales(),
             rejected: u64::from(self.fit.rejected),
             missing: self.missing,
-            distrusted: self.distrusted().to_bits(),
+            distrusted: self.distrusted().map(RobotSet::to_bits),
             objective: self.plan.worth.objective,
             lower_bound: certificate.map_or(f64::NEG_INFINITY, |proven| proven.lower_bound),
             least_trace_m2: certificate.map_or(0.0, |proven| proven.least_trace_m2),
@@ -439,9 +471,28 @@ impl Centre {
     }
 }
 
-/// The standard deviation of a robot's last range, given the newest message and what was known before it.
-fn last_std_m(range_m: Option<(f64, f64)>, before: Option<Body>) -> Option<f64> {
-    range_m.map(|(_, std_m)| std_m).or(before.and_then(|body| body.range_std_m))
+/// A robot's sensor for the planner: with the standard deviations of its last measurements, as far as it has had any.
+fn sensor_of(reported: &SensorSpec, body: &Body, noise_scales: [f64; Kind::COUNT]) -> SensorSpec {
+    let [range_std_m, bearing_std_rad] = body.stds;
+    let [range_scale, bearing_scale] = noise_scales;
+    let range = match reported.range {
+        // The noise at the distance of the last range is not that at the next.
+        Some(range) if range.std_per_m > 0.0 => Some(range),
+        range => range_std_m.map(|std_m| RangeNoise { std_m, std_per_m: 0.0 }).or(range),
+    };
+    let range = range.map(|RangeNoise { std_m, std_per_m }| RangeNoise {
+        std_m: std_m * range_scale,
+        std_per_m: std_per_m * range_scale,
+    });
+    let bearing_std_rad = bearing_std_rad.or(reported.bearing_std_rad).map(|std_rad| std_rad * bearing_scale);
+    SensorSpec { range, bearing_std_rad, ..*reported }
+}
+
+/// What is left of a sensor without the distrusted kinds; `None` if nothing is.
+fn trusted_part(sensor: SensorSpec, [no_range, no_bearing]: [bool; Kind::COUNT]) -> Option<SensorSpec> {
+    let range = sensor.range.filter(|_| !no_range);
+    let bearing_std_rad = sensor.bearing_std_rad.filter(|_| !no_bearing);
+    (range.is_some() || bearing_std_rad.is_some()).then_some(SensorSpec { range, bearing_std_rad, ..sensor })
 }
 
 /// Where a command takes a robot in a time step.

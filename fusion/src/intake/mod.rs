@@ -9,14 +9,13 @@ mod validation;
 
 use std::cmp::Ordering;
 
-use rangehound_shared::measurement::Measurement;
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Header, Range, Refusal};
-use rangehound_shared::record::{Heard, Judged};
+use rangehound_shared::record::{Heard, JudgedKinds};
 use rangehound_shared::scenario::{Clock, Scenario};
 use serde::{Deserialize, Serialize};
 
 use crate::centre::{Centre, Late};
-use crate::vector::Vector;
 use timing::{Timing, lower_median};
 use validation::Validation;
 
@@ -57,7 +56,7 @@ pub struct LateReport {
     /// The measurement.
     pub report: Measurement,
     /// The gate's decision on its range.
-    pub judged: Option<Judged>,
+    pub judged: JudgedKinds,
 }
 
 /// The class of an admitted message, relative to the present tick.
@@ -80,14 +79,14 @@ struct RobotState {
     /// The ticks at which the robot reported: bit i for the i-th before the present one.
     heard: u64,
     /// The newest tick whose reported position was accepted, and the position.
-    place: (u64, Vector),
+    place: (u64, Pose),
     /// The newest incarnation of the robot whose report was accepted.
     incarnation: u64,
 }
 
 impl RobotState {
     fn new([x_m, y_m]: [f64; 2]) -> Self {
-        Self { misses: 0, heard: 0, place: (0, Vector::new(x_m, y_m)), incarnation: 0 }
+        Self { misses: 0, heard: 0, place: (0, Pose::at([x_m, y_m])), incarnation: 0 }
     }
 
     fn was_heard_at(&self, age: u64) -> bool {
@@ -224,7 +223,7 @@ impl Intake {
             return Ok(Admitted::Repeat);
         }
         // Each report is compared with the last accepted position. The older that is, the farther the robot may have moved.
-        let place = (tick, report.pose.into());
+        let place = (tick, report.pose);
         if !self.validation.can_reach(id, robot.place, place) {
             return Err(Refusal::Jump);
         }
@@ -254,11 +253,11 @@ impl Intake {
         if let Some(robot) = self.state.robots.get_mut(late.robot).filter(|_| age < HEARD_TICKS) {
             robot.heard |= 1 << age;
         }
-        self.counts.late += u64::from(late.report.range().is_some());
+        self.counts.late += u64::from(late.report.count() > 0);
         match outcome {
             Late::Fused => self.counts.fused_late += 1,
             Late::Rejected => self.counts.rejected_late += 1,
-            Late::NoRange => {}
+            Late::Nothing => {}
             Late::Missed => return,
         }
         self.late.push(late);

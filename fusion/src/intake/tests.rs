@@ -1,4 +1,4 @@
-use rangehound_shared::measurement::Pose;
+use rangehound_shared::measurement::{Kind, Pose};
 
 use super::timing::AHEAD_TICKS_MAX;
 use super::*;
@@ -82,7 +82,12 @@ fn invalid_messages_are_refused_and_counted_by_cause() {
         team.send(1, Range { robot: 3, ..ok });
         team.send(1, Range { robot: u64::MAX, ..ok });
         for invalid in [
-            with(ok, |it| it.has_range = 2),
+            with(ok, |it| it.kinds = 1 << Kind::COUNT),
+            with(ok, |it| it.pose.covariance_m2 = [1.0, 2.0, 1.0]),
+            with(ok, |it| it.pose.covariance_m2 = [-1.0, 0.0, 1.0]),
+            with(ok, |it| it.pose.heading_std_rad = -0.1),
+            with(ok, |it| *it = it.with_bearing(Some((1e3, 0.1)))),
+            with(ok, |it| *it = it.with_bearing(Some((1.0, 0.0)))),
             with(ok, |it| it.pose.x_m = f64::NAN),
             with(ok, |it| it.pose.y_m = f64::INFINITY),
             with(ok, |it| it.pose.height_m = f64::NAN),
@@ -103,7 +108,7 @@ fn invalid_messages_are_refused_and_counted_by_cause() {
         leader.on_range(&Header { valid_at_s: 0.2, ..header }, &[ok], *now_ns);
         leader.refuse_impostors(1);
         let counts = team.tick(&[0, 2]);
-        let expected = [(Refusal::Impostor, 1), (Refusal::OutOfRange, 2), (Refusal::Malformed, 14)];
+        let expected = [(Refusal::Impostor, 1), (Refusal::OutOfRange, 2), (Refusal::Malformed, 19)];
         assert_eq!(refused(&counts), expected, "{clock}");
         let estimate = team.leader.centre.estimate();
         assert_eq!((estimate.fused, estimate.missing), (2, 1), "{clock}");

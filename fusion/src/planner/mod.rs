@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use curves::Curves;
 use range_only::RangeOnly;
-pub use situation::{RangeNoise, Sensor, Situation, TeamMember};
+pub use situation::{Situation, TeamMember};
 
 /// A way to choose headings.
 pub trait Planner: std::fmt::Debug + Send {

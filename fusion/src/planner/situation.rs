@@ -1,10 +1,8 @@
 //! The planner's input.
 
-use std::f64::consts::TAU;
-
 use nalgebra::Matrix2;
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::scenario::{Clearance, Criterion};
+use rangehound_shared::scenario::{Clearance, Criterion, SensorSpec};
 
 use crate::belief::Belief;
 use crate::vector::Vector;
@@ -39,31 +37,9 @@ pub struct TeamMember {
     /// Its speed limit, m/s.
     pub max_speed_mps: f64,
     /// Its sensor.
-    pub sensor: Sensor,
+    pub sensor: SensorSpec,
     /// True if its measurements will be fused. Otherwise it is sent to where they would add most, and is not counted.
     pub is_fused: bool,
-}
-
-/// What a robot measures of the target.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sensor {
-    /// Noise of its ranges; `None` if it measures none.
-    pub range: Option<RangeNoise>,
-    /// Standard deviation of its bearings, rad; `None` if it measures none.
-    pub bearing_std_rad: Option<f64>,
-    /// It measures nothing of a target farther away, m.
-    pub max_range_m: f64,
-    /// It measures nothing outside this angle, which is centred on its heading, rad.
-    pub field_of_view_rad: f64,
-}
-
-/// Noise of a range: its standard deviation is `std_m + std_per_m d` at distance `d`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RangeNoise {
-    /// At distance 0, m.
-    pub std_m: f64,
-    /// Growth with the distance.
-    pub std_per_m: f64,
 }
 
 impl Default for Situation {
@@ -80,24 +56,6 @@ impl Default for Situation {
     }
 }
 
-impl Sensor {
-    /// Ranges of constant noise, of targets at any distance in any direction.
-    #[must_use]
-    pub fn range(std_m: f64) -> Self {
-        let range = Some(RangeNoise { std_m, std_per_m: 0.0 });
-        Self { range, bearing_std_rad: None, max_range_m: f64::INFINITY, field_of_view_rad: TAU }
-    }
-
-    /// The standard deviation of its ranges if it measures ranges of constant noise and nothing else, m.
-    #[must_use]
-    pub fn constant_range_std_m(&self) -> Option<f64> {
-        let Self { range, bearing_std_rad, max_range_m, field_of_view_rad } = *self;
-        let is_unlimited = max_range_m == f64::INFINITY && field_of_view_rad >= TAU;
-        let range = range.filter(|range| range.std_per_m == 0.0 && bearing_std_rad.is_none() && is_unlimited)?;
-        Some(range.std_m)
-    }
-}
-
 impl TeamMember {
     /// A robot that knows where it is and measures ranges of this standard deviation, all to be fused.
     #[must_use]
@@ -107,7 +65,7 @@ impl TeamMember {
             position_covariance_m2: Matrix2::zeros(),
             heading_std_rad: 0.0,
             max_speed_mps,
-            sensor: Sensor::range(range_std_m),
+            sensor: SensorSpec::range(range_std_m),
             is_fused: true,
         }
     }

@@ -9,10 +9,11 @@ use rangehound_shared::motion::MotionModel;
 use rangehound_shared::record::Judged;
 use rangehound_shared::sealed::{self, SealError};
 
-use super::bank::{Bank, Hypothesis, SavedBank, mixture};
+use super::bank::{Bank, Hypothesis, SavedBank, merge, mixture_of};
 use super::{Fit, Gate, Reading, Tracker};
 use crate::belief::Belief;
 use crate::filter::Gaussian;
+use crate::nuisance::Chain;
 
 /// Process noise of the calm model as a share of the given one, which the manoeuvring model has. A smaller share makes
 /// straights smoother, but biased ranges have more effect.
@@ -41,14 +42,15 @@ struct Mode<const N: usize> {
 impl<const N: usize> Imm<N> {
     /// A tracker without a prior. `motion` has the process noise of the manoeuvring model.
     #[must_use]
-    pub fn new(motion: &MotionModel, gate: Gate) -> Self {
+    pub fn new(motion: &MotionModel, gate: Gate, chain: Chain) -> Self {
         let calm = match motion {
             MotionModel::IntegratorChain { order, noise_psd } => {
                 MotionModel::IntegratorChain { order: *order, noise_psd: noise_psd * CALM_SHARE }
             }
             custom @ MotionModel::Custom { .. } => custom.clone(),
         };
-        let modes = [motion.clone(), calm].map(|motion| Mode { probability: 0.5, bank: Bank::new(motion, gate) });
+        let modes = [(motion.clone(), chain.clone()), (calm, chain)]
+            .map(|(motion, chain)| Mode { probability: 0.5, bank: Bank::new(motion, gate, chain) });
         let estimate = *modes[0].bank.estimate();
         Self { motion: motion.clone(), modes, estimate }
     }
@@ -56,7 +58,7 @@ impl<const N: usize> Imm<N> {
     /// The same tracker, started from this estimate.
     #[must_use]
     pub fn starting_from(mut self, estimate: Gaussian<N>) -> Self {
-        self.modes.iter_mut().for_each(|mode| mode.bank.begin_with(estimate));
+        self.modes = self.modes.map(|mode| Mode { bank: mode.bank.starting_from(estimate), ..mode });
         self.estimate = estimate;
         self
     }
@@ -69,15 +71,15 @@ impl<const N: usize> Imm<N> {
         let predicted = [0, 1].map(|j| stay * before[j] + (1.0 - stay) * before[1 - j]);
         let [a, b] = &mut self.modes;
         if let (Some(a), Some(b)) = (a.bank.settled(), b.bank.settled()) {
-            let estimates = [*a, *b];
-            let mixed = [0, 1].map(|j| {
+            let estimates = [a.clone(), b.clone()];
+            for (j, into) in [a, b].into_iter().enumerate() {
                 let came_by = |i: usize| if i == j { stay } else { 1.0 - stay };
-                mixture(&[0, 1].map(|i| Hypothesis {
+                let mixed = [0, 1].map(|i| Hypothesis {
                     log_weight: (came_by(i) * before[i]).max(f64::MIN_POSITIVE).ln(),
-                    estimate: estimates[i],
-                }))
-            });
-            [*a, *b] = mixed;
+                    estimate: estimates[i].clone(),
+                });
+                merge(into, &mixed);
+            }
         }
         for (mode, probability) in self.modes.iter_mut().zip(predicted) {
             mode.probability = probability;
@@ -97,17 +99,16 @@ impl<const N: usize> Imm<N> {
         for (mode, weight) in self.modes.iter_mut().zip(weights) {
             mode.probability = (weight / total).clamp(PROBABILITY_MIN, 1.0 - PROBABILITY_MIN);
         }
-        self.estimate = mixture(&[0, 1].map(|j| Hypothesis {
-            log_weight: self.modes[j].probability.ln(),
-            estimate: *self.modes[j].bank.estimate(),
-        }));
+        let total: f64 = self.modes.iter().map(|mode| mode.probability).sum();
+        let modes = &self.modes;
+        self.estimate = mixture_of(|| modes.iter().map(move |mode| (mode.probability / total, mode.bank.estimate())));
     }
 }
 
 impl<const N: usize> Tracker for Imm<N> {
     fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit {
         self.interact(dt_s);
-        let fits = [0, 1].map(|j| self.modes[j].bank.step(dt_s, readings));
+        let fits = [0, 1].map(|j| self.modes[j].bank.advance(dt_s, readings));
         self.weigh();
         fits[self.more_probable()]
     }
@@ -138,7 +139,7 @@ impl<const N: usize> Tracker for Imm<N> {
         let (modes, estimate): ([(f64, SavedBank<'_, N>); 2], Gaussian<N>) = sealed::decode(bytes)?;
         for (mode, (probability, bank)) in self.modes.iter_mut().zip(modes) {
             mode.probability = probability;
-            mode.bank.restore(bank);
+            mode.bank.restore(bank)?;
         }
         self.estimate = estimate;
         Ok(())
@@ -153,11 +154,17 @@ impl<const N: usize> Tracker for Imm<N> {
 mod tests {
     use super::*;
     use nalgebra::Vector2;
+    use rangehound_shared::measurement::Pose;
+    use rangehound_shared::scenario::{NuisanceSpec, Treatment};
+
+    fn exact() -> Chain {
+        Chain::of(vec![NuisanceSpec::default()], Treatment::Schmidt)
+    }
 
     /// Ranges from four corners, ten a second, to a target that drives straight, then in circles.
     fn probabilities_of_the_calm_model() -> (f64, f64) {
         let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 };
-        let mut imm = Imm::<4>::new(&motion, Gate::new(Some(4.0)));
+        let mut imm = Imm::<4>::new(&motion, Gate::new(Some(4.0)), exact());
         let (mut position, mut velocity) = (Vector2::new(5.0, 5.0), Vector2::new(0.5, 0.0));
         let mut on_the_straight = 0.0;
         for k in 0..1_200 {
@@ -172,9 +179,9 @@ mod tests {
             }
             position += velocity * 0.1;
             let corner = [(0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0)][k % 4];
-            let position_m = Vector2::new(corner.0, corner.1);
-            let range_m = (position - position_m).norm() + 0.03 * (k as f64 * 2.399).sin();
-            imm.step(0.1, &[Reading { position_m, range_m, range_std_m: 0.05, ..Reading::default() }]);
+            let pose = Pose::at([corner.0, corner.1]);
+            let value = (position - pose.position_m()).norm() + 0.03 * (k as f64 * 2.399).sin();
+            imm.step(0.1, &[Reading { pose, value, std: 0.05, ..Reading::default() }]);
         }
         assert!((imm.estimate.position() - position).norm() < 0.3);
         (on_the_straight, imm.modes[1].probability)
@@ -189,11 +196,11 @@ mod tests {
     #[test]
     fn a_long_pause_and_steps_without_time_are_survived() {
         let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 };
-        let mut imm = Imm::<4>::new(&motion, Gate::new(Some(4.0)));
+        let mut imm = Imm::<4>::new(&motion, Gate::new(Some(4.0)), exact());
         for dt_s in [0.0, 0.0, 1e6, 0.0, 1.0, 1e6, 0.1] {
             for x in [0.0, 10.0, 0.0] {
-                let position_m = Vector2::new(x, 0.0);
-                imm.step(dt_s, &[Reading { position_m, range_m: 7.0, range_std_m: 0.1, ..Reading::default() }]);
+                let pose = Pose::at([x, 0.0]);
+                imm.step(dt_s, &[Reading { pose, value: 7.0, std: 0.1, ..Reading::default() }]);
                 assert!(imm.state().iter().chain(imm.covariance()).all(|value| value.is_finite()));
             }
         }

@@ -1,88 +1,95 @@
 //! The tracker for a Gaussian prior: one extended Kalman filter.
 
 use rangehound_shared::ROBOTS_MAX;
-use rangehound_shared::motion::matrix::Matrix;
+use rangehound_shared::measurement::Kind;
 use rangehound_shared::motion::{MotionModel, Transition};
-use rangehound_shared::record::{Judged, RangeUse};
-use rangehound_shared::robot_set::RobotSet;
+use rangehound_shared::record::{Judged, Use};
 use rangehound_shared::sealed::{self, SealError};
 
 use super::{Fit, Gate, Reading, Tracker, judged_room, use_of};
 use crate::belief::Belief;
-use crate::filter::{Gaussian, Innovation, RangeInformation};
+use crate::filter::Gaussian;
+use crate::nuisance::{Chain, Estimate, Known, Row, Whitened};
 
 /// One extended Kalman filter with a gate.
 #[derive(Debug, Clone)]
 pub struct Kalman<const N: usize> {
     motion: MotionModel,
     gate: Gate,
-    estimate: Gaussian<N>,
+    estimate: Estimate<N>,
+    chain: Chain,
     /// The transition of the last step: most runs have one step length for all ticks.
     transition: (f64, Transition<N>),
-    /// Innovations of the last step's readings, in their order.
-    innovations: Vec<Innovation>,
+    /// The last step's readings compared with their predictions, in their order.
+    rows: Vec<Row>,
     judged: Vec<Judged>,
+    scratch: Vec<Whitened<N>>,
 }
 
 impl<const N: usize> Kalman<N> {
-    /// A filter that starts from N(mean, covariance).
+    /// A filter that starts from this estimate.
     #[must_use]
-    pub fn new(motion: MotionModel, mean: &[f64], covariance: &Matrix, gate: Gate) -> Self {
-        let x = nalgebra::SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
+    pub fn new(motion: MotionModel, prior: Gaussian<N>, gate: Gate, chain: Chain) -> Self {
         let transition = (0.0, motion.transition(0.0));
-        let estimate = Gaussian { x, p: covariance.to_static() };
-        Self { motion, gate, estimate, transition, innovations: Vec::with_capacity(ROBOTS_MAX), judged: judged_room() }
+        let estimate = Estimate::new(prior, &chain);
+        let rows = Vec::with_capacity(Kind::COUNT * ROBOTS_MAX);
+        Self { motion, gate, estimate, chain, transition, rows, judged: judged_room(), scratch: Vec::new() }
     }
 }
 
-/// The innovation of a reading. For a sensor at another height than the target, second-order terms are added: straight
-/// beneath it the first-order term of the distance is zero. In the plane the filter is the paper's.
-fn innovation<const N: usize>(estimate: &Gaussian<N>, reading: &Reading) -> Innovation {
-    let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
-    let mut range = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
-    if height_m != 0.0 {
-        let bend = estimate.bend(&range.line_of_sight, range_m - range.innovation_m);
-        range.innovation_m -= bend.mean_m;
-        range.noise_variance_m2 += bend.variance_m2;
+/// A reading compared with its prediction. For a sensor at another height than the target, second-order terms are added:
+/// straight beneath it the first-order term of the distance is zero. In the plane the filter is the paper's.
+fn row_of<const N: usize>(estimate: &Estimate<N>, reading: &Reading, chain: &Chain) -> Row {
+    let mut row = estimate.row(reading, chain);
+    if reading.kind == Kind::Range && reading.pose.height_m != 0.0 {
+        let innovation = &mut row.innovation;
+        let bend = estimate.target.bend(&innovation.gradient, reading.value - innovation.innovation);
+        innovation.innovation -= bend.mean_m;
+        innovation.noise_variance += bend.variance_m2;
     }
-    range
+    row
 }
 
 impl<const N: usize> Tracker for Kalman<N> {
     fn step(&mut self, dt_s: f64, readings: &[Reading]) -> Fit {
-        if self.transition.0 != dt_s {
-            self.transition = (dt_s, self.motion.transition(dt_s));
+        let Self { motion, gate, estimate, chain, transition, rows, judged, scratch } = self;
+        if transition.0 != dt_s {
+            *transition = (dt_s, motion.transition(dt_s));
         }
-        let predicted = self.estimate.predict(&self.transition.1);
-        let position_covariance = predicted.position_covariance();
-        let mut information = RangeInformation::default();
-        let mut failed = RobotSet::default();
-        self.innovations.clear();
-        self.judged.clear();
+        estimate.predict(&transition.1);
+        chain.advance(dt_s);
+        for (index, reading) in readings.iter().enumerate() {
+            let is_first = index.checked_sub(1).is_none_or(|before| readings[before].robot != reading.robot);
+            if is_first && let Some(change) = chain.hear(reading.robot, &reading.pose) {
+                estimate.follow(chain);
+                estimate.change(reading.robot, &change);
+            }
+        }
+        let mut fit = Fit { tested: readings.len() as u32, ..Fit::default() };
+        rows.clear();
+        judged.clear();
         for reading in readings {
-            let range = innovation(&predicted, reading);
-            let normalised_square = range.normalised_square(&position_covariance);
-            let passed = self.gate.passes(normalised_square);
-            let used = use_of(reading, passed);
-            failed.set(reading.robot, self.gate.fails(normalised_square));
-            if used == RangeUse::Fused {
-                information.add(&range);
-            }
-            self.innovations.push(range);
-            self.judged.push(Judged { used, normalised_square: Some(normalised_square) });
+            let row = row_of(estimate, reading, chain);
+            let nu = row.innovation.innovation;
+            let normalised_square = nu * nu / estimate.variance(&row, chain);
+            let used = use_of(reading, gate.passes(normalised_square));
+            fit.failed[reading.kind as usize].set(reading.robot, gate.fails(normalised_square));
+            fit.fused += u32::from(used == Use::Fused);
+            rows.push(row);
+            judged.push(Judged { used, normalised_square: Some(normalised_square) });
         }
-        let tested = readings.len() as u32;
-        let nis_all = if tested > 0 { predicted.nis(self.innovations.iter()) } else { 0.0 };
-        let nis = match information.count {
-            0 => 0.0,
-            count if count == tested => nis_all,
-            _ => {
-                let ranges = self.innovations.iter().zip(&self.judged);
-                predicted.nis(ranges.filter(|(_, judged)| judged.used == RangeUse::Fused).map(|(range, _)| range))
-            }
-        };
-        self.estimate = if information.count > 0 { predicted.update(&information) } else { predicted };
-        Fit { nis, fused: information.count, nis_all, tested, rejected: tested - information.count, failed }
+        fit.rejected = fit.tested - fit.fused;
+        if fit.rejected > 0 {
+            fit.nis_all = estimate.nis(rows.iter(), chain, scratch);
+        }
+        if fit.fused > 0 {
+            let fused = rows.iter().zip(judged.iter()).filter(|(_, judged)| judged.used == Use::Fused);
+            fit.nis = estimate.update(fused.map(|(row, _)| row), chain, scratch);
+        }
+        if fit.rejected == 0 {
+            fit.nis_all = fit.nis;
+        }
+        fit
     }
 
     fn judged(&self) -> &[Judged] {
@@ -90,31 +97,35 @@ impl<const N: usize> Tracker for Kalman<N> {
     }
 
     fn widen(&mut self, factor: f64) {
-        self.estimate.p *= factor;
+        self.estimate.widen(factor);
     }
 
     fn state(&self) -> &[f64] {
-        self.estimate.x.as_slice()
+        self.estimate.target.x.as_slice()
     }
 
     fn covariance(&self) -> &[f64] {
-        self.estimate.p.as_slice()
+        self.estimate.target.p.as_slice()
     }
 
     fn save(&self, bytes: &mut Vec<u8>) -> Result<(), SealError> {
-        sealed::encode_into(&self.estimate, bytes)
+        sealed::encode_into(&(&self.estimate, self.chain.saved()), bytes)
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SealError> {
-        self.estimate = sealed::decode(bytes)?;
+        let (estimate, known): (Estimate<N>, Vec<Known>) = sealed::decode(bytes)?;
+        if !estimate.is_of_team(self.chain.robots()) || !self.chain.restore(&known) {
+            return Err(SealError::Malformed);
+        }
+        self.estimate = estimate;
         Ok(())
     }
 
     fn predict_into(&self, dt_s: f64, belief: &mut Belief) {
         belief.assign(&if self.transition.0 == dt_s {
-            self.estimate.predict(&self.transition.1)
+            self.estimate.target.predict(&self.transition.1)
         } else {
-            self.estimate.predict(&self.motion.transition(dt_s))
+            self.estimate.target.predict(&self.motion.transition(dt_s))
         });
     }
 }

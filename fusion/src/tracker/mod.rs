@@ -3,15 +3,17 @@
 //! | tracker | for |
 //! |---|---|
 //! | [`kalman`] | a Gaussian prior: the paper's extended Kalman filter |
+//! | [`bank`] | a Gaussian prior and one or two robots, whose ranges leave mirror images |
 //! | [`imm`] | no prior, as for recordings: a calm and a manoeuvring model side by side, each with a [`bank`] of such filters that starts without a prior |
 
 pub mod bank;
 pub mod imm;
 pub mod kalman;
 
-use nalgebra::{SVector, Vector2};
+use nalgebra::SVector;
 use rangehound_shared::ROBOTS_MAX;
-use rangehound_shared::record::{Judged, RangeUse};
+use rangehound_shared::measurement::{Kind, Pose};
+use rangehound_shared::record::{Judged, Use};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Prior, Scenario, Source, defaults};
 use rangehound_shared::sealed::SealError;
@@ -20,42 +22,45 @@ use serde::{Deserialize, Serialize};
 
 use crate::belief::Belief;
 use crate::filter::Gaussian;
+use crate::nuisance::Chain;
 
-/// One calibrated range, with the position from which it was measured.
+/// One calibrated range or bearing, with the pose from which it was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Reading {
     /// The robot that measured it.
     pub robot: usize,
-    /// Position of the robot, m.
-    pub position_m: Vector2<f64>,
-    /// Height of its sensor above the plane in which the target moves, m.
-    pub height_m: f64,
-    /// The range, m.
-    pub range_m: f64,
-    /// Standard deviation of the measurement, m.
-    pub range_std_m: f64,
-    /// True if the range is tested against the gate and not fused.
+    /// What it is.
+    pub kind: Kind,
+    /// Pose of the robot, as it knows it.
+    pub pose: Pose,
+    /// The range, m, or the bearing from the robot's heading, rad.
+    pub value: f64,
+    /// Standard deviation of the measurement, m or rad.
+    pub std: f64,
+    /// Growth of a range's standard deviation with the distance.
+    pub std_per_m: f64,
+    /// True if it is tested against the gate and not fused.
     pub distrusted: bool,
 }
 
-/// How a tick's ranges agreed with the estimate.
+/// How a tick's measurements agreed with the estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Fit {
     /// Normalised innovation squared of the joint update.
     pub nis: f64,
-    /// Ranges fused: the NIS's degrees of freedom.
+    /// Measurements fused: the NIS's degrees of freedom.
     pub fused: u32,
-    /// Normalised innovation squared of all of the tick's ranges, fused or not.
+    /// Normalised innovation squared of all of the tick's measurements, fused or not.
     pub nis_all: f64,
-    /// Ranges in [`Self::nis_all`], its degrees of freedom: all ranges that were predicted.
+    /// Measurements in [`Self::nis_all`], its degrees of freedom: all that were predicted.
     pub tested: u32,
-    /// Ranges not fused: they failed the gate, or their robots are distrusted.
+    /// Measurements not fused: they failed the gate, or their sensors are distrusted.
     pub rejected: u32,
-    /// Robots whose ranges failed the gate, or the default gate if there is none.
-    pub failed: RobotSet,
+    /// Robots whose measurements of each [`Kind`] failed the gate, or the default gate if there is none.
+    pub failed: [RobotSet; Kind::COUNT],
 }
 
-/// An estimate of the target that is updated with ranges. A tracker does no I/O, has no clock, and allocates nothing
+/// An estimate of the target that is updated with measurements. A tracker does no I/O, has no clock, and allocates nothing
 /// after its construction.
 pub trait Tracker: std::fmt::Debug + Send {
     /// Predicts over `dt_s` seconds, then updates with the readings, taken in order.
@@ -92,33 +97,42 @@ pub trait Tracker: std::fmt::Debug + Send {
 
 /// Buffers for a tracker's results on a tick's readings, so that no step allocates.
 fn judged_room() -> Vec<Judged> {
-    Vec::with_capacity(ROBOTS_MAX)
+    Vec::with_capacity(Kind::COUNT * ROBOTS_MAX)
 }
 
 /// How a reading is used that passed the gate or failed it.
-fn use_of(reading: &Reading, passed: bool) -> RangeUse {
+fn use_of(reading: &Reading, passed: bool) -> Use {
     match (reading.distrusted, passed) {
-        (true, _) => RangeUse::Distrusted,
-        (false, true) => RangeUse::Fused,
-        (false, false) => RangeUse::Rejected,
+        (true, _) => Use::Distrusted,
+        (false, true) => Use::Fused,
+        (false, false) => Use::Rejected,
     }
 }
+
+/// Fewest robots with ranges, or with anything else, for which a prior is enough: fewer leave mirror images, which one
+/// Gaussian cannot hold.
+const KALMAN_ROBOTS_MIN: usize = 3;
 
 /// The tracker that a scenario asks for.
 #[must_use]
 pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
     let motion = scenario.filter_motion.clone();
     let gate = Gate::new(scenario.gate_sigma);
+    let chain = Chain::new(scenario);
     with_state_dim!(motion.state_dim(), N => match &scenario.prior {
-        // A recording with a known start is tracked like other recordings, but from this estimate.
-        Prior::Gaussian { mean, covariance } if matches!(scenario.source, Source::Recorded(_)) => {
-            let x = SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
-            Box::new(imm::Imm::<N>::new(&motion, gate).starting_from(Gaussian { x, p: covariance.to_static() }))
-        }
         Prior::Gaussian { mean, covariance } => {
-            Box::new(kalman::Kalman::<N>::new(motion, mean, covariance, gate))
+            let x = SVector::from_fn(|i, _| mean.get(i).copied().unwrap_or(0.0));
+            let prior = Gaussian { x, p: covariance.to_static() };
+            match scenario.source {
+                // A recording with a known start is tracked like other recordings, but from this estimate.
+                Source::Recorded(_) => Box::new(imm::Imm::<N>::new(&motion, gate, chain).starting_from(prior)),
+                Source::Simulated { .. } if scenario.robots.len() < KALMAN_ROBOTS_MIN => {
+                    Box::new(bank::Bank::<N>::new(motion, gate, chain).starting_from(prior))
+                }
+                Source::Simulated { .. } => Box::new(kalman::Kalman::<N>::new(motion, prior, gate, chain)),
+            }
         }
-        Prior::FromRanges => Box::new(imm::Imm::<N>::new(&motion, gate)),
+        Prior::FromRanges => Box::new(imm::Imm::<N>::new(&motion, gate, chain)),
     })
 }
 
@@ -139,6 +153,12 @@ impl Gate {
             threshold: sigma.map_or(f64::INFINITY, square),
             failure_threshold: square(sigma.unwrap_or(defaults::RECORDED_GATE_SIGMA)),
         }
+    }
+
+    /// True if it passes everything.
+    #[must_use]
+    pub fn is_open(self) -> bool {
+        self.threshold == f64::INFINITY
     }
 
     /// True if a range with this normalised innovation squared is to be fused.

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use rangehound_robot::sensor::{RangeSensor, calibrated_m};
+use rangehound_robot::sensor::{Sensed, Sensor, calibrated_m};
 use rangehound_shared::message::WorldEntry;
 use rangehound_shared::radio::{Counts, Parser};
 use rangehound_shared::scenario::Calibration;
@@ -65,14 +65,11 @@ impl SerialSensor {
     }
 }
 
-impl RangeSensor for SerialSensor {
-    fn std_m(&self) -> f64 {
-        self.std_m
-    }
-
-    fn measure(&mut self, _tick: u64, _entry: &WorldEntry) -> Option<f64> {
+impl Sensor for SerialSensor {
+    fn sense(&mut self, _tick: u64, _entry: &WorldEntry) -> Sensed {
         let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner).take();
-        newest.filter(|(_, came)| came.elapsed() <= self.age_max).map(|(range_m, _)| range_m)
+        let newest = newest.filter(|(_, came)| came.elapsed() <= self.age_max);
+        newest.map_or_else(Sensed::default, |(range_m, _)| Sensed::range(range_m, self.std_m))
     }
 }
 
@@ -142,6 +139,10 @@ mod tests {
     use super::*;
     use std::io::{PipeWriter, Write, pipe};
 
+    fn sensed(sensor: &mut SerialSensor) -> Option<f64> {
+        sensor.sense(1, &WorldEntry::default()).range_m.map(|(range_m, _)| range_m)
+    }
+
     const LONG: Duration = Duration::from_secs(1000);
 
     fn sensor(age_max: Duration) -> (PipeWriter, SerialSensor) {
@@ -155,7 +156,7 @@ mod tests {
     fn next(sensor: &mut SerialSensor) -> f64 {
         let began = Instant::now();
         loop {
-            if let Some(range_m) = sensor.measure(1, &WorldEntry::default()) {
+            if let Some(range_m) = sensed(sensor) {
                 return range_m;
             }
             assert!(began.elapsed() < Duration::from_secs(60), "no range");
@@ -166,15 +167,15 @@ mod tests {
     #[test]
     fn a_range_is_calibrated_and_given_once() {
         let (mut radio, mut sensor) = sensor(LONG);
-        assert_eq!(sensor.measure(1, &WorldEntry::default()), None);
+        assert_eq!(sensed(&mut sensor), None);
         for line in ["5\n", "A,7\n", "nonsense\nA,6,52\n8\n"] {
             radio.write_all(line.as_bytes()).unwrap();
             let expected_m = f64::from(line.trim().bytes().last().unwrap() - b'0') - 1.0;
             assert_eq!(next(&mut sensor), expected_m);
-            assert_eq!(sensor.measure(1, &WorldEntry::default()), None);
+            assert_eq!(sensed(&mut sensor), None);
         }
         drop(radio);
-        assert_eq!(sensor.measure(1, &WorldEntry::default()), None);
+        assert_eq!(sensed(&mut sensor), None);
     }
 
     #[test]
@@ -182,7 +183,7 @@ mod tests {
         let (radio, mut sensor) = sensor(Duration::from_millis(1));
         *sensor.newest.lock().unwrap() = Some((5.0, Instant::now()));
         thread::sleep(Duration::from_millis(2));
-        assert_eq!(sensor.measure(1, &WorldEntry::default()), None);
+        assert_eq!(sensed(&mut sensor), None);
         drop(radio);
     }
 

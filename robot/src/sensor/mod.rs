@@ -1,37 +1,59 @@
-//! Range sensors: the trait that a driver implements, and the two that need no hardware.
+//! Sensors of the target: the trait that a driver implements, and the ones that need no hardware.
 
 mod recorded;
 mod simulated;
 
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::WorldEntry;
 use rangehound_shared::scenario::{Calibration, Scenario, Source};
 
 pub use recorded::RecordedSensor;
 pub use simulated::SimulatedSensor;
 
-/// A robot's range sensor.
-///
-/// [`measure`](Self::measure) is on the control path: fusion waits for the range. Read a slow sensor in its own thread, as
-/// `SerialSensor` in `rangehound-node` does.
-pub trait RangeSensor {
-    /// Standard deviation, m, of the last measured range, or of the next one if there was none. Fusion uses it as the noise
-    /// that remains after calibration, independent from tick to tick.
-    fn std_m(&self) -> f64;
+use crate::pose::PoseSource;
 
-    /// The range at a tick, calibrated, m; `None` if there is none.
+/// A robot's sensor of the target: of its range, its bearing or both.
+///
+/// [`sense`](Self::sense) is on the control path: fusion waits for it. Read a slow sensor in its own thread, as
+/// `SerialSensor` in `rangehound-node` does.
+pub trait Sensor: std::fmt::Debug {
+    /// What the sensor sees of the target at a tick.
     ///
-    /// Returns the newest available range and never waits for one. Returns each range once, because fusion treats each as a
-    /// new measurement, and none that is too old for the motion of target and robot. Called once for each tick from 1 on;
+    /// Returns the newest values and never waits for one. Returns each value once, because fusion treats each as a new
+    /// measurement, and none that is too old for the motion of target and robot. Called once for each tick from 1 on;
     /// a repeated tick does not call it again. `entry` is this robot's entry of the world; a real sensor ignores its
-    /// range.
-    fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64>;
+    /// values.
+    fn sense(&mut self, tick: u64, entry: &WorldEntry) -> Sensed;
 }
 
-/// A robot's range at a tick, if there is one, and its standard deviation, m. At tick 0 the sensor is not read: the
-/// estimate is the prior.
-pub fn measure<S: RangeSensor + ?Sized>(sensor: &mut S, tick: u64, entry: &WorldEntry) -> (Option<f64>, f64) {
-    let range_m = if tick > 0 { sensor.measure(tick, entry) } else { None };
-    (range_m, sensor.std_m())
+/// A sensor's values, each with the standard deviation that fusion uses: of the noise that remains after calibration and
+/// is independent from tick to tick.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sensed {
+    /// The range and its standard deviation, m.
+    pub range_m: Option<(f64, f64)>,
+    /// The bearing, counter-clockwise from the robot's heading, and its standard deviation, rad.
+    pub bearing_rad: Option<(f64, f64)>,
+}
+
+impl Sensed {
+    /// A range with its standard deviation, m.
+    #[must_use]
+    pub fn range(range_m: f64, std_m: f64) -> Self {
+        Self { range_m: Some((range_m, std_m)), bearing_rad: None }
+    }
+}
+
+/// A robot's measurement at a tick. At tick 0 the sensor is not read: the estimate is the prior.
+pub fn measure<S: Sensor + ?Sized, P: PoseSource + ?Sized>(
+    sensor: &mut S,
+    poses: &mut P,
+    (tick, time_s): (u64, f64),
+    entry: &WorldEntry,
+) -> Measurement {
+    let pose = poses.pose(time_s, entry);
+    let Sensed { range_m, bearing_rad } = if tick > 0 { sensor.sense(tick, entry) } else { Sensed::default() };
+    Measurement::new(pose, range_m).with_bearing(bearing_rad)
 }
 
 /// The true range of a measured one, m: [`Calibration`] solved for it; 0 if the measured range is shorter than the bias.
@@ -40,39 +62,11 @@ pub fn calibrated_m(measured_m: f64, calibration: Calibration) -> f64 {
     ((measured_m - calibration.bias_m) / (1.0 + calibration.scale)).max(0.0)
 }
 
-/// The sensor that a scenario gives a robot.
-#[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant, reason = "one for each robot, and nearly always the large one")]
-pub enum Sensor {
-    /// The sensor of a simulated target.
-    Simulated(SimulatedSensor),
-    /// The sensor of a recording.
-    Recorded(RecordedSensor),
-}
-
-impl Sensor {
-    /// The sensor of a robot, by id; `None` if the scenario has no such robot.
-    #[must_use]
-    pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
-        Some(match scenario.source {
-            Source::Simulated { .. } => Self::Simulated(SimulatedSensor::new(scenario, robot)?),
-            Source::Recorded { .. } => Self::Recorded(RecordedSensor::new(scenario, robot)?),
-        })
-    }
-}
-
-impl RangeSensor for Sensor {
-    fn std_m(&self) -> f64 {
-        match self {
-            Self::Simulated(sensor) => sensor.std_m(),
-            Self::Recorded(sensor) => sensor.std_m(),
-        }
-    }
-
-    fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64> {
-        match self {
-            Self::Simulated(sensor) => sensor.measure(tick, entry),
-            Self::Recorded(sensor) => sensor.measure(tick, entry),
-        }
-    }
+/// The sensor that a scenario gives a robot, by id; `None` if it has no such robot.
+#[must_use]
+pub fn of_scenario(scenario: &Scenario, robot: usize) -> Option<Box<dyn Sensor>> {
+    Some(match scenario.source {
+        Source::Simulated { .. } => Box::new(SimulatedSensor::new(scenario, robot)?),
+        Source::Recorded { .. } => Box::new(RecordedSensor::new(scenario, robot)?),
+    })
 }

@@ -1,14 +1,14 @@
 //! The sensor of a recording, pure.
 
-use rangehound_shared::message::{RangeKind, WorldEntry};
-use rangehound_shared::scenario::{Calibration, Scenario};
+use rangehound_shared::message::{Origin, WorldEntry};
+use rangehound_shared::scenario::{Calibration, Scenario, SensorSpec};
 
-use super::{RangeSensor, calibrated_m};
+use super::{Sensed, Sensor, calibrated_m};
 
-/// A recorded range with bias and scale removed.
+/// Recorded bearings, and ranges with bias and scale removed.
 #[derive(Debug, Clone)]
 pub struct RecordedSensor {
-    std_m: f64,
+    reported: SensorSpec,
     calibration: Calibration,
 }
 
@@ -17,18 +17,16 @@ impl RecordedSensor {
     #[must_use]
     pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
         let spec = scenario.robots.get(robot)?;
-        Some(Self { std_m: spec.reported_std_m, calibration: spec.calibration })
+        Some(Self { reported: spec.reported, calibration: spec.calibration })
     }
 }
 
-impl RangeSensor for RecordedSensor {
-    fn std_m(&self) -> f64 {
-        self.std_m
-    }
-
-    fn measure(&mut self, _tick: u64, entry: &WorldEntry) -> Option<f64> {
-        let is_measured = RangeKind::from_bits(entry.range_kind)? == RangeKind::Measured;
-        is_measured.then(|| calibrated_m(entry.range_m, self.calibration)).filter(|range_m| range_m.is_finite())
+impl Sensor for RecordedSensor {
+    fn sense(&mut self, _tick: u64, entry: &WorldEntry) -> Sensed {
+        let (range_m, bearing_rad) = entry.of(Origin::Recorded);
+        let range_m = range_m.map(|range_m| calibrated_m(range_m, self.calibration));
+        let std_m = |range_m: f64| self.reported.range.map(|noise| (range_m, noise.std_at_m(range_m)));
+        Sensed { range_m: range_m.and_then(std_m), bearing_rad: bearing_rad.zip(self.reported.bearing_std_rad) }
     }
 }
 
@@ -38,11 +36,15 @@ mod tests {
 
     #[test]
     fn a_recorded_range_is_calibrated_and_gets_no_noise() {
-        let mut sensor = RecordedSensor { std_m: 1.0, calibration: Calibration { bias_m: 0.5, scale: 0.25 } };
-        let entry = WorldEntry { range_m: 10.0, range_kind: RangeKind::Measured.to_bits(), ..WorldEntry::default() };
-        assert_eq!(sensor.measure(3, &entry), Some(7.6));
-        assert_eq!(sensor.measure(3, &WorldEntry { range_m: 0.2, ..entry }), Some(0.0));
-        assert_eq!(sensor.measure(3, &WorldEntry { range_kind: RangeKind::Absent.to_bits(), ..entry }), None);
-        assert_eq!(sensor.measure(3, &WorldEntry { range_kind: RangeKind::True.to_bits(), ..entry }), None);
+        let reported = SensorSpec { bearing_std_rad: Some(0.02), ..SensorSpec::range(1.0) };
+        let mut sensor = RecordedSensor { reported, calibration: Calibration { bias_m: 0.5, scale: 0.25 } };
+        let origin = Origin::Recorded.to_bits();
+        let entry = WorldEntry { range_m: 10.0, bearing_rad: 0.4, kinds: 3, origin, ..WorldEntry::default() };
+        let both = Sensed { range_m: Some((7.6, 1.0)), bearing_rad: Some((0.4, 0.02)) };
+        assert_eq!(sensor.sense(3, &entry), both);
+        let near = WorldEntry { range_m: 0.2, kinds: 1, ..entry };
+        assert_eq!(sensor.sense(3, &near), Sensed::range(0.0, 1.0));
+        assert_eq!(sensor.sense(3, &WorldEntry { kinds: 0, ..entry }), Sensed::default());
+        assert_eq!(sensor.sense(3, &WorldEntry { origin: Origin::Simulated.to_bits(), ..entry }), Sensed::default());
     }
 }

@@ -1,17 +1,19 @@
 //! The sensor of a simulated target, pure.
 
+use rangehound_shared::angle::wrapped_rad;
 use rangehound_shared::draws::{Draws, Stream};
-use rangehound_shared::message::{RangeKind, WorldEntry};
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::message::{Origin, WorldEntry};
+use rangehound_shared::scenario::{Scenario, SensorSpec};
 
-use super::RangeSensor;
+use super::{Sensed, Sensor};
 
-/// The true range with Gaussian noise, a function of (seed, robot, tick).
+/// The true values with Gaussian noise, a function of (seed, robot, tick).
 #[derive(Debug, Clone)]
 pub struct SimulatedSensor {
-    std_m: f64,
-    reported_std_m: f64,
-    noise: Draws,
+    sensor: SensorSpec,
+    reported: SensorSpec,
+    range_noise: Draws,
+    bearing_noise: Draws,
 }
 
 impl SimulatedSensor {
@@ -19,24 +21,36 @@ impl SimulatedSensor {
     #[must_use]
     pub fn new(scenario: &Scenario, robot: usize) -> Option<Self> {
         let spec = scenario.robots.get(robot)?;
-        let (std_m, reported_std_m) = (spec.range_std_m, spec.reported_std_m);
-        Some(Self { std_m, reported_std_m, noise: Draws::new(scenario.seed, Stream::RangeNoise { robot }) })
+        let noise = |stream: Stream| Draws::new(scenario.seed, stream);
+        Some(Self {
+            sensor: spec.sensor,
+            reported: spec.reported,
+            range_noise: noise(Stream::RangeNoise { robot }),
+            bearing_noise: noise(Stream::BearingNoise { robot }),
+        })
     }
 }
 
-impl RangeSensor for SimulatedSensor {
-    #[allow(clippy::misnamed_getters, reason = "the filter is given another noise than the sensor has")]
-    fn std_m(&self) -> f64 {
-        self.reported_std_m
-    }
+fn normal(draws: &mut Draws, tick: u64) -> f64 {
+    let mut noise = [0.0];
+    draws.standard_normal(tick, &mut noise);
+    noise[0]
+}
 
-    fn measure(&mut self, tick: u64, entry: &WorldEntry) -> Option<f64> {
-        if RangeKind::from_bits(entry.range_kind)? != RangeKind::True {
-            return None;
-        }
-        let mut noise = [0.0];
-        self.noise.standard_normal(tick, &mut noise);
-        Some(entry.range_m + self.std_m * noise[0]).filter(|range_m| range_m.is_finite())
+impl Sensor for SimulatedSensor {
+    fn sense(&mut self, tick: u64, entry: &WorldEntry) -> Sensed {
+        let Self { sensor, reported, range_noise, bearing_noise } = self;
+        let (true_m, true_rad) = entry.of(Origin::Simulated);
+        let range_m = true_m.zip(sensor.range).zip(reported.range).and_then(|((true_m, noise), reported)| {
+            let range_m = true_m + noise.std_at_m(true_m) * normal(range_noise, tick);
+            // A robot knows the distance only by what it has measured.
+            Some((range_m, reported.std_at_m(range_m))).filter(|_| range_m.is_finite())
+        });
+        let bearing_rad = true_rad.zip(sensor.bearing_std_rad).zip(reported.bearing_std_rad);
+        let bearing_rad = bearing_rad.map(|((true_rad, std_rad), reported_rad)| {
+            (wrapped_rad(true_rad + std_rad * normal(bearing_noise, tick)), reported_rad)
+        });
+        Sensed { range_m, bearing_rad }
     }
 }
 
@@ -45,41 +59,57 @@ mod tests {
     use super::*;
     use rangehound_shared::scenario::ScenarioFile;
 
-    fn sensor(robot: usize) -> SimulatedSensor {
-        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
-        SimulatedSensor::new(&scenario, robot).unwrap()
+    fn of(text: &str, robot: usize) -> SimulatedSensor {
+        let file = ScenarioFile::parse(text, "test").unwrap();
+        SimulatedSensor::new(&Scenario::from_file(&file, "test").unwrap(), robot).unwrap()
     }
 
-    fn entry(kind: RangeKind) -> WorldEntry {
-        WorldEntry { range_m: 10.0, range_kind: kind.to_bits(), ..WorldEntry::default() }
+    fn entry(kinds: u64) -> WorldEntry {
+        WorldEntry { range_m: 10.0, bearing_rad: 3.1, kinds, ..WorldEntry::default() }
     }
 
     #[test]
     fn noise_is_the_same_for_a_repeated_tick_and_differs_between_robots() {
-        let (mut a, mut again, mut other) = (sensor(1), sensor(1), sensor(2));
-        let ranges: Vec<_> = (1..50).map(|tick| a.measure(tick, &entry(RangeKind::True))).collect();
-        let repeated: Vec<_> = (1..50).map(|tick| again.measure(tick, &entry(RangeKind::True))).collect();
+        let (mut a, mut again, mut other) = (of("", 1), of("", 1), of("", 2));
+        let ranges: Vec<_> = (1..50).map(|tick| a.sense(tick, &entry(1))).collect();
+        let repeated: Vec<_> = (1..50).map(|tick| again.sense(tick, &entry(1))).collect();
         assert_eq!(ranges, repeated);
-        assert_eq!(a.measure(7, &entry(RangeKind::True)), ranges[6], "out of order too");
-        assert_ne!(other.measure(7, &entry(RangeKind::True)), ranges[6]);
+        assert_eq!(a.sense(7, &entry(1)), ranges[6], "out of order too");
+        assert_ne!(other.sense(7, &entry(1)), ranges[6]);
     }
 
     #[test]
     fn the_filter_can_assume_another_noise_than_the_true_one() {
-        let measured = |text: &str| {
-            let file = ScenarioFile::parse(text, "test").unwrap();
-            let mut sensor = SimulatedSensor::new(&Scenario::from_file(&file, "test").unwrap(), 0).unwrap();
-            (sensor.measure(1, &entry(RangeKind::True)), sensor.std_m())
-        };
-        let (range, reported_std_m) = measured("[filter]\nrange_std_m = 0.25\n");
-        assert_eq!((range, reported_std_m), (measured("").0, 0.25));
+        let sensed = |text: &str| of(text, 0).sense(1, &entry(1)).range_m.unwrap();
+        let (range_m, reported_std_m) = sensed("[filter]\nrange_std_m = 0.25\n");
+        assert_eq!((range_m, reported_std_m), (sensed("").0, 0.25));
     }
 
     #[test]
-    fn only_a_true_range_is_measured() {
-        let mut sensor = sensor(0);
-        assert_eq!(sensor.measure(3, &entry(RangeKind::Absent)), None);
-        assert_eq!(sensor.measure(3, &entry(RangeKind::Measured)), None);
-        assert_eq!(sensor.measure(3, &WorldEntry { range_kind: 99, ..entry(RangeKind::True) }), None);
+    fn only_true_values_are_measured() {
+        let mut sensor = of("", 0);
+        assert_eq!(sensor.sense(3, &entry(0)), Sensed::default());
+        let recorded = WorldEntry { origin: Origin::Recorded.to_bits(), ..entry(3) };
+        assert_eq!(sensor.sense(3, &recorded), Sensed::default());
+        assert_eq!(sensor.sense(3, &WorldEntry { origin: 99, ..entry(3) }), Sensed::default());
+        assert_eq!(sensor.sense(3, &entry(3)).bearing_rad, None, "it has no bearings");
+    }
+
+    #[test]
+    fn both_noises_have_their_standard_deviations_and_a_bearing_is_within_one_turn() {
+        let text =
+            "[robots]\nsensor = \"s\"\n[sensor.s]\nrange_std_m = 0.3\nrange_std_per_m = 0.05\nbearing_std_rad = 0.1";
+        let mut sensor = of(text, 0);
+        let (mut range, mut bearing, ticks) = (0.0, 0.0, 20_000);
+        for tick in 1..=ticks {
+            let Sensed { range_m, bearing_rad } = sensor.sense(tick, &entry(3));
+            let ((range_m, std_m), (bearing_rad, std_rad)) = (range_m.unwrap(), bearing_rad.unwrap());
+            assert!((std_m - (0.3 + 0.05 * range_m)).abs() < 1e-12 && std_rad == 0.1);
+            assert!(bearing_rad.abs() <= std::f64::consts::PI);
+            range += (range_m - 10.0).powi(2);
+            bearing += wrapped_rad(bearing_rad - 3.1).powi(2);
+        }
+        // Five standard deviations of a sample variance.
+        assert!((range / ticks as f64 / 0.64 - 1.0).abs() < 0.05 && (bearing / ticks as f64 / 0.01 - 1.0).abs() < 0.05);
     }
 }

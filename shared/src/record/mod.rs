@@ -6,8 +6,8 @@ mod fields;
 use serde::{Deserialize, Serialize};
 
 use crate::STATE_DIM_MAX;
-use crate::measurement::{Measurement, Pose};
-use crate::message::{Command, Drive, Estimate, RangeKind, WorldEntry};
+use crate::measurement::{Kind, Measurement, Pose};
+use crate::message::{Command, Drive, Estimate, WorldEntry};
 use crate::scenario::{Scenario, Source};
 pub use fields::{Fields, Record, describe, put, take};
 
@@ -34,36 +34,39 @@ pub struct Exchange {
 /// The data that fusion used from a robot's message.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Heard {
-    /// The measurement and the sensor's place.
+    /// The measurement and the sensor's pose.
     pub measurement: Measurement,
     /// The first tick whose estimate uses it: the message's own, or a later one if it came late.
     pub taken_at: u64,
-    /// Fusion's decision on the range; `None` without a range, and at tick 0.
-    pub judged: Option<Judged>,
+    /// Fusion's decision on each [`Kind`]; `None` where it was not measured, and at tick 0.
+    pub judged: JudgedKinds,
 }
 
-/// Fusion's decision on a range, and the range's agreement with its prediction.
+/// Fusion's decision on each kind of a measurement.
+pub type JudgedKinds = [Option<Judged>; Kind::COUNT];
+
+/// Fusion's decision on a value that was measured, and the value's agreement with its prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
     /// The decision.
-    pub used: RangeUse,
-    /// The range's own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` if nothing
-    /// predicted the range.
+    pub used: Use,
+    /// The value's own normalised innovation squared, `nu^2 / S`: one degree of freedom. `None` if nothing
+    /// predicted the value.
     pub normalised_square: Option<f64>,
 }
 
-/// Fusion's decision on a range.
+/// Fusion's decision on a range or a bearing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum RangeUse {
-    /// The range was fused.
+pub enum Use {
+    /// It was fused.
     Fused,
-    /// The range failed the gate.
+    /// It failed the gate.
     Rejected,
-    /// The robot was distrusted.
+    /// The sensor was distrusted.
     Distrusted,
 }
 
-impl RangeUse {
+impl Use {
     /// All decisions.
     pub const ALL: [Self; 3] = [Self::Fused, Self::Rejected, Self::Distrusted];
 
@@ -94,10 +97,12 @@ pub struct WorldRecord {
 /// One robot's part in one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RobotRecord {
-    /// Place of the robot.
+    /// Where the robot truly was; in a recording, where its localiser said.
     pub pose: Pose,
     /// Range that the world gave its sensor, m, if any: the true range, or a recorded one.
     pub range_m: Option<f64>,
+    /// The same for the bearing from the robot's true heading, rad.
+    pub bearing_rad: Option<f64>,
     /// When it published its range, monotonic ns, if its sensor had one.
     pub range_sent_ns: Option<u64>,
     /// When it received the tick's heading, monotonic ns, if it did.
@@ -170,14 +175,16 @@ impl Record for FusionRecord {
         fields.whole("fused", &mut estimate.fused);
         fields.number("nis_all", &mut estimate.nis_all);
         fields.whole("tested", &mut estimate.tested);
-        fields.number("noise_scale", &mut estimate.noise_scale);
+        fields.numbers("noise_scale", &mut estimate.noise_scale);
         fields.whole("rejected", &mut estimate.rejected);
         fields.whole("missing", &mut estimate.missing);
         fields.whole("late", &mut estimate.late);
         fields.whole("fused_late", &mut estimate.fused_late);
         fields.whole("rejected_late", &mut estimate.rejected_late);
         fields.wholes("refused", &mut estimate.refused);
-        fields.wholes("distrusted_bits", &mut estimate.distrusted);
+        let [ranges, bearings] = &mut estimate.distrusted;
+        fields.wholes("distrusted_bits", ranges);
+        fields.wholes("distrusted_bearing_bits", bearings);
         fields.number("objective", &mut estimate.objective);
         fields.number("lower_bound", &mut estimate.lower_bound);
         fields.number("least_trace_m2", &mut estimate.least_trace_m2);
@@ -197,32 +204,42 @@ impl Record for FusionRecord {
 
 impl Exchange {
     fn fields(&mut self, fields: &mut impl Fields) {
-        let Heard { mut measurement, taken_at, judged } = self.heard.unwrap_or_default();
+        let Heard { mut measurement, taken_at, mut judged } = self.heard.unwrap_or_default();
         let mut taken = self.heard.map_or(0, |_| taken_at + 1);
-        let mut used = judged.map_or(0, |judged| judged.used as u64 + 1);
-        // A range without a prediction has no normalised innovation.
-        let mut square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
         pose_fields(&mut measurement.pose, fields);
-        fields.whole("has_range", &mut measurement.has_range);
+        fields.whole("kinds", &mut measurement.kinds);
         fields.number("range_m", &mut measurement.range_m);
         fields.number("range_std_m", &mut measurement.range_std_m);
+        fields.number("bearing_rad", &mut measurement.bearing_rad);
+        fields.number("bearing_std_rad", &mut measurement.bearing_std_rad);
         fields.whole("taken_at_plus_1", &mut taken);
-        fields.whole("used", &mut used);
-        fields.number("normalised_square", &mut square);
+        let [range, bearing] = &mut judged;
+        judged_fields(range, ["used", "normalised_square"], fields);
+        judged_fields(bearing, ["bearing_used", "bearing_normalised_square"], fields);
         fields.number("heading_rad", &mut self.command.heading_rad);
         fields.number("speed_mps", &mut self.command.speed_mps);
-        let used = used.checked_sub(1).and_then(|used| RangeUse::ALL.get(usize::try_from(used).ok()?).copied());
-        let normalised_square = Some(square).filter(|square| !square.is_nan());
-        let judged = used.map(|used| Judged { used, normalised_square });
         self.heard = taken.checked_sub(1).map(|taken_at| Heard { measurement, taken_at, judged });
     }
+}
+
+fn judged_fields(judged: &mut Option<Judged>, [used_name, square_name]: [&str; 2], fields: &mut impl Fields) {
+    let mut used = judged.map_or(0, |judged| judged.used as u64 + 1);
+    // A value without a prediction has no normalised innovation.
+    let mut square = judged.and_then(|judged| judged.normalised_square).unwrap_or(f64::NAN);
+    fields.whole(used_name, &mut used);
+    fields.number(square_name, &mut square);
+    let used = used.checked_sub(1).and_then(|used| Use::ALL.get(usize::try_from(used).ok()?).copied());
+    let normalised_square = Some(square).filter(|square| !square.is_nan());
+    *judged = used.map(|used| Judged { used, normalised_square });
 }
 
 fn pose_fields(pose: &mut Pose, fields: &mut impl Fields) {
     fields.number("x_m", &mut pose.x_m);
     fields.number("y_m", &mut pose.y_m);
     fields.number("height_m", &mut pose.height_m);
+    fields.number("pose_heading_rad", &mut pose.heading_rad);
     fields.numbers("position_covariance_m2", &mut pose.covariance_m2);
+    fields.number("heading_std_rad", &mut pose.heading_std_rad);
 }
 
 impl WorldRecord {
@@ -238,11 +255,20 @@ impl WorldRecord {
     }
 
     /// Replaces the contents by those of a tick. The numbers of states and robots stay the same.
-    pub fn set(&mut self, time_s: f64, ended_ns: u64, truth: &[f64], world: &[WorldEntry], drives: &[Option<Drive>]) {
+    ///
+    /// `poses` are the robots' true ones.
+    pub fn set<'a>(
+        &mut self,
+        (time_s, ended_ns): (f64, u64),
+        truth: &[f64],
+        poses: &[Pose],
+        world: &[WorldEntry],
+        drives: impl IntoIterator<Item = &'a Option<Drive>>,
+    ) {
         (self.time_s, self.ended_ns) = (time_s, ended_ns);
         self.truth.iter_mut().zip(truth).for_each(|(slot, value)| *slot = *value);
-        for ((slot, entry), drive) in self.robots.iter_mut().zip(world).zip(drives) {
-            *slot = RobotRecord::of(entry, *drive);
+        for (((slot, pose), entry), drive) in self.robots.iter_mut().zip(poses).zip(world).zip(drives) {
+            *slot = RobotRecord::of(*pose, entry, *drive);
         }
     }
 }
@@ -257,11 +283,13 @@ impl Record for WorldRecord {
 }
 
 impl RobotRecord {
-    fn of(entry: &WorldEntry, drive: Option<Drive>) -> Self {
+    fn of(pose: Pose, entry: &WorldEntry, drive: Option<Drive>) -> Self {
         let stamp = |ns: u64| (ns != 0).then_some(ns);
+        let has = |kind: Kind| entry.kinds & kind.bit() != 0;
         Self {
-            pose: entry.pose,
-            range_m: (entry.range_kind != RangeKind::Absent.to_bits()).then_some(entry.range_m),
+            pose,
+            range_m: has(Kind::Range).then_some(entry.range_m),
+            bearing_rad: has(Kind::Bearing).then_some(entry.bearing_rad),
             range_sent_ns: drive.and_then(|drive| stamp(drive.range_sent_ns)),
             heading_held_ns: drive.and_then(|drive| stamp(drive.heading_held_ns)),
             heading: Heading::of(drive),
@@ -274,11 +302,12 @@ impl RobotRecord {
     }
 
     fn fields(&mut self, fields: &mut impl Fields) {
-        let mut range_m = self.range_m.unwrap_or(f64::NAN);
+        let [mut range_m, mut bearing_rad] = [self.range_m, self.bearing_rad].map(|value| value.unwrap_or(f64::NAN));
         let [mut sent_ns, mut held_ns] = [self.range_sent_ns, self.heading_held_ns].map(Option::unwrap_or_default);
         let mut heading = self.heading as u64;
         pose_fields(&mut self.pose, fields);
         fields.number("range_m", &mut range_m);
+        fields.number("bearing_rad", &mut bearing_rad);
         fields.whole("range_sent_ns", &mut sent_ns);
         fields.whole("heading_held_ns", &mut held_ns);
         fields.whole("heading", &mut heading);
@@ -286,7 +315,7 @@ impl RobotRecord {
         fields.number("speed_mps", &mut self.driven.speed_mps);
         fields.whole("headings_refused", &mut self.headings_refused);
         let stamp = |ns: u64| (ns != 0).then_some(ns);
-        self.range_m = Some(range_m).filter(|range_m| !range_m.is_nan());
+        [self.range_m, self.bearing_rad] = [range_m, bearing_rad].map(|value| Some(value).filter(|it| !it.is_nan()));
         (self.range_sent_ns, self.heading_held_ns) = (stamp(sent_ns), stamp(held_ns));
         self.heading = usize::try_from(heading).ok().and_then(|i| Heading::ALL.get(i).copied()).unwrap_or_default();
     }
@@ -311,14 +340,14 @@ mod tests {
             fused: 3,
             nis_all: 2.5,
             tested: 27,
-            noise_scale: 1.75,
+            noise_scale: [1.75, 1.25],
             rejected: 4,
             missing: 5,
             late: 6,
             fused_late: 7,
             rejected_late: 8,
             refused: [9, 10, 11, 12, 13, 14],
-            distrusted: std::array::from_fn(|word| 15 + word as u64),
+            distrusted: std::array::from_fn(|kind| std::array::from_fn(|word| (15 + 64 * kind + word) as u64)),
             objective: 0.25,
             lower_bound: 0.125,
             least_trace_m2: 0.75,
@@ -336,17 +365,18 @@ mod tests {
         estimate.state[..2].copy_from_slice(&[0.5, -0.5]);
         estimate.covariance[..4].copy_from_slice(&[4.0, 1.0, 1.0, 2.0]);
         let heard = Heard::default();
-        let judged = [(RangeUse::Rejected, Some(20.0)), (RangeUse::Fused, None), (RangeUse::Distrusted, Some(0.5))]
+        let judged = [(Use::Rejected, Some(20.0)), (Use::Fused, None), (Use::Distrusted, Some(0.5))]
             .map(|(used, normalised_square)| Some(Judged { used, normalised_square }));
         let late = Heard {
             measurement: Measurement::new(
-                Pose { height_m: 3.5, covariance_m2: [0.1, 0.2, 0.3], ..Pose::at([1.0, -2.0]) },
+                Pose { height_m: 3.5, heading_rad: 0.7, covariance_m2: [0.1, 0.2, 0.3], ..Pose::at([1.0, -2.0]) },
                 Some((-0.5, 1.5)),
-            ),
+            )
+            .with_bearing(Some((2.5, 0.02))),
             taken_at: 12,
-            judged: judged[0],
+            judged: [judged[0], judged[1]],
         };
-        let [fused, distrusted] = [1, 2].map(|i| Heard { judged: judged[i], ..late });
+        let [fused, distrusted] = [1, 2].map(|i| Heard { judged: [judged[i], None], ..late });
         let command = Command { heading_rad: -3.0, speed_mps: 4.0 };
         let exchanges =
             [None, Some(heard), Some(late), Some(fused), Some(distrusted)].map(|heard| Exchange { heard, command });
@@ -364,6 +394,7 @@ mod tests {
         let heading = Heading::Late;
         let busy = RobotRecord {
             range_m: Some(-0.5),
+            bearing_rad: Some(1.5),
             range_sent_ns: Some(7),
             heading_held_ns: Some(9),
             heading,

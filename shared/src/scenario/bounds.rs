@@ -44,3 +44,7 @@ pub const CLEARANCE: RangeInclusive<f64> = 0.0..=1e6;
 pub const TICKS_MAX: u64 = 1_000_000_000;
 /// Standard deviation of a known start, m.
 pub const START_STD_M: RangeInclusive<f64> = 1e-3..=1e5;
+/// Standard deviation of a nuisance: of a position or of a bias, m; a drift, m per square root of a second.
+pub const NUISANCE_STD_M: RangeInclusive<f64> = 0.0..=1e5;
+/// Time for which an error stays, s.
+pub const CORRELATION_S: RangeInclusive<f64> = 1e-3..=1e9;

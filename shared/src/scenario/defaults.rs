@@ -32,6 +32,8 @@ pub const ROBOT_START_M: [f64; 2] = [15.0, 0.0];
 pub const SPEED_MPS: f64 = 10.0;
 /// Standard deviation of a simulated range, m.
 pub const RANGE_STD_M: f64 = 1.0;
+/// Standard deviation of a recorded bearing, rad.
+pub const RECORDED_BEARING_STD_RAD: f64 = 0.02;
 /// Planner.
 pub const PLANNER: &str = "certified";
 /// Node budget of the certified planner: far more than all but contrived problems need.

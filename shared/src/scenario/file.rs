@@ -1,5 +1,7 @@
 //! The scenario file: TOML with every key optional.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::recording::SensorName;
@@ -29,6 +31,10 @@ pub struct ScenarioFile {
     pub robots: Option<RobotsTable>,
     /// The team, robot by robot.
     pub robot: Option<Vec<RobotTable>>,
+    /// Sensors by name, for robots to have.
+    pub sensor: Option<BTreeMap<String, SensorTable>>,
+    /// Localisers by name, for robots to have.
+    pub localiser: Option<BTreeMap<String, LocaliserTable>>,
     /// The choice of headings.
     pub planner: Option<PlannerTable>,
     /// The filter's gate and its assumed noise.
@@ -109,8 +115,12 @@ pub struct RobotsTable {
     pub ring_radius_m: Option<f64>,
     /// Speed limit, m/s.
     pub speed_mps: Option<f64>,
-    /// Standard deviation of a range, m.
+    /// Standard deviation of a range, m, of robots without a named sensor.
     pub range_std_m: Option<f64>,
+    /// Name of their sensor: a table `[sensor.NAME]`.
+    pub sensor: Option<String>,
+    /// Name of their localiser: a table `[localiser.NAME]`.
+    pub localiser: Option<String>,
 }
 
 /// One `[[robot]]`.
@@ -123,8 +133,46 @@ pub struct RobotTable {
     pub start_m: Option<[f64; 2]>,
     /// Speed limit, m/s.
     pub speed_mps: Option<f64>,
-    /// Standard deviation of its range, m.
+    /// Standard deviation of its range, m, if it has no named sensor.
     pub range_std_m: Option<f64>,
+    /// Name of its sensor: a table `[sensor.NAME]`.
+    pub sensor: Option<String>,
+    /// Name of its localiser: a table `[localiser.NAME]`.
+    pub localiser: Option<String>,
+}
+
+/// One `[sensor.NAME]`: what a robot with this sensor measures. It has ranges, bearings or both.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorTable {
+    /// Standard deviation of a range, m; without it there are no ranges.
+    pub range_std_m: Option<f64>,
+    /// Growth of that with the distance.
+    pub range_std_per_m: Option<f64>,
+    /// Standard deviation of a range's bias, m.
+    pub range_bias_std_m: Option<f64>,
+    /// Time after which the bias is another, s; without it the bias is constant.
+    pub range_bias_correlation_s: Option<f64>,
+    /// Standard deviation of a bearing, rad; without it there are no bearings.
+    pub bearing_std_rad: Option<f64>,
+    /// Distance up to which it measures, m.
+    pub max_range_m: Option<f64>,
+    /// Angle in which it measures, centred on the robot's heading, rad.
+    pub field_of_view_rad: Option<f64>,
+}
+
+/// One `[localiser.NAME]`: how well a robot with this localiser knows its own pose.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LocaliserTable {
+    /// Standard deviation of each coordinate, m; at the start, if it drifts.
+    pub std_m: Option<f64>,
+    /// Drift of each coordinate, m per square root of a second.
+    pub drift_m: Option<f64>,
+    /// Time for which an error stays, s; without it each pose has an error of its own.
+    pub correlation_s: Option<f64>,
+    /// Standard deviation of the heading, rad.
+    pub heading_std_rad: Option<f64>,
 }
 
 /// `[planner]`.
@@ -147,6 +195,8 @@ pub struct PlannerTable {
     pub stand_off_sigma: Option<f64>,
     /// Least distance of robots to each other, m.
     pub separation_m: Option<f64>,
+    /// What is made small: `"trace"`, `"eigenvalue"` or `"determinant"` of the position covariance.
+    pub criterion: Option<String>,
 }
 
 /// `[filter]`.
@@ -161,6 +211,10 @@ pub struct FilterTable {
     pub noise_psd: Option<f64>,
     /// Standard deviation of a range that robots report to the filter, m; default: the robots' own.
     pub range_std_m: Option<f64>,
+    /// What it does about errors of the robots' poses and biases: `"ignored"`, `"inflated"` or `"schmidt"`.
+    pub nuisances: Option<String>,
+    /// Which of them it estimates beside the target: `"bias"`, `"pose"`.
+    pub estimate: Option<Vec<String>>,
 }
 
 /// `filter.gate_sigma`: standard deviations or `"none"`.
@@ -213,18 +267,30 @@ pub struct RecordingTable {
     pub start_std_m: Option<f64>,
     /// Standard deviation of a range, m.
     pub range_std_m: Option<f64>,
+    /// Standard deviation of a bearing, rad.
+    pub bearing_std_rad: Option<f64>,
+    /// Standard deviation of each coordinate of a sensor's position, m; at the start, if it drifts.
+    pub pose_std_m: Option<f64>,
+    /// Drift of each coordinate of a sensor's position, m per square root of a second.
+    pub pose_drift_m: Option<f64>,
+    /// Time for which an error of a sensor's pose stays, s.
+    pub pose_correlation_s: Option<f64>,
+    /// Standard deviation of a sensor's heading, rad.
+    pub heading_std_rad: Option<f64>,
+    /// Standard deviation of the bias that is left in a sensor's ranges, m.
+    pub bias_std_m: Option<f64>,
     /// Bias B of all sensors in `measured = (1 + S) true + B`, m.
     pub bias_m: Option<f64>,
     /// Scale error S of all sensors.
     pub scale: Option<f64>,
     /// Sensors that differ from the rest.
-    pub sensor: Option<Vec<SensorTable>>,
+    pub sensor: Option<Vec<RecordedSensorTable>>,
 }
 
 /// One `[[recording.sensor]]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SensorTable {
+pub struct RecordedSensorTable {
     /// Name of the sensor in the recording: text or integer.
     pub id: SensorName,
     /// Its range standard deviation, m.
@@ -235,7 +301,7 @@ pub struct SensorTable {
     pub scale: Option<f64>,
 }
 
-impl SensorTable {
+impl RecordedSensorTable {
     /// A sensor without differences from the rest.
     #[must_use]
     pub fn new(id: SensorName) -> Self {

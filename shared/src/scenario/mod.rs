@@ -8,6 +8,7 @@ pub mod defaults;
 mod error;
 mod file;
 mod recorded;
+mod sensor;
 #[cfg(test)]
 mod tests;
 mod validate;
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use error::ScenarioError;
 pub use file::*;
 pub use recorded::{COPY, RecordedRanges};
+pub use sensor::{Calibration, NuisanceSpec, PoseCorrelation, RangeNoise, SensorSpec, Treatment};
 
 use crate::ROBOTS_MAX;
 use crate::motion::MotionModel;
@@ -59,6 +61,10 @@ pub struct Scenario {
     pub gate_sigma: Option<f64>,
     /// Whether a robot whose ranges keep failing is distrusted: its ranges are only tested, against the default gate if there is none.
     pub distrust: bool,
+    /// What the filter does about the robots' nuisances.
+    pub treatment: Treatment,
+    /// What a planner makes small.
+    pub criterion: Criterion,
 }
 
 /// The condition for the next tick.
@@ -115,21 +121,14 @@ pub struct RobotSpec {
     pub start_m: [f64; 2],
     /// Speed limit, m/s.
     pub speed_mps: f64,
-    /// Standard deviation of its range after calibration, m.
-    pub range_std_m: f64,
-    /// The same as reported to the filter, m: the true one, unless the scenario gives the filter another.
-    pub reported_std_m: f64,
+    /// What it measures, with the noise after calibration.
+    pub sensor: SensorSpec,
+    /// The same as reported to the filter: the true one, unless the scenario gives the filter another.
+    pub reported: SensorSpec,
     /// Its sensor's systematic error.
     pub calibration: Calibration,
-}
-
-/// Systematic error of a range sensor: `measured = (1 + scale) true + bias_m`.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Calibration {
-    /// Bias, m.
-    pub bias_m: f64,
-    /// Relative error that grows with the distance.
-    pub scale: f64,
+    /// The errors of its pose, and those of its sensor that stay from one measurement to the next.
+    pub nuisances: NuisanceSpec,
 }
 
 /// The planner.
@@ -294,8 +293,9 @@ impl Scenario {
         };
         let is_valid = |robot: &RobotSpec| {
             bounds::SPEED_MPS.contains(&robot.speed_mps)
-                && bounds::STD_M.contains(&robot.range_std_m)
-                && bounds::STD_M.contains(&robot.reported_std_m)
+                && robot.sensor.is_complete()
+                && robot.reported.is_complete()
+                && robot.nuisances.is_complete()
                 && robot.start_m.iter().all(|value| value.is_finite())
                 && bounds::BIAS_M.contains(&robot.calibration.bias_m)
                 && bounds::SCALE.contains(&robot.calibration.scale)

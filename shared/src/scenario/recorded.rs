@@ -24,6 +24,8 @@ pub struct RecordedRanges {
     pub has_heights: bool,
     /// Height of the target in the recording's frame, m; `None` if ranges count as level.
     pub target_height_m: Option<f64>,
+    /// Time of its first instant, s.
+    pub start_s: f64,
     /// The recording, in the process that read it.
     #[serde(skip)]
     pub(crate) read: AlreadyRead,
@@ -51,7 +53,8 @@ impl RecordedRanges {
         let has_heights = recording.has_heights()
             && heights.flat_map(|(_, readings)| readings).any(|reading| reading.height_m.is_some_and(|z_m| z_m != 0.0));
         let digest = recording.digest();
-        Self { digest, summary, has_heights, target_height_m, read: AlreadyRead(Some(Arc::new(recording))) }
+        let start_s = recording.instant(0).map_or(0.0, |(time_s, _)| time_s);
+        Self { digest, summary, has_heights, target_height_m, start_s, read: AlreadyRead(Some(Arc::new(recording))) }
     }
 
     /// The recording, if this process has read it and not released it.

@@ -20,8 +20,15 @@ fn target() -> impl Strategy<Value = TargetTable> {
 }
 
 fn robot() -> impl Strategy<Value = RobotTable> {
-    (maybe(0..300_u64), maybe([any_number(), any_number()]), maybe(any_number()), maybe(any_number()))
-        .prop_map(|(id, start_m, speed_mps, range_std_m)| RobotTable { id, start_m, speed_mps, range_std_m })
+    (maybe(0..300_u64), maybe([any_number(), any_number()]), maybe(any_number()), maybe(any_number())).prop_map(
+        |(id, start_m, speed_mps, range_std_m)| RobotTable {
+            id,
+            start_m,
+            speed_mps,
+            range_std_m,
+            ..RobotTable::default()
+        },
+    )
 }
 
 fn file() -> impl Strategy<Value = ScenarioFile> {
@@ -30,7 +37,17 @@ fn file() -> impl Strategy<Value = ScenarioFile> {
     let planner =
         (maybe("[a-z]{1,9}"), maybe(0..99_u64), maybe(0..99_u64), maybe(any_number()), maybe(any_number()), clearance)
             .prop_map(|(name, nodes, iterations, alpha, step_rad, (stand_off_m, stand_off_sigma, separation_m))| {
-                PlannerTable { name, nodes, iterations, alpha, step_rad, stand_off_m, stand_off_sigma, separation_m }
+                PlannerTable {
+                    name,
+                    nodes,
+                    iterations,
+                    alpha,
+                    step_rad,
+                    stand_off_m,
+                    stand_off_sigma,
+                    separation_m,
+                    criterion: None,
+                }
             });
     let covariance = prop_oneof![
         any_number().prop_map(CovarianceKey::Scalar),

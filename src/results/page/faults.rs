@@ -163,10 +163,10 @@ fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> Markup {
         let time_s = curves.time_s_at(at_ns).unwrap_or_default();
         (format!("{time_s:.2} s"), format!("{node} {incident}"))
     });
-    let distrusted = report.distrusted.iter().map(|Distrust { robot, sensor, from_tick, to_tick }| {
+    let distrusted = report.distrusted.iter().map(|Distrust { robot, sensor, kind, from_tick, to_tick }| {
         let until = to_tick.map_or("the end".to_owned(), |tick| tick.to_string());
         let name = name_of(*robot, report.recording.as_ref().map(|_| sensor.as_str()));
-        (format!("tick {from_tick} to {until}"), format!("{name} distrusted"))
+        (format!("tick {from_tick} to {until}"), format!("{name} distrusted ({kind}s)"))
     });
     let lines: Vec<(String, String)> = incidents.chain(distrusted).collect();
     html! {

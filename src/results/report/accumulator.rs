@@ -2,9 +2,10 @@
 
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::STATE_DIM_MAX;
+use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::{Estimate, Stages};
 use rangehound_shared::record::digest::Digest;
-use rangehound_shared::record::{Exchange, RangeUse, RobotRecord};
+use rangehound_shared::record::{Exchange, RobotRecord, Use};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source};
 
@@ -47,7 +48,7 @@ pub struct Accumulator {
 /// One sensor's ranges.
 #[derive(Debug, Default)]
 struct Sensor {
-    counts: [u64; RangeUse::ALL.len()],
+    counts: [u64; Use::ALL.len()],
     nis: Mean,
     nis_capped: Mean,
 }
@@ -93,10 +94,12 @@ impl Accumulator {
         self.digest = Digest::from_words(estimate.digest);
         self.ranges.add(estimate);
         self.refused.add(estimate);
-        self.add_distrust(tick, RobotSet::from_bits(estimate.distrusted));
+        for kind in Kind::ALL {
+            self.add_distrust(tick, kind, RobotSet::from_bits(estimate.distrusted[kind as usize]));
+        }
         self.nis.add(estimate.nis, estimate.fused);
         self.nis_all.add(estimate.nis_all, estimate.tested);
-        self.gate_widened += u64::from(estimate.noise_scale > 1.0);
+        self.gate_widened += u64::from(estimate.noise_scale.iter().any(|scale| *scale > 1.0));
         if tick == 0 {
             return;
         }
@@ -113,9 +116,10 @@ impl Accumulator {
     }
 
     /// Starts and ends the intervals of distrust.
-    fn add_distrust(&mut self, tick: u64, distrusted: RobotSet) {
+    fn add_distrust(&mut self, tick: u64, kind: Kind, distrusted: RobotSet) {
         let mut begun = distrusted;
-        for open in self.distrusted.iter_mut().filter(|distrust| distrust.to_tick.is_none()) {
+        let of_kind = |distrust: &&mut Distrust| distrust.kind == kind.name() && distrust.to_tick.is_none();
+        for open in self.distrusted.iter_mut().filter(of_kind) {
             if distrusted.contains(open.robot) {
                 begun.set(open.robot, false);
             } else {
@@ -126,6 +130,7 @@ impl Accumulator {
             self.distrusted.extend(begun.iter().map(|robot| Distrust {
                 robot,
                 sensor: robot.to_string(),
+                kind: kind.name(),
                 from_tick: tick,
                 to_tick: None,
             }));
@@ -150,7 +155,7 @@ impl Accumulator {
     pub fn add_unlogged(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
-            let is_heard = exchange.heard.is_some_and(|heard| heard.measurement.range().is_some());
+            let is_heard = exchange.heard.is_some_and(|heard| heard.measurement.kinds != 0);
             self.ranges.published += u64::from(is_heard && !is_told);
         }
     }
@@ -165,12 +170,13 @@ impl Accumulator {
             if let Some((range_m, _)) = heard.measurement.range() {
                 self.ranges_m.add((range_m * 1e3) as u64);
             }
-            let Some(judged) = heard.judged else { continue };
             let sensor = &mut self.sensors[robot];
-            sensor.counts[judged.used as usize] += 1;
-            if let Some(square) = judged.normalised_square {
-                sensor.nis.add(square);
-                sensor.nis_capped.add(square.min(SQUARE_CAP));
+            for judged in heard.judged.into_iter().flatten() {
+                sensor.counts[judged.used as usize] += 1;
+                if let Some(square) = judged.normalised_square {
+                    sensor.nis.add(square);
+                    sensor.nis_capped.add(square.min(SQUARE_CAP));
+                }
             }
         }
     }
@@ -191,7 +197,7 @@ impl Accumulator {
             .map(|(robot, sensor)| SensorEvidence {
                 name: robot.label.clone(),
                 ranges: sensor.counts.iter().sum(),
-                fused: sensor.counts[RangeUse::Fused as usize],
+                fused: sensor.counts[Use::Fused as usize],
             })
             .collect();
         // A faulty sensor does not count against the result of the others.
@@ -204,7 +210,7 @@ impl Accumulator {
         };
         let (nis_all, nis_capped) = (of_others(|sensor| sensor.nis), of_others(|sensor| sensor.nis_capped));
         let mut traces_m2 = self.traces_m2[self.traces_m2.len() / 2..].to_vec();
-        let mut stds_m: Vec<f64> = scenario.robots.iter().map(|robot| robot.range_std_m).collect();
+        let mut stds_m: Vec<f64> = scenario.robots.iter().filter_map(|robot| Some(robot.sensor.range?.std_m)).collect();
         let Background { truth, recording } = background;
         Evidence {
             sensors,
@@ -324,7 +330,11 @@ mod tests {
     #[test]
     fn a_range_that_fusion_has_counts_as_published_without_a_record_of_the_simulator() {
         let exchange = |range_m| Exchange {
-            heard: Some(Heard { measurement: Measurement::new(Pose::default(), range_m), taken_at: 1, judged: None }),
+            heard: Some(Heard {
+                measurement: Measurement::new(Pose::default(), range_m),
+                taken_at: 1,
+                judged: [None; 2],
+            }),
             command: Command::default(),
         };
         let heard = [exchange(Some((5.0, 1.0))), exchange(Some((6.0, 1.0))), exchange(None), Exchange::default()];
@@ -341,16 +351,16 @@ mod tests {
 
     #[test]
     fn each_sensor_has_the_outcome_of_its_ranges() {
-        let exchange = |judged: Option<(RangeUse, Option<f64>)>| Exchange {
+        let exchange = |judged: Option<(Use, Option<f64>)>| Exchange {
             heard: Some(Heard {
                 measurement: Measurement::new(Pose::default(), judged.map(|_| (1.0, 1.0))),
                 taken_at: 1,
-                judged: judged.map(|(used, normalised_square)| Judged { used, normalised_square }),
+                judged: [judged.map(|(used, normalised_square)| Judged { used, normalised_square }), None],
             }),
             command: Command::default(),
         };
         let mut totals = Accumulator::new().unwrap();
-        let (fused, rejected, distrusted) = (RangeUse::Fused, RangeUse::Rejected, RangeUse::Distrusted);
+        let (fused, rejected, distrusted) = (Use::Fused, Use::Rejected, Use::Distrusted);
         totals.add_sensors(&[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
         totals.add_sensors(&[
             exchange(Some((fused, Some(0.5)))),
@@ -374,7 +384,7 @@ mod tests {
         );
         totals.add_estimate(
             2,
-            &Estimate { nis_all: 20.0, tested: 1, noise_scale: 2.0, rejected: 1, ..Estimate::default() },
+            &Estimate { nis_all: 20.0, tested: 1, noise_scale: [2.0, 1.0], rejected: 1, ..Estimate::default() },
             None,
         );
         assert_eq!((totals.nis.mean(), totals.nis_all.mean(), totals.gate_widened), (Some(0.75), Some(10.0), 1));
@@ -387,10 +397,16 @@ mod tests {
         for (tick, robots) in distrusted.iter().enumerate() {
             let mut set = RobotSet::default();
             robots.iter().for_each(|robot| set.set(*robot, true));
-            let estimate = Estimate { distrusted: set.to_bits(), ..Estimate::default() };
+            let estimate = Estimate { distrusted: [set.to_bits(), [0; 16]], ..Estimate::default() };
             totals.add_estimate(tick as u64, &estimate, None);
         }
-        let distrust = |robot, from_tick, to_tick| Distrust { robot, sensor: robot.to_string(), from_tick, to_tick };
+        let distrust = |robot, from_tick, to_tick| Distrust {
+            robot,
+            sensor: robot.to_string(),
+            kind: "range",
+            from_tick,
+            to_tick,
+        };
         assert_eq!(totals.distrusted, [distrust(1, 1, Some(3)), distrust(70, 2, None), distrust(1, 4, None)]);
     }
 

@@ -106,10 +106,10 @@ impl Report {
             );
             writeln!(f, "{}", field_in(DOUBTFUL, "refused", causes))?;
         }
-        for Distrust { robot, sensor, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
+        for Distrust { robot, sensor, kind, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
             let until = to_tick.map_or("the end".to_owned(), |tick| format!("tick {tick}"));
             let time = format!(
-                "{} from tick {from_tick} to {until}",
+                "{} ({kind}s) from tick {from_tick} to {until}",
                 name_of(*robot, self.recording.as_ref().map(|_| sensor.as_str()))
             );
             writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", time))?;

@@ -134,13 +134,15 @@ pub struct RefusalSummary {
     pub jump: u64,
 }
 
-/// Ticks at which a robot's ranges were not fused because they kept failing the gate.
+/// Ticks at which a robot's ranges or bearings were not fused because they kept failing the gate.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Distrust {
     /// The robot.
     pub robot: usize,
     /// The sensor's name in the recording, or the robot's id.
     pub sensor: String,
+    /// What was not fused: `range` or `bearing`.
+    pub kind: &'static str,
     /// The tick after whose range it was distrusted.
     pub from_tick: u64,
     /// The tick after whose range it was trusted again; null if it never was.

@@ -43,6 +43,10 @@ messages! {
         height_m: f64 as double,
         /// Covariance of its position: x, x and y, y; absent if the position is exact.
         position_covariance_m2: Vec<f64> as repeated double,
+        /// Input of its sensor: the true bearing from its heading, or a recorded one.
+        bearing_rad: Option<f64> as optional double,
+        /// Where it faces, anticlockwise from east.
+        heading_rad: f64 as double,
     }
 
     /// Topic `/range`: a robot's message to fusion.
@@ -73,6 +77,18 @@ messages! {
         normalised_square: Option<f64> as optional double,
         /// Covariance of the sensor's position: x, x and y, y; absent if the position is exact.
         position_covariance_m2: Vec<f64> as repeated double,
+        /// The measured bearing, anticlockwise from the robot's heading.
+        bearing_rad: Option<f64> as optional double,
+        /// Its standard deviation.
+        bearing_std_rad: Option<f64> as optional double,
+        /// Where the robot faces, as it knows it, anticlockwise from east.
+        heading_rad: f64 as double,
+        /// Standard deviation of that.
+        heading_std_rad: f64 as double,
+        /// What fusion did with the bearing, as `used` for the range.
+        bearing_used: Option<String> as optional string,
+        /// The bearing's squared innovation over its variance.
+        bearing_normalised_square: Option<f64> as optional double,
     }
 
     /// Topic `/heading`: fusion's message to all robots.
@@ -163,6 +179,10 @@ messages! {
         /// Lower bound, m^2, of the trace of the position covariance at the next tick for any headings of this tick; 0 from
         /// planners that prove none.
         least_trace_m2: f64 as double,
+        /// Ids of robots whose bearings are distrusted.
+        distrusted_bearings: Vec<u64> as repeated uint64,
+        /// The same factor as `noise_scale` for bearings.
+        bearing_noise_scale: f64 as double,
     }
 
     /// Messages refused, by cause.

@@ -4,7 +4,7 @@ use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command, Estimate as EstimateOfFusion, Stages as StagesOfFusion};
 use rangehound_shared::record::digest::Digest;
 use rangehound_shared::record::{
-    Exchange, FusionRecord, Heading as Followed, Heard, Judged, RangeUse, RobotRecord, WorldRecord,
+    Exchange, FusionRecord, Heading as Followed, Heard, Judged, RobotRecord, Use, WorldRecord,
 };
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source, bounds};
@@ -22,20 +22,26 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
     let Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world } = frame;
     let (tick, time_s) = (*tick, *time_s);
     let places = world.robots.iter().map(|robot| {
-        let Pose { x_m, y_m, height_m, covariance_m2 } = robot.pose;
-        Place { x_m, y_m, range_m: robot.range_m, height_m, position_covariance_m2: covariance_field(covariance_m2) }
+        let Pose { x_m, y_m, height_m, heading_rad, covariance_m2, .. } = robot.pose;
+        let RobotRecord { range_m, bearing_rad, .. } = *robot;
+        let position_covariance_m2 = covariance_field(covariance_m2);
+        Place { x_m, y_m, range_m, height_m, position_covariance_m2, bearing_rad, heading_rad }
     });
     let world_message = World { tick, time_s: world.time_s, robots: places.collect(), ended_ns: world.ended_ns };
     let ranges = exchanges.iter().zip(&world.robots).zip(0..).filter_map(move |((exchange, body), robot)| {
         let sent_ns = body.range_sent_ns;
-        let Pose { x_m, y_m, height_m, covariance_m2 } =
+        let Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad } =
             exchange.heard.map_or(body.pose, |heard| heard.measurement.pose);
         let range = exchange.heard.and_then(|heard| heard.measurement.range());
         let taken_at = exchange.heard.map(|heard| heard.taken_at);
-        let judged = exchange.heard.and_then(|heard| heard.judged);
+        let bearing = exchange.heard.and_then(|heard| heard.measurement.bearing());
+        let judged = exchange.heard.map(|heard| heard.judged).unwrap_or_default();
+        let [used, bearing_used] = judged.map(|judged| judged.map(|judged| judged.used.name().to_owned()));
+        let [normalised_square, bearing_normalised_square] =
+            judged.map(|judged| judged.and_then(|judged| judged.normalised_square));
         // A range that was neither sent nor received has no message.
         (taken_at.is_some() || sent_ns.is_some()).then(|| {
-            let (range_m, range_std_m) = range.unzip();
+            let ((range_m, range_std_m), (bearing_rad, bearing_std_rad)) = (range.unzip(), bearing.unzip());
             OnTopic::Range(Range {
                 tick,
                 time_s,
@@ -47,9 +53,15 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 taken_at_tick: taken_at,
                 sent_ns,
                 height_m,
-                used: judged.map(|judged| judged.used.name().to_owned()),
-                normalised_square: judged.and_then(|judged| judged.normalised_square),
+                used,
+                normalised_square,
                 position_covariance_m2: covariance_field(covariance_m2),
+                bearing_rad,
+                bearing_std_rad,
+                heading_rad,
+                heading_std_rad,
+                bearing_used,
+                bearing_normalised_square,
             })
         })
     });
@@ -62,7 +74,8 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
         .collect();
     let heading = Heading { tick, time_s, commands, sent_ns: estimate.stages.sent_ns };
     let drives = world.robots.iter().zip(0..).filter_map(move |(body, robot)| {
-        let silent = RobotRecord { pose: body.pose, range_m: body.range_m, ..RobotRecord::default() };
+        let RobotRecord { pose, range_m, bearing_rad, .. } = *body;
+        let silent = RobotRecord { pose, range_m, bearing_rad, ..RobotRecord::default() };
         let drive = || {
             let Command { heading_rad, speed_mps } = body.driven;
             OnTopic::Drive(Drive {
@@ -93,6 +106,9 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
     let n = estimate.state_dim as usize;
     let [impostor, out_of_range, malformed, future, contradiction, jump] = estimate.refused;
     let StagesOfFusion { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } = estimate.stages;
+    let [distrusted, distrusted_bearings] =
+        estimate.distrusted.map(|bits| RobotSet::from_bits(bits).iter().map(|id| id as u64).collect());
+    let [noise_scale, bearing_noise_scale] = estimate.noise_scale;
     Estimate {
         tick,
         time_s,
@@ -106,15 +122,17 @@ fn estimate_message(tick: u64, time_s: f64, estimate: &EstimateOfFusion) -> Esti
         fused_late: estimate.fused_late,
         rejected_late: estimate.rejected_late,
         refused: Some(Refused { impostor, out_of_range, malformed, future, contradiction, jump }),
-        distrusted: RobotSet::from_bits(estimate.distrusted).iter().map(|id| id as u64).collect(),
+        distrusted,
         objective: estimate.objective,
         lower_bound: estimate.lower_bound,
         stages: Some(Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns }),
         digest: Digest::from_words(estimate.digest).to_string(),
         nis_all: estimate.nis_all,
         tested: estimate.tested,
-        noise_scale: estimate.noise_scale,
+        noise_scale,
         least_trace_m2: estimate.least_trace_m2,
+        distrusted_bearings,
+        bearing_noise_scale,
     }
 }
 
@@ -190,9 +208,10 @@ impl Gathering {
                 };
                 (robots.len() == self.robots && robots.iter().all(is_valid) && time_s.is_finite()).then_some(())?;
                 let record = |place: Place| {
-                    let Place { x_m, y_m, range_m, height_m, position_covariance_m2 } = place;
-                    let pose = Pose { x_m, y_m, height_m, covariance_m2: covariance_of(&position_covariance_m2)? };
-                    Some(RobotRecord { pose, range_m, ..RobotRecord::default() })
+                    let Place { x_m, y_m, range_m, height_m, position_covariance_m2, bearing_rad, heading_rad } = place;
+                    let covariance_m2 = covariance_of(&position_covariance_m2)?;
+                    let pose = Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad: 0.0 };
+                    Some(RobotRecord { pose, range_m, bearing_rad, ..RobotRecord::default() })
                 };
                 let robots = robots.into_iter().map(record).collect::<Option<Vec<_>>>()?;
                 self.world = Some(WorldRecord { time_s, ended_ns, truth: Vec::new(), robots });
@@ -200,21 +219,22 @@ impl Gathering {
             OnTopic::Range(range) => {
                 let slot = self.exchanges.get_mut(usize::try_from(range.robot).ok()?)?;
                 let covariance_m2 = covariance_of(&range.position_covariance_m2)?;
-                let Range { x_m, y_m, range_m, range_std_m, taken_at_tick, height_m, used, normalised_square, .. } =
-                    range;
-                let range_m = range_m.zip(range_std_m);
-                let is_valid =
-                    range_m.is_none_or(|(range_m, std_m)| is_near(range_m) && bounds::STD_M.contains(&std_m));
-                ([x_m, y_m, height_m].into_iter().all(is_near) && is_valid).then_some(())?;
-                let judged = match used {
-                    None => None,
-                    Some(name) => {
-                        let used = RangeUse::ALL.into_iter().find(|used| used.name() == name)?;
-                        let normalised_square = normalised_square.filter(|square| !square.is_nan());
-                        Some(Judged { used, normalised_square })
-                    }
-                };
-                let measurement = Measurement::new(Pose { x_m, y_m, height_m, covariance_m2 }, range_m);
+                let Range { x_m, y_m, height_m, heading_rad, heading_std_rad, taken_at_tick, .. } = range;
+                let range_m = range.range_m.zip(range.range_std_m);
+                let bearing_rad = range.bearing_rad.zip(range.bearing_std_rad);
+                let is_valid = range_m
+                    .is_none_or(|(range_m, std_m)| is_near(range_m) && bounds::STD_M.contains(&std_m))
+                    && bearing_rad.is_none_or(|(bearing_rad, std_rad)| {
+                        is_near(bearing_rad) && bounds::BEARING_STD_RAD.contains(&std_rad)
+                    })
+                    && bounds::HEADING_STD_RAD.contains(&heading_std_rad);
+                ([x_m, y_m, height_m, heading_rad].into_iter().all(is_near) && is_valid).then_some(())?;
+                let judged = [
+                    judged_of(range.used.as_deref(), range.normalised_square)?,
+                    judged_of(range.bearing_used.as_deref(), range.bearing_normalised_square)?,
+                ];
+                let pose = Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad };
+                let measurement = Measurement::new(pose, range_m).with_bearing(bearing_rad);
                 let heard = |taken_at| Heard { measurement, taken_at, judged };
                 slot.heard = taken_at_tick.map(heard);
                 slot.heard.is_none_or(|heard| heard.taken_at >= self.tick).then_some(())?;
@@ -304,10 +324,7 @@ fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion>
         message.refused.clone().unwrap_or_default();
     let Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } =
         message.stages.clone().unwrap_or_default();
-    let mut distrusted = RobotSet::default();
-    for id in &message.distrusted {
-        distrusted.set(usize::try_from(*id).ok().filter(|id| *id < rangehound_shared::ROBOTS_MAX)?, true);
-    }
+    let distrusted = [set_of(&message.distrusted)?, set_of(&message.distrusted_bearings)?];
     let mut estimate = EstimateOfFusion {
         state_dim: n as u64,
         nis: message.nis,
@@ -318,18 +335,34 @@ fn estimate_of(message: &Estimate, state_dim: usize) -> Option<EstimateOfFusion>
         fused_late: message.fused_late,
         rejected_late: message.rejected_late,
         refused: [impostor, out_of_range, malformed, future, contradiction, jump],
-        distrusted: distrusted.to_bits(),
+        distrusted: distrusted.map(RobotSet::to_bits),
         objective: message.objective,
         lower_bound: message.lower_bound,
         stages: StagesOfFusion { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns },
         digest: [digest as u64, (digest >> 64) as u64],
         nis_all: message.nis_all,
         tested: message.tested,
-        noise_scale: message.noise_scale,
+        noise_scale: [message.noise_scale, message.bearing_noise_scale],
         least_trace_m2: message.least_trace_m2,
         ..EstimateOfFusion::default()
     };
     estimate.state[..n].copy_from_slice(&message.state);
     estimate.covariance[..n * n].copy_from_slice(&message.covariance);
     Some(estimate)
+}
+
+/// Fusion's decision with this name; `Some(None)` without one, and `None` for an unknown name.
+fn judged_of(name: Option<&str>, normalised_square: Option<f64>) -> Option<Option<Judged>> {
+    let Some(name) = name else { return Some(None) };
+    let used = Use::ALL.into_iter().find(|used| used.name() == name)?;
+    Some(Some(Judged { used, normalised_square: normalised_square.filter(|square| !square.is_nan()) }))
+}
+
+/// The robots with these ids; `None` if one is not a robot's.
+fn set_of(ids: &[u64]) -> Option<RobotSet> {
+    let mut robots = RobotSet::default();
+    for id in ids {
+        robots.set(usize::try_from(*id).ok().filter(|id| *id < rangehound_shared::ROBOTS_MAX)?, true);
+    }
+    Some(robots)
 }

@@ -106,8 +106,8 @@ fn paths_of(scenario: &Scenario) -> anyhow::Result<Paths> {
         if let &[x_m, y_m, ..] = team.world().truth() {
             paths.truths_m.push(Some(Vector2::new(x_m, y_m)));
         }
-        for (path, entry) in paths.robots_m.iter_mut().zip(team.world().entries()) {
-            path.push(entry.pose.position_m());
+        for (path, pose) in paths.robots_m.iter_mut().zip(team.world().poses()) {
+            path.push(pose.position_m());
         }
         team.advance();
     }

@@ -106,7 +106,8 @@ fn team(scenario: &Scenario, step: usize, robots: usize) -> impl Iterator<Item =
         let i = (step * robots + robot) as f64;
         let (nearest_m, farthest_m) = DISTANCES_M;
         let distance_m = nearest_m + (farthest_m - nearest_m) * (i * 0.618_034).fract();
-        TeamMember::ranging(Vector::from_angle(i * 2.399_963) * distance_m, kind.speed_mps, kind.range_std_m)
+        let position_m = Vector::from_angle(i * 2.399_963) * distance_m;
+        TeamMember { sensor: kind.reported, ..TeamMember::ranging(position_m, kind.speed_mps, 1.0) }
     })
 }
 

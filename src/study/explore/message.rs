@@ -28,7 +28,7 @@ impl Message {
                 match kind {
                     0 => return Self::World(Header { tick: header.tick + NO_TICK, ..header }, entries.into()),
                     1 => entries.iter_mut().for_each(|entry| entry.pose.x_m = f64::NAN),
-                    2 => entries.iter_mut().for_each(|entry| entry.range_kind = u64::MAX),
+                    2 => entries.iter_mut().for_each(|entry| entry.origin = u64::MAX),
                     _ => entries.clear(),
                 }
                 Self::World(header, entries.into())

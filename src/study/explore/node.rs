@@ -2,6 +2,7 @@
 
 use rangehound_fusion::leader::Leader;
 use rangehound_fusion::standby::Standby;
+use rangehound_robot::pose::PoseSource;
 use rangehound_robot::sensor::Sensor;
 use rangehound_shared::sealed::slots::Turns;
 use rangehound_sim::machine as sim;
@@ -10,10 +11,11 @@ use super::lead::Lease;
 use super::message::Message;
 use super::witness::robot::RobotWitness;
 
-/// A robot's machine, sensor and checks.
+/// A robot's machine, sensor, localiser and checks.
 pub(super) struct Robot {
     pub(super) machine: rangehound_robot::machine::Machine,
-    pub(super) sensor: Sensor,
+    pub(super) sensor: Box<dyn Sensor>,
+    pub(super) poses: Box<dyn PoseSource>,
     pub(super) witness: RobotWitness,
 }
 

@@ -86,10 +86,10 @@ impl Steps {
             let range = Range { robot: robot as u64, measurement, tick_began_ns: now_ns };
             if taken_at == tick {
                 leader.on_range(&header, &[range], now_ns);
-                fed.in_time += measurement.has_range;
+                fed.in_time += u64::from(measurement.kinds != 0);
             } else if (tick + 1..=tick.saturating_add(LATE_TICKS_MAX as u64)).contains(&taken_at) {
                 late.entry(taken_at).or_default().push((header, range));
-                fed.late += measurement.has_range;
+                fed.late += u64::from(measurement.kinds != 0);
             } else {
                 return Err(StepError::Senseless { tick, robot, taken_at });
             }

@@ -49,11 +49,11 @@ impl Curve {
         let nearest = if noise.is_bounded() { NEAREST } else { NEAREST_BEARING };
         let stand_off_m = reach.stand_off_m().max(nearest * reach.step_m);
         let mut pieces = places(reach, corners_m, stand_off_m);
-        if member.sensor.max_range_m.is_finite() {
-            restrict(&mut pieces, |piece| piece.parts_within(member.sensor.max_range_m).collect());
+        if member.sensor.reach_m().is_finite() {
+            restrict(&mut pieces, |piece| piece.parts_within(member.sensor.reach_m()).collect());
         }
-        if member.sensor.field_of_view_rad < 2.0 * PI && reach.step_m > 0.0 {
-            let half_rad = 0.5 * member.sensor.field_of_view_rad;
+        if member.sensor.view_rad() < 2.0 * PI && reach.step_m > 0.0 {
+            let half_rad = 0.5 * member.sensor.view_rad();
             restrict(&mut pieces, |piece| parts_in_view(piece, reach.to_target_m, half_rad));
         }
         // A place on the target has no direction.

@@ -135,7 +135,7 @@ fn commanded(team: &Team, situation: &Situation, problem: &Problem, plan: &Plan)
         let Command { heading_rad, speed_mps } = plan.commands[i];
         let way_m = Vector::from_angle(heading_rad) * (speed_mps * situation.step_s);
         let sight_m = problem.reaches[i].to_target_m - way_m;
-        let half_rad = 0.5 * situation.team[i].sensor.field_of_view_rad;
+        let half_rad = 0.5 * situation.team[i].sensor.view_rad();
         // At rest its heading is not the planner's to choose.
         let is_seen = way_m == Vector::default() || curve::is_in_view(way_m, sight_m, half_rad + ROUNDING_RAD);
         if is_seen { sum + team.curves[i].noise.information(sight_m) } else { sum }

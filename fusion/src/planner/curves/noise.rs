@@ -1,9 +1,10 @@
 //! What a robot's measurement tells, depending on where it is taken.
 
 use nalgebra::Matrix2;
+use rangehound_shared::scenario::SensorSpec;
 
 use super::information::Information;
-use crate::planner::{Sensor, TeamMember};
+use crate::planner::TeamMember;
 use crate::vector::Vector;
 
 /// The noise of one robot's measurements and of its own pose.
@@ -25,12 +26,12 @@ pub(super) struct Noise {
 
 impl Noise {
     pub(super) fn of(member: &TeamMember) -> Self {
-        let Sensor { range, bearing_std_rad, max_range_m, .. } = member.sensor;
+        let SensorSpec { range, bearing_std_rad, .. } = member.sensor;
         let heading_rad2 = member.heading_std_rad * member.heading_std_rad;
         let bearing_rad2 = bearing_std_rad.map(|std_rad| std_rad * std_rad + heading_rad2);
         let position_m2 = member.position_covariance_m2;
         // With room for rounding where a curve is cut off.
-        let limit_m = max_range_m * (1.0 + 1e-9);
+        let limit_m = member.sensor.reach_m() * (1.0 + 1e-9);
         Self {
             range: range.map(|range| (range.std_m, range.std_per_m)),
             bearing_rad2,

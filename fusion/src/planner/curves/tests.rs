@@ -2,12 +2,12 @@ use std::f64::consts::{PI, TAU};
 
 use nalgebra::Matrix2;
 use proptest::prelude::*;
-use rangehound_shared::scenario::Clearance;
+use rangehound_shared::scenario::{Clearance, RangeNoise, SensorSpec};
 
 use super::curve::Curve;
 use super::*;
 use crate::belief::Belief;
-use crate::planner::{RangeNoise, Sensor, TeamMember, for_team};
+use crate::planner::{TeamMember, for_team};
 
 const CERTIFIED: PlannerSpec = PlannerSpec::Certified { nodes: 5_000 };
 
@@ -25,13 +25,13 @@ fn maybe<T: std::fmt::Debug + Clone + 'static>(
     prop_oneof![Just(none), some]
 }
 
-fn sensor() -> impl Strategy<Value = Sensor> {
+fn sensor() -> impl Strategy<Value = SensorSpec> {
     let range = (0.3..2.0_f64, maybe(0.0, 0.01..0.1_f64));
     let range = range.prop_map(|(std_m, std_per_m)| Some(RangeNoise { std_m, std_per_m })).boxed();
     let bearing = (0.02..0.2_f64).prop_map(Some).boxed();
     let both = prop_oneof![(Just(None), bearing.clone()), (range.clone(), maybe(None, bearing)),];
     (both, maybe(f64::INFINITY, 5.0..40.0_f64), maybe(TAU, 0.5..5.0_f64)).prop_map(
-        |((range, bearing_std_rad), max_range_m, field_of_view_rad)| Sensor {
+        |((range, bearing_std_rad), max_range_m, field_of_view_rad)| SensorSpec {
             range,
             bearing_std_rad,
             max_range_m,
@@ -80,8 +80,8 @@ fn reachable(problem: &Problem, robot: usize, heading: f64, share: f64) -> Optio
 fn added(curve: &Curve, member: &TeamMember, problem: &Problem, robot: usize, offset_m: Vector) -> Information {
     let sight_m = problem.reaches[robot].to_target_m - offset_m;
     let turn_rad = offset_m.cross(sight_m).abs().atan2(offset_m.dot(sight_m));
-    let is_seen = offset_m == Vector::default() || turn_rad <= 0.5 * member.sensor.field_of_view_rad;
-    let is_near = sight_m.norm() <= member.sensor.max_range_m;
+    let is_seen = offset_m == Vector::default() || turn_rad <= 0.5 * member.sensor.view_rad();
+    let is_near = sight_m.norm() <= member.sensor.reach_m();
     if is_seen && is_near { curve.noise.information(sight_m) } else { Information::default() }
 }
 
@@ -122,7 +122,7 @@ proptest! {
             }
             // A bearing's view is cut with the heading; at rest that is unknown.
             if let Some(offset_m) = reachable(&problem, i, heading, share)
-                && (offset_m != Vector::default() || member.sensor.field_of_view_rad >= TAU)
+                && (offset_m != Vector::default() || member.sensor.view_rad() >= TAU)
             {
                 let value = added(&curve, member, &problem, i, offset_m).along(m);
                 prop_assert!(value <= support.bound + 1e-6 * (1.0 + value.abs()), "{offset_m:?}: {value} {support:?}");
@@ -199,7 +199,7 @@ proptest! {
     }
 }
 
-fn lone(sensor: Sensor, position_m: Vector) -> Situation {
+fn lone(sensor: SensorSpec, position_m: Vector) -> Situation {
     Situation {
         belief: Belief::of_position(Vector::default(), &Matrix2::identity()),
         team: vec![TeamMember { sensor, ..TeamMember::ranging(position_m, 5.0, 1.0) }],
@@ -211,14 +211,14 @@ fn lone(sensor: Sensor, position_m: Vector) -> Situation {
 /// A camera goes across to where its bearing cuts the longer axis; a robot out of its sensor's range comes nearer.
 #[test]
 fn a_camera_comes_nearer_and_a_robot_out_of_range_goes_straight_to_the_target() {
-    let camera = Sensor { range: None, bearing_std_rad: Some(0.05), ..Sensor::range(1.0) };
-    for sensor in [camera, Sensor { max_range_m: 10.0, ..camera }] {
+    let camera = SensorSpec { range: None, bearing_std_rad: Some(0.05), ..SensorSpec::range(1.0) };
+    for sensor in [camera, SensorSpec { max_range_m: Some(10.0), ..camera }] {
         let situation = lone(sensor, Vector::new(20.0, 0.0));
         let plan = plan(CERTIFIED, &situation);
         let end =
             Vector::new(20.0, 0.0) + Vector::from_angle(plan.commands[0].heading_rad) * plan.commands[0].speed_mps;
         assert!((end - Vector::new(15.0, 0.0)).norm() < 1e-3, "{end:?}");
-        let is_in_range = sensor.max_range_m > 15.0;
+        let is_in_range = sensor.reach_m() > 15.0;
         assert_eq!(plan.worth.position_trace_m2 < 1.999, is_in_range, "{plan:?}");
     }
 }
@@ -226,7 +226,7 @@ fn a_camera_comes_nearer_and_a_robot_out_of_range_goes_straight_to_the_target() 
 /// It is sent to where its measurement would add most, and is not counted.
 #[test]
 fn a_robot_that_is_not_fused_is_placed_and_not_counted() {
-    let camera = Sensor { range: None, bearing_std_rad: Some(0.05), ..Sensor::range(1.0) };
+    let camera = SensorSpec { range: None, bearing_std_rad: Some(0.05), ..SensorSpec::range(1.0) };
     let mut situation = lone(camera, Vector::new(20.0, 3.0));
     let alone = plan(CERTIFIED, &situation);
     situation.team.push(TeamMember { is_fused: false, ..situation.team[0] });
@@ -242,7 +242,7 @@ fn a_robot_that_is_not_fused_is_placed_and_not_counted() {
 
 #[test]
 fn a_robot_on_the_target_or_within_a_step_has_a_finite_plan() {
-    let both = Sensor { bearing_std_rad: Some(0.05), ..Sensor::range(1.0) };
+    let both = SensorSpec { bearing_std_rad: Some(0.05), ..SensorSpec::range(1.0) };
     for place in [Vector::default(), Vector::new(5.0, 0.0), Vector::new(1e-9, 0.0), Vector::new(-2.0, 1.0)] {
         for spec in [CERTIFIED, PlannerSpec::Greedy, PlannerSpec::Pursue, PlannerSpec::Random] {
             let plan = plan(spec, &lone(both, place));

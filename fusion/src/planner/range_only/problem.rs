@@ -2,10 +2,11 @@
 
 use nalgebra::Matrix2;
 use rangehound_shared::message::Command;
+use rangehound_shared::scenario::RangeNoise;
 
 use super::arm::Arm;
 use super::reach::{Limit, Reach, stand_off_m};
-use crate::planner::{RangeNoise, Situation, TeamMember};
+use crate::planner::{Situation, TeamMember};
 use crate::vector::Vector;
 
 /// Largest share of `T - |S|` that may be rounding of `|S|`. Above it, `T - |S|` itself is compared.

@@ -6,7 +6,9 @@
 
 use std::f64::consts::TAU;
 
-use super::super::Reading;
+use nalgebra::Vector2;
+
+use super::Piece;
 
 /// Most hypotheses on one circle. With 64 the circle bends by 3e-4 of its radius within one of them.
 pub(super) const CIRCLE_MAX: usize = 64;
@@ -31,19 +33,19 @@ const DISC_SIGMA_MAX: f64 = 5.0;
 /// Gaussians along the circle of a range that sum up to its likelihood.
 pub(super) struct Circle {
     pub(super) count: usize,
-    pub(super) radius_m: f64,
-    pub(super) radial_variance_m2: f64,
-    pub(super) tangential_variance_m2: f64,
+    radius_m: f64,
+    radial_variance_m2: f64,
+    tangential_variance_m2: f64,
     /// Integral of one Gaussian, m: in the plane, the arc from one centre to the next.
-    pub(super) arc_m: f64,
+    arc_m: f64,
 }
 
 impl Circle {
-    pub(super) fn of(reading: &Reading) -> Self {
-        if reading.height_m != 0.0 {
-            return Self::of_slant_range(reading);
+    /// The circle of a range with this standard deviation, m, measured at this height.
+    pub(super) fn of(range_m: f64, range_std_m: f64, height_m: f64) -> Self {
+        if height_m != 0.0 {
+            return Self::of_slant_range(range_m, range_std_m, height_m);
         }
-        let Reading { range_m, range_std_m, .. } = *reading;
         let variance_m2 = range_std_m * range_std_m;
         if range_m < range_std_m {
             // The range is smaller than its noise: one Gaussian round the sensor.
@@ -61,8 +63,21 @@ impl Circle {
         Self { count, radius_m: range_m, radial_variance_m2, tangential_variance_m2, arc_m }
     }
 
-    fn of_slant_range(reading: &Reading) -> Self {
-        let Reading { height_m, range_m, range_std_m, .. } = *reading;
+    /// One of its Gaussians: alternately both ways round the sensor, from this direction.
+    pub(super) fn piece(&self, sensor_m: Vector2<f64>, towards_rad: f64, index: usize) -> Piece {
+        let turn = if index % 2 == 0 { index / 2 } else { self.count - index.div_ceil(2) };
+        let (sin, cos) = (towards_rad + TAU * turn as f64 / self.count as f64).sin_cos();
+        let along = Vector2::new(cos, sin);
+        Piece {
+            centre_m: sensor_m + along * self.radius_m,
+            along,
+            along_variance_m2: self.radial_variance_m2,
+            across_variance_m2: self.tangential_variance_m2,
+            integral: self.arc_m,
+        }
+    }
+
+    fn of_slant_range(range_m: f64, range_std_m: f64, height_m: f64) -> Self {
         // A range shorter than the height is noise: the target is near the foot.
         let slant_m = range_m.max(height_m.abs());
         // The square of the horizontal distance, and its standard deviation.

@@ -24,17 +24,19 @@ const SAME_SENSOR_SHARE: f64 = 0.05;
 pub(super) struct Rejections {
     ranges: f64,
     rejected: f64,
-    /// Position from which the last range that counted was measured, m.
+    /// Position from which the last measurement that counted was taken, m.
     position_m: Vector2<f64>,
 }
 
 impl Rejections {
-    pub(super) fn add(&mut self, reading: &Reading, rejected: bool) {
-        let moved_m = (reading.position_m - self.position_m).norm();
-        if self.ranges > 0.0 && moved_m <= SAME_SENSOR_SHARE * reading.range_m {
+    /// Adds a reading of a target at this distance, m.
+    pub(super) fn add(&mut self, reading: &Reading, distance_m: f64, rejected: bool) {
+        let position_m = reading.pose.position_m();
+        let moved_m = (position_m - self.position_m).norm();
+        if self.ranges > 0.0 && moved_m <= SAME_SENSOR_SHARE * distance_m {
             return;
         }
-        self.position_m = reading.position_m;
+        self.position_m = position_m;
         self.ranges = REJECTION_DECAY * self.ranges + 1.0;
         self.rejected = REJECTION_DECAY * self.rejected + f64::from(u8::from(rejected));
     }

@@ -1,57 +1,99 @@
-//! One range compared with one hypothesis.
+//! One measurement compared with one hypothesis.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::Matrix2;
+use rangehound_shared::measurement::Kind;
 
 use super::super::Reading;
-use crate::filter::{Gaussian, Innovation};
+use crate::nuisance::{Chain, Estimate, Row};
 
-/// Share of the ranges taken to be outliers: that of radio ranges without a line of sight.
-const OUTLIER_SHARE: f64 = 0.05;
-
-/// Spread of an outlier beyond that of the hypothesis, in standard deviations of the range. One outlier then divides
+/// Spread of an outlier beyond that of the hypothesis, in standard deviations of the measurement. One outlier then divides
 /// the weight of the right hypothesis by 400, and does not remove it.
 const OUTLIER_SPREAD: f64 = 50.0;
 
-/// A range compared with a hypothesis, to second order.
+/// A measurement compared with a hypothesis, to second order.
 pub(super) struct Sight {
-    pub(super) innovation: Innovation,
-    /// How far the circle bends within the hypothesis's standard deviation, `tr((I - e e^T) P_11) / (2 d)`, m.
-    pub(super) bend_m: f64,
-    /// `S`, m^2.
-    pub(super) variance_m2: f64,
+    pub(super) row: Row,
+    /// How far the prediction bends within the hypothesis's standard deviation, m or rad.
+    pub(super) bend: f64,
+    /// Standard deviation of the measurement without the target's part, m or rad.
+    pub(super) own_std: f64,
+    /// From the sensor to the estimated target, m.
+    pub(super) distance_m: f64,
+    /// `S`, m^2 or rad^2.
+    pub(super) variance: f64,
     /// `nu^2 / S`.
     pub(super) normalised_square: f64,
-    /// `ln` of the probability density that the range is an outlier of this value, 1/m.
+    /// `ln` of the probability density that the measurement is an outlier of this value, 1/m or 1/rad.
     pub(super) log_outlier: f64,
 }
 
 impl Sight {
-    /// Compares with the second-order terms of `d(X)`. In the plane, where the distance is curved in one direction
-    /// only, the mean is `d + bend` and the added variance `2 bend^2`. For a sensor at another height, where it is
-    /// curved in all directions, they come from [`Gaussian::bend`].
-    pub(super) fn of<const N: usize>(estimate: &Gaussian<N>, reading: &Reading) -> Self {
-        let Reading { position_m, height_m, range_m, range_std_m, .. } = *reading;
-        let mut innovation = estimate.slant_innovation(position_m, height_m, range_m, range_std_m);
-        let covariance = estimate.position_covariance();
-        let e = innovation.line_of_sight;
-        let across_m2 = (covariance.trace() - e.dot(&(covariance * e))).max(0.0);
-        let (bend_m, bend_variance_m2) = if height_m == 0.0 {
-            let distance_m = (estimate.position() - position_m).norm().min(range_m);
-            // A distance changes by no more than the position does.
-            let bend_m = (across_m2 / (2.0 * distance_m)).min(across_m2.sqrt());
-            (bend_m, 2.0 * bend_m * bend_m)
-        } else {
-            // No slant distance is less than the height.
-            let bend = estimate.bend(&e, (range_m - innovation.innovation_m).min(range_m).max(height_m.abs()));
-            (bend.mean_m, bend.variance_m2)
+    /// Compares with the second-order terms of the prediction. `outlier_share` is the share of measurements taken to be
+    /// outliers.
+    pub(super) fn of<const N: usize>(
+        estimate: &Estimate<N>,
+        reading: &Reading,
+        chain: &Chain,
+        outlier_share: f64,
+    ) -> Self {
+        let mut row = estimate.row(reading, chain);
+        let covariance = estimate.sight_covariance(reading.robot, chain);
+        let own_std = estimate.own_std(reading, &row, chain);
+        let distance_m = (estimate.target.position() - row.sensor_m).norm();
+        let (bend, across_spread) = match reading.kind {
+            Kind::Range => bend_of_range(estimate, reading, &mut row, &covariance, distance_m),
+            // Its second-order terms are in the row already.
+            Kind::Bearing => ((row.innovation.noise_variance - reading.std * reading.std).max(0.0).sqrt(), 0.0),
         };
-        innovation.innovation_m -= bend_m;
-        innovation.noise_variance_m2 += bend_variance_m2;
-        let variance_m2 = innovation.variance_m2(&covariance);
-        let normalised_square = innovation.normalised_square(&covariance);
-        // A range that is short beside a wide estimate has the density `r / across_m2`, less than `1 / sqrt(S)`.
-        let spread_m = OUTLIER_SPREAD * range_std_m + (TAU * variance_m2).sqrt() + across_m2 / range_m.max(range_std_m);
-        let log_outlier = (OUTLIER_SHARE / spread_m).ln();
-        Self { innovation, bend_m, variance_m2, normalised_square, log_outlier }
+        let variance = estimate.variance(&row, chain);
+        let innovation = row.innovation.innovation;
+        let normalised_square = innovation * innovation / variance;
+        let spread = OUTLIER_SPREAD * own_std + (TAU * variance).sqrt() + across_spread;
+        let spread = if reading.kind == Kind::Bearing { spread.min(TAU) } else { spread };
+        let log_outlier = (outlier_share / spread).ln();
+        Self { row, bend, own_std, distance_m, variance, normalised_square, log_outlier }
     }
+
+    /// Largest bend that the second-order terms account for, in the unit of the measurement.
+    pub(super) fn is_bent(&self, reading: &Reading, bend_max: f64) -> bool {
+        match reading.kind {
+            Kind::Range => self.bend > bend_max * self.own_std,
+            Kind::Bearing => self.bend > bend_max * self.own_std.min(PI),
+        }
+    }
+}
+
+/// Adds the second-order terms of `d(X)` to a range's row. Returns how far the circle bends within the hypothesis,
+/// `tr((I - e e^T) P_11) / (2 d)`, m, and the spread of an outlier because of it, m.
+///
+/// In the plane, where the distance is curved in one direction only, the mean is `d + bend` and the added variance
+/// `2 bend^2`. For a sensor at another height, where it is curved in all directions, they come from
+/// [`Gaussian::bend`](crate::filter::Gaussian::bend).
+fn bend_of_range<const N: usize>(
+    estimate: &Estimate<N>,
+    reading: &Reading,
+    row: &mut Row,
+    covariance: &Matrix2<f64>,
+    distance_m: f64,
+) -> (f64, f64) {
+    let (range_m, height_m) = (reading.value, reading.pose.height_m);
+    let innovation = &mut row.innovation;
+    let e = innovation.gradient;
+    let across_m2 = (covariance.trace() - e.dot(&(covariance * e))).max(0.0);
+    let (bend_m, bend_variance_m2) = if height_m == 0.0 {
+        // A distance changes by no more than the position does.
+        let bend_m = (across_m2 / (2.0 * distance_m.min(range_m))).min(across_m2.sqrt());
+        (bend_m, 2.0 * bend_m * bend_m)
+    } else {
+        // No slant distance is less than the height.
+        let slant_m = (range_m - innovation.innovation).min(range_m).max(height_m.abs());
+        let bend = estimate.target.bend(&e, slant_m);
+        (bend.mean_m, bend.variance_m2)
+    };
+    innovation.innovation -= bend_m;
+    innovation.noise_variance += bend_variance_m2;
+    // A range that is short beside a wide estimate has the density `r / across_m2`, less than `1 / sqrt(S)`.
+    (bend_m, across_m2 / range_m.max(reading.std))
 }

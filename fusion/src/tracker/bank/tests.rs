@@ -2,13 +2,26 @@
 
 use proptest::prelude::*;
 
+use rangehound_shared::measurement::Pose;
+use rangehound_shared::scenario::{NuisanceSpec, Treatment};
+
 use super::*;
 
 const STD_M: f64 = 0.2;
 const SQUARE: [[f64; 2]; 4] = [[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]];
 
+/// The nuisances of a team that has none.
+fn exact(robots: usize) -> Chain {
+    Chain::of(vec![NuisanceSpec::default(); robots], Treatment::Schmidt)
+}
+
 fn bank() -> Bank<4> {
-    Bank::new(MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 }, Gate::new(Some(4.0)))
+    Bank::new(MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 }, Gate::new(Some(4.0)), exact(8))
+}
+
+fn range_from(position_m: Vector2<f64>, range_m: f64, std_m: f64) -> Reading {
+    let pose = Pose::at([position_m.x, position_m.y]);
+    Reading { pose, value: range_m, std: std_m, ..Reading::default() }
 }
 
 /// Feeds a bank with single ranges that have a noise of 1.7 sigma at most.
@@ -29,8 +42,7 @@ impl Run {
         let noise_m = STD_M * 1.7 * (f64::from(self.count) * 2.399).sin();
         let (position_m, target) = (Vector2::from(sensor), Vector2::from(target));
         let range_m = (target - position_m).norm() + noise_m + error_m;
-        self.rejected +=
-            self.bank.step(dt_s, &[Reading { position_m, range_m, range_std_m: STD_M, ..Reading::default() }]).rejected;
+        self.rejected += self.bank.step(dt_s, &[range_from(position_m, range_m, STD_M)]).rejected;
         let estimate = &self.bank.estimate;
         ((estimate.position() - target).norm(), estimate.position_covariance().trace().sqrt())
     }
@@ -62,14 +74,14 @@ fn the_range_of_a_distrusted_robot_is_tested_and_moves_nothing() {
     for (error_m, fails) in [(0.0, false), (3.0, true)] {
         let (mut tested, mut untouched) = (run.bank.clone(), run.bank.clone());
         let range_m = 16.0_f64.hypot(3.0) + error_m;
-        let reading = Reading { robot: 7, range_m, range_std_m: STD_M, distrusted: true, ..Reading::default() };
+        let reading = Reading { robot: 7, value: range_m, std: STD_M, distrusted: true, ..Reading::default() };
         let fit = tested.step(0.1, &[reading]);
-        assert_eq!((fit.fused, fit.rejected, fit.failed.contains(7)), (0, 1, fails));
+        assert_eq!((fit.fused, fit.rejected, fit.failed[0].contains(7)), (0, 1, fails));
         untouched.step(0.1, &[]);
         assert_eq!((tested.hypotheses, tested.estimate), (untouched.hypotheses, untouched.estimate));
     }
-    let fit = bank().step(0.1, &[Reading { range_m: 5.0, range_std_m: STD_M, distrusted: true, ..Reading::default() }]);
-    assert_eq!((fit.fused, fit.failed.is_empty()), (0, true), "without a hypothesis nothing fails");
+    let fit = bank().step(0.1, &[Reading { value: 5.0, std: STD_M, distrusted: true, ..Reading::default() }]);
+    assert_eq!((fit.fused, fit.failed[0].is_empty()), (0, true), "without a hypothesis nothing fails");
 }
 
 #[test]
@@ -79,7 +91,7 @@ fn two_fixed_sensors_leave_both_mirror_images() {
         let (error_m, std_m) = run.range(0.1, SQUARE[k % 2], [8.0, 6.0], 0.0);
         assert!(error_m < 3.0 * std_m, "{k}: {error_m} {std_m}");
     }
-    let sides = |sign: f64| run.bank.hypotheses.iter().any(|h| (h.estimate.x[1] * sign - 6.0).abs() < 1.0);
+    let sides = |sign: f64| run.bank.hypotheses.iter().any(|h| (h.estimate.target.x[1] * sign - 6.0).abs() < 1.0);
     assert!(sides(1.0) && sides(-1.0));
 }
 
@@ -134,9 +146,9 @@ fn it_recovers_after_a_long_gap() {
 fn hostile(order: usize, steps: &[(f64, f64, f64, f64, f64)]) -> Result<(), TestCaseError> {
     let motion = MotionModel::IntegratorChain { order, noise_psd: 0.2 };
     match order {
-        1 => survives(Bank::<2>::new(motion, Gate::new(Some(4.0))), steps),
-        2 => survives(Bank::<4>::new(motion, Gate::new(None)), steps),
-        _ => survives(Bank::<6>::new(motion, Gate::new(Some(3.0))), steps),
+        1 => survives(Bank::<2>::new(motion, Gate::new(Some(4.0)), exact(1)), steps),
+        2 => survives(Bank::<4>::new(motion, Gate::new(None), exact(1)), steps),
+        _ => survives(Bank::<6>::new(motion, Gate::new(Some(3.0)), exact(1)), steps),
     }
 }
 
@@ -144,7 +156,7 @@ fn survives<const N: usize>(mut bank: Bank<N>, steps: &[(f64, f64, f64, f64, f64
     for &(dt_s, x, y, range_m, range_std_m) in steps {
         // Some sensors are exactly at the estimated position.
         let position_m = if x > 0.6e8 { bank.estimate.position() } else { Vector2::new(x, y) };
-        bank.step(dt_s, &[Reading { position_m, range_m, range_std_m, ..Reading::default() }]);
+        bank.step(dt_s, &[range_from(position_m, range_m, range_std_m)]);
         prop_assert!(bank.estimate().x.iter().all(|value| value.is_finite()));
         prop_assert_eq!(bank.estimate.p, bank.estimate.p.transpose());
         prop_assert!(Cholesky::new(bank.estimate.p).is_some(), "{}", bank.estimate.p);

@@ -11,7 +11,7 @@ use std::time::Duration;
 use super::bounds::{DT_S, GATE_SIGMA, NOISE_PSD, STD_M, TICKS_MAX, TIMEOUT_S};
 use super::{
     Clearance, Clock, FilterTable, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario, ScenarioError,
-    ScenarioFile, Source, Timeout, TimeoutKey, defaults,
+    ScenarioFile, Source, Timeout, TimeoutKey, Treatment, defaults,
 };
 use crate::motion::MotionModel;
 use crate::recording::{ReadSummary, Recording};
@@ -98,6 +98,8 @@ impl Checker<'_> {
             planner: self.planner(&planner)?,
             clearance: self.clearance(&planner)?,
             gate_sigma,
+            treatment: self.treatment(&raw.filter.clone().unwrap_or_default())?,
+            criterion: self.criterion(planner.criterion.as_deref())?,
             distrust: raw.filter.as_ref().and_then(|table| table.distrust).unwrap_or(gate_sigma.is_some()),
         };
         if let Some(recording) = &raw.recording {
@@ -107,7 +109,7 @@ impl Checker<'_> {
             let target_start = self.target_start(raw.target.as_ref().and_then(|table| table.start.as_ref()), n)?;
             scenario.prior = self.prior(&raw.prior.clone().unwrap_or_default(), &target_start, seed)?;
             scenario.source = Source::Simulated { target_start };
-            scenario.robots = self.team(raw.robots.as_ref(), raw.robot.as_deref())?;
+            scenario.robots = self.team(raw)?;
             self.set_filter_noise(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;
         }
         Ok(scenario)
@@ -124,9 +126,35 @@ impl Checker<'_> {
         }
         if let Some(std_m) = table.range_std_m {
             let std_m = self.number("filter.range_std_m", Some(std_m), std_m, STD_M)?;
-            scenario.robots.iter_mut().for_each(|robot| robot.reported_std_m = std_m);
+            let reported = scenario.robots.iter_mut().filter_map(|robot| robot.reported.range.as_mut());
+            reported.for_each(|range| range.std_m = std_m);
         }
         Ok(())
+    }
+
+    fn treatment(&self, table: &FilterTable) -> Result<Treatment, ScenarioError> {
+        let (mut bias, mut pose) = (false, false);
+        for name in table.estimate.iter().flatten() {
+            match name.as_str() {
+                "bias" => bias = true,
+                "pose" => pose = true,
+                other => return Err(self.refuse("filter.estimate", "a list of \"bias\" and \"pose\"", quoted(other))),
+            }
+        }
+        let treatment = match table.nuisances.as_deref() {
+            Some("ignored") => Treatment::Ignored,
+            Some("inflated") => Treatment::Inflated,
+            None | Some("schmidt") if bias || pose => return Ok(Treatment::Estimated { bias, pose }),
+            None | Some("schmidt") => return Ok(Treatment::Schmidt),
+            Some(other) => {
+                let expected = "\"ignored\", \"inflated\" or \"schmidt\"";
+                return Err(self.refuse("filter.nuisances", expected, quoted(other)));
+            }
+        };
+        if bias || pose {
+            return Err(self.refuse("filter.estimate", "no such key unless nuisances = \"schmidt\"", "given"));
+        }
+        Ok(treatment)
     }
 
     fn clock(&self, raw: &ScenarioFile) -> Result<Clock, ScenarioError> {

@@ -3,7 +3,7 @@
 use super::Checker;
 use super::values::quoted;
 use crate::scenario::bounds::CLEARANCE;
-use crate::scenario::{Clearance, PLANNERS, PlannerSpec, PlannerTable, ScenarioError, defaults};
+use crate::scenario::{Clearance, Criterion, PLANNERS, PlannerSpec, PlannerTable, ScenarioError, defaults};
 
 impl Checker<'_> {
     pub(super) fn planner(&self, table: &PlannerTable) -> Result<PlannerSpec, ScenarioError> {
@@ -26,6 +26,14 @@ impl Checker<'_> {
                 Err(self.refuse("planner.name", format!("one of {known}"), quoted(other)))
             }
         }
+    }
+
+    pub(super) fn criterion(&self, name: Option<&str>) -> Result<Criterion, ScenarioError> {
+        let Some(name) = name else { return Ok(Criterion::default()) };
+        Criterion::ALL.into_iter().find(|criterion| criterion.name() == name).ok_or_else(|| {
+            let known = Criterion::ALL.map(|criterion| quoted(criterion.name())).join(", ");
+            self.refuse("planner.criterion", format!("one of {known}"), quoted(name))
+        })
     }
 
     pub(super) fn clearance(&self, table: &PlannerTable) -> Result<Clearance, ScenarioError> {

@@ -4,10 +4,10 @@ use super::Checker;
 use crate::motion::MotionModel;
 use crate::motion::matrix::Matrix;
 use crate::recording::{ReadSummary, Recording};
-use crate::scenario::bounds::{BIAS_M, COORDINATE, SCALE, START_STD_M, STD_M};
+use crate::scenario::bounds::{BEARING_STD_RAD, BIAS_M, COORDINATE, NUISANCE_STD_M, SCALE, START_STD_M, STD_M};
 use crate::scenario::{
-    Calibration, Prior, RecordedRanges, RecordingTable, RobotSpec, Scenario, ScenarioError, ScenarioFile, Source,
-    defaults,
+    Calibration, LocaliserTable, NuisanceSpec, Prior, RangeNoise, RecordedRanges, RecordingTable, RobotSpec, Scenario,
+    ScenarioError, ScenarioFile, SensorSpec, Source, defaults,
 };
 
 impl Checker<'_> {
@@ -22,6 +22,8 @@ impl Checker<'_> {
             ("robots", raw.robots.is_some()),
             ("robot", raw.robot.is_some()),
             ("prior", raw.prior.is_some()),
+            ("sensor", raw.sensor.is_some()),
+            ("localiser", raw.localiser.is_some()),
             ("planner", raw.planner.is_some()),
             ("target.start", raw.target.as_ref().is_some_and(|target| target.start.is_some())),
         ];
@@ -46,18 +48,27 @@ impl Checker<'_> {
         }
         scenario.prior = prior;
         let std_m = self.number("recording.range_std_m", table.range_std_m, defaults::RECORDED_RANGE_STD_M, STD_M)?;
+        let bearing_std_rad = self.number(
+            "recording.bearing_std_rad",
+            table.bearing_std_rad,
+            defaults::RECORDED_BEARING_STD_RAD,
+            BEARING_STD_RAD,
+        )?;
+        let sensor = SensorSpec { bearing_std_rad: Some(bearing_std_rad), ..SensorSpec::range(std_m) };
+        let nuisances = self.recorded_nuisances(table)?;
         let bias_m = self.number("recording.bias_m", table.bias_m, 0.0, BIAS_M)?;
         let scale = self.number("recording.scale", table.scale, 0.0, SCALE)?;
         scenario.robots = recording
             .sensors()
             .iter()
-            .map(|sensor| RobotSpec {
-                label: sensor.name.to_string(),
-                start_m: sensor.first_position_m,
+            .map(|known| RobotSpec {
+                label: known.name.to_string(),
+                start_m: known.first_position_m,
                 speed_mps: 0.0,
-                range_std_m: std_m,
-                reported_std_m: std_m,
+                sensor,
+                reported: sensor,
                 calibration: Calibration { bias_m, scale },
+                nuisances,
             })
             .collect();
         let special = table.sensor.as_deref().unwrap_or_default();
@@ -72,14 +83,28 @@ impl Checker<'_> {
                 return Err(self.refuse(&key("id"), "each sensor once", format!("{} for the second time", sensor.id)));
             }
             let robot = &mut scenario.robots[robot];
-            robot.range_std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
-            robot.reported_std_m = robot.range_std_m;
+            let std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
+            robot.sensor.range = Some(RangeNoise { std_m, std_per_m: 0.0 });
+            robot.reported = robot.sensor;
             robot.calibration.bias_m = self.number(&key("bias_m"), sensor.bias_m, bias_m, BIAS_M)?;
             robot.calibration.scale = self.number(&key("scale"), sensor.scale, scale, SCALE)?;
         }
         scenario.ticks = raw.ticks.map_or(u64::MAX, |_| scenario.ticks).min(recording.len() as u64);
         scenario.source = Source::Recorded(RecordedRanges::new(recording, summary, target_height_m));
         Ok(())
+    }
+
+    /// The nuisances of all sensors.
+    fn recorded_nuisances(&self, table: &RecordingTable) -> Result<NuisanceSpec, ScenarioError> {
+        let localiser = LocaliserTable {
+            std_m: table.pose_std_m,
+            drift_m: table.pose_drift_m,
+            correlation_s: table.pose_correlation_s,
+            heading_std_rad: table.heading_std_rad,
+        };
+        let pose = self.pose_nuisances("recording.pose_", &localiser)?;
+        let bias_std_m = self.number("recording.bias_std_m", table.bias_std_m, 0.0, NUISANCE_STD_M)?;
+        Ok(NuisanceSpec { bias_std_m, ..pose })
     }
 
     /// The knowledge before the first range: the given start, or nothing.

@@ -1,7 +1,8 @@
 //! A robot in simulated time.
 
 use rangehound_robot::machine::{Action, Machine};
-use rangehound_robot::sensor::{Sensor, measure};
+use rangehound_robot::pose;
+use rangehound_robot::sensor::{self, measure};
 use rangehound_shared::message::{Command, Outgoing};
 
 use crate::study::explore::cluster::{Cluster, Violation};
@@ -18,11 +19,12 @@ impl Cluster<'_> {
         let id = node - self.plan.robot_nodes().start;
         // Like the real process, it reads how often the lead has been taken.
         let fusion_incarnation = self.lead.starts();
-        let started = (Machine::new(self.scenario, id, fusion_incarnation), Sensor::new(self.scenario, id));
-        let (Some(machine), Some(sensor)) = started else { return Process::None };
+        let machine = Machine::new(self.scenario, id, fusion_incarnation);
+        let equipment = (sensor::of_scenario(self.scenario, id), pose::of_scenario(self.scenario, id));
+        let (Some(machine), (Some(sensor), Some(poses))) = (machine, equipment) else { return Process::None };
         let witness = RobotWitness::new(self.scenario, fusion_incarnation);
         self.nodes[node].incarnation += 1;
-        Process::Robot(Box::new(Robot { machine, sensor, witness }))
+        Process::Robot(Box::new(Robot { machine, sensor, poses, witness }))
     }
 
     pub(in crate::study::explore) fn run_robot(
@@ -77,18 +79,18 @@ impl Cluster<'_> {
     }
 
     fn act_robot(&mut self, node: usize, robot: &mut Robot, action: Action) -> Result<(), Violation> {
-        let Robot { machine, sensor, witness } = robot;
+        let Robot { machine, sensor, poses, witness } = robot;
         let id = node - self.plan.robot_nodes().start;
         let now_ns = self.local_ns(node);
         match action {
-            Action::Measure { tick, entry } => {
+            Action::Measure { tick, time_s, entry } => {
                 let checked = witness.measures(tick, self.now_ns);
                 checked.map_err(|what| self.violation(Some(node), what))?;
-                let (range_m, std_m) = measure(sensor, tick, &entry);
-                let incarnation = self.nodes[node].incarnation;
-                let anew_m = if self.plan.measures_anew { ANEW_M * (incarnation - 1) as f64 } else { 0.0 };
-                let range_m = range_m.map(|range_m| range_m + anew_m);
-                machine.measured(range_m, std_m, now_ns);
+                let mut measurement = measure(sensor.as_mut(), poses.as_mut(), (tick, time_s), &entry);
+                if self.plan.measures_anew && measurement.range().is_some() {
+                    measurement.range_m += ANEW_M * (self.nodes[node].incarnation - 1) as f64;
+                }
+                machine.measured(measurement, now_ns);
             }
             Action::CarryOut(command) => {
                 witness.carries_out(command);

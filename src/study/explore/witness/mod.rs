@@ -18,7 +18,7 @@ use std::rc::Rc;
 
 use rangehound_fusion::leader::Leader;
 use rangehound_shared::message::{Command, Drive, Estimate, Range, Refusal, WorldEntry};
-use rangehound_shared::record::RangeUse;
+use rangehound_shared::record::Use;
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 use super::plan::Plan;
@@ -221,7 +221,7 @@ impl Witness {
             if measured.iter().all(|range| range.measurement != heard.measurement) {
                 return Err(format!("the range of robot-{robot} at tick {range_tick} was taken for another tick's"));
             }
-            if heard.judged.is_some_and(|judged| judged.used == RangeUse::Fused)
+            if heard.judged.iter().flatten().any(|judged| judged.used == Use::Fused)
                 && *self.fused.entry((robot, range_tick)).or_insert(tick) != tick
             {
                 return Err(format!("the range of robot-{robot} at tick {range_tick} was fused twice"));
