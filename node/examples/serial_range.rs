@@ -5,7 +5,7 @@
 //! cargo run --release --example serial_range -- --name demo --id 0 --port /dev/ttyUSB0 --format dwm1001 --anchor 022E
 //! ```
 //!
-//! Other hardware: implement `RangeSensor` and `Actuator` for it, and pass them to `run_with` instead of these two.
+//! Other hardware: implement `Sensor`, `PoseSource` and `Actuator` for it, and pass them to `run_with` instead of these.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -17,6 +17,7 @@ use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::robot::run_with;
 use rangehound_node::serial::{Radio, SerialActuator, SerialSensor};
 use rangehound_node::system::signal::Termination;
+use rangehound_robot::pose;
 use rangehound_shared::radio::Format;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Calibration, bounds};
@@ -94,14 +95,16 @@ fn main() -> Result<()> {
     let calibration = Calibration { bias_m: args.range_bias, scale: args.range_scale };
     let max_age = args.max_age.unwrap_or(Duration::from_secs_f64(scenario.dt_s));
     let radio = Radio { format: args.format, anchor: args.anchor, tag: args.tag };
-    let mut sensor =
-        SerialSensor::open(&args.port, radio, calibration, robot.reported_std_m, max_age).with_context(port)?;
+    let std_m = robot.reported.range.with_context(|| format!("robot {} has no ranges in the scenario", args.id))?.std_m;
+    let mut sensor = SerialSensor::open(&args.port, radio, calibration, std_m, max_age).with_context(port)?;
+    // A robot with a localiser of its own passes that instead.
+    let mut poses = pose::of_scenario(scenario, args.id).context("the scenario gives this robot no pose")?;
     // A radio's shell would take drive commands for its own: send them elsewhere.
     let command_port = if args.format == Format::Plain { args.port.clone() } else { PathBuf::from("-") };
     let drive = args.drive.unwrap_or(command_port);
     let mut actuator =
         SerialActuator::open(&drive).with_context(|| format!("cannot send commands to {}", drive.display()))?;
-    Ok(run_with(&run, args.id, &mut sensor, &mut actuator, &termination)?)
+    Ok(run_with(&run, args.id, (&mut sensor, poses.as_mut(), &mut actuator), &termination)?)
 }
 
 fn seconds(text: &str) -> Result<Duration> {

@@ -30,7 +30,7 @@ fn sensor() -> impl Strategy<Value = SensorSpec> {
     let range = range.prop_map(|(std_m, std_per_m)| Some(RangeNoise { std_m, std_per_m })).boxed();
     let bearing = (0.02..0.2_f64).prop_map(Some).boxed();
     let both = prop_oneof![(Just(None), bearing.clone()), (range.clone(), maybe(None, bearing)),];
-    (both, maybe(f64::INFINITY, 5.0..40.0_f64), maybe(TAU, 0.5..5.0_f64)).prop_map(
+    (both, proptest::option::of(5.0..40.0_f64), proptest::option::of(0.5..5.0_f64)).prop_map(
         |((range, bearing_std_rad), max_range_m, field_of_view_rad)| SensorSpec {
             range,
             bearing_std_rad,
