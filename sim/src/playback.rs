@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::{Drive, RangeKind, WorldEntry};
-use rangehound_shared::recording::{RecordedRange, Recording};
+use rangehound_shared::recording::{RecordedMeasurement, Recording};
 use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_valid};
@@ -54,13 +54,13 @@ impl World for Playback {
         if let Some((time_s, readings)) = self.recording.instant(self.next_instant) {
             self.time_s = time_s;
             for reading in readings {
-                let &RecordedRange { sensor, position_m, height_m, range_m } = reading;
+                let RecordedMeasurement { sensor, position_m, height_m, range_m, .. } = reading;
                 // Without the target's height, ranges are taken as horizontal.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
-                let range_kind = RangeKind::Measured.to_bits();
+                let range_kind = if range_m.is_some() { RangeKind::Measured } else { RangeKind::Absent }.to_bits();
                 let pose = Pose { height_m, ..Pose::at(position_m) };
-                self.entries[sensor] = WorldEntry { pose, range_m, range_kind };
+                self.entries[sensor] = WorldEntry { pose, range_m: range_m.unwrap_or(0.0), range_kind };
             }
             self.next_instant += 1;
         }
@@ -105,5 +105,16 @@ mod tests {
         assert_eq!((world.time_s(), heard(&world)), (6.0, vec![(0.0, 2.0, 5.0), (1.0, 1.0, 4.0)]));
         world.advance(&[]);
         assert_eq!((world.time_s(), heard(&world)), (6.0, vec![]), "the end repeats nothing");
+    }
+
+    #[test]
+    fn a_bearing_alone_is_an_entry_without_a_range_at_the_sensors_place() {
+        let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m,bearing_rad\n5,1,0,0,3,\n6,1,1,2,,0.5\n";
+        let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
+        let mut world = Playback::new(Arc::new(recording), None);
+        world.advance(&[]);
+        world.advance(&[]);
+        assert_eq!(world.entries(), [WorldEntry { pose: Pose::at([1.0, 2.0]), ..WorldEntry::default() }]);
+        assert_eq!(world.entries()[0].range_kind, RangeKind::Absent.to_bits());
     }
 }
