@@ -125,7 +125,7 @@ pub fn scenarios(bytes: &[u8]) -> Verdict {
 
 /// A table of ranges, in each of its forms.
 pub fn recordings(bytes: &[u8]) -> Verdict {
-    static OPTIONS: LazyLock<[ReadOptions; 6]> = LazyLock::new(|| {
+    static OPTIONS: LazyLock<[ReadOptions; 7]> = LazyLock::new(|| {
         let columns = |text: &str| text.parse::<ColumnMap>().unwrap();
         let anchors = b"sensor_id;x_m;y_m;z_m\n1;0;0;2\n2;9,5;0;\n3;0;9;1\nA;1;1;1\n";
         let anchors = Anchors::parse(&anchors[..], Path::new("anchors.csv"), &ColumnMap::default()).unwrap();
@@ -133,6 +133,7 @@ pub fn recordings(bytes: &[u8]) -> Verdict {
             ReadOptions::default(),
             ReadOptions { strict: true, ..ReadOptions::default() },
             ReadOptions { columns: columns("time=1:ms,sensor=2,x=3:m,y=4:cm,range=5:mm"), ..ReadOptions::default() },
+            ReadOptions { columns: columns("time=1:s,sensor=2,x=3:m,y=4:m,bearing=5:deg"), ..ReadOptions::default() },
             ReadOptions { target: Some("1".to_owned()), columns: columns("range=x:m"), ..ReadOptions::default() },
             ReadOptions { anchors: Some(anchors.clone()), ..ReadOptions::default() },
             ReadOptions { anchors: Some(anchors), columns: columns("range=d_*:cm"), ..ReadOptions::default() },

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rangehound_shared::measurement::{Kind, Pose};
 use rangehound_shared::message::{Drive, Origin, WorldEntry};
-use rangehound_shared::recording::{RecordedRange, Recording};
+use rangehound_shared::recording::{RecordedMeasurement, Recording};
 use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_valid};
@@ -56,13 +56,27 @@ impl World for Playback {
         if let Some((time_s, readings)) = self.recording.instant(self.next_instant) {
             self.time_s = time_s;
             for reading in readings {
-                let &RecordedRange { sensor, position_m, height_m, range_m } = reading;
+                let RecordedMeasurement { sensor, position_m, height_m, range_m, .. } = reading;
                 // Without the target's height, ranges are taken as horizontal.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
-                let pose = Pose { height_m, ..Pose::at(position_m) };
-                let (kinds, origin) = (Kind::Range.bit(), Origin::Recorded.to_bits());
-                self.entries[sensor] = WorldEntry { pose, kinds, origin, range_m, bearing_rad: 0.0 };
+                let variance_m2 = reading.position_std_m.map_or(0.0, |std_m| std_m * std_m);
+                let pose = Pose {
+                    height_m,
+                    // A bearing without a heading counts from the x axis.
+                    heading_rad: reading.heading_rad.unwrap_or(0.0),
+                    covariance_m2: [variance_m2, 0.0, variance_m2],
+                    heading_std_rad: reading.heading_std_rad.unwrap_or(0.0),
+                    ..Pose::at(position_m)
+                };
+                let bit = |kind: Kind, is_measured: bool| if is_measured { kind.bit() } else { 0 };
+                self.entries[sensor] = WorldEntry {
+                    pose,
+                    kinds: bit(Kind::Range, range_m.is_some()) | bit(Kind::Bearing, reading.bearing_rad.is_some()),
+                    origin: Origin::Recorded.to_bits(),
+                    range_m: range_m.unwrap_or(0.0),
+                    bearing_rad: reading.bearing_rad.unwrap_or(0.0),
+                };
                 self.poses[sensor] = pose;
             }
             self.next_instant += 1;
@@ -109,5 +123,29 @@ mod tests {
         assert_eq!((world.time_s(), heard(&world)), (6.0, vec![(0.0, 2.0, 5.0), (1.0, 1.0, 4.0)]));
         world.advance(&[]);
         assert_eq!((world.time_s(), heard(&world)), (6.0, vec![]), "the end repeats nothing");
+    }
+
+    #[test]
+    fn a_bearing_alone_is_an_entry_without_a_range_at_the_sensors_place() {
+        let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m,bearing_rad\n5,1,0,0,3,\n6,1,1,2,,0.5\n";
+        let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
+        let mut world = Playback::new(Arc::new(recording), None);
+        world.advance(&[]);
+        world.advance(&[]);
+        let pose = Pose::at([1.0, 2.0]);
+        let (kinds, origin) = (Kind::Bearing.bit(), Origin::Recorded.to_bits());
+        assert_eq!(world.entries(), [WorldEntry { pose, kinds, origin, range_m: 0.0, bearing_rad: 0.5 }]);
+    }
+
+    #[test]
+    fn headings_and_standard_deviations_are_played_with_the_pose() {
+        let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,sensor_heading_rad,sensor_std_m,sensor_heading_std_rad,range_m\n\
+                   5,1,0,0,0.5,0.2,0.1,3\n";
+        let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
+        let mut world = Playback::new(Arc::new(recording), None);
+        world.advance(&[]);
+        let pose = world.entries()[0].pose;
+        assert_eq!((pose.heading_rad, pose.heading_std_rad), (0.5, 0.1));
+        assert!((pose.covariance_m2[0] - 0.04).abs() < 1e-12 && pose.covariance_m2[1] == 0.0);
     }
 }

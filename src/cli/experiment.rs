@@ -66,6 +66,12 @@ impl TrackArgs {
     pub(super) fn experiment(&self) -> Result<Experiment, Failure> {
         let mut recording = RecordingTable {
             range_std_m: self.range_std,
+            bearing_std_rad: self.bearing_std,
+            pose_std_m: self.nuisances.pose_std,
+            pose_drift_m: self.nuisances.pose_drift,
+            pose_correlation_s: self.nuisances.pose_correlation,
+            heading_std_rad: self.nuisances.heading_std,
+            bias_std_m: self.nuisances.bias_std,
             start_m: self.start,
             start_std_m: self.start_std,
             ..self.input.table()?
@@ -81,6 +87,7 @@ impl TrackArgs {
             let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
             calibration::merge(&known_errors, &known, &mut recording, &mut accel_psd);
         }
+        let has_bearings = read.0.has_bearings();
         let file = ScenarioFile {
             name: Some(name_after(&self.input.ranges)),
             recording: Some(recording),
@@ -88,6 +95,7 @@ impl TrackArgs {
             filter: Some(FilterTable {
                 gate_sigma: self.gate.gate.clone(),
                 distrust: self.gate.distrust(),
+                estimate: self.nuisances.estimate.clone(),
                 ..FilterTable::default()
             }),
             ..ScenarioFile::default()
@@ -99,6 +107,10 @@ impl TrackArgs {
             (
                 self.range_std.is_none() && self.calibration.is_none(),
                 format!("a range std of {} m (--range-std)", defaults::RECORDED_RANGE_STD_M),
+            ),
+            (
+                has_bearings && self.bearing_std.is_none(),
+                format!("a bearing std of {} rad (--bearing-std)", defaults::RECORDED_BEARING_STD_RAD),
             ),
             (
                 self.accel_psd.is_none() && self.calibration.is_none(),

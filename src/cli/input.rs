@@ -9,10 +9,10 @@ use super::values::number;
 /// The flags of a recording.
 #[derive(Debug, Clone, Default, Args)]
 pub struct InputArgs {
-    /// Recorded ranges: a table with a row for each range; a file, a pipe, or - for standard input
+    /// Recorded ranges and bearings: a table with a row for each measurement; a file, a pipe, or - for standard input
     pub ranges: PathBuf,
     /// Names and units of the columns, as in time=stamp_ns:ns,sensor=anchor_id,range=dist:mm; the keys are time, sensor,
-    /// range, x, y, z and target [default: by the header's names]
+    /// range, x, y, z, target, bearing, heading, position_std and heading_std [default: by the header's names]
     #[arg(long, value_name = "SPEC")]
     pub columns: Option<String>,
     /// Positions of the sensors, if the recording has none: a table with the columns sensor_id, x_m, y_m and optionally z_m

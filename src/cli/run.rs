@@ -97,9 +97,15 @@ pub struct TrackArgs {
     /// Standard deviation of a range, m
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub range_std: Option<f64>,
+    /// Standard deviation of a bearing, rad
+    #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
+    pub bearing_std: Option<f64>,
     /// Spectral density of the target's acceleration, m^2/s^3
     #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
     pub accel_psd: Option<f64>,
+    /// What is not known exactly of the sensors
+    #[command(flatten)]
+    pub nuisances: NuisanceArgs,
     /// Bias B in `measured = (1+S) true + B`, m; SENSOR=B for one sensor, repeatable
     #[arg(long, value_name = "[SENSOR=]B", allow_hyphen_values = true)]
     pub range_bias: Vec<PerSensor>,
@@ -133,6 +139,30 @@ pub struct TrackArgs {
     /// Print the report as one line of JSON, with the keys of report.json
     #[arg(long)]
     pub json: bool,
+}
+
+/// Errors of the sensors that stay from one measurement to the next.
+#[derive(Debug, Default, Args)]
+pub struct NuisanceArgs {
+    /// Standard deviation of each coordinate of a sensor's position, m; at the start, if the position drifts; alone, each
+    /// position has an error of its own
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub pose_std: Option<f64>,
+    /// Drift of each coordinate of a sensor's position, as of odometry, m per square root of a second
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub pose_drift: Option<f64>,
+    /// Time for which an error of a sensor's position and heading stays, as of GPS, s
+    #[arg(long, value_name = "S", value_parser = number, allow_negative_numbers = true, conflicts_with = "pose_drift")]
+    pub pose_correlation: Option<f64>,
+    /// Standard deviation of a sensor's heading, rad
+    #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
+    pub heading_std: Option<f64>,
+    /// Standard deviation of the bias that is left in a sensor's ranges, m
+    #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
+    pub bias_std: Option<f64>,
+    /// Estimate these errors with the target, instead of only allowing for them: bias, pose, or both with a comma
+    #[arg(long, value_name = "WHAT", value_delimiter = ',', value_parser = ["bias", "pose"])]
+    pub estimate: Option<Vec<String>>,
 }
 
 /// The gate for single ranges, and the distrust of sensors.

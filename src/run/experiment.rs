@@ -125,9 +125,14 @@ impl Experiment {
         let mut inputs = Vec::new();
         if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
             inputs.extend(recording.inputs(folder));
-            let (rows, sensors) = (ranges.summary.rows, scenario.robots.len());
+            let measurements = match ranges.already_read().map(|read| (read.ranges(), read.bearings())) {
+                Some((0, bearings)) => format!("{bearings} bearings"),
+                Some((ranges, bearings)) if bearings > 0 => format!("{ranges} ranges and {bearings} bearings"),
+                _ => format!("{} ranges", ranges.summary.rows),
+            };
+            let sensors = scenario.robots.len();
             failure::print_stderr(format!(
-                "recording: {rows} ranges of {sensors} sensors; read as {}",
+                "recording: {measurements} of {sensors} sensors; read as {}",
                 ranges.summary.read_as
             ));
             for line in ranges.summary.lines() {

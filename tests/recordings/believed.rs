@@ -105,6 +105,48 @@ fn what_calibrate_finds_without_truth_makes_the_track_better() {
 }
 
 #[test]
+fn calibrate_uses_the_ranges_of_a_recording_with_bearings_and_refuses_one_without_ranges() {
+    let run = Run::new();
+    let (ranges, truth) = recording(1.0, [0.3; 4]);
+    // The last sensor has bearings alone.
+    let rows = ranges.lines().skip(1).map(|row| match row.rsplit_once(',') {
+        Some((start, _)) if start.contains(",4,") => format!("{start},,0.5\n"),
+        _ => format!("{row},0.5\n"),
+    });
+    let both = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m,bearing_rad\n".to_owned() + &rows.collect::<String>();
+    run.write("both.csv", &both);
+    run.write("bearings.csv", both.replace("range_m", "rssi"));
+    run.write("truth.csv", &truth);
+    for (flags, folder) in [("", "alone"), ("--truth truth.csv", "truth")] {
+        let found = program(&run, &format!("calibrate both.csv --out {folder} {flags}"));
+        assert!(found.status.success(), "{found:?}");
+        let text = std::fs::read_to_string(run.path(&format!("{folder}/calibration.toml"))).unwrap();
+        let has = |name: &str| text.contains(&format!("id = \"{name}\""));
+        assert!(has("A1") && has("B2") && has("C3") && !has("4"), "{text}");
+    }
+    let refused = program(&run, "calibrate bearings.csv --out none");
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    let complaint = "rangehound: no range in bearings.csv: expected ranges: bearings cannot be calibrated\n";
+    assert_eq!(String::from_utf8_lossy(&refused.stderr), complaint);
+}
+
+#[test]
+fn track_tells_how_many_ranges_and_bearings_it_has_read() {
+    let run = Run::new();
+    let header = "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m,bearing_rad\n";
+    for (rows, told) in [
+        ("0,A,0,0,5,\n0,B,9,0,5,0.5\n1,A,0,0,,0.5\n", "recording: 2 ranges and 2 bearings of 2 sensors; read as"),
+        ("0,A,0,0,,0.6\n0,B,9,0,,2\n", "recording: 2 bearings of 2 sensors; read as"),
+        ("0,A,0,0,5,\n0,B,9,0,5,\n", "recording: 2 ranges of 2 sensors; read as"),
+    ] {
+        run.write("r.csv", format!("{header}{rows}"));
+        let tracked = program(&run, "track r.csv --in-process --no-record --out out");
+        assert!(tracked.status.success(), "{tracked:?}");
+        assert!(String::from_utf8_lossy(&tracked.stderr).contains(told), "{tracked:?}");
+    }
+}
+
+#[test]
 fn a_target_that_stands_still_calibrates_nothing() {
     let run = Run::new();
     run.write("r.csv", recording(0.0, [0.3; 4]).0);

@@ -1,4 +1,4 @@
-//! Recorded ranges: tables from loggers, checked in a single pass.
+//! Recorded ranges and bearings: tables from loggers, checked in a single pass.
 //!
 //! A file passes through these parts; each depends only on those before it:
 //!
@@ -9,9 +9,9 @@
 //! | `table` | finds header and separator, returns rows as long as the header |
 //! | `names`, `columns`, `unit`, `layout` | role and unit of each column, by name or by `--columns` |
 //! | `anchors`, `wide`, `track` | places of sensors, columns for each anchor, true tracks |
-//! | `rows` | rows to ranges: faults that refuse the file, and faults that skip the row |
+//! | `rows` | rows to measurements: faults that refuse the file, and faults that skip the row |
 //! | `port` | logs of a radio's port, by [`crate::radio`] |
-//! | `gathering` | ranges to a [`Recording`]: order, repeats, instants |
+//! | `measurements`, `gathering` | measurements to a [`Recording`]: storage, order, repeats, instants |
 //! | `checks` | implausible units |
 //! | `digest`, `summary`, `write` | identity of a recording, the reader's findings, CSV output |
 
@@ -19,6 +19,7 @@ mod anchors;
 mod columns;
 mod digest;
 mod error;
+mod measurements;
 mod name;
 mod options;
 mod port;
@@ -35,18 +36,21 @@ pub use anchors::{Anchor, Anchors};
 pub use columns::{ColumnMap, ColumnMapError};
 pub use digest::RecordingDigest;
 pub use error::{Complaint, Problem, RecordingError};
+pub use measurements::RecordedMeasurement;
 pub use name::SensorName;
 pub use options::ReadOptions;
 pub use port::PortLog;
 pub use summary::{Doubt, DoubtKind, ReadSummary};
 pub use track::{TrackPoint, parse_track};
 
-/// Ranges from one or more sensors to one target, in order of time.
+use measurements::Measurements;
+
+/// Ranges and bearings from one or more sensors to one target, in order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     sensors: Vec<Sensor>,
     instants: Vec<Instant>,
-    readings: Vec<RecordedRange>,
+    readings: Measurements,
 }
 
 /// One sensor of a recording. Its index in [`Recording::sensors`] is its robot's id in the run.
@@ -54,21 +58,8 @@ pub struct Recording {
 pub struct Sensor {
     /// Its name in the file.
     pub name: SensorName,
-    /// Its place at its first range, m.
+    /// Its place at its first measurement, m.
     pub first_position_m: [f64; 2],
-}
-
-/// One range of a recording.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RecordedRange {
-    /// Index of the sensor.
-    pub sensor: usize,
-    /// Place of the sensor, m.
-    pub position_m: [f64; 2],
-    /// Height of the sensor in the recording's frame, m; `None` if the recording has no heights.
-    pub height_m: Option<f64>,
-    /// The measured range, m.
-    pub range_m: f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -104,10 +95,34 @@ impl Recording {
         digest::digest(self)
     }
 
-    /// True if any range has its sensor's height.
+    /// True if any measurement has its sensor's height.
     #[must_use]
     pub fn has_heights(&self) -> bool {
         self.readings.iter().any(|reading| reading.height_m.is_some())
+    }
+
+    /// Number of ranges.
+    #[must_use]
+    pub fn ranges(&self) -> usize {
+        self.readings.iter().filter(|reading| reading.range_m.is_some()).count()
+    }
+
+    /// Number of bearings.
+    #[must_use]
+    pub fn bearings(&self) -> usize {
+        self.readings.extras().iter().filter(|[bearing_rad, ..]| bearing_rad.is_some()).count()
+    }
+
+    /// True if there is any range.
+    #[must_use]
+    pub fn has_ranges(&self) -> bool {
+        self.readings.iter().any(|reading| reading.range_m.is_some())
+    }
+
+    /// True if there is any bearing.
+    #[must_use]
+    pub fn has_bearings(&self) -> bool {
+        self.readings.extras().iter().any(|[bearing_rad, ..]| bearing_rad.is_some())
     }
 
     /// The sensors by ascending name.
@@ -122,18 +137,18 @@ impl Recording {
         self.instants.len()
     }
 
-    /// Never true: a recording has at least one range.
+    /// Never true: a recording has at least one measurement.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.instants.is_empty()
     }
 
-    /// Time of an instant and its ranges; `None` past the end.
+    /// Time of an instant and its measurements; `None` past the end.
     #[must_use]
-    pub fn instant(&self, index: usize) -> Option<(f64, &[RecordedRange])> {
+    pub fn instant(&self, index: usize) -> Option<(f64, impl ExactSizeIterator<Item = RecordedMeasurement>)> {
         let Instant { time_s, readings_end } = *self.instants.get(index)?;
         let start = index.checked_sub(1).map_or(0, |before| self.instants[before].readings_end);
-        Some((time_s, &self.readings[start..readings_end]))
+        Some((time_s, self.readings.range(start..readings_end)))
     }
 }
 

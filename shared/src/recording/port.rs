@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::error::{Complaint, Problem, listed};
 use super::rows::gathering::{Gathering, Refusal};
-use super::{ReadOptions, ReadSummary, RecordedRange, Recording, RecordingError, SensorName};
+use super::{ReadOptions, ReadSummary, RecordedMeasurement, Recording, RecordingError, SensorName};
 use crate::radio::log::{LogError, LogOptions, LogSummary, for_each_row};
 use crate::radio::{Format, LogRow, StampUnit};
 
@@ -86,7 +86,9 @@ fn take(row: LogRow, gathering: &mut Gathering<'_>, unplaced: &mut Vec<SensorNam
         }
         return Ok(());
     };
-    gathering.push(time_s, RecordedRange { sensor, position_m, height_m, range_m }).map_err(refuse)
+    let range_m = Some(range_m);
+    let reading = RecordedMeasurement { sensor, position_m, height_m, range_m, ..RecordedMeasurement::default() };
+    gathering.push(time_s, reading).map_err(refuse)
 }
 
 /// The parts of a log's error before and after its first colon: what is wrong, and what to do.
@@ -130,8 +132,14 @@ mod tests {
         let (recording, summary) = read(DWM1001, &options(Format::Dwm1001)).unwrap();
         assert_eq!(recording.sensors().iter().map(|sensor| sensor.name.as_str()).collect::<Vec<_>>(), ["1234", "022E"]);
         let (time_s, readings) = recording.instant(1).unwrap();
-        let expected = RecordedRange { sensor: 1, position_m: [1.0, 2.0], height_m: Some(2.5), range_m: 3.45 };
-        assert_eq!((time_s, readings), (10.1, &[expected][..]));
+        let expected = RecordedMeasurement {
+            sensor: 1,
+            position_m: [1.0, 2.0],
+            height_m: Some(2.5),
+            range_m: Some(3.45),
+            ..RecordedMeasurement::default()
+        };
+        assert_eq!((time_s, readings.collect::<Vec<_>>()), (10.1, vec![expected]));
         assert_eq!((summary.rows, summary.bad_rows), (3, 1));
         assert!(summary.first_bad_row.unwrap().starts_with("report 3 is "));
         let strict = ReadOptions { strict: true, ..options(Format::Dwm1001) };

@@ -4,16 +4,16 @@ use serde::{Deserialize, Serialize};
 
 use super::SensorName;
 
-/// A reader's findings besides the ranges.
+/// A reader's findings besides the measurements.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ReadSummary {
-    /// Ranges in the recording.
+    /// Measurements in the recording: each has a range, a bearing or both.
     pub rows: u64,
-    /// Unusable rows: empty, with a text instead of a number, or with a negative range.
+    /// Unusable rows: empty, with a text instead of a number, or with a negative range or standard deviation.
     pub bad_rows: u64,
     /// The first fault: its line, its column, and the value found.
     pub first_bad_row: Option<String>,
-    /// Rows equal to an earlier one in stamp, sensor, position and range. They add no information and are left out.
+    /// Rows equal to an earlier one in all that was read. They add no information and are left out.
     pub repeats: u64,
     /// Ranges of exactly 0 (in a wide log also -1), which loggers write if nothing was heard. They are left out.
     pub not_heard: u64,
@@ -21,7 +21,7 @@ pub struct ReadSummary {
     pub other_targets: u64,
     /// Columns that were not read.
     pub ignored_columns: Vec<String>,
-    /// Anchors of the anchors file without a range in the log.
+    /// Anchors of the anchors file without a measurement in the log.
     pub silent_anchors: Vec<SensorName>,
     /// How the file was read, in one line: separator, decimal mark, columns and their units.
     pub read_as: String,

@@ -1,5 +1,8 @@
 //! Logs in the forms that users have.
 
+mod bearings;
+
+use std::f64::consts::PI;
 use std::path::Path;
 
 use proptest::prelude::*;
@@ -36,6 +39,10 @@ fn parse(rows: &str) -> Result<(Recording, ReadSummary), RecordingError> {
     read(format!("{HEADER}{rows}"), &ReadOptions::default())
 }
 
+fn of_instant(recording: &Recording, index: usize) -> Vec<RecordedMeasurement> {
+    recording.instant(index).unwrap().1.collect()
+}
+
 fn complaint(text: impl AsRef<[u8]>, options: &ReadOptions) -> String {
     let complaint = read(text, options).unwrap_err().to_string();
     assert!(complaint.lines().count() == 1 && complaint.len() < 600, "{complaint:?}");
@@ -56,10 +63,11 @@ fn equal_stamps_become_one_instant_but_never_with_a_sensor_twice() {
     let (recording, _) = parse("0,9,0,0,1\n0,4,1,0,2\n1,9,0,0,3\n1,9,0,0,4\n").unwrap();
     assert_eq!(recording.sensors().iter().map(|s| s.name.as_str()).collect::<Vec<_>>(), ["4", "9"]);
     assert_eq!(recording.len(), 3);
-    let (time_s, ranges) = recording.instant(0).unwrap();
-    assert_eq!((time_s, ranges.len(), ranges[0].sensor, ranges[1].sensor), (0.0, 2, 1, 0));
-    assert_eq!(recording.instant(1).unwrap().1[0].range_m, 3.0);
-    assert_eq!(recording.instant(2).unwrap(), (1.0, &recording.readings[3..]));
+    assert_eq!(recording.instant(0).unwrap().0, 0.0);
+    assert_eq!(of_instant(&recording, 0).iter().map(|range| range.sensor).collect::<Vec<_>>(), [1, 0]);
+    assert_eq!(of_instant(&recording, 1)[0].range_m, Some(3.0));
+    assert_eq!(recording.instant(2).unwrap().0, 1.0);
+    assert_eq!(of_instant(&recording, 2), [recording.readings.get(3)]);
     assert!(recording.instant(3).is_none());
 }
 
@@ -187,7 +195,7 @@ fn a_first_row_of_values_is_no_header_though_it_holds_the_numbers_of_columns() {
             let (recording, summary) = read(text, options).unwrap();
             let count = rows.lines().filter(|row| !row.starts_with('#')).count();
             assert_eq!((summary.rows as usize, summary.bad_rows), (count, 0), "{text}");
-            assert_eq!(recording.instant(0).unwrap().1[0].range_m, first_range_m, "{text}");
+            assert_eq!(of_instant(&recording, 0)[0].range_m, Some(first_range_m), "{text}");
         }
     }
     let (recording, _) = read(PLAIN, &with_columns("time=1,sensor=2,range=5")).unwrap();
@@ -206,11 +214,11 @@ fn rivals_for_a_column_are_asked_about() {
     );
     assert!(complaint.contains("type --columns range=distance_m"), "{complaint}");
     let (recording, summary) = read(text, &with_columns("range=slant_distance_m")).unwrap();
-    assert_eq!(recording.instant(0).unwrap().1[0].range_m, 2.0);
+    assert_eq!(of_instant(&recording, 0)[0].range_m, Some(2.0));
     assert_eq!(summary.ignored_columns, ["distance_m"]);
     // The own name fits best.
     let own = text.replace("slant_distance_m", "range_m");
-    assert_eq!(read(own, &strict()).unwrap().0.instant(0).unwrap().1[0].range_m, 2.0);
+    assert_eq!(of_instant(&read(own, &strict()).unwrap().0, 0)[0].range_m, Some(2.0));
 }
 
 #[test]
@@ -228,8 +236,14 @@ fn anchors_place_the_sensors_of_a_log() {
     let (recording, summary) =
         read(&log, &anchored("name;x (cm);y (cm);z (mm)\nA;0;0;2500\nB;1000;0;2500\nC;1;1;\n", "")).unwrap();
     assert_eq!(
-        recording.instant(0).unwrap().1[1],
-        RecordedRange { sensor: 1, position_m: [10.0, 0.0], height_m: Some(2.5), range_m: 8.391 }
+        of_instant(&recording, 0)[1],
+        RecordedMeasurement {
+            sensor: 1,
+            position_m: [10.0, 0.0],
+            height_m: Some(2.5),
+            range_m: Some(8.391),
+            ..RecordedMeasurement::default()
+        }
     );
     assert_eq!(summary.silent_anchors.iter().map(SensorName::as_str).collect::<Vec<_>>(), ["C"]);
     let (recording, _) = read(&log, &anchored("id,px,py\nA,0,0\nB,10000,0\n", "x=px:mm,y=py:mm")).unwrap();
@@ -315,7 +329,7 @@ fn wide_logs_that_cannot_be_told_apart_are_asked_about() {
 fn heights_are_read_where_there_are_any() {
     let text = "time_s,sensor_id,sensor_x_m,sensor_y_m,sensor_z_m,range_m\n0,A,0,0,2.5,3\n0,B,9,0,,3\n";
     let (recording, summary) = read(text, &strict()).unwrap();
-    let heights: Vec<_> = recording.instant(0).unwrap().1.iter().map(|reading| reading.height_m).collect();
+    let heights: Vec<_> = of_instant(&recording, 0).iter().map(|reading| reading.height_m).collect();
     assert_eq!(heights, [Some(2.5), None]);
     assert!(summary.ignored_columns.is_empty() && recording.has_heights());
     assert!(!read(PLAIN, &strict()).unwrap().0.has_heights());
@@ -393,7 +407,7 @@ fn a_row_longer_than_its_header_is_never_misread() {
 fn repeated_rows_are_dropped_and_counted() {
     let (recording, summary) = parse("0,A,0,0,1\n0,B,9,0,1\n0,A,0,0,1\n0,A,0,0,2\n0,B,9,0,1.0\n1,A,0,0,1\n").unwrap();
     assert_eq!((recording.len(), recording.readings.len(), summary.rows, summary.repeats), (3, 4, 4, 2));
-    assert_eq!(recording.instant(1).unwrap().1[0].range_m, 2.0, "another range of the same stamp is new information");
+    assert_eq!(of_instant(&recording, 1)[0].range_m, Some(2.0), "another range of the same stamp is new information");
     assert_eq!(summary.lines(), ["2 repeated rows dropped: equal to an earlier row"]);
 }
 
@@ -543,6 +557,16 @@ fn name() -> impl Strategy<Value = String> {
     .prop_map(|chars| format!("n{}", chars.into_iter().collect::<String>()).trim().to_owned())
 }
 
+/// Bearing, heading, and the standard deviations of position and heading.
+fn extras() -> impl Strategy<Value = [Option<f64>; 4]> {
+    let some = |numbers: std::ops::Range<f64>| proptest::option::of(prop_oneof![Just(0.0), Just(PI), numbers]);
+    prop_oneof![
+        Just([None; 4]),
+        (some(-PI..PI), some(-1e-300..1.0), some(0.0..9.0), some(0.0..0.1))
+            .prop_map(|(bearing, heading, position, heading_std)| [bearing, heading, position, heading_std]),
+    ]
+}
+
 proptest! {
     #[test]
     fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400), headed in any::<bool>()) {
@@ -556,18 +580,28 @@ proptest! {
         rows in proptest::collection::vec(
             (prop_oneof![Just(0.0), 0.0..1e-3_f64, 0.0..10.0_f64], 0_usize..6, -9.0..9.0_f64,
              prop_oneof![Just(None), (-9.0..9.0_f64).prop_map(Some)],
-             prop_oneof![Just(1.0), 0.0..1e-300_f64, 0.0..9.0_f64, 0.0..1e6_f64]),
+             prop_oneof![Just(1.0), 0.0..1e-300_f64, 0.0..9.0_f64, 0.0..1e6_f64], any::<bool>(), extras()),
             1..80,
         ),
         names in proptest::collection::vec(name(), 6),
     ) {
         let mut gathering = rows::gathering::Gathering::new(None);
         let mut time_s = 1.7e9;
-        for (dt_s, sensor, x_m, height_m, range_m) in rows {
+        for (dt_s, sensor, x_m, height_m, range_m, has_range, extras) in rows {
             time_s += dt_s;
             if range_m > 0.0 {
                 let Ok(sensor) = gathering.sensor(names[sensor].as_bytes()) else { unreachable!() };
-                let reading = RecordedRange { sensor, position_m: [x_m, -x_m], height_m, range_m };
+                let [bearing_rad, heading_rad, position_std_m, heading_std_rad] = extras;
+                let reading = RecordedMeasurement {
+                    sensor,
+                    position_m: [x_m, -x_m],
+                    height_m,
+                    range_m: Some(range_m).filter(|_| has_range || bearing_rad.is_none()),
+                    bearing_rad,
+                    heading_rad,
+                    position_std_m,
+                    heading_std_rad,
+                };
                 prop_assert!(gathering.push(time_s, reading).is_ok());
             }
         }
@@ -577,6 +611,7 @@ proptest! {
         recording.write_csv(&mut text).unwrap();
         let (read_back, summary) = read(&text, &strict()).unwrap();
         prop_assert_eq!(&read_back, &recording);
+        prop_assert_eq!(read_back.digest(), recording.digest());
         prop_assert_eq!((summary.repeats, summary.bad_rows, summary.not_heard), (0, 0, 0));
         let mut again = Vec::new();
         read_back.write_csv(&mut again).unwrap();

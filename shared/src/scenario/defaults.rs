@@ -34,6 +34,8 @@ pub const SPEED_MPS: f64 = 10.0;
 pub const RANGE_STD_M: f64 = 1.0;
 /// Standard deviation of a recorded bearing, rad.
 pub const RECORDED_BEARING_STD_RAD: f64 = 0.02;
+/// Standard deviation of the bias of recorded ranges, if it is to be estimated, m.
+pub const RECORDED_BIAS_STD_M: f64 = 0.5;
 /// Planner.
 pub const PLANNER: &str = "certified";
 /// Node budget of the certified planner: far more than all but contrived problems need.

@@ -23,7 +23,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector4;
-use rangehound_shared::recording::Recording;
+use rangehound_shared::recording::{RecordedMeasurement, Recording};
 use rangehound_shared::scenario::RecordingTable;
 
 use crate::failure::{self, Failure};
@@ -52,6 +52,10 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
         let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
         return Err(Failure::input(format!("--target-height: {problem}")));
     }
+    if !recording.has_ranges() {
+        let ranges = table.ranges.as_deref().unwrap_or_default();
+        return Err(Failure::input(format!("no range in {ranges}: expected ranges: bearings cannot be calibrated")));
+    }
     summary.lines().iter().for_each(|line| failure::print_stderr(format_args!("recording: {line}")));
     let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
     inputs.extend(truth.map(Path::to_owned));
@@ -59,8 +63,7 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
     let claim = claim_or_number(out, OUT, Kind::Calibrate, &inputs)?;
     let out = claim.path();
     let truth = truth.map(Truth::read).transpose()?;
-    let names: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
-    let readings = readings(&recording, table.target_height_m);
+    let (names, readings) = readings(&recording, table.target_height_m);
     let problem = Problem::new(&readings, names.len());
     if problem.thinned > 0 {
         let used = problem.observations.len();
@@ -87,19 +90,27 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
     Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot determine {why}")))
 }
 
-fn readings(recording: &Recording, target_height_m: Option<f64>) -> Vec<Reading> {
-    let instants = (0..recording.len()).filter_map(|index| recording.instant(index));
-    let of_instant = |(time_s, ranges): (f64, &[rangehound_shared::recording::RecordedRange])| {
-        let reading = |range: &rangehound_shared::recording::RecordedRange| Reading {
-            time_s,
-            sensor: range.sensor,
-            position_m: range.position_m,
-            height_m: target_height_m.zip(range.height_m).map_or(0.0, |(target_m, sensor_m)| sensor_m - target_m),
-            range_m: range.range_m,
-        };
-        ranges.iter().map(reading).collect::<Vec<_>>()
+/// The ranges, and the names of the sensors that have any.
+fn readings(recording: &Recording, target_height_m: Option<f64>) -> (Vec<String>, Vec<Reading>) {
+    let reading = |time_s: f64, measurement: RecordedMeasurement| {
+        let RecordedMeasurement { sensor, position_m, height_m, range_m, .. } = measurement;
+        let height_m = target_height_m.zip(height_m).map_or(0.0, |(target_m, sensor_m)| sensor_m - target_m);
+        Some(Reading { time_s, sensor, position_m, height_m, range_m: range_m? })
     };
-    instants.flat_map(of_instant).collect()
+    let instants = (0..recording.len()).filter_map(|index| recording.instant(index));
+    let readings = instants.flat_map(|(time_s, of)| of.filter_map(move |measurement| reading(time_s, measurement)));
+    let mut readings: Vec<Reading> = readings.collect();
+    let mut has_range = vec![false; recording.sensors().len()];
+    readings.iter().for_each(|reading| has_range[reading.sensor] = true);
+    let (mut numbers, mut names) = (Vec::new(), Vec::new());
+    for (sensor, has_range) in recording.sensors().iter().zip(has_range) {
+        numbers.push(names.len());
+        if has_range {
+            names.push(sensor.name.to_string());
+        }
+    }
+    readings.iter_mut().for_each(|reading| reading.sensor = numbers[reading.sensor]);
+    (names, readings)
 }
 
 /// Range and residual of each reading, by sensor.

@@ -7,7 +7,7 @@ use super::stamp;
 use super::{ColumnMap, ColumnOption, Role};
 use crate::recording::error::{RecordingError, listed, shown};
 use crate::recording::table::Table;
-use crate::recording::table::unit::Unit;
+use crate::recording::table::unit::{Unit, UnitKind};
 
 /// A column to read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,14 +122,14 @@ impl<'a> Finder<'a> {
     }
 
     fn likely_unit(&self, role: Role, index: usize) -> Option<Unit> {
-        match role {
-            Role::Sensor | Role::Target => None,
-            Role::Time => {
+        match role.measures()? {
+            UnitKind::Time => {
                 let field = self.first_row.get(index).map_or(&[][..], Vec::as_slice);
                 let stamp = std::str::from_utf8(field).ok().and_then(|text| text.parse().ok()).unwrap_or(0.0);
                 Some(unit_of_epoch(stamp).unwrap_or(Unit::Second))
             }
-            Role::Range | Role::X | Role::Y | Role::Z => Some(Unit::Metre),
+            UnitKind::Length => Some(Unit::Metre),
+            UnitKind::Angle => Some(Unit::Radian),
         }
     }
 
@@ -213,10 +213,14 @@ impl<'a> Finder<'a> {
         if !self.asks.is_empty() {
             let columns = listed(self.asks.iter().map(|option| option.column.as_str()));
             let of = if self.asks.len() > 1 { "units of the columns" } else { "unit of the column" };
-            let units: Vec<&str> = [(true, "s, ms, us, ns"), (false, "m, cm, mm")]
+            let units: Vec<&str> = UnitKind::ALL
                 .into_iter()
-                .filter(|(of_time, _)| self.asks.iter().any(|option| (option.role == Role::Time) == *of_time))
-                .map(|(_, units)| units)
+                .filter(|kind| self.asks.iter().any(|option| option.role.measures() == Some(*kind)))
+                .map(|kind| match kind {
+                    UnitKind::Time => "s, ms, us, ns",
+                    UnitKind::Length => "m, cm, mm",
+                    UnitKind::Angle => "rad, deg",
+                })
                 .collect();
             let units = units.join("; ");
             let hint = if self.kind == Kind::Track {

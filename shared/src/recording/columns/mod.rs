@@ -4,7 +4,7 @@ pub(super) mod layout;
 pub(super) mod names;
 pub(super) mod stamp;
 
-use crate::recording::table::unit::Unit;
+use crate::recording::table::unit::{Unit, UnitKind};
 
 /// Roles of columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,10 +23,31 @@ pub(super) enum Role {
     Z,
     /// The target that was measured.
     Target,
+    /// The bearing.
+    Bearing,
+    /// The sensor's heading.
+    Heading,
+    /// Standard deviation of each coordinate of the sensor's place.
+    PositionStd,
+    /// Standard deviation of the sensor's heading.
+    HeadingStd,
 }
 
 impl Role {
-    const ALL: [Self; 7] = [Self::Time, Self::Sensor, Self::Range, Self::X, Self::Y, Self::Z, Self::Target];
+    /// Every role that a column of a log may have.
+    pub(super) const ALL: [Self; 11] = [
+        Self::Time,
+        Self::Sensor,
+        Self::Range,
+        Self::X,
+        Self::Y,
+        Self::Z,
+        Self::Target,
+        Self::Bearing,
+        Self::Heading,
+        Self::PositionStd,
+        Self::HeadingStd,
+    ];
 
     /// The key of `--columns`.
     pub(super) fn key(self) -> &'static str {
@@ -38,23 +59,34 @@ impl Role {
             Self::Y => "y",
             Self::Z => "z",
             Self::Target => "target",
+            Self::Bearing => "bearing",
+            Self::Heading => "heading",
+            Self::PositionStd => "position_std",
+            Self::HeadingStd => "heading_std",
+        }
+    }
+
+    /// What its numbers measure; `None` for a text.
+    pub(super) fn measures(self) -> Option<UnitKind> {
+        match self {
+            Self::Time => Some(UnitKind::Time),
+            Self::Range | Self::X | Self::Y | Self::Z | Self::PositionStd => Some(UnitKind::Length),
+            Self::Bearing | Self::Heading | Self::HeadingStd => Some(UnitKind::Angle),
+            Self::Sensor | Self::Target => None,
         }
     }
 
     /// True if the unit fits this role.
     pub(super) fn takes(self, unit: Unit) -> bool {
-        match self {
-            Self::Time => unit.is_of_time(),
-            Self::Range | Self::X | Self::Y | Self::Z => !unit.is_of_time(),
-            Self::Sensor | Self::Target => false,
-        }
+        self.measures() == Some(unit.kind())
     }
 }
 
 /// The user's column options: `time=stamp_ns:ns,sensor=anchor_id,range=dist:mm`.
 ///
-/// Keys are `time`, `sensor`, `range`, `x`, `y`, `z` (the sensor's place) and `target`. A column is named as in the
-/// header, or by its number from 1. Units are `s`, `ms`, `us`, `ns` and `iso` for time, `m`, `cm`, `mm` for lengths.
+/// Keys are `time`, `sensor`, `range`, `x`, `y`, `z` (the sensor's place), `target`, `bearing`, `heading` (the sensor's),
+/// `position_std` and `heading_std`. A column is named as in the header, or by its number from 1. Units are `s`, `ms`, `us`,
+/// `ns` and `iso` for time, `m`, `cm`, `mm` for lengths, `rad` and `deg` for angles.
 /// In a wide log, which has a column for each anchor, `range` is all of them: `range=*:mm`, or `range=d_*:mm` where `*`
 /// stands for the anchor's name.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -132,12 +164,16 @@ impl std::str::FromStr for ColumnMap {
             let role = Role::ALL
                 .into_iter()
                 .find(|role| role.key() == key.trim())
-                .ok_or_else(|| refuse("one of the keys time, sensor, range, x, y, z, target"))?;
-            let (column, unit) = match (role, column.rsplit_once(':')) {
-                (Role::Sensor | Role::Target, _) | (_, None) => (column, None),
-                (_, Some((column, unit))) => {
+                .ok_or_else(|| refuse(&format!("one of the keys {}", Role::ALL.map(Role::key).join(", "))))?;
+            let (column, unit) = match (role.measures(), column.rsplit_once(':')) {
+                (None, _) | (_, None) => (column, None),
+                (Some(kind), Some((column, unit))) => {
                     let known = Unit::from_word(&unit.trim().to_lowercase()).filter(|unit| role.takes(*unit));
-                    let units = if role == Role::Time { "s, ms, us, ns or iso" } else { "m, cm or mm" };
+                    let units = match kind {
+                        UnitKind::Time => "s, ms, us, ns or iso",
+                        UnitKind::Length => "m, cm or mm",
+                        UnitKind::Angle => "rad or deg",
+                    };
                     let unit = known.ok_or_else(|| refuse(&format!("one of the units {units} after the colon")))?;
                     (column, Some(unit))
                 }
@@ -168,11 +204,12 @@ mod tests {
 
     #[test]
     fn columns_are_given_by_key_name_and_unit() {
-        let text = "time=stamp_ns:ns,sensor=anchor:id,range=dist:mm,x=3";
+        let text = "time=stamp_ns:ns,sensor=anchor:id,range=dist:mm,x=3,bearing=aoa:deg,heading_std=8:rad";
         let map: ColumnMap = text.parse().unwrap();
         assert_eq!(map.to_string(), text);
         assert_eq!(map.get(Role::Sensor).unwrap().column, "anchor:id");
         assert_eq!(map.get(Role::Range).unwrap().unit, Some(Unit::Millimetre));
+        assert_eq!(map.get(Role::Bearing).unwrap().unit, Some(Unit::Degree));
         assert!(map.get(Role::Y).is_none());
     }
 
@@ -185,6 +222,8 @@ mod tests {
             ("time=t:m", "units s, ms"),
             ("range=d:ft", "units m, cm or mm"),
             ("range=d:", "units m, cm or mm"),
+            ("bearing=b:m", "units rad or deg"),
+            ("position_std=s:deg", "units m, cm or mm"),
             ("range=:mm", "name of a column"),
             ("x=a,x=b", "each key once"),
         ] {

@@ -1,7 +1,7 @@
 //! Common names of columns.
 
 use super::Role;
-use crate::recording::table::unit::Unit;
+use crate::recording::table::unit::{Unit, UnitKind};
 
 /// The kind of table with the columns: `x` is an anchor's place in one and the target's in another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +28,10 @@ impl Kind {
             (_, Role::Y) => "y_m",
             (_, Role::Z) => "z_m",
             (_, Role::Target) => "target_id",
+            (_, Role::Bearing) => "bearing_rad",
+            (_, Role::Heading) => "sensor_heading_rad",
+            (_, Role::PositionStd) => "sensor_std_m",
+            (_, Role::HeadingStd) => "sensor_heading_std_rad",
         }
     }
 
@@ -36,7 +40,11 @@ impl Kind {
         if column.eq_ignore_ascii_case(self.own_name(role)) {
             return Some(0);
         }
-        let key = Name::read(column).key;
+        let Name { key, unit, .. } = Name::read(column);
+        // An angle about an axis, such as `x_deg`, is not a coordinate of unknown unit.
+        if unit.is_some_and(|unit| unit.kind() == UnitKind::Angle && !role.takes(unit)) {
+            return None;
+        }
         let is_axis = |axis: &str| AXES.iter().any(|axes| axes.replace('*', axis) == key);
         let is_target_axis = |axis: &str| TARGET_AXES.iter().any(|axes| axes.replace('*', axis) == key);
         let (sure, likely): (bool, bool) = match role {
@@ -44,6 +52,10 @@ impl Kind {
             Role::Sensor => (SENSOR.contains(&&*key), SENSOR_LIKELY.contains(&&*key)),
             Role::Range => (RANGE.contains(&&*key), RANGE_LIKELY.contains(&&*key)),
             Role::Target => (TARGET.contains(&&*key), false),
+            Role::Bearing => (BEARING.contains(&&*key), false),
+            Role::Heading => (HEADING.contains(&&*key), false),
+            Role::PositionStd => (POSITION_STD.contains(&&*key), false),
+            Role::HeadingStd => (HEADING_STD.contains(&&*key), false),
             Role::X | Role::Y | Role::Z => {
                 let axis = role.key();
                 let of_table = if self == Self::Track { is_target_axis(axis) } else { is_axis(axis) };
@@ -64,7 +76,7 @@ impl Kind {
     /// True if a header's name is known.
     pub(in crate::recording) fn knows(self, column: &str) -> bool {
         let roles: &[Role] = match self {
-            Self::Log => &[Role::Time, Role::Sensor, Role::Range, Role::X, Role::Y, Role::Z, Role::Target],
+            Self::Log => &Role::ALL,
             Self::Anchors => &[Role::Sensor, Role::X, Role::Y, Role::Z],
             Self::Track => &[Role::Time, Role::X, Role::Y],
         };
@@ -129,6 +141,12 @@ const RANGE_LIKELY: [&str; 4] = ["d", "r", "measurement", "ranging"];
 
 const TARGET: [&str; 8] = ["target", "targetid", "targetname", "tag", "tagid", "tagname", "mobile", "mobileid"];
 
+// Few, because a heading without the sensor's name may be the target's, and an azimuth or a yaw clockwise.
+const BEARING: [&str; 3] = ["bearing", "measuredbearing", "bearingmeasured"];
+const HEADING: [&str; 2] = ["sensorheading", "anchorheading"];
+const POSITION_STD: [&str; 4] = ["sensorstd", "anchorstd", "sensorpositionstd", "anchorpositionstd"];
+const HEADING_STD: [&str; 2] = ["sensorheadingstd", "anchorheadingstd"];
+
 const AXES: [&str; 9] =
     ["sensor*", "anchor*", "beacon*", "station*", "node*", "sensorpos*", "anchorpos*", "*sensor", "*anchor"];
 const TARGET_AXES: [&str; 7] = ["truth*", "true*", "target*", "tag*", "gt*", "groundtruth*", "poseposition*"];
@@ -188,6 +206,8 @@ mod tests {
             ("t [\u{b5}s]", "t", Some(Unit::Microsecond)),
             ("Anchor ID", "anchorid", None),
             ("range (ft)", "range", None),
+            ("Bearing (\u{b0})", "bearing", Some(Unit::Degree)),
+            ("sensor_heading_std_rad", "sensorheadingstd", Some(Unit::Radian)),
             ("m", "m", None),
             ("_m", "m", None),
         ] {
@@ -206,6 +226,10 @@ mod tests {
         assert_eq!(Kind::Log.rank(Role::X, "anchor_x"), Some(1));
         assert_eq!(Kind::Log.rank(Role::X, "x"), Some(2));
         assert_eq!(Kind::Log.rank(Role::X, "tag_x"), None);
+        assert_eq!(Kind::Log.rank(Role::X, "x_deg"), None);
+        assert_eq!(Kind::Log.rank(Role::Bearing, "bearing_deg"), Some(1));
+        assert_eq!(Kind::Log.rank(Role::Heading, "heading_rad"), None, "it may be the target's");
+        assert_eq!(Kind::Log.rank(Role::PositionStd, "sensor_std_mm"), Some(1));
         assert_eq!(Kind::Track.rank(Role::X, "tag_x"), Some(1));
         assert_eq!(Kind::Anchors.rank(Role::Z, "anchor_height"), Some(1));
         assert!(!Kind::Log.knows("sensor_id,"), "a name with a separator in it is none");

@@ -3,7 +3,7 @@
 use crate::ROBOTS_MAX;
 use crate::recording::columns::{ColumnMap, ColumnOption, Role};
 use crate::recording::table::unit::Unit;
-use crate::recording::{Doubt, DoubtKind, RecordedRange, Recording};
+use crate::recording::{Doubt, DoubtKind, RecordedMeasurement, Recording};
 
 /// Fewest instants, or pairs of ranges, for a check.
 const FEWEST: usize = 8;
@@ -19,7 +19,7 @@ pub(super) struct Columns<'a> {
     pub(super) map: &'a ColumnMap,
     pub(super) time: (usize, Option<&'a String>),
     pub(super) time_unit: Unit,
-    /// `None` in a wide log.
+    /// `None` in a wide log, or if there are only bearings.
     pub(super) range: Option<(usize, Option<&'a String>)>,
     pub(super) are_ranges_in_m: bool,
     pub(super) are_placed_by_rows: bool,
@@ -43,9 +43,9 @@ fn of_ranges(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     let share = |is_wrong: &dyn Fn(&Pair) -> bool| pairs.iter().filter(|pair| is_wrong(pair)).count() * 2 > pairs.len();
     let is_judged = pairs.len() >= FEWEST;
     let spread_m = spread_m(recording);
-    let far = readings(recording).filter(|reading| reading.range_m >= FAR * spread_m).count();
-    let are_far = spread_m > 0.0 && far * 2 > readings(recording).count();
-    let median_m = median(readings(recording).map(|reading| reading.range_m));
+    let far = ranges(recording).filter(|reading| reading.range_m >= FAR * spread_m).count();
+    let are_far = spread_m > 0.0 && far * 2 > ranges(recording).count();
+    let median_m = median(ranges(recording).map(|reading| reading.range_m));
     let text = |what: &str, hint: String| {
         format!(
             "most ranges are far {what} than the sensors' distances from each other allow (median range {median_m:.4} \
@@ -99,10 +99,10 @@ impl Pair {
 fn pairs(recording: &Recording) -> Vec<Pair> {
     const APART_MAX_S: f64 = 2.0;
     let mut pairs = Vec::new();
-    let mut last: Option<(f64, RecordedRange)> = None;
+    let mut last: Option<(f64, Ranging)> = None;
     for index in sample(recording.len()) {
         let Some((time_s, readings)) = recording.instant(index) else { break };
-        for reading in readings {
+        for reading in readings.filter_map(Ranging::of) {
             if let Some((before_s, before)) = last
                 && before.sensor != reading.sensor
                 && time_s - before_s <= APART_MAX_S
@@ -111,15 +111,30 @@ fn pairs(recording: &Recording) -> Vec<Pair> {
                 let distance_m = apart_m[0].hypot(apart_m[1]);
                 pairs.push(Pair { ranges_m: [before.range_m, reading.range_m], distance_m });
             }
-            last = Some((time_s, *reading));
+            last = Some((time_s, reading));
         }
     }
     pairs
 }
 
+/// A measurement that has a range.
+#[derive(Clone, Copy)]
+struct Ranging {
+    sensor: usize,
+    position_m: [f64; 2],
+    range_m: f64,
+}
+
+impl Ranging {
+    fn of(measurement: RecordedMeasurement) -> Option<Self> {
+        let RecordedMeasurement { sensor, position_m, range_m, .. } = measurement;
+        range_m.map(|range_m| Self { sensor, position_m, range_m })
+    }
+}
+
 /// Ranges spread over the recording.
-fn readings(recording: &Recording) -> impl Iterator<Item = &RecordedRange> {
-    recording.readings.iter().step_by(recording.readings.len() / SAMPLES + 1)
+fn ranges(recording: &Recording) -> impl Iterator<Item = Ranging> {
+    recording.readings.iter().step_by(recording.readings.len() / SAMPLES + 1).filter_map(Ranging::of)
 }
 
 /// The first instants: they must be consecutive.
@@ -130,7 +145,7 @@ fn sample(len: usize) -> std::ops::Range<usize> {
 /// Diagonal of the sensors' field, m.
 fn spread_m(recording: &Recording) -> f64 {
     let axis = |axis: usize| {
-        let values = readings(recording).map(|reading| reading.position_m[axis]);
+        let values = ranges(recording).map(|reading| reading.position_m[axis]);
         let (least, most) =
             values.fold((f64::MAX, f64::MIN), |(least, most), value| (least.min(value), most.max(value)));
         most - least
@@ -151,7 +166,7 @@ fn of_times(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     let mut last: Vec<Option<(f64, f64)>> = vec![None; ROBOTS_MAX];
     for index in sample(recording.len()) {
         let Some((time_s, readings)) = recording.instant(index) else { break };
-        for reading in readings {
+        for reading in readings.filter_map(Ranging::of) {
             if let Some((then_s, range_m)) = last[reading.sensor].replace((time_s, reading.range_m))
                 && time_s > then_s
             {

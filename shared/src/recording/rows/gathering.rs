@@ -1,28 +1,29 @@
-//! Collects the ranges of a log into a recording.
+//! Collects the measurements of a log into a recording.
 
 use std::collections::HashMap;
 
 use crate::ROBOTS_MAX;
 use crate::recording::anchors::{Anchor, Anchors};
-use crate::recording::{Instant, RecordedRange, Recording, Sensor, SensorName};
+use crate::recording::measurements::Measurements;
+use crate::recording::{Instant, RecordedMeasurement, Recording, Sensor, SensorName};
 
-/// Most ranges: 14 h of 20 sensors at 10 Hz; each takes up to 100 bytes of memory.
-const RANGES_MAX: usize = 10_000_000;
+/// Most measurements: 14 h of 20 sensors at 10 Hz; each takes up to 100 bytes of memory, with a bearing 180.
+const MEASUREMENTS_MAX: usize = 10_000_000;
 
 /// Most sensors without an anchor that a message names.
 const UNPLACED_MAX: usize = ROBOTS_MAX;
 
-/// Why a range cannot be added.
+/// Why a measurement cannot be added.
 pub(in crate::recording) enum Refusal {
     /// The sensor's name is invalid.
     NoName(String),
     /// The recording would exceed a limit.
     TooMany(String),
-    /// The stamp is before the previous range's.
+    /// The stamp is before the previous measurement's.
     NotInOrder(f64),
 }
 
-/// The ranges of a log in order of time. Sensors are numbered in order of appearance until the end.
+/// The measurements of a log in order of time. Sensors are numbered in order of appearance until the end.
 #[derive(Default)]
 pub(in crate::recording) struct Gathering<'a> {
     anchors: Option<&'a Anchors>,
@@ -32,7 +33,7 @@ pub(in crate::recording) struct Gathering<'a> {
     /// Sensors of the log that have no anchor.
     pub(in crate::recording) unplaced: Vec<SensorName>,
     times_s: Vec<f64>,
-    readings: Vec<RecordedRange>,
+    readings: Measurements,
 }
 
 impl<'a> Gathering<'a> {
@@ -75,28 +76,28 @@ impl<'a> Gathering<'a> {
         self.readings.len()
     }
 
-    /// Adds a range.
-    pub(in crate::recording) fn push(&mut self, time_s: f64, reading: RecordedRange) -> Result<(), Refusal> {
+    /// Adds a measurement.
+    pub(in crate::recording) fn push(&mut self, time_s: f64, reading: RecordedMeasurement) -> Result<(), Refusal> {
         if let Some(before_s) = self.last_time_s().filter(|before_s| time_s < *before_s) {
             return Err(Refusal::NotInOrder(before_s));
         }
-        if self.readings.len() == RANGES_MAX {
-            return Err(Refusal::TooMany(format!("at most {RANGES_MAX} ranges")));
+        if self.readings.len() == MEASUREMENTS_MAX {
+            return Err(Refusal::TooMany(format!("at most {MEASUREMENTS_MAX} measurements")));
         }
         self.times_s.push(time_s);
         self.readings.push(reading);
         Ok(())
     }
 
-    /// Anchors without a range.
+    /// Anchors without a measurement.
     pub(in crate::recording) fn silent_anchors(&self) -> Vec<SensorName> {
         let anchors = self.anchors.into_iter().flat_map(Anchors::iter).map(|(name, _)| name);
         anchors.filter(|name| !self.numbers.contains_key(name.as_str())).cloned().collect()
     }
 
-    /// The recording, and the number of repeated ranges that were left out.
+    /// The recording, and the number of repeated measurements that were left out.
     pub(in crate::recording) fn finish(mut self) -> (Recording, u64) {
-        self.drop_names_without_ranges();
+        self.drop_names_without_measurements();
         let repeats = self.drop_repeats();
         let mut order: Vec<usize> = (0..self.names.len()).collect();
         order.sort_by(|one, other| self.names[*one].cmp(&self.names[*other]));
@@ -105,8 +106,8 @@ impl<'a> Gathering<'a> {
             rank[*number] = place;
         }
         let mut first_positions = vec![None; order.len()];
-        for reading in &mut self.readings {
-            reading.sensor = rank[reading.sensor];
+        self.readings.renumber(&rank);
+        for reading in self.readings.iter() {
             first_positions[reading.sensor].get_or_insert(reading.position_m);
         }
         let sensors = order
@@ -116,32 +117,30 @@ impl<'a> Gathering<'a> {
                 Some(Sensor { name: self.names[*number].clone(), first_position_m: position_m? })
             })
             .collect();
-        let instants = instants(&self.times_s, &self.readings);
+        let instants = instants(&self.times_s, self.readings.sensors(0..self.readings.len()));
         (Recording { sensors, instants, readings: self.readings }, repeats)
     }
 
-    fn drop_names_without_ranges(&mut self) {
-        let mut has_range = vec![false; self.names.len()];
-        for reading in &self.readings {
-            has_range[reading.sensor] = true;
+    fn drop_names_without_measurements(&mut self) {
+        let mut has_any = vec![false; self.names.len()];
+        for sensor in self.readings.sensors(0..self.readings.len()) {
+            has_any[sensor] = true;
         }
-        if has_range.iter().all(|has| *has) {
+        if has_any.iter().all(|has| *has) {
             return;
         }
-        let mut renumbered = Vec::with_capacity(has_range.len());
+        let mut renumbered = Vec::with_capacity(has_any.len());
         let mut next = 0;
-        for has in &has_range {
+        for has in &has_any {
             renumbered.push(next);
             next += usize::from(*has);
         }
-        for reading in &mut self.readings {
-            reading.sensor = renumbered[reading.sensor];
-        }
-        let mut has = has_range.into_iter();
+        self.readings.renumber(&renumbered);
+        let mut has = has_any.into_iter();
         self.names.retain(|_| has.next().unwrap_or(false));
     }
 
-    /// Drops all ranges that equal another of their stamp: fused again, they would count as new information.
+    /// Drops all measurements that equal another of their stamp: fused again, they would count as new information.
     fn drop_repeats(&mut self) -> u64 {
         let (mut kept, mut start) = (0, 0);
         let mut order: Vec<usize> = Vec::new();
@@ -150,17 +149,17 @@ impl<'a> Gathering<'a> {
             let rest = &self.times_s[start..];
             let end = start + rest.iter().position(|other| *other != time_s).unwrap_or(rest.len());
             order.clear();
-            if has_sensor_twice(&self.readings[start..end]) {
+            if has_sensor_twice(self.readings.sensors(start..end)) {
                 order.extend(start..end);
-                order.sort_by_key(|index| bits(&self.readings[*index]));
-                order.dedup_by_key(|index| bits(&self.readings[*index]));
+                order.sort_by_key(|index| bits(self.readings.get(*index)));
+                order.dedup_by_key(|index| bits(self.readings.get(*index)));
                 order.sort_unstable();
             } else {
                 order.extend(start..end);
             }
             for &index in &order {
                 self.times_s[kept] = time_s;
-                self.readings[kept] = self.readings[index];
+                self.readings.overwrite(kept, index);
                 kept += 1;
             }
             start = end;
@@ -172,31 +171,31 @@ impl<'a> Gathering<'a> {
     }
 }
 
-fn has_sensor_twice(readings: &[RecordedRange]) -> bool {
+fn has_sensor_twice(mut sensors: impl Iterator<Item = usize>) -> bool {
     let mut seen = [false; ROBOTS_MAX];
-    readings.iter().any(|reading| std::mem::replace(&mut seen[reading.sensor], true))
+    sensors.any(|sensor| std::mem::replace(&mut seen[sensor], true))
 }
 
 /// All data of a reading in which two readings can differ.
-fn bits(reading: &RecordedRange) -> (usize, u64, u64, u64, Option<u64>) {
-    let [x_m, y_m] = reading.position_m;
-    let height = reading.height_m.map(f64::to_bits);
-    (reading.sensor, reading.range_m.to_bits(), x_m.to_bits(), y_m.to_bits(), height)
+fn bits(reading: RecordedMeasurement) -> impl Ord {
+    let bits = |number: Option<f64>| number.map(f64::to_bits);
+    let (place, extras) = (reading.position_m.map(f64::to_bits), reading.extras().map(bits));
+    (reading.sensor, place, bits(reading.height_m), bits(reading.range_m), extras)
 }
 
-/// Ranges with one stamp form one instant, unless a sensor would be in it twice.
-fn instants(times_s: &[f64], readings: &[RecordedRange]) -> Vec<Instant> {
+/// Measurements with one stamp form one instant, unless a sensor would be in it twice.
+fn instants(times_s: &[f64], sensors: impl Iterator<Item = usize>) -> Vec<Instant> {
     let mut instants: Vec<Instant> = Vec::new();
     let mut heard = [false; ROBOTS_MAX];
-    for (index, (time_s, reading)) in times_s.iter().zip(readings).enumerate() {
+    for (index, (time_s, sensor)) in times_s.iter().zip(sensors).enumerate() {
         match instants.last_mut() {
-            Some(instant) if instant.time_s == *time_s && !heard[reading.sensor] => instant.readings_end = index + 1,
+            Some(instant) if instant.time_s == *time_s && !heard[sensor] => instant.readings_end = index + 1,
             _ => {
                 heard = [false; ROBOTS_MAX];
                 instants.push(Instant { time_s: *time_s, readings_end: index + 1 });
             }
         }
-        heard[reading.sensor] = true;
+        heard[sensor] = true;
     }
     instants
 }

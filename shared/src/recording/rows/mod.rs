@@ -1,10 +1,12 @@
-//! Reads a log of ranges row by row.
+//! Reads a log of ranges and bearings row by row.
 
 mod checks;
 pub(super) mod gathering;
 mod wide;
 
+use std::f64::consts::{PI, TAU};
 use std::io::Read;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use crate::recording::anchors::Anchors;
@@ -15,7 +17,7 @@ use crate::recording::columns::{ColumnOption, Role};
 use crate::recording::error::{Complaint, Problem, RecordingError, listed, quoted, shown};
 use crate::recording::table::unit::Unit;
 use crate::recording::table::{Row, Table};
-use crate::recording::{ReadOptions, ReadSummary, RecordedRange, Recording};
+use crate::recording::{ReadOptions, ReadSummary, RecordedMeasurement, Recording};
 use gathering::{Gathering, Refusal};
 use wide::AnchorColumn;
 
@@ -25,8 +27,14 @@ const COORDINATE_MAX_M: f64 = 1e8;
 /// Largest time stamp, s: three thousand years.
 const TIME_MAX_S: f64 = 1e11;
 
-/// Largest range, m.
+/// Largest range, m; also the largest standard deviation of a place.
 const RANGE_MAX_M: f64 = 1e6;
+
+/// Angles, rad: more than two turns is probably degrees.
+const ANGLES_RAD: RangeInclusive<f64> = -2.0 * TAU..=2.0 * TAU;
+
+/// Standard deviations of a heading, rad.
+const ANGLE_STDS_RAD: RangeInclusive<f64> = 0.0..=PI;
 
 /// Most targets that a message names.
 const TARGETS_MAX: usize = 64;
@@ -35,6 +43,9 @@ const A_TIME: &str = "a finite number within +-1e11";
 const A_STAMP: &str = "seconds, or date and time by ISO 8601 as in 2024-05-01T12:00:00.5Z";
 const A_COORDINATE: &str = "a finite number within +-1e8";
 const A_RANGE: &str = "a finite number from 0 to 1e6";
+const A_MEASUREMENT: &str = "a range, a bearing or both";
+const AN_ANGLE: &str = "a finite angle of at most two turns";
+const AN_ANGLE_STD: &str = "a finite angle from 0 to half a turn";
 
 /// The columns of a row by role.
 struct Layout {
@@ -44,10 +55,22 @@ struct Layout {
 }
 
 enum Ranges {
-    /// One range a row.
-    Long { sensor: usize, range: Column, place: Option<Place> },
+    /// One measurement a row. Boxed, because it is moved for each row.
+    Long(Box<Long>),
     /// One column per anchor, with the anchor's number.
     Wide(Vec<(AnchorColumn, usize)>),
+}
+
+/// The columns of a measurement. One of range and bearing is there.
+struct Long {
+    sensor: usize,
+    range: Option<Column>,
+    bearing: Option<Column>,
+    /// `None` if the places are those of the anchors.
+    place: Option<Place>,
+    heading: Option<Column>,
+    position_std: Option<Column>,
+    heading_std: Option<Column>,
 }
 
 struct Place {
@@ -56,7 +79,7 @@ struct Place {
     z: Option<Column>,
 }
 
-/// Why a row gives no range.
+/// Why a row gives no measurement.
 enum RowError {
     /// The row is skipped and counted.
     Bad(Complaint),
@@ -78,7 +101,8 @@ pub(super) fn read<R: Read>(
 ) -> Result<(Recording, ReadSummary), RecordingError> {
     let ReadOptions { columns, anchors, .. } = options;
     let anchors = anchors.as_ref();
-    let is_wide = !columns.get(Role::Range).is_some_and(ColumnOption::is_by_number);
+    let mut measured = [Role::Range, Role::Bearing].into_iter().filter_map(|role| columns.get(role));
+    let is_wide = !measured.any(ColumnOption::is_by_number);
     let knows = |name: &str| {
         let is_anchor = is_wide && anchors.is_some_and(|anchors| wide::is_of_anchor(name, anchors, columns));
         Kind::Log.knows(name) || columns.names(name) || is_anchor
@@ -149,7 +173,8 @@ fn wide_columns<R: Read>(
     };
     // If several columns fit, ask only once the log is known not to be a wide one.
     let has = |role| finder.index(role, table).is_ok_and(|index| index.is_some());
-    if !is_chosen && has(Role::Range) && has(Role::Sensor) {
+    let has_measurement = has(Role::Range) || columns.get(Role::Bearing).is_some();
+    if !is_chosen && has_measurement && has(Role::Sensor) {
         return Ok(Vec::new());
     }
     let found = wide::anchor_columns(finder, table, anchors, columns)?;
@@ -174,9 +199,10 @@ fn long_columns<R: Read>(
         };
         return Err(finder.missing(&[Role::Sensor], table, hint));
     };
-    let Some(range) = finder.number(Role::Range, table)? else {
-        return Err(finder.missing(&[Role::Range], table, ":UNIT"));
-    };
+    let (range, bearing) = (finder.number(Role::Range, table)?, finder.number(Role::Bearing, table)?);
+    if range.is_none() && bearing.is_none() {
+        return Err(finder.missing(&[Role::Range], table, ":UNIT, or bearing=NAME:UNIT if it has bearings"));
+    }
     let place = if anchors.is_some() {
         None
     } else {
@@ -188,7 +214,9 @@ fn long_columns<R: Read>(
         };
         Some(Place { x, y, z })
     };
-    Ok(Ranges::Long { sensor, range, place })
+    let (heading, position_std) = (finder.number(Role::Heading, table)?, finder.number(Role::PositionStd, table)?);
+    let heading_std = finder.number(Role::HeadingStd, table)?;
+    Ok(Ranges::Long(Box::new(Long { sensor, range, bearing, place, heading, position_std, heading_std })))
 }
 
 /// A log that is being read.
@@ -236,7 +264,7 @@ impl<R: Read> Log<'_, R> {
         // Taken out, because the row is read through `self`.
         let ranges = std::mem::replace(&mut self.layout.ranges, Ranges::Wide(Vec::new()));
         let taken = match &ranges {
-            Ranges::Long { sensor, range, place } => self.take_long(time_s, *sensor, *range, place.as_ref()),
+            Ranges::Long(columns) => self.take_long(time_s, columns),
             Ranges::Wide(columns) => self.take_wide(time_s, columns),
         };
         self.layout.ranges = ranges;
@@ -288,32 +316,54 @@ impl<R: Read> Log<'_, R> {
         Err(RowError::Bad(self.table.complaint(index, if is_clock { A_STAMP } else { A_TIME })))
     }
 
-    fn take_long(
-        &mut self,
-        time_s: f64,
-        sensor_index: usize,
-        range: Column,
-        place: Option<&Place>,
-    ) -> Result<(), RowError> {
-        let sensor = self.gathering.sensor(self.table.field(sensor_index));
-        let sensor = sensor.map_err(|refusal| self.fault(sensor_index, refusal))?;
-        let (position_m, height_m) = match place {
+    fn take_long(&mut self, time_s: f64, columns: &Long) -> Result<(), RowError> {
+        let sensor = self.gathering.sensor(self.table.field(columns.sensor));
+        let sensor = sensor.map_err(|refusal| self.fault(columns.sensor, refusal))?;
+        let (position_m, height_m) = match &columns.place {
             Some(place) => {
-                let height_m = match place.z {
-                    Some(z) if !self.table.field(z.index).is_empty() => Some(self.coordinate_m(z)?),
-                    _ => None,
-                };
+                let height_m = self.filled(place.z).map(|z| self.coordinate_m(z)).transpose()?;
                 ([self.coordinate_m(place.x)?, self.coordinate_m(place.y)?], height_m)
             }
             // Sensors without an anchor are reported together at the end.
             None => self.gathering.place(sensor).map_or(([0.0; 2], None), |place| (place.position_m, place.height_m)),
         };
-        let range_m = self.range_m(range).ok_or_else(|| RowError::Bad(self.table.complaint(range.index, A_RANGE)))?;
-        if range_m == 0.0 {
-            self.summary.not_heard += 1;
+        let bearing = self.filled(columns.bearing);
+        // In a log of ranges alone, an empty range is a bad one.
+        let range = if columns.bearing.is_some() { self.filled(columns.range) } else { columns.range };
+        if let (None, None, Some(column)) = (range, bearing, columns.range.or(columns.bearing)) {
+            return Err(RowError::Bad(self.table.complaint(column.index, A_MEASUREMENT)));
+        }
+        let range_m = range.map(|column| self.length_m(column)).transpose()?;
+        let bearing_rad = bearing.map(|column| self.direction_rad(Role::Bearing, column)).transpose()?;
+        let heading = self.filled(columns.heading);
+        let heading_rad = heading.map(|column| self.direction_rad(Role::Heading, column)).transpose()?;
+        let position_std_m = self.filled(columns.position_std).map(|column| self.length_m(column)).transpose()?;
+        let heading_std = self.filled(columns.heading_std);
+        let heading_std_rad = heading_std
+            .map(|column| self.angle_rad(Role::HeadingStd, column, ANGLE_STDS_RAD, AN_ANGLE_STD))
+            .transpose()?;
+        let is_heard = range_m != Some(0.0);
+        self.summary.not_heard += u64::from(!is_heard);
+        let range_m = range_m.filter(|_| is_heard);
+        if range_m.is_none() && bearing_rad.is_none() {
             return Ok(());
         }
-        self.push(time_s, RecordedRange { sensor, position_m, height_m, range_m })
+        let measurement = RecordedMeasurement {
+            sensor,
+            position_m,
+            height_m,
+            range_m,
+            bearing_rad,
+            heading_rad,
+            position_std_m,
+            heading_std_rad,
+        };
+        self.push(time_s, measurement)
+    }
+
+    /// The column, if its field is not empty.
+    fn filled(&self, column: Option<Column>) -> Option<Column> {
+        column.filter(|column| !self.table.field(column.index).is_empty())
     }
 
     fn take_wide(&mut self, time_s: f64, columns: &[(AnchorColumn, usize)]) -> Result<(), RowError> {
@@ -329,8 +379,11 @@ impl<R: Read> Log<'_, R> {
             let is_minus_one = field == b"-1" || field == b"-1.0";
             match self.range_m(cell) {
                 Some(range_m) if range_m > 0.0 => {
-                    let (position_m, height_m) = (place.position_m, place.height_m);
-                    self.push(time_s, RecordedRange { sensor: *sensor, position_m, height_m, range_m })?;
+                    let (position_m, height_m, range_m) = (place.position_m, place.height_m, Some(range_m));
+                    let sensor = *sensor;
+                    let range =
+                        RecordedMeasurement { sensor, position_m, height_m, range_m, ..RecordedMeasurement::default() };
+                    self.push(time_s, range)?;
                 }
                 None if !is_minus_one => {
                     first_fault.get_or_insert_with(|| RowError::Bad(self.table.complaint(cell.index, A_RANGE)));
@@ -341,7 +394,7 @@ impl<R: Read> Log<'_, R> {
         first_fault.map_or(Ok(()), Err)
     }
 
-    fn push(&mut self, time_s: f64, reading: RecordedRange) -> Result<(), RowError> {
+    fn push(&mut self, time_s: f64, reading: RecordedMeasurement) -> Result<(), RowError> {
         self.gathering.push(time_s, reading).map_err(|refusal| self.fault(self.layout.time.index, refusal))
     }
 
@@ -352,6 +405,36 @@ impl<R: Read> Log<'_, R> {
 
     fn range_m(&mut self, column: Column) -> Option<f64> {
         self.table.number(column.index, column.unit).filter(|value| (0.0..=RANGE_MAX_M).contains(value))
+    }
+
+    /// A range, or the standard deviation of a place.
+    fn length_m(&mut self, column: Column) -> Result<f64, RowError> {
+        self.range_m(column).ok_or_else(|| RowError::Bad(self.table.complaint(column.index, A_RANGE)))
+    }
+
+    /// A bearing or a heading in (-pi, pi].
+    fn direction_rad(&mut self, role: Role, column: Column) -> Result<f64, RowError> {
+        self.angle_rad(role, column, ANGLES_RAD, AN_ANGLE).map(wrapped)
+    }
+
+    fn angle_rad(
+        &mut self,
+        role: Role,
+        Column { index, unit, .. }: Column,
+        allowed_rad: RangeInclusive<f64>,
+        expected: &str,
+    ) -> Result<f64, RowError> {
+        let value = self.table.number(index, unit);
+        match value {
+            Some(value) if allowed_rad.contains(&value) => Ok(value),
+            // Small angles in the same column would be misread, so that the file is refused.
+            Some(value) if unit == Unit::Radian && allowed_rad.contains(&value.to_radians()) => {
+                let hint = self.hint(role, index, Unit::Degree);
+                let expected = format!("{expected}; if it is in degrees, {hint}");
+                Err(RowError::Fatal(self.table.row_error(self.table.complaint(index, expected))))
+            }
+            _ => Err(RowError::Bad(self.table.complaint(index, expected))),
+        }
     }
 
     fn fault(&self, index: usize, refusal: Refusal) -> RowError {
@@ -404,7 +487,10 @@ impl<R: Read> Log<'_, R> {
         summary.repeats = repeats;
         summary.rows = recording.readings.len() as u64;
         let (range, are_ranges_in_m) = match &layout.ranges {
-            Ranges::Long { range, .. } => (Some(range.index), range.unit == Unit::Metre),
+            Ranges::Long(columns) => {
+                let range = columns.range;
+                (range.map(|range| range.index), range.is_some_and(|range| range.unit == Unit::Metre))
+            }
             Ranges::Wide(columns) => (None, columns.iter().all(|(column, _)| column.unit == Unit::Metre)),
         };
         let names = table.header();
@@ -437,6 +523,17 @@ impl<R: Read> Log<'_, R> {
             _ => Ok(()),
         }
     }
+}
+
+/// The same angle in (-pi, pi].
+fn wrapped(angle_rad: f64) -> f64 {
+    if -PI < angle_rad && angle_rad <= PI {
+        // To the last bit, so that a copy is the same.
+        return angle_rad;
+    }
+    let turned_rad = angle_rad.rem_euclid(TAU);
+    // Minus zero becomes zero, as in all numbers of a recording.
+    if turned_rad > PI { turned_rad - TAU } else { turned_rad + 0.0 }
 }
 
 /// Texts that loggers write for a missing number.

@@ -9,7 +9,7 @@ use crate::recording::columns::names::Name;
 use crate::recording::columns::{ColumnMap, ColumnOption, Role};
 use crate::recording::error::{RecordingError, listed};
 use crate::recording::table::Table;
-use crate::recording::table::unit::Unit;
+use crate::recording::table::unit::{Unit, UnitKind};
 
 /// Words besides an anchor's name in the name of its column of ranges.
 const WORDS: [&str; 18] = [
@@ -50,7 +50,8 @@ fn fit_by_words(column: &str, anchor: &str) -> Option<usize> {
     let column = Name::read(column);
     let anchor = anchor.to_lowercase();
     let anchor_words = Name::read(&anchor).words;
-    if anchor_words.is_empty() || column.words.is_empty() {
+    let is_angle = column.unit.is_some_and(|unit| unit.kind() == UnitKind::Angle);
+    if anchor_words.is_empty() || column.words.is_empty() || is_angle {
         return None;
     }
     let is_other = |word: &String| WORDS.contains(&word.as_str());
@@ -134,7 +135,7 @@ mod tests {
             assert!(fit_by_words(column, anchor).is_some(), "{column} {anchor}");
         }
         for (column, anchor) in
-            [("rssi_A", "A"), ("los_3", "3"), ("range_11", "1"), ("d11", "1"), ("B", "A"), ("", "A")]
+            [("rssi_A", "A"), ("los_3", "3"), ("range_11", "1"), ("d11", "1"), ("B", "A"), ("", "A"), ("A_deg", "A")]
         {
             assert!(fit_by_words(column, anchor).is_none(), "{column} {anchor}");
         }

@@ -179,7 +179,8 @@ impl Numbers {
         self.mark.is_some_and(|mark| field.contains(if mark == b',' { &b'.' } else { &b',' }))
     }
 
-    /// A number in seconds or metres. The unit shifts its decimals, so that 2957 mm are 2.957 m to the last bit.
+    /// A number in seconds, metres or radians. A decimal unit shifts the decimals, so that 2957 mm are 2.957 m to the last
+    /// bit.
     pub(super) fn read(&mut self, field: &[u8], unit: Unit) -> Option<f64> {
         let mut mark = None;
         let mut has_exponent = false;
@@ -196,7 +197,7 @@ impl Numbers {
         let value = parse(field, mark == Some(b','), has_exponent, unit.power_of_ten())?;
         // A text that is not a number does not determine the decimal mark.
         self.mark = self.mark.or(mark);
-        Some(value)
+        Some(if unit == Unit::Degree { value.to_radians() } else { value })
     }
 }
 
@@ -264,6 +265,7 @@ mod tests {
         assert_eq!(read("1700000000123456789", Unit::Nanosecond), Some(1_700_000_000.123_456_8));
         assert_eq!(read("1.5e3", Unit::Millisecond), Some(1.5));
         assert_eq!(read("-0", Unit::Metre).map(f64::to_bits), Some(0));
+        assert_eq!(read("180", Unit::Degree), Some(std::f64::consts::PI));
         for text in ["", "1,234.5", "1,2,3", "NaN", "inf", "1e999", "x", "0x1", "\u{661}"] {
             assert_eq!(read(text, Unit::Metre), None, "{text}");
             assert_eq!(read(text, Unit::Millimetre), None, "{text}");

@@ -246,7 +246,7 @@ impl<R: Read> Table<R> {
         self.fields.get(index)
     }
 
-    /// A number of the last row read, in seconds or metres.
+    /// A number of the last row read, in seconds, metres or radians.
     pub(super) fn number(&mut self, index: usize, unit: Unit) -> Option<f64> {
         self.numbers.read(self.fields.get(index), unit)
     }

@@ -1,6 +1,6 @@
 //! Units of a log's columns.
 
-/// The unit of a column. Numbers are converted to seconds or metres.
+/// The unit of a column. Numbers are converted to seconds, metres or radians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) enum Unit {
     /// s
@@ -19,6 +19,22 @@ pub(in crate::recording) enum Unit {
     Centimetre,
     /// mm
     Millimetre,
+    /// rad
+    Radian,
+    /// Degrees.
+    Degree,
+}
+
+/// What a unit measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::recording) enum UnitKind {
+    Time,
+    Length,
+    Angle,
+}
+
+impl UnitKind {
+    pub(in crate::recording) const ALL: [Self; 3] = [Self::Time, Self::Length, Self::Angle];
 }
 
 impl Unit {
@@ -35,18 +51,24 @@ impl Unit {
             "m" | "meter" | "meters" | "metre" | "metres" => Self::Metre,
             "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => Self::Centimetre,
             "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => Self::Millimetre,
+            "rad" | "rads" | "radian" | "radians" => Self::Radian,
+            "deg" | "degs" | "degree" | "degrees" | "\u{b0}" => Self::Degree,
             _ => return None,
         })
     }
 
-    pub(in crate::recording) fn is_of_time(self) -> bool {
-        !matches!(self, Self::Metre | Self::Centimetre | Self::Millimetre)
+    pub(in crate::recording) fn kind(self) -> UnitKind {
+        match self {
+            Self::Second | Self::Millisecond | Self::Microsecond | Self::Nanosecond | Self::Iso => UnitKind::Time,
+            Self::Metre | Self::Centimetre | Self::Millimetre => UnitKind::Length,
+            Self::Radian | Self::Degree => UnitKind::Angle,
+        }
     }
 
-    /// The power of ten from this unit to seconds or metres.
+    /// The power of ten from this unit to seconds, metres, or its own kind of angle.
     pub(in crate::recording) fn power_of_ten(self) -> i32 {
         match self {
-            Self::Second | Self::Iso | Self::Metre => 0,
+            Self::Second | Self::Iso | Self::Metre | Self::Radian | Self::Degree => 0,
             Self::Centimetre => -2,
             Self::Millisecond | Self::Millimetre => -3,
             Self::Microsecond => -6,
@@ -65,6 +87,8 @@ impl Unit {
             Self::Metre => "m",
             Self::Centimetre => "cm",
             Self::Millimetre => "mm",
+            Self::Radian => "rad",
+            Self::Degree => "deg",
         }
     }
 }

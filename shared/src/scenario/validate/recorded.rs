@@ -7,7 +7,7 @@ use crate::recording::{ReadSummary, Recording};
 use crate::scenario::bounds::{BEARING_STD_RAD, BIAS_M, COORDINATE, NUISANCE_STD_M, SCALE, START_STD_M, STD_M};
 use crate::scenario::{
     Calibration, LocaliserTable, NuisanceSpec, Prior, RangeNoise, RecordedRanges, RecordingTable, RobotSpec, Scenario,
-    ScenarioError, ScenarioFile, SensorSpec, Source, defaults,
+    ScenarioError, ScenarioFile, SensorSpec, Source, Treatment, defaults,
 };
 
 impl Checker<'_> {
@@ -54,8 +54,13 @@ impl Checker<'_> {
             defaults::RECORDED_BEARING_STD_RAD,
             BEARING_STD_RAD,
         )?;
-        let sensor = SensorSpec { bearing_std_rad: Some(bearing_std_rad), ..SensorSpec::range(std_m) };
-        let nuisances = self.recorded_nuisances(table)?;
+        let sensor = SensorSpec {
+            range: recording.has_ranges().then_some(RangeNoise { std_m, std_per_m: 0.0 }),
+            bearing_std_rad: recording.has_bearings().then_some(bearing_std_rad),
+            ..SensorSpec::range(std_m)
+        };
+        let estimates_bias = matches!(scenario.treatment, Treatment::Estimated { bias: true, .. });
+        let nuisances = self.recorded_nuisances(table, estimates_bias)?;
         let bias_m = self.number("recording.bias_m", table.bias_m, 0.0, BIAS_M)?;
         let scale = self.number("recording.scale", table.scale, 0.0, SCALE)?;
         scenario.robots = recording
@@ -84,7 +89,7 @@ impl Checker<'_> {
             }
             let robot = &mut scenario.robots[robot];
             let std_m = self.number(&key("range_std_m"), sensor.range_std_m, std_m, STD_M)?;
-            robot.sensor.range = Some(RangeNoise { std_m, std_per_m: 0.0 });
+            robot.sensor.range = robot.sensor.range.map(|range| RangeNoise { std_m, ..range });
             robot.reported = robot.sensor;
             robot.calibration.bias_m = self.number(&key("bias_m"), sensor.bias_m, bias_m, BIAS_M)?;
             robot.calibration.scale = self.number(&key("scale"), sensor.scale, scale, SCALE)?;
@@ -95,15 +100,20 @@ impl Checker<'_> {
     }
 
     /// The nuisances of all sensors.
-    fn recorded_nuisances(&self, table: &RecordingTable) -> Result<NuisanceSpec, ScenarioError> {
+    fn recorded_nuisances(&self, table: &RecordingTable, estimates_bias: bool) -> Result<NuisanceSpec, ScenarioError> {
         let localiser = LocaliserTable {
             std_m: table.pose_std_m,
             drift_m: table.pose_drift_m,
             correlation_s: table.pose_correlation_s,
             heading_std_rad: table.heading_std_rad,
         };
-        let pose = self.pose_nuisances("recording.pose_", &localiser)?;
-        let bias_std_m = self.number("recording.bias_std_m", table.bias_std_m, 0.0, NUISANCE_STD_M)?;
+        let key = |key: &str| match key {
+            "heading_std_rad" => "recording.heading_std_rad".to_owned(),
+            of_pose => format!("recording.pose_{of_pose}"),
+        };
+        let pose = self.pose_nuisances(key, &localiser)?;
+        let default_m = if estimates_bias { defaults::RECORDED_BIAS_STD_M } else { 0.0 };
+        let bias_std_m = self.number("recording.bias_std_m", table.bias_std_m, default_m, NUISANCE_STD_M)?;
         Ok(NuisanceSpec { bias_std_m, ..pose })
     }
 

@@ -209,13 +209,15 @@ impl Checker<'_> {
 
     /// The nuisances of a pose from a `[localiser.NAME]`.
     fn localiser(&self, name: &str, table: &LocaliserTable) -> Result<NuisanceSpec, ScenarioError> {
-        let prefix = format!("localiser.{name}.");
-        self.pose_nuisances(&prefix, table)
+        self.pose_nuisances(|key| format!("localiser.{name}.{key}"), table)
     }
 
-    /// The nuisances of a pose. `prefix` comes before the keys in errors.
-    pub(super) fn pose_nuisances(&self, prefix: &str, table: &LocaliserTable) -> Result<NuisanceSpec, ScenarioError> {
-        let key = |key: &str| format!("{prefix}{key}");
+    /// The nuisances of a pose. `key` names a key of the table in errors.
+    pub(super) fn pose_nuisances(
+        &self,
+        key: impl Fn(&str) -> String,
+        table: &LocaliserTable,
+    ) -> Result<NuisanceSpec, ScenarioError> {
         let pose_std_m = self.number(&key("std_m"), table.std_m, 0.0, NUISANCE_STD_M)?;
         let pose_drift_m = self.number(&key("drift_m"), table.drift_m, 0.0, NUISANCE_STD_M)?;
         let correlation = match (table.drift_m, table.correlation_s) {
