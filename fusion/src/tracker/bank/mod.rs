@@ -341,16 +341,16 @@ impl<const N: usize> Bank<N> {
     /// Multiplies a hypothesis by `p(z|X) + p(outlier)`; a negligible term is left out.
     fn apply(&mut self, index: usize, reading: &Reading, sight: &Sight) {
         let room = self.hypotheses.len() < HYPOTHESES_MAX;
-        if room && sight.is_bent(reading, BEND_MAX) {
-            self.split(index, reading, sight, false);
-            self.hypotheses[index].log_weight += sight.log_outlier;
+        if sight.is_bent(reading, BEND_MAX) {
+            // Without room it only loses weight, as if the measurement were an outlier.
+            self.split(index, reading, sight, sight.own_std, false);
+            self.branch(index, reading, sight);
             return;
         }
         let log_likelihood = -0.5 * (sight.normalised_square + (TAU * sight.variance).ln());
         if room && log_likelihood < sight.log_outlier + BRANCH_LOG_RATIO {
-            let Hypothesis { log_weight, estimate } = &self.hypotheses[index];
-            let branch = Hypothesis { log_weight: log_weight + sight.log_outlier, estimate: estimate.clone() };
-            self.hypotheses.push(branch);
+            self.hypotheses.push(self.hypotheses[index].clone());
+            self.branch(self.hypotheses.len() - 1, reading, sight);
         }
         let hypothesis = &mut self.hypotheses[index];
         hypothesis.log_weight += log_likelihood.max(sight.log_outlier);
@@ -360,6 +360,20 @@ impl<const N: usize> Bank<N> {
         if make_valid(&mut updated.target) {
             hypothesis.estimate = updated;
         }
+    }
+
+    /// Multiplies a hypothesis by `p(outlier)`. An outlier tells a hypothesis nothing that is narrower than outliers are; a
+    /// wider one is split or updated with the noise of an outlier.
+    fn branch(&mut self, index: usize, reading: &Reading, sight: &Sight) {
+        let before = self.hypotheses.len();
+        if let Some(std) = sight.wide_outlier_std(reading) {
+            self.split(index, reading, sight, std, false);
+        }
+        let (older, parts) = self.hypotheses.split_at_mut(before);
+        let log_share = self.outlier_share.ln();
+        parts.iter_mut().for_each(|part| part.log_weight += log_share);
+        // Its parts are in its place.
+        older[index].log_weight += if parts.is_empty() { sight.log_outlier } else { f64::NEG_INFINITY };
     }
 
     /// Adds hypotheses all around the circle of a range or along the ray of a bearing, of this total weight.
@@ -383,7 +397,7 @@ impl<const N: usize> Bank<N> {
         let estimate = Estimate::new(estimate, &self.chain);
         let sight = Sight::of(&estimate, reading, &self.chain, self.outlier_share);
         self.hypotheses.push(Hypothesis { log_weight: 0.0, estimate });
-        self.split(first, reading, &sight, true);
+        self.split(first, reading, &sight, sight.own_std, true);
         self.hypotheses[first].log_weight = f64::NEG_INFINITY;
         let total = log_sum(&self.hypotheses[first..]);
         for hypothesis in &mut self.hypotheses[first..] {
@@ -394,11 +408,12 @@ impl<const N: usize> Bank<N> {
 
     /// Adds the products of a hypothesis with the Gaussians of a measurement's likelihood over the plane,
     /// `p(z|X) = sum_k w_k N(X_1; c_k, C_k)`: updates with positions `c_k`, as far as there is room.
-    fn split(&mut self, index: usize, reading: &Reading, sight: &Sight, is_start: bool) {
+    /// `std` is the standard deviation of the measurement, m or rad.
+    fn split(&mut self, index: usize, reading: &Reading, sight: &Sight, std: f64, is_start: bool) {
         let Hypothesis { log_weight, estimate } = self.hypotheses[index].clone();
         let from_sensor = estimate.target.position() - sight.row.sensor_m;
         let towards_rad = from_sensor.y.atan2(from_sensor.x);
-        let pieces = Pieces::of(reading, sight, &estimate.target, is_start);
+        let pieces = Pieces::of(reading, sight, std, &estimate.target, is_start);
         for k in 0..pieces.count().min(HYPOTHESES_MAX - self.hypotheses.len()) {
             let piece = pieces.piece(sight.row.sensor_m, towards_rad, k);
             let across = Vector2::new(-piece.along.y, piece.along.x);
@@ -521,17 +536,17 @@ pub(super) fn merge<const N: usize>(into: &mut Estimate<N>, pair: &[Hypothesis<N
 }
 
 impl Pieces {
-    fn of<const N: usize>(reading: &Reading, sight: &Sight, target: &Gaussian<N>, is_start: bool) -> Self {
+    fn of<const N: usize>(reading: &Reading, sight: &Sight, std: f64, target: &Gaussian<N>, is_start: bool) -> Self {
         match reading.kind {
-            Kind::Range => Self::Circle(Circle::of(reading.value, sight.own_std, reading.pose.height_m)),
+            Kind::Range => Self::Circle(Circle::of(reading.value, std, reading.pose.height_m)),
             Kind::Bearing => {
                 let bearing_rad = wrapped_rad(reading.value + reading.pose.heading_rad);
                 if is_start {
-                    return Self::Ray(Ray::whole(bearing_rad, sight.own_std));
+                    return Self::Ray(Ray::whole(bearing_rad, std));
                 }
                 let reach_m = RAY_SIGMA * target.position_covariance().trace().sqrt();
                 let limits_m = (sight.distance_m - reach_m, sight.distance_m + reach_m);
-                Self::Ray(Ray::of(bearing_rad, sight.own_std, limits_m))
+                Self::Ray(Ray::of(bearing_rad, std, limits_m))
             }
         }
     }

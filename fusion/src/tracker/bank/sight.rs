@@ -12,6 +12,12 @@ use crate::nuisance::{Chain, Estimate, Row};
 /// the weight of the right hypothesis by 400, and does not remove it.
 const OUTLIER_SPREAD: f64 = 50.0;
 
+/// Standard deviation of an outlier, in those of the measurement: that of a Gaussian with this spread.
+const OUTLIER_STD: f64 = 20.0;
+
+/// Largest standard deviation of a bearing that is an outlier, rad.
+const OUTLIER_MAX_RAD: f64 = 0.5;
+
 /// A measurement compared with a hypothesis, to second order.
 pub(super) struct Sight {
     pub(super) row: Row,
@@ -50,10 +56,22 @@ impl Sight {
         let variance = estimate.variance(&row, chain);
         let innovation = row.innovation.innovation;
         let normalised_square = innovation * innovation / variance;
-        let spread = OUTLIER_SPREAD * own_std + (TAU * variance).sqrt() + across_spread;
-        let spread = if reading.kind == Kind::Bearing { spread.min(TAU) } else { spread };
-        let log_outlier = (outlier_share / spread).ln();
+        let outlier_density = match reading.kind {
+            Kind::Range => (OUTLIER_SPREAD * own_std + (TAU * variance).sqrt() + across_spread).recip(),
+            // Half of the outliers are bad measurements of the target, half are of something else.
+            Kind::Bearing => {
+                let near = variance + outlier_std(reading.kind, own_std).powi(2);
+                0.5 * (-0.5 * innovation * innovation / near).exp() / (TAU * near).sqrt() + 0.5 / TAU
+            }
+        };
+        let log_outlier = (outlier_share * outlier_density).ln();
         Self { row, bend, own_std, distance_m, variance, normalised_square, log_outlier }
+    }
+
+    /// Standard deviation of an outlier, m or rad, if the hypothesis is wider than that: then an outlier tells something too.
+    pub(super) fn wide_outlier_std(&self, reading: &Reading) -> Option<f64> {
+        let std = outlier_std(reading.kind, self.own_std);
+        (self.variance > std * std).then_some(std)
     }
 
     /// Largest bend that the second-order terms account for, in the unit of the measurement.
@@ -62,6 +80,14 @@ impl Sight {
             Kind::Range => self.bend > bend_max * self.own_std,
             Kind::Bearing => self.bend > bend_max * self.own_std.min(PI),
         }
+    }
+}
+
+/// Standard deviation of an outlier, m or rad, given that of a measurement.
+fn outlier_std(kind: Kind, own_std: f64) -> f64 {
+    match kind {
+        Kind::Range => OUTLIER_STD * own_std,
+        Kind::Bearing => (OUTLIER_STD * own_std).min(OUTLIER_MAX_RAD),
     }
 }
 

@@ -185,3 +185,66 @@ proptest! {
         hostile(order, &steps)?;
     }
 }
+
+/// A camera with ranges: after a gap in which the target may have gone anywhere, one range and one bearing locate it.
+#[test]
+fn one_range_and_one_bearing_locate_the_target_after_a_long_gap() {
+    let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 0.5 };
+    let mut bank = Bank::<4>::new(motion, Gate::new(Some(4.0)), exact(2));
+    let sees = |robot: usize, at: [f64; 2], target: [f64; 2]| {
+        let (x, y) = (target[0] - at[0], target[1] - at[1]);
+        let range = Reading { robot, pose: Pose::at(at), value: x.hypot(y), std: 0.09, ..Reading::default() };
+        [range, Reading { kind: Kind::Bearing, value: y.atan2(x), std: 0.006, ..range }]
+    };
+    for _ in 0..40 {
+        bank.advance(0.25, &sees(0, [0.0, 0.0], [2.0, 1.0]));
+    }
+    assert!((bank.estimate().position() - Vector2::new(2.0, 1.0)).norm() < 0.05);
+    bank.advance(77.0, &sees(1, [5.0, 3.0], [3.5, 3.5]));
+    let error_m = (bank.estimate().position() - Vector2::new(3.5, 3.5)).norm();
+    assert!(error_m < 0.1, "{error_m}");
+}
+
+/// Two bearings from different places cross; one alone leaves a ray.
+#[test]
+fn two_bearings_start_an_estimate_where_they_cross() {
+    let mut bank =
+        Bank::<4>::new(MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 }, Gate::new(Some(4.0)), exact(2));
+    let target = Vector2::new(12.0, 5.0);
+    let sees = |robot: usize, at: [f64; 2], error_rad: f64| {
+        let sight = target - Vector2::from(at);
+        let value = sight.y.atan2(sight.x) + error_rad;
+        Reading { robot, kind: Kind::Bearing, pose: Pose::at(at), value, std: 0.02, ..Reading::default() }
+    };
+    bank.advance(0.0, &[sees(0, [0.0, 0.0], 0.005)]);
+    assert!(bank.hypotheses.len() > 10);
+    for k in 0..20 {
+        let error_rad = 0.02 * (f64::from(k) * 2.399).sin();
+        bank.advance(0.1, &[sees(0, [0.0, 0.0], error_rad), sees(1, [10.0, -8.0], -error_rad)]);
+    }
+    let error_m = (bank.estimate().position() - target).norm();
+    assert!(error_m < 0.5 && bank.hypotheses.len() < 4, "{error_m} {}", bank.hypotheses.len());
+}
+
+/// A bearing across the cut of the circle, a target on the robot, and a target at a metre with a one-degree camera.
+#[test]
+fn near_targets_and_bearings_across_half_a_turn_are_followed() {
+    let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 0.05 };
+    let mut bank = Bank::<4>::new(motion, Gate::new(Some(4.0)), exact(2));
+    let std = 1.0_f64.to_radians();
+    for k in 0..600 {
+        // The target passes over the first robot, and west of the second one.
+        let target = Vector2::new(-1.0, 3.0 - 0.01 * f64::from(k));
+        let readings = [[-1.0, 0.0], [0.0, 0.0]].map(|at| {
+            let sight = target - Vector2::from(at);
+            let value = sight.y.atan2(sight.x) + 1.5 * std * (f64::from(k) * 2.399).sin();
+            let robot = usize::from(at[0] == 0.0);
+            Reading { robot, kind: Kind::Bearing, pose: Pose::at(at), value, std, ..Reading::default() }
+        });
+        bank.advance(0.1, &readings);
+        let (error_m, std_m) =
+            ((bank.estimate().position() - target).norm(), bank.estimate().position_covariance().trace().sqrt());
+        assert!(k < 50 || error_m < 0.3 + 3.0 * std_m, "{k}: {error_m} {std_m}");
+        assert!(k < 50 || std_m < 1.0, "{k}: {std_m}");
+    }
+}
