@@ -137,9 +137,11 @@ impl<const N: usize> Gaussian<N> {
     /// The second-order terms of a distance of `distance_m` with this gradient. Its second derivative is
     /// `(I - e e^T) / d` at any height, so the terms are: mean `tr((I - e e^T) P) / 2 d` and variance
     /// `tr(((I - e e^T) P)^2) / 2 d^2`.
+    ///
+    /// `P` is the covariance of the sight: that of the estimate, and of the sensor's own position.
     #[must_use]
-    pub fn bend(&self, gradient: &Vector2<f64>, distance_m: f64) -> Bend {
-        let (p, e) = (self.position_covariance(), gradient);
+    pub fn bend(sight_covariance: &Matrix2<f64>, gradient: &Vector2<f64>, distance_m: f64) -> Bend {
+        let (p, e) = (sight_covariance, gradient);
         let along_m2 = e.dot(&(p * e));
         let across_m2 = (p.trace() - along_m2).max(0.0);
         // A distance changes by no more than the position does.
@@ -366,7 +368,7 @@ mod tests {
                 (at(a + b) - at(a - b) - at(b - a) + at(-a - b)) / (4.0 * step * step)
             };
             let hp = Matrix2::new(second(0, 0), second(0, 1), second(1, 0), second(1, 1)) * estimate.p;
-            let bend = estimate.bend(&range.gradient, d);
+            let bend = Gaussian::<2>::bend(&estimate.p, &range.gradient, d);
             let mean_m = (0.5 * hp.trace()).min(estimate.p.trace().sqrt());
             prop_assert!((bend.mean_m - mean_m).abs() < 1e-5 * (1.0 + mean_m), "{} {mean_m}", bend.mean_m);
             let variance_m2 = 0.5 * (hp * hp).trace();

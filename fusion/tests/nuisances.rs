@@ -60,10 +60,10 @@ impl Team {
     }
 
     fn spec_of(&self, robot: usize) -> NuisanceSpec {
-        let factor = match (self.is_mixed, robot % 2) {
-            (false, _) => 1.0,
-            (true, 0) => 0.1,
-            (true, _) => 3.0,
+        let factor = match self.is_mixed {
+            false => 1.0,
+            true if 2 * robot < self.robots => 0.1,
+            true => 3.0,
         };
         NuisanceSpec {
             pose_std_m: self.spec.pose_std_m * factor,

@@ -1,5 +1,6 @@
 //! The tracker for a Gaussian prior: one extended Kalman filter.
 
+use nalgebra::Matrix2;
 use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::motion::{MotionModel, Transition};
@@ -37,13 +38,17 @@ impl<const N: usize> Kalman<N> {
     }
 }
 
-/// A reading compared with its prediction. For a sensor at another height than the target, second-order terms are added:
-/// straight beneath it the first-order term of the distance is zero. In the plane the filter is the paper's.
+/// A reading compared with its prediction. Second-order terms are added for a sensor at another height than the target,
+/// because straight beneath it the first-order term of the distance is zero, and for a robot whose position is uncertain.
+/// For others the filter is the paper's.
 fn row_of<const N: usize>(estimate: &Estimate<N>, reading: &Reading, chain: &Chain) -> Row {
     let mut row = estimate.row(reading, chain);
-    if reading.kind == Kind::Range && reading.pose.height_m != 0.0 {
+    let is_bent = reading.pose.height_m != 0.0 || chain.covariance(reading.robot).position_m2 != Matrix2::zeros();
+    if reading.kind == Kind::Range && is_bent {
+        let sight_covariance = estimate.sight_covariance(reading.robot, chain);
         let innovation = &mut row.innovation;
-        let bend = estimate.target.bend(&innovation.gradient, reading.value - innovation.innovation);
+        let distance_m = (reading.value - innovation.innovation).abs().max(f64::MIN_POSITIVE);
+        let bend = Gaussian::<N>::bend(&sight_covariance, &innovation.gradient, distance_m);
         innovation.innovation -= bend.mean_m;
         innovation.noise_variance += bend.variance_m2;
     }

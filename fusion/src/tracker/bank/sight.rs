@@ -6,6 +6,7 @@ use nalgebra::Matrix2;
 use rangehound_shared::measurement::Kind;
 
 use super::super::Reading;
+use crate::filter::Gaussian;
 use crate::nuisance::{Chain, Estimate, Row};
 
 /// Spread of an outlier beyond that of the hypothesis, in standard deviations of the measurement. One outlier then divides
@@ -115,7 +116,7 @@ fn bend_of_range<const N: usize>(
     } else {
         // No slant distance is less than the height.
         let slant_m = (range_m - innovation.innovation).min(range_m).max(height_m.abs());
-        let bend = estimate.target.bend(&e, slant_m);
+        let bend = Gaussian::<N>::bend(covariance, &e, slant_m);
         (bend.mean_m, bend.variance_m2)
     };
     innovation.innovation -= bend_m;
