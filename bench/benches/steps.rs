@@ -7,11 +7,15 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use rangehound_bench::{paper_problems, problem, team};
 use rangehound_fusion::filter::{Gaussian, Information};
+use rangehound_fusion::nuisance::Chain;
 use rangehound_fusion::planner::range_only::{Arm, Problem, Solution, solver};
 use rangehound_fusion::planner::{self, Plan, Situation};
+use rangehound_fusion::tracker::kalman::Kalman;
+use rangehound_fusion::tracker::{Gate, Reading, Tracker};
 use rangehound_fusion::vector::Vector;
+use rangehound_shared::measurement::{Kind, Pose};
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::scenario::{Clearance, PlannerSpec};
+use rangehound_shared::scenario::{Clearance, NuisanceSpec, PlannerSpec, PoseCorrelation, Treatment};
 
 const CERTIFIED: PlannerSpec = PlannerSpec::Certified { nodes: 2_000 };
 
@@ -46,6 +50,41 @@ fn filter(criterion: &mut Criterion) {
                 }
                 predicted.update(&information)
             });
+        });
+    }
+}
+
+/// One tick of the tracker: ranges and bearings of robots whose positions drift.
+fn uncertain_robots(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("filter step, both sensors and drifting positions");
+    let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 10.0 };
+    let nuisances = NuisanceSpec {
+        pose_std_m: 0.1,
+        pose_drift_m: 0.1,
+        heading_std_rad: 0.01,
+        correlation: PoseCorrelation::Drift,
+        ..NuisanceSpec::default()
+    };
+    for robots in [3, 10, 100, 1_000] {
+        let chain = Chain::of(vec![nuisances; robots], Treatment::Schmidt);
+        let start = Gaussian { x: SVector::zeros(), p: SMatrix::<f64, 4, 4>::identity() };
+        let mut tracker = Kalman::new(motion.clone(), start, Gate::new(None), chain);
+        let readings: Vec<Reading> = team(robots)
+            .enumerate()
+            .flat_map(|(id, robot)| {
+                let pose = Pose {
+                    covariance_m2: [0.02, 0.0, 0.02],
+                    heading_std_rad: 0.01,
+                    ..Pose::at([robot.position_m.x, robot.position_m.y])
+                };
+                let range = Reading { robot: id, pose, value: robot.position_m.norm(), std: 1.0, ..Reading::default() };
+                let value = (-robot.position_m.y).atan2(-robot.position_m.x);
+                [range, Reading { kind: Kind::Bearing, value, std: 0.02, ..range }]
+            })
+            .collect();
+        group.throughput(Throughput::Elements(robots as u64));
+        group.bench_with_input(BenchmarkId::from_parameter(robots), &readings, |bencher, readings| {
+            bencher.iter(|| tracker.step(0.1, black_box(readings)));
         });
     }
 }
@@ -136,5 +175,5 @@ fn grid(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, filter, planners, along_the_papers_trajectories, pose_and_plan, grid);
+criterion_group!(benches, filter, uncertain_robots, planners, along_the_papers_trajectories, pose_and_plan, grid);
 criterion_main!(benches);

@@ -111,6 +111,41 @@ fn killed_nodes_of_every_role_are_started_again_and_change_nothing() {
     run.assert_nothing_left();
 }
 
+/// The simulator keeps the errors of poses and biases over its kills, and fusion what it knows of them.
+#[test]
+fn kills_change_nothing_whatever_the_robots_measure() {
+    let run = Run::new();
+    run.write("mixed.toml", MIXED);
+    let words = "run mixed.toml --clock lockstep --record --timeout forever";
+    let supervisor = run.command(words);
+    let mut starts = std::collections::BTreeMap::new();
+    for role in ["fusion", "sim", "robot-1", "sim", "fusion", "robot-3"] {
+        let ticks = run.ticks_done();
+        run.wait_for_ticks(ticks + 100);
+        let start = starts.entry(role).or_insert(0);
+        *start += 1;
+        signal(run.pid_of(role, *start), Signal::KILL);
+    }
+    supervisor.finish().succeeded();
+    let alone = Run::new();
+    alone.write("mixed.toml", MIXED);
+    alone.command("run mixed.toml --clock lockstep --in-process").finish().succeeded();
+    assert_eq!(run.digest(), alone.digest());
+    let replayed = run.start(&["replay", "out/run.mcap", "--json"]).finish();
+    assert_eq!(replayed.code, Some(0), "{replayed:#?}");
+    run.assert_nothing_left();
+}
+
+/// Ranges, bearings and both, from poses with errors of each kind.
+const MIXED: &str = "ticks = 6000\n[target]\nnoise_psd = 0.1\n[planner]\nname = \"greedy\"\nstand_off_m = 5.0\n\
+    [sensor.radio]\nrange_std_m = 1.0\nrange_bias_std_m = 0.2\n\
+    [sensor.camera]\nbearing_std_rad = 0.05\nmax_range_m = 60.0\nfield_of_view_rad = 3.0\n\
+    [sensor.both]\nrange_std_m = 0.5\nrange_std_per_m = 0.02\nbearing_std_rad = 0.1\n\
+    [localiser.gps]\nstd_m = 0.5\ncorrelation_s = 5.0\nheading_std_rad = 0.02\n\
+    [localiser.odometry]\nstd_m = 0.1\ndrift_m = 0.02\n\
+    [[robot]]\nsensor = \"radio\"\nlocaliser = \"gps\"\n[[robot]]\nsensor = \"camera\"\nlocaliser = \"odometry\"\n\
+    [[robot]]\nsensor = \"both\"\n[[robot]]\nsensor = \"radio\"\nlocaliser = \"odometry\"\n";
+
 /// Including the supervisor, so that no process restarts the nodes.
 #[test]
 fn a_run_whose_processes_are_all_killed_goes_on_from_its_checkpoints() {

@@ -34,10 +34,10 @@ use std::time::Instant;
 use rangehound_shared::scenario::{Clock, Scenario, ScenarioFile};
 
 use crate::failure::{self, Failure};
-use crate::run::in_process::Team;
+use crate::run::in_process;
 use crate::run::watch::Progress;
 use cluster::{Cluster, Counts, Outcome, Violation};
-use plan::{Network, Plan};
+use plan::{Equipment, Network, Plan};
 use trace::table;
 
 /// Largest number of ticks of an exploration.
@@ -101,24 +101,43 @@ impl Total {
     }
 }
 
+/// Size and equipment of a team.
+type Team = (usize, Equipment);
+
+/// The robots of a scenario file.
+fn robots_of((robots, equipment): Team) -> String {
+    if equipment == Equipment::Ranges {
+        return format!("[robots]\ncount = {robots}\n");
+    }
+    let tables = "[sensor.radio]\nrange_std_m = 1.0\nrange_bias_std_m = 0.2\n\
+                  [sensor.camera]\nbearing_std_rad = 0.05\nmax_range_m = 60.0\n\
+                  [sensor.both]\nrange_std_m = 0.5\nrange_std_per_m = 0.02\nbearing_std_rad = 0.1\n\
+                  [localiser.gps]\nstd_m = 0.5\ncorrelation_s = 5.0\nheading_std_rad = 0.02\n\
+                  [localiser.odometry]\ndrift_m = 0.1\n";
+    let equipped = ["radio", "both", "camera"].into_iter().zip(["gps", "odometry", "gps"]).cycle();
+    let robot = |(sensor, localiser)| format!("[[robot]]\nsensor = \"{sensor}\"\nlocaliser = \"{localiser}\"\n");
+    tables.to_owned() + &equipped.take(robots).map(robot).collect::<String>()
+}
+
 /// Scenarios and undisturbed runs, each made once.
 #[derive(Default)]
 struct Stage {
-    scenarios: HashMap<(usize, bool, bool), Scenario>,
-    undisturbed: HashMap<usize, Rc<Vec<[u64; 2]>>>,
+    scenarios: HashMap<(Team, bool, bool), Scenario>,
+    undisturbed: HashMap<Team, Rc<Vec<[u64; 2]>>>,
 }
 
 impl Stage {
     fn explore(&mut self, plan: &Plan, keeps_trace: bool) -> Result<Outcome, Failure> {
         let is_realtime = plan.clock == Clock::Realtime;
-        let scenario = self.scenario(plan.robots, is_realtime, plan.is_endless)?;
+        let team = (plan.robots, plan.equipment);
+        let scenario = self.scenario(team, is_realtime, plan.is_endless)?;
         let scenario = Scenario { ticks: plan.ticks, ..scenario };
-        let undisturbed = self.undisturbed(plan.robots)?;
+        let undisturbed = self.undisturbed(team)?;
         Ok(Cluster::new(plan, &scenario, undisturbed, keeps_trace).explore())
     }
 
-    fn scenario(&mut self, robots: usize, is_realtime: bool, is_endless: bool) -> Result<Scenario, Failure> {
-        let key = (robots, is_realtime, is_endless);
+    fn scenario(&mut self, team: Team, is_realtime: bool, is_endless: bool) -> Result<Scenario, Failure> {
+        let key = (team, is_realtime, is_endless);
         if let Some(scenario) = self.scenarios.get(&key) {
             return Ok(scenario.clone());
         }
@@ -126,7 +145,8 @@ impl Stage {
         let timeout = if is_endless { "\"forever\"" } else { "2.0" };
         let text = format!(
             "ticks = {TICKS_MAX}\nclock = \"{clock}\"\ntimeout_s = {timeout}\n\
-             [planner]\nname = \"greedy\"\n[robots]\ncount = {robots}\n"
+             [planner]\nname = \"greedy\"\n{}",
+            robots_of(team)
         );
         let file = ScenarioFile::parse(&text, "explore").map_err(Failure::input)?;
         let scenario = Scenario::from_file(&file, "explore").map_err(Failure::input)?;
@@ -135,20 +155,20 @@ impl Stage {
     }
 
     /// Digests by tick of a run without faults.
-    fn undisturbed(&mut self, robots: usize) -> Result<Rc<Vec<[u64; 2]>>, Failure> {
-        if let Some(digests) = self.undisturbed.get(&robots) {
+    fn undisturbed(&mut self, team: Team) -> Result<Rc<Vec<[u64; 2]>>, Failure> {
+        if let Some(digests) = self.undisturbed.get(&team) {
             return Ok(Rc::clone(digests));
         }
-        let scenario = self.scenario(robots, false, true)?;
-        let mut team = Team::new(&scenario).map_err(anyhow::Error::from)?;
+        let scenario = self.scenario(team, false, true)?;
+        let mut run = in_process::Team::new(&scenario).map_err(anyhow::Error::from)?;
         let mut digests = Vec::new();
         for _ in 0..=TICKS_MAX {
-            team.tick().map_err(anyhow::Error::from)?;
-            digests.push(team.centre().estimate().digest);
-            team.advance();
+            run.tick().map_err(anyhow::Error::from)?;
+            digests.push(run.centre().estimate().digest);
+            run.advance();
         }
         let digests = Rc::new(digests);
-        self.undisturbed.insert(robots, Rc::clone(&digests));
+        self.undisturbed.insert(team, Rc::clone(&digests));
         Ok(digests)
     }
 

@@ -24,6 +24,8 @@ pub(super) struct Plan {
     pub(super) is_endless: bool,
     /// Robots.
     pub(super) robots: usize,
+    /// What they measure.
+    pub(super) equipment: Equipment,
     /// Standbys of fusion.
     pub(super) standbys: usize,
     /// True if robots that end are not started again.
@@ -38,6 +40,15 @@ pub(super) struct Plan {
     pub(super) clock_rates: Vec<f64>,
     /// The faults, in order of time.
     pub(super) faults: Vec<Fault>,
+}
+
+/// What the robots measure, and how well they know where they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Equipment {
+    /// Ranges, from exact poses.
+    Ranges,
+    /// Ranges, bearings or both, from uncertain poses.
+    Mixed,
 }
 
 /// How messages travel until the faults are over; after that none is lost.
@@ -66,6 +77,9 @@ impl Plan {
         let robots = if random.random_bool(0.8) { random.random_range(1..=4) } else { random.random_range(1..=20) };
         let standbys = random.random_range(0..=2);
         let nodes = 2 + standbys + robots;
+        // A stream of its own, so that a seed has the faults that it had when all teams measured ranges.
+        let is_mixed = ChaCha8Rng::seed_from_u64(!seed).random_bool(0.2);
+        let equipment = if is_mixed { Equipment::Mixed } else { Equipment::Ranges };
         let ticks = random.random_range(4..=16);
         let is_quiet = random.random_bool(0.3);
         let network = Network {
@@ -95,6 +109,7 @@ impl Plan {
             clock,
             is_endless,
             robots,
+            equipment,
             standbys,
             leaves_robots,
             measures_anew,

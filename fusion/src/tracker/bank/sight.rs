@@ -50,7 +50,7 @@ impl Sight {
         let own_std = estimate.own_std(reading, &row, chain);
         let distance_m = (estimate.target.position() - row.sensor_m).norm();
         let (bend, across_spread) = match reading.kind {
-            Kind::Range => bend_of_range(estimate, reading, &mut row, &covariance, distance_m),
+            Kind::Range => bend_of_range(reading, &mut row, &covariance, distance_m),
             // Its second-order terms are in the row already.
             Kind::Bearing => ((row.innovation.noise_variance - reading.std * reading.std).max(0.0).sqrt(), 0.0),
         };
@@ -98,13 +98,7 @@ fn outlier_std(kind: Kind, own_std: f64) -> f64 {
 /// In the plane, where the distance is curved in one direction only, the mean is `d + bend` and the added variance
 /// `2 bend^2`. For a sensor at another height, where it is curved in all directions, they come from
 /// [`Gaussian::bend`](crate::filter::Gaussian::bend).
-fn bend_of_range<const N: usize>(
-    estimate: &Estimate<N>,
-    reading: &Reading,
-    row: &mut Row,
-    covariance: &Matrix2<f64>,
-    distance_m: f64,
-) -> (f64, f64) {
+fn bend_of_range(reading: &Reading, row: &mut Row, covariance: &Matrix2<f64>, distance_m: f64) -> (f64, f64) {
     let (range_m, height_m) = (reading.value, reading.pose.height_m);
     let innovation = &mut row.innovation;
     let e = innovation.gradient;
@@ -116,7 +110,7 @@ fn bend_of_range<const N: usize>(
     } else {
         // No slant distance is less than the height.
         let slant_m = (range_m - innovation.innovation).min(range_m).max(height_m.abs());
-        let bend = Gaussian::<N>::bend(covariance, &e, slant_m);
+        let bend = Gaussian::<2>::bend(covariance, &e, slant_m);
         (bend.mean_m, bend.variance_m2)
     };
     innovation.innovation -= bend_m;
