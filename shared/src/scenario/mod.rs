@@ -161,6 +161,13 @@ pub enum PlannerSpec {
     Greedy,
     /// Straight to the predicted target.
     Pursue,
+    /// Headings that are best over several steps.
+    Horizon {
+        /// Steps that it looks ahead.
+        steps: u32,
+        /// Blocks of steps, each of which has one heading.
+        blocks: u32,
+    },
     /// Uniformly random headings.
     Random,
 }
@@ -207,7 +214,8 @@ impl Criterion {
 }
 
 /// The planners' names.
-pub const PLANNERS: [&str; 7] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random"];
+pub const PLANNERS: [&str; 8] =
+    ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "horizon", "random"];
 
 impl PlannerSpec {
     /// The name in scenarios and on the command line.
@@ -220,6 +228,7 @@ impl PlannerSpec {
             Self::Grid { .. } => "grid",
             Self::Greedy => "greedy",
             Self::Pursue => "pursue",
+            Self::Horizon { .. } => "horizon",
             Self::Random => "random",
         }
     }

@@ -147,7 +147,7 @@ proptest! {
         let problem = Problem::of(&situation);
         let mut team = Team::default();
         team.pose(&situation, &problem);
-        let total = commanded(&team, &situation, &problem, &best);
+        let total = commanded(&situation, team.curves.iter().map(|curve| curve.noise), &best.commands);
         // One bearing from next to the target outweighs all else by far.
         let is_lopsided = best.worth.position_trace_m2 * total.t > 1e3;
         prop_assert!(certificate.is_optimal || is_lopsided, "{:?} {certificate:?}", best.worth);

@@ -13,6 +13,8 @@ impl Checker<'_> {
         let step_rad =
             self.number("planner.step_rad", table.step_rad, defaults::GRID_STEP_RAD, 1e-6..=std::f64::consts::PI)?;
         let nodes = self.whole("planner.nodes", table.nodes, defaults::NODES, 1..=1_000_000)? as u32;
+        let steps = self.whole("planner.steps", table.steps, defaults::STEPS, 1..=100)?;
+        let blocks = self.whole("planner.blocks", table.blocks, defaults::BLOCKS.min(steps), 1..=steps)? as u32;
         match table.name.as_deref().unwrap_or(defaults::PLANNER) {
             "certified" => Ok(PlannerSpec::Certified { nodes }),
             "adaptive" => Ok(PlannerSpec::Adaptive { iterations, alpha }),
@@ -20,6 +22,7 @@ impl Checker<'_> {
             "grid" => Ok(PlannerSpec::Grid { step_rad }),
             "greedy" => Ok(PlannerSpec::Greedy),
             "pursue" => Ok(PlannerSpec::Pursue),
+            "horizon" => Ok(PlannerSpec::Horizon { steps: steps as u32, blocks }),
             "random" => Ok(PlannerSpec::Random),
             other => {
                 let known = PLANNERS.map(quoted).join(", ");
