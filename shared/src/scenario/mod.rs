@@ -214,8 +214,7 @@ impl Criterion {
 }
 
 /// The planners' names.
-pub const PLANNERS: [&str; 8] =
-    ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "horizon", "random"];
+pub const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "horizon", "random"];
 
 impl PlannerSpec {
     /// The name in scenarios and on the command line.

@@ -162,4 +162,4 @@ pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

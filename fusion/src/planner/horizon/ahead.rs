@@ -64,9 +64,14 @@ impl<const N: usize> Ahead<'_, N> {
     ) -> (Vector, f64) {
         let Situation { team, clearance, step_s, .. } = self.situation;
         let (p, x) = (&known.target.p, &known.target.x);
-        let member = TeamMember { position_m, ..team[robot] };
         let stand_off_m = stand_off_m(clearance, p[(0, 0)] + p[(1, 1)]);
-        let mut reach = Reach::new(&member, Vector::new(x[0], x[1]), *step_s, stand_off_m);
+        let (target_m, speed_mps) = (Vector::new(x[0], x[1]), team[robot].max_speed_mps);
+        let after_m = target_m - position_m - heading * (speed_mps * step_s);
+        if clearance.separation_m == 0.0 && after_m.norm_squared() >= stand_off_m * stand_off_m {
+            return (heading, speed_mps);
+        }
+        let member = TeamMember { position_m, ..team[robot] };
+        let mut reach = Reach::new(&member, target_m, *step_s, stand_off_m);
         corners.corners_m.clear();
         if clearance.separation_m > 0.0 {
             let others = places_m.iter().enumerate().filter(|(other, _)| *other != robot);

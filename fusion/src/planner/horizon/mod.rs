@@ -12,6 +12,8 @@
 mod ahead;
 mod courses;
 
+use std::f64::consts::TAU;
+
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::{PlannerSpec, defaults};
 use rangehound_shared::with_state_dim;
@@ -21,13 +23,13 @@ use super::curves::noise::Noise;
 use super::{ForAnyTeam, Plan, Planner, PlannerError, Situation};
 use crate::vector::Vector;
 use ahead::{Ahead, Corners};
-use courses::Courses;
+use courses::{Courses, Look};
 
 /// Straight lines from which the descent of one robot starts.
 const STRAIGHT: usize = 4;
 
-/// Steps of single robots that are predicted at most, but for the sweep's last robot: it bounds the time to plan for large teams.
-const WORK_MAX: usize = 200_000;
+/// Sweeps over the team at most.
+const SWEEPS_MAX: usize = 6;
 
 /// Plans over `steps` steps, in `blocks` of one heading each.
 #[derive(Debug)]
@@ -41,9 +43,9 @@ pub(super) struct Horizon {
     later_plan: Plan,
     noises: Vec<Noise>,
     courses: Courses,
-    /// The best headings so far, and those of the certified plans.
-    best: Vec<Vector>,
+    /// The headings of the certified plans, and the best of all starts.
     certified: Vec<Vector>,
+    best: Vec<Vector>,
     corners: Corners,
 }
 
@@ -60,50 +62,62 @@ impl Horizon {
             later_plan: Plan::default(),
             noises: Vec::new(),
             courses: Courses::default(),
-            best: Vec::new(),
             certified: Vec::new(),
+            best: Vec::new(),
             corners: Corners::default(),
         })
     }
 
     /// Plans for a target whose state has dimension `N`. `plan` has the certified plan of the first step, and keeps it if none is better.
     fn look_ahead<const N: usize>(&mut self, tick: u64, situation: &Situation, plan: &mut Plan) {
-        let noises = std::mem::take(&mut self.noises);
+        let mut noises = std::mem::take(&mut self.noises);
+        noises.clear();
+        noises.extend(situation.team.iter().map(Noise::of));
         let ahead =
             Ahead::<N> { situation, noises: &noises, transition: situation.motion.transition(situation.step_s) };
-        let team = &situation.team;
-        self.courses.size(self.steps, self.blocks, team.len());
         let certified = self.follow_certified(tick, &ahead, plan);
-        let (mut least, mut work) = (certified, WORK_MAX);
-        let held = plan.commands.iter().map(|command| Vector::from_angle(command.heading_rad));
-        let straight = if team.len() == 1 { STRAIGHT } else { 0 };
-        for start in 0..2 + straight {
-            let headings = &mut self.courses.headings;
-            match start {
-                0 => headings.clone_from(&self.certified),
-                1 => headings.iter_mut().zip(held.clone().cycle()).for_each(|(heading, held)| *heading = held),
-                _ => {
-                    let turn = Vector::from_angle(std::f64::consts::TAU * (start - 2) as f64 / straight as f64);
-                    let sight = situation.belief.position_m() - team[0].position_m;
-                    headings.fill(sight.normalised().unwrap_or(Vector::new(1.0, 0.0)).rotated_by(turn));
-                }
-            }
-            let cost = self.courses.descend(&ahead, &mut work);
-            if cost < least {
-                least = cost;
-                self.best.clone_from(&self.courses.headings);
-            }
-        }
+        let least = self.search(&ahead, plan);
+        // NaN is no improvement.
         if least < certified {
             self.command(&ahead, plan);
         }
         self.noises = noises;
     }
 
+    /// Finds the best courses; returns the cost of the horizon.
+    fn search<const N: usize>(&mut self, ahead: &Ahead<'_, N>, plan: &Plan) -> f64 {
+        let Self { courses, certified, best, .. } = self;
+        let Situation { belief, team, .. } = ahead.situation;
+        let mut least = f64::INFINITY;
+        let straight = if team.len() == 1 { STRAIGHT } else { 0 };
+        for start in 0..2 + straight {
+            match start {
+                0 => courses.headings.clone_from(certified),
+                1 => {
+                    let held = plan.commands.iter().map(|command| Vector::from_angle(command.heading_rad)).cycle();
+                    courses.headings.iter_mut().zip(held).for_each(|(heading, held)| *heading = held);
+                }
+                _ => {
+                    let turn = Vector::from_angle(TAU * (start - 2) as f64 / straight as f64);
+                    let sight = (belief.position_m() - team[0].position_m).normalised();
+                    courses.headings.fill(sight.unwrap_or(Vector::new(1.0, 0.0)).rotated_by(turn));
+                }
+            }
+            let cost = courses.descend(ahead, Look::AllRound, 1);
+            if start == 0 || cost < least {
+                least = cost;
+                best.clone_from(&courses.headings);
+            }
+        }
+        courses.headings.clone_from(best);
+        courses.descend(ahead, Look::Near, SWEEPS_MAX)
+    }
+
     /// The certified plan of each step in turn: the cost of the horizon. Stores the team's headings, of each block from its start to its end.
     fn follow_certified<const N: usize>(&mut self, tick: u64, ahead: &Ahead<'_, N>, plan: &Plan) -> f64 {
         let Situation { belief, team, clearance, criterion, step_s, .. } = ahead.situation;
         let Self { later, later_plan, one_step, courses, certified, .. } = self;
+        courses.size(self.steps, self.blocks, team.len());
         later.team.clone_from(team);
         (later.belief, later.clearance, later.criterion, later.step_s) = (*belief, *clearance, *criterion, *step_s);
         certified.clear();
@@ -138,10 +152,16 @@ impl Horizon {
     fn command<const N: usize>(&mut self, ahead: &Ahead<'_, N>, plan: &mut Plan) {
         let team = &ahead.situation.team;
         let known = ahead.first();
-        let places_m = self.courses.starts_m();
+        let places_m = self.courses.places_m(0);
         for (robot, member) in team.iter().enumerate().filter(|(_, member)| member.is_fused) {
-            let (heading, speed_mps) =
-                ahead.motion(&known, robot, member.position_m, self.best[robot], places_m, &mut self.corners);
+            let (heading, speed_mps) = ahead.motion(
+                &known,
+                robot,
+                member.position_m,
+                self.courses.headings[robot],
+                places_m,
+                &mut self.corners,
+            );
             plan.commands[robot] = Command { heading_rad: heading.angle_rad(), speed_mps };
         }
     }
@@ -154,8 +174,6 @@ impl Planner for Horizon {
 
     fn plan(&mut self, tick: u64, situation: &Situation, plan: &mut Plan) {
         self.one_step.plan(tick, situation, plan);
-        self.noises.clear();
-        self.noises.extend(situation.team.iter().map(Noise::of));
         with_state_dim!(situation.motion.state_dim(), N => self.look_ahead::<N>(tick, situation, plan));
         self.one_step.value(situation, plan);
     }
