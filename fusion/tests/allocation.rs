@@ -46,6 +46,8 @@ fn a_tick_allocates_nothing() {
         ("certified", 40),
         ("greedy", 10),
         ("pursue", 10),
+        ("horizon", 1),
+        ("horizon", 3),
     ] {
         let mut centre = Centre::new(&scenario(planner, robots)).unwrap().keeping_the_past();
         let mut reports = vec![None; robots as usize];

@@ -23,8 +23,8 @@ const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "Exhaustive search on a grid of bearings, for up to 4 robots",
     "Each robot chooses for itself, as if the others stood still",
     "Each robot drives straight to the predicted target",
-    "Headings that are best over several steps",
     "Random headings",
+    "Headings that are best over several steps",
 ];
 
 /// What starts the next tick.

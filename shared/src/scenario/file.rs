@@ -131,7 +131,7 @@ pub struct RobotTable {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannerTable {
-    /// `"certified"`, `"adaptive"`, `"standard"`, `"grid"`, `"greedy"`, `"pursue"`, `"horizon"` or `"random"`.
+    /// `"certified"`, `"adaptive"`, `"standard"`, `"grid"`, `"greedy"`, `"pursue"`, `"random"` or `"horizon"`.
     pub name: Option<String>,
     /// Node budget of the certified planner.
     pub nodes: Option<u64>,

@@ -161,6 +161,8 @@ pub enum PlannerSpec {
     Greedy,
     /// Straight to the predicted target.
     Pursue,
+    /// Uniformly random headings.
+    Random,
     /// Headings that are best over several steps.
     Horizon {
         /// Steps that it looks ahead.
@@ -168,8 +170,6 @@ pub enum PlannerSpec {
         /// Blocks of steps, each of which has one heading.
         blocks: u32,
     },
-    /// Uniformly random headings.
-    Random,
 }
 
 /// The clearances that robots keep; zero means none, as in the paper.
@@ -214,7 +214,7 @@ impl Criterion {
 }
 
 /// The planners' names.
-pub const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "horizon", "random"];
+pub const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random", "horizon"];
 
 impl PlannerSpec {
     /// The name in scenarios and on the command line.
@@ -227,8 +227,8 @@ impl PlannerSpec {
             Self::Grid { .. } => "grid",
             Self::Greedy => "greedy",
             Self::Pursue => "pursue",
-            Self::Horizon { .. } => "horizon",
             Self::Random => "random",
+            Self::Horizon { .. } => "horizon",
         }
     }
 }

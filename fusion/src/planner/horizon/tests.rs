@@ -1,12 +1,13 @@
 use nalgebra::{Matrix2, Vector2};
 use proptest::prelude::*;
+use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::scenario::{Clearance, Criterion};
 
 use super::*;
 use crate::belief::Belief;
 use crate::planner::curves::tests::{covariance_m2, maybe, member};
-use crate::planner::{RangeNoise, TeamMember, for_team};
+use crate::planner::{RangeNoise, Sensor, TeamMember, for_team};
 
 fn situation(robots: std::ops::Range<usize>) -> impl Strategy<Value = Situation> {
     let clearance = (maybe(0.0, 1.0..6.0_f64), maybe(0.0, 0.5..4.0_f64), maybe(0.0, 0.5..3.0_f64));
@@ -172,4 +173,107 @@ proptest! {
         horizon.plan(4, &situation, &mut again);
         prop_assert_eq!(&again, &plan);
     }
+}
+
+/// Mean trace of the position covariance over a run, m^2. The target's mean is where the target is, so the planners differ only in their
+/// headings.
+fn run_trace_m2(spec: PlannerSpec, start: &Situation, seed: u64) -> f64 {
+    const TICKS: u64 = 100;
+    let mut draws = Draws::new(seed, Stream::RandomPlanner);
+    let mut now = start.clone();
+    let MotionModel::IntegratorChain { noise_psd, .. } = start.motion else { panic!("a chain of integrators") };
+    let mut planner = for_team(spec, now.team.len(), 1).unwrap();
+    let mut plan = Plan::default();
+    let mut sum = 0.0;
+    for tick in 0..TICKS {
+        planner.plan(tick, &now, &mut plan);
+        sum += plan.worth.position_trace_m2;
+        let noises: Vec<Noise> = now.team.iter().map(Noise::of).collect();
+        let at_rest = now.clone();
+        let ahead = Ahead::<4> { situation: &at_rest, noises: &noises, transition: now.motion.transition(now.step_s) };
+        let mut known = ahead.first();
+        let mut total = Information::default();
+        for (i, way_m) in ways_m(&plan.commands, now.step_s).into_iter().enumerate() {
+            now.team[i].position_m = now.team[i].position_m + way_m;
+            total += ahead.told(&known, i, way_m, now.team[i].position_m);
+        }
+        ahead.measure(&mut known, total);
+        let mut drawn = [0.0; 2];
+        draws.standard_normal(tick, &mut drawn);
+        for (axis, drawn) in drawn.into_iter().enumerate() {
+            known.target.x[2 + axis] += (noise_psd * now.step_s).sqrt() * drawn;
+        }
+        now.belief.assign(&known.target);
+    }
+    sum / TICKS as f64
+}
+
+/// A lone robot that goes where one step gains most never sees the target from the side. Two with bearings gain as well.
+#[test]
+fn one_robot_and_pairs_with_bearings_gain_by_looking_ahead() {
+    let range = Sensor::range(1.0);
+    let bearing = Sensor { range: None, bearing_std_rad: Some(0.05), ..range };
+    for (sensor, robots, speed_mps, most) in [(range, 1, 20.0, 0.4), (bearing, 1, 10.0, 0.6), (bearing, 2, 10.0, 0.95)]
+    {
+        let mut belief = Belief::of_position(Vector::default(), &(Matrix2::identity() * 10.0));
+        (belief.mean[2], belief.mean[3]) = (-8.0, 4.0);
+        (belief.covariance[(2, 2)], belief.covariance[(3, 3)]) = (10.0, 10.0);
+        let member = TeamMember { sensor, ..TeamMember::ranging(Vector::new(15.0, 0.0), speed_mps, 1.0) };
+        let start = Situation {
+            belief,
+            motion: MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 },
+            team: vec![member; robots],
+            clearance: Clearance { stand_off_m: 2.0, ..Clearance::default() },
+            step_s: 0.1,
+            ..Situation::default()
+        };
+        let sum = |spec| (1..=3).map(|seed| run_trace_m2(spec, &start, seed)).sum::<f64>();
+        let ahead = sum(PlannerSpec::Horizon { steps: 20, blocks: 2 });
+        let one_step = sum(PlannerSpec::Certified { nodes: 2_000 });
+        println!("{robots} of {sensor:?}: {:.2} of {one_step:.2} m^2", ahead / one_step);
+        assert!(ahead < most * one_step, "{robots} of {sensor:?}: {ahead} {one_step}");
+    }
+}
+
+/// For one robot, headings hardly worse than the best of a fine grid are found.
+#[test]
+fn the_courses_of_one_robot_are_nearly_the_best() {
+    let mut excesses: Vec<f64> = (0..60)
+        .map(|case| {
+            let mut u = [0.0; 6];
+            Draws::new(7, Stream::RandomPlanner).uniform(case, &mut u);
+            let mut belief =
+                Belief::of_position(Vector::default(), &Matrix2::new(0.3 + 9.0 * u[0], 0.2, 0.2, 0.3 + 9.0 * u[1]));
+            (belief.mean[2], belief.mean[3]) = (16.0 * u[2] - 8.0, 5.0);
+            (belief.covariance[(2, 2)], belief.covariance[(3, 3)]) = (3.0, 3.0);
+            let situation = Situation {
+                belief,
+                motion: MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 },
+                team: vec![TeamMember::ranging(
+                    Vector::new(40.0 * u[3] - 20.0, 40.0 * u[4] - 20.0),
+                    5.0 + 15.0 * u[5],
+                    0.5,
+                )],
+                clearance: Clearance { stand_off_m: 2.0, ..Clearance::default() },
+                step_s: 0.1,
+                ..Situation::default()
+            };
+            let mut horizon = Horizon::new(20, 2, 1, 1).unwrap();
+            horizon.plan(0, &situation, &mut Plan::default());
+            let noises = [Noise::of(&situation.team[0])];
+            let ahead =
+                Ahead::<4> { situation: &situation, noises: &noises, transition: situation.motion.transition(0.1) };
+            let found = horizon.courses.follow(&ahead);
+            let mut least = f64::INFINITY;
+            for (i, j) in (0..32).flat_map(|i| (0..32).map(move |j| (i, j))) {
+                horizon.courses.headings = [i, j].map(|k| Vector::from_angle(TAU * f64::from(k) / 32.0)).to_vec();
+                least = least.min(horizon.courses.follow(&ahead));
+            }
+            found / least - 1.0
+        })
+        .collect();
+    excesses.sort_unstable_by(f64::total_cmp);
+    let (p90, worst) = (excesses[53], excesses[59]);
+    println!("above the best of a grid: p90 {p90:.4}, at worst {worst:.4}");
+    assert!(p90 < 0.01 && worst < 0.25, "{excesses:?}");
 }

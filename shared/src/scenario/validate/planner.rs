@@ -22,8 +22,8 @@ impl Checker<'_> {
             "grid" => Ok(PlannerSpec::Grid { step_rad }),
             "greedy" => Ok(PlannerSpec::Greedy),
             "pursue" => Ok(PlannerSpec::Pursue),
-            "horizon" => Ok(PlannerSpec::Horizon { steps: steps as u32, blocks }),
             "random" => Ok(PlannerSpec::Random),
+            "horizon" => Ok(PlannerSpec::Horizon { steps: steps as u32, blocks }),
             other => {
                 let known = PLANNERS.map(quoted).join(", ");
                 Err(self.refuse("planner.name", format!("one of {known}"), quoted(other)))
