@@ -80,7 +80,7 @@ fn cost_of(ahead: &Ahead<'_, 4>, steps: usize, mut ways_m: impl FnMut(usize, &Si
         let (mut total, mut of_planner) = Default::default();
         for (i, way_m) in ways_m(step, &now).into_iter().enumerate() {
             let member = &mut now.team[i];
-            member.position_m = member.position_m + way_m;
+            member.position_m += way_m;
             total += told(member, way_m, now.belief.position_m() - member.position_m);
             of_planner += ahead.told(&known, i, way_m, member.position_m);
         }
@@ -194,7 +194,7 @@ fn run_trace_m2(spec: PlannerSpec, start: &Situation, seed: u64) -> f64 {
         let mut known = ahead.first();
         let mut total = Information::default();
         for (i, way_m) in ways_m(&plan.commands, now.step_s).into_iter().enumerate() {
-            now.team[i].position_m = now.team[i].position_m + way_m;
+            now.team[i].position_m += way_m;
             total += ahead.told(&known, i, way_m, now.team[i].position_m);
         }
         ahead.measure(&mut known, total);
