@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use super::ahead::{Ahead, Corners, Known};
+use crate::planner::Situation;
 use crate::planner::curves::information::Information;
 use crate::planner::curves::minimum::minimum;
 use crate::vector::Vector;
@@ -51,6 +52,16 @@ pub(super) struct Courses {
     before: Vec<Vector>,
     corners: Corners,
     work: usize,
+}
+
+/// Work on a step of one robot.
+fn work_of_step(situation: &Situation) -> usize {
+    if situation.clearance.separation_m > 0.0 { situation.team.len() } else { 1 }
+}
+
+/// True if the team is so small that there is time to follow its courses.
+pub(super) fn are_followed(steps: usize, situation: &Situation) -> bool {
+    steps * situation.team.len() * work_of_step(situation) <= WORK_MAX
 }
 
 impl Courses {
@@ -200,7 +211,7 @@ impl Courses {
         next_m[robot] = from_m + way_m;
         let told = ahead.told(known, robot, way_m, next_m[robot]);
         self.told[step * robots + robot] = told;
-        self.work += if ahead.situation.clearance.separation_m > 0.0 { robots } else { 1 };
+        self.work += work_of_step(ahead.situation);
         (next_m[robot], told)
     }
 }

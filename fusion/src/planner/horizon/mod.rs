@@ -174,7 +174,9 @@ impl Planner for Horizon {
 
     fn plan(&mut self, tick: u64, situation: &Situation, plan: &mut Plan) {
         self.one_step.plan(tick, situation, plan);
-        with_state_dim!(situation.motion.state_dim(), N => self.look_ahead::<N>(tick, situation, plan));
+        if courses::are_followed(self.steps, situation) {
+            with_state_dim!(situation.motion.state_dim(), N => self.look_ahead::<N>(tick, situation, plan));
+        }
         self.one_step.value(situation, plan);
     }
 }
