@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Vector2};
 use rangehound_shared::motion::Transition;
 
-use crate::filter::{Gaussian, RangeInformation};
+use crate::filter::{self, Gaussian};
 use crate::planner::curves::information::{Cost, Information};
 use crate::planner::curves::noise::Noise;
 use crate::planner::range_only::reach::{Limit, Reach, stand_off_m};
@@ -47,7 +47,7 @@ impl<const N: usize> Ahead<'_, N> {
         let matrix = Matrix2::new(t + s.x, s.y, s.y, t - s.x) * 0.5;
         let prior = Information::of_covariance(&known.target.position_covariance());
         known.cost += self.situation.criterion.cost(prior + told);
-        let updated = known.target.update(&RangeInformation { matrix, vector: Vector2::zeros(), count: 0 });
+        let updated = known.target.update(&filter::RangeInformation { matrix, vector: Vector2::zeros(), count: 0 });
         known.target = updated.predict(&self.transition);
     }
 
