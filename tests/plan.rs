@@ -14,7 +14,7 @@ use crate::support::{Outcome, Run};
 
 const LINE: &str = r#"{"prior_position_covariance":[[4,0.5],[0.5,2]],"target":[0,0],"time_step_s":0.1,"robots":[{"position":[20,0],"max_speed":10.0,"range_std":1.0},{"position":[0,15],"max_speed":10,"range_std":1}]}"#;
 
-const PLANNERS: [&str; 7] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random"];
+const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random", "horizon"];
 
 /// `plan` on a file of these lines.
 fn planned(lines: &[impl ToString], flags: &str) -> Outcome {
@@ -542,6 +542,8 @@ fn a_fatal_error_is_reported_in_one_line() {
         ("plan --alpha 2", "planner.alpha"),
         ("plan --step-rad 0", "planner.step_rad"),
         ("plan --step-rad nan", "planner.step_rad"),
+        ("plan --steps 101", "planner.steps"),
+        ("plan --steps 2 --blocks 3", "planner.blocks"),
         ("plan --seed -1", "--seed"),
         ("plan one two", "two"),
     ];
@@ -564,7 +566,9 @@ fn a_fatal_error_is_reported_in_one_line() {
 #[test]
 fn the_example_of_its_help_is_answered() {
     let help = Run::new().start(&["plan", "--help"]).finish().succeeded().stdout;
-    for flag in ["--planner", "--nodes", "--iterations", "--alpha", "--step-rad", "--seed", "FILE"] {
+    for flag in
+        ["--planner", "--nodes", "--iterations", "--alpha", "--step-rad", "--steps", "--blocks", "--seed", "FILE"]
+    {
         assert!(help.contains(flag), "{flag}");
     }
     let start = help.find("{\"prior").unwrap();

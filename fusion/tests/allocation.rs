@@ -4,9 +4,11 @@
 
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Late;
+use rangehound_fusion::planner::{Plan, Situation, TeamMember, for_team};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::measurement::{Measurement, Pose};
-use rangehound_shared::scenario::{PlannerTable, RobotsTable, Scenario, ScenarioFile};
+use rangehound_shared::motion::MotionModel;
+use rangehound_shared::scenario::{PlannerSpec, PlannerTable, RobotsTable, Scenario, ScenarioFile};
 
 fn scenario(planner: &str, robots: u64) -> Scenario {
     let file = ScenarioFile {
@@ -46,6 +48,7 @@ fn a_tick_allocates_nothing() {
         ("certified", 40),
         ("greedy", 10),
         ("pursue", 10),
+        ("horizon", 3),
     ] {
         let mut centre = Centre::new(&scenario(planner, robots)).unwrap().keeping_the_past();
         let mut reports = vec![None; robots as usize];
@@ -58,5 +61,30 @@ fn a_tick_allocates_nothing() {
             }
         });
         assert_eq!(counted.count_total, 0, "{planner}, {robots} robots");
+    }
+}
+
+/// The planner alone: a lone robot, which has most courses to try, and a team.
+#[test]
+fn a_plan_over_a_horizon_allocates_nothing() {
+    for robots in [1, 3] {
+        let mut planner = for_team(PlannerSpec::Horizon { steps: 20, blocks: 2 }, robots, 1).unwrap();
+        let mut situation = Situation {
+            motion: MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 },
+            step_s: 0.1,
+            ..Situation::default()
+        };
+        (0..4).for_each(|i| situation.belief.covariance[(i, i)] = 2.0);
+        let mut plan = Plan::default();
+        let mut plans = |ticks: std::ops::Range<u64>| {
+            for tick in ticks {
+                let place_m = |i: usize| Vector::from_angle(i as f64 + 0.1 * tick as f64) * 12.0;
+                situation.team.clear();
+                situation.team.extend((0..robots).map(|i| TeamMember::ranging(place_m(i), 10.0, 1.0)));
+                planner.plan(tick, &situation, &mut plan);
+            }
+        };
+        plans(0..20);
+        assert_eq!(allocation_counter::measure(|| plans(20..60)).count_total, 0, "{robots} robots");
     }
 }

@@ -24,6 +24,7 @@ const PLANNERS_DO: [&str; PLANNERS.len()] = [
     "Each robot chooses for itself, as if the others stood still",
     "Each robot drives straight to the predicted target",
     "Random headings",
+    "Headings that are best over several steps",
 ];
 
 /// What starts the next tick.

@@ -9,6 +9,7 @@
 //! a restarted fusion plans as the old one would have.
 
 mod curves;
+mod horizon;
 pub mod range_only;
 mod situation;
 
@@ -17,6 +18,7 @@ use rangehound_shared::scenario::PlannerSpec;
 use serde::{Deserialize, Serialize};
 
 use curves::Curves;
+use horizon::Horizon;
 use range_only::RangeOnly;
 pub use situation::{Situation, TeamMember};
 
@@ -89,8 +91,10 @@ pub enum PlannerError {
 /// # Errors
 /// [`PlannerError`] if it could not serve a team of this size.
 pub fn for_team(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn Planner>, PlannerError> {
-    let range_only = RangeOnly::new(range_only::solver(spec, robots, seed)?);
-    Ok(Box::new(ForAnyTeam { range_only, curves: Curves::new(spec) }))
+    Ok(match spec {
+        PlannerSpec::Horizon { steps, blocks } => Box::new(Horizon::new(steps, blocks, robots, seed)?),
+        _ => Box::new(ForAnyTeam::new(spec, robots, seed)?),
+    })
 }
 
 /// A bound for commands of any planner, with proof: that of the convex hulls.
@@ -109,6 +113,23 @@ pub fn hull_certificate(situation: &Situation, plan: &Plan) -> Certificate {
 struct ForAnyTeam {
     range_only: RangeOnly,
     curves: Curves,
+}
+
+impl ForAnyTeam {
+    fn new(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Self, PlannerError> {
+        let range_only = RangeOnly::new(range_only::solver(spec, robots, seed)?);
+        Ok(Self { range_only, curves: Curves::new(spec) })
+    }
+
+    /// Computes what the plan's commands are worth; proves nothing.
+    fn value(&mut self, situation: &Situation, plan: &mut Plan) {
+        plan.certificate = None;
+        plan.worth = if situation.is_range_only() {
+            self.range_only.worth(situation, &plan.commands)
+        } else {
+            curves::worth(situation, &plan.commands)
+        };
+    }
 }
 
 impl Planner for ForAnyTeam {

@@ -46,6 +46,10 @@ pub const ITERATIONS: u64 = 20;
 pub const ALPHA: f64 = 0.5;
 /// Step of the grid search, rad.
 pub const GRID_STEP_RAD: f64 = std::f64::consts::PI / 200.0;
+/// Steps that the horizon planner looks ahead.
+pub const STEPS: u64 = 20;
+/// Blocks of one heading each that the horizon planner divides them into.
+pub const BLOCKS: u64 = 2;
 /// Least distance of robots to the predicted target, in square roots of its predicted position trace,
 /// if no distance is given. With 3, about 1 run in 10 000 loses or nearly loses the target and spoils the errors of all. With more than
 /// 3.5, robots avoid a target that is poorly known at first, and the team takes longer to locate it.

@@ -179,7 +179,7 @@ pub struct LocaliserTable {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannerTable {
-    /// `"certified"`, `"adaptive"`, `"standard"`, `"grid"`, `"greedy"`, `"pursue"` or `"random"`.
+    /// `"certified"`, `"adaptive"`, `"standard"`, `"grid"`, `"greedy"`, `"pursue"`, `"random"` or `"horizon"`.
     pub name: Option<String>,
     /// Node budget of the certified planner.
     pub nodes: Option<u64>,
@@ -189,6 +189,10 @@ pub struct PlannerTable {
     pub alpha: Option<f64>,
     /// Step of the grid search on the bearing, rad.
     pub step_rad: Option<f64>,
+    /// Steps that the horizon planner looks ahead.
+    pub steps: Option<u64>,
+    /// Blocks of one heading each that the horizon planner divides them into.
+    pub blocks: Option<u64>,
     /// Least distance of robots to the predicted target, m.
     pub stand_off_m: Option<f64>,
     /// The same as a multiple of the square root of the predicted position trace; the larger distance counts.

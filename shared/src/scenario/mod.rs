@@ -88,6 +88,7 @@ pub enum Timeout {
 
 /// The source of the ranges.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant, reason = "one for each run")]
 pub enum Source {
     /// A simulated target.
     Simulated {
@@ -162,6 +163,13 @@ pub enum PlannerSpec {
     Pursue,
     /// Uniformly random headings.
     Random,
+    /// Headings that are best over several steps.
+    Horizon {
+        /// Steps that it looks ahead.
+        steps: u32,
+        /// Blocks of steps, each of which has one heading.
+        blocks: u32,
+    },
 }
 
 /// The clearances that robots keep; zero means none, as in the paper.
@@ -206,7 +214,7 @@ impl Criterion {
 }
 
 /// The planners' names.
-pub const PLANNERS: [&str; 7] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random"];
+pub const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random", "horizon"];
 
 impl PlannerSpec {
     /// The name in scenarios and on the command line.
@@ -220,6 +228,7 @@ impl PlannerSpec {
             Self::Greedy => "greedy",
             Self::Pursue => "pursue",
             Self::Random => "random",
+            Self::Horizon { .. } => "horizon",
         }
     }
 }

@@ -34,21 +34,32 @@ fn robot() -> impl Strategy<Value = RobotTable> {
 fn file() -> impl Strategy<Value = ScenarioFile> {
     let timeout = prop_oneof![any_number().prop_map(TimeoutKey::Seconds), ".{0,9}".prop_map(TimeoutKey::Word)];
     let clearance = (maybe(any_number()), maybe(any_number()), maybe(any_number()));
-    let planner =
-        (maybe("[a-z]{1,9}"), maybe(0..99_u64), maybe(0..99_u64), maybe(any_number()), maybe(any_number()), clearance)
-            .prop_map(|(name, nodes, iterations, alpha, step_rad, (stand_off_m, stand_off_sigma, separation_m))| {
-                PlannerTable {
-                    name,
-                    nodes,
-                    iterations,
-                    alpha,
-                    step_rad,
-                    stand_off_m,
-                    stand_off_sigma,
-                    separation_m,
-                    criterion: None,
-                }
-            });
+    let horizon = (maybe(0..999_u64), maybe(0..99_u64));
+    let planner = (
+        maybe("[a-z]{1,9}"),
+        maybe(0..99_u64),
+        maybe(0..99_u64),
+        maybe(any_number()),
+        maybe(any_number()),
+        horizon,
+        clearance,
+    )
+        .prop_map(|(name, nodes, iterations, alpha, step_rad, (steps, blocks), clearance)| {
+            let (stand_off_m, stand_off_sigma, separation_m) = clearance;
+            PlannerTable {
+                name,
+                nodes,
+                iterations,
+                alpha,
+                step_rad,
+                steps,
+                blocks,
+                stand_off_m,
+                stand_off_sigma,
+                separation_m,
+                criterion: None,
+            }
+        });
     let covariance = prop_oneof![
         any_number().prop_map(CovarianceKey::Scalar),
         proptest::collection::vec(any_number(), 1..9).prop_map(CovarianceKey::Diagonal),

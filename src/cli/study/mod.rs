@@ -38,6 +38,12 @@ pub struct PlanArgs {
     /// Step of the grid planner on the bearing, rad
     #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
     pub step_rad: Option<f64>,
+    /// Steps that the horizon planner looks ahead, 1 to 100
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub steps: Option<u64>,
+    /// Blocks of one heading each that the horizon planner divides them into
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub blocks: Option<u64>,
     /// Seed of the random planner; its headings also depend on the line's number
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub seed: Option<u64>,
@@ -86,6 +92,8 @@ impl PlanArgs {
             iterations: self.iterations,
             alpha: self.alpha,
             step_rad: self.step_rad,
+            steps: self.steps,
+            blocks: self.blocks,
             ..PlannerTable::default()
         };
         plan::plan(table, self.seed, self.file.as_deref())

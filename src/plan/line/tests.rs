@@ -226,7 +226,7 @@ proptest! {
         robots in proptest::collection::vec((0..4_usize, 0..4_usize, 0..8_u32, 0..2_usize, 0..3_usize, 0..3_usize), 1..4),
         variance in 0..3_usize, step in 0..3_usize, stand_off in 0..3_usize, separation in 0..2_usize,
         criterion in proptest::sample::select(vec!["trace", "eigenvalue", "determinant"]),
-        planner in proptest::sample::select(vec!["certified", "adaptive", "standard", "greedy", "pursue", "random"]),
+        planner in proptest::sample::select(vec!["certified", "adaptive", "standard", "greedy", "pursue", "random", "horizon"]),
     ) {
         let robots: Vec<Value> = robots.iter().map(|&(x, y, kinds, end, pose, speed)| {
             let (x_m, y_m, max_speed) = ([-1e8, 1e8, 0.0, 1.0][x], [-1e8, 0.0, 1e-9, 7.0][y], [0.0, 10.0, 1e5][speed]);

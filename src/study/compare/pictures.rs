@@ -26,6 +26,9 @@ const PANEL: u32 = 800;
 /// Ticks whose paths are drawn: later the field is so wide that robots and target coincide.
 const PATH_TICKS: u64 = 100;
 
+/// The colour of the planner that is one more than there are colours of robots and estimate.
+const LAST_COLOUR: RGBColor = RGBColor(227, 119, 194);
+
 /// Largest ANEES that is drawn: a planner that loses the target would flatten the others.
 const ANEES_MOST: f64 = 10.0;
 
@@ -45,7 +48,8 @@ pub fn draw(comparison: &Comparison, scenarios: &[Scenario], folder: &Path) -> a
 
 /// The planner's colour, the same in all pictures and comparisons.
 fn colour_of(name: &str) -> RGBColor {
-    COLOURS[PLANNERS.iter().position(|known| *known == name).unwrap_or_default() % COLOURS.len()]
+    let at = PLANNERS.iter().position(|known| *known == name).unwrap_or_default();
+    COLOURS.get(at).copied().unwrap_or(LAST_COLOUR)
 }
 
 /// Widths of lines that may coincide: earlier lines are wider, so that all remain visible.

@@ -17,14 +17,14 @@ pub(super) const ROUNDING: f64 = 64.0 * f64::EPSILON;
 ///
 /// Its eigenvalues are `(T + |S|) / 2` and `(T - |S|) / 2`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(super) struct Information {
-    pub(super) t: f64,
-    pub(super) s: Vector,
+pub(in crate::planner) struct Information {
+    pub(in crate::planner) t: f64,
+    pub(in crate::planner) s: Vector,
 }
 
 impl Information {
     /// The inverse of a covariance, m^2.
-    pub(super) fn of_covariance(p: &Matrix2<f64>) -> Self {
+    pub(in crate::planner) fn of_covariance(p: &Matrix2<f64>) -> Self {
         let scale = 1.0 / p.determinant().max(f64::MIN_POSITIVE);
         let s = Vector::new(p[(1, 1)] - p[(0, 0)], -2.0 * p[(0, 1)]) * scale;
         Self { t: (p[(0, 0)] + p[(1, 1)]) * scale, s }
@@ -82,7 +82,7 @@ impl Mul<f64> for Information {
 ///
 /// Every multiplier `m` gives a bound from `H(m)`, the most that `T + m . S` can be: no information in the convex hull costs
 /// less. The bound is reached at [`Cost::multiplier`].
-pub(super) trait Cost {
+pub(in crate::planner) trait Cost {
     /// The cost of this information.
     fn cost(self, information: Information) -> f64;
 

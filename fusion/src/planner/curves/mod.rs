@@ -13,10 +13,10 @@
 
 mod curve;
 mod hull;
-mod information;
+pub(super) mod information;
 mod leaf;
-mod minimum;
-mod noise;
+pub(super) mod minimum;
+pub(super) mod noise;
 mod piece;
 mod search;
 mod support;
@@ -29,10 +29,8 @@ use super::range_only::{Problem, RangeOnly};
 use super::{Certificate, Plan, Planner, Situation, Worth};
 use crate::vector::Vector;
 use information::{Cost, Information};
+use noise::Noise;
 use team::Team;
-
-/// What a heading's rounding may turn the target out of the field of view.
-const ROUNDING_RAD: f64 = 1e-9;
 
 /// The planner for all sensors that a scenario asks for.
 #[derive(Debug)]
@@ -58,7 +56,7 @@ impl Curves {
         let total = match *spec {
             PlannerSpec::Random => {
                 range_only.plan(tick, situation, plan);
-                commanded(team, situation, problem, plan)
+                commanded(situation, team.curves.iter().map(|curve| curve.noise), &plan.commands)
             }
             _ => {
                 let certificate = choose(team, *spec, problem, at);
@@ -70,11 +68,20 @@ impl Curves {
                 total
             }
         };
-        plan.worth = Worth {
-            objective: team.criterion.cost(total),
-            least_information_per_m2: total.least(),
-            position_trace_m2: total.position_trace_m2(),
-        };
+        plan.worth = worth_of(situation, total);
+    }
+}
+
+/// What these commands are worth.
+pub(super) fn worth(situation: &Situation, commands: &[Command]) -> Worth {
+    worth_of(situation, commanded(situation, situation.team.iter().map(Noise::of), commands))
+}
+
+fn worth_of(situation: &Situation, total: Information) -> Worth {
+    Worth {
+        objective: situation.criterion.cost(total),
+        least_information_per_m2: total.least(),
+        position_trace_m2: total.position_trace_m2(),
     }
 }
 
@@ -111,7 +118,7 @@ fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) 
             }
             None
         }
-        PlannerSpec::Pursue | PlannerSpec::Random => None,
+        PlannerSpec::Pursue | PlannerSpec::Random | PlannerSpec::Horizon { .. } => None,
     }
 }
 
@@ -130,15 +137,13 @@ fn commands(team: &Team, problem: &Problem, at: &[f64]) -> impl Iterator<Item = 
 }
 
 /// What is known after these commands.
-fn commanded(team: &Team, situation: &Situation, problem: &Problem, plan: &Plan) -> Information {
-    team.fused().fold(team.prior, |sum, i| {
-        let Command { heading_rad, speed_mps } = plan.commands[i];
-        let way_m = Vector::from_angle(heading_rad) * (speed_mps * situation.step_s);
-        let sight_m = problem.reaches[i].to_target_m - way_m;
-        let half_rad = 0.5 * situation.team[i].sensor.view_rad();
-        // At rest its heading is not the planner's to choose.
-        let is_seen = way_m == Vector::default() || curve::is_in_view(way_m, sight_m, half_rad + ROUNDING_RAD);
-        if is_seen { sum + team.curves[i].noise.information(sight_m) } else { sum }
+fn commanded(situation: &Situation, noises: impl Iterator<Item = Noise>, commands: &[Command]) -> Information {
+    let Situation { belief, team, step_s, .. } = situation;
+    let prior = Information::of_covariance(&belief.position_covariance_m2());
+    let fused = team.iter().zip(noises).zip(commands).filter(|((member, _), _)| member.is_fused);
+    fused.fold(prior, |sum, ((member, noise), command)| {
+        let way_m = Vector::from_angle(command.heading_rad) * (command.speed_mps * step_s);
+        sum + noise.information_after(way_m, belief.position_m() - member.position_m - way_m)
     })
 }
 
@@ -146,7 +151,7 @@ fn commanded(team: &Team, situation: &Situation, problem: &Problem, plan: &Plan)
 pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &Plan) -> Certificate {
     let mut team = Team::default();
     team.pose(situation, problem);
-    let total = commanded(&team, situation, problem, plan);
+    let total = commanded(situation, team.curves.iter().map(|curve| curve.noise), &plan.commands);
     // Rounding may put a bound above what it bounds.
     let lower_bound = team.bound(team.criterion, total).min(plan.worth.objective);
     Certificate {
@@ -157,4 +162,4 @@ pub(super) fn hull_certificate(situation: &Situation, problem: &Problem, plan: &
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -1,21 +1,29 @@
 //! What a robot's measurement tells, depending on where it is taken.
 
+use std::f64::consts::PI;
+
 use nalgebra::Matrix2;
 use rangehound_shared::scenario::SensorSpec;
 
+use super::curve::is_in_view;
 use super::information::Information;
 use crate::planner::TeamMember;
 use crate::vector::Vector;
 
+/// What a heading's rounding may turn the target out of the field of view.
+const ROUNDING_RAD: f64 = 1e-9;
+
 /// The noise of one robot's measurements and of its own pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Noise {
+pub(in crate::planner) struct Noise {
     /// Standard deviation of a range at distance 0, m, and its growth; `None` without ranges.
     pub(super) range: Option<(f64, f64)>,
     /// Variance of a bearing and of the heading that it is taken from, rad^2; `None` without bearings.
     pub(super) bearing_rad2: Option<f64>,
     /// Covariance of the robot's position, m^2.
     pub(super) position_m2: Matrix2<f64>,
+    /// Half the field of view, with room for the rounding of a heading.
+    half_view_rad: f64,
     /// Least `1 / d^2` at which it measures.
     nearness_per_m2: f64,
     /// The noise is constant, and the position known.
@@ -25,7 +33,7 @@ pub(super) struct Noise {
 }
 
 impl Noise {
-    pub(super) fn of(member: &TeamMember) -> Self {
+    pub(in crate::planner) fn of(member: &TeamMember) -> Self {
         let SensorSpec { range, bearing_std_rad, .. } = member.sensor;
         let heading_rad2 = member.heading_std_rad * member.heading_std_rad;
         let bearing_rad2 = bearing_std_rad.map(|std_rad| std_rad * std_rad + heading_rad2);
@@ -36,6 +44,7 @@ impl Noise {
             range: range.map(|range| (range.std_m, range.std_per_m)),
             bearing_rad2,
             position_m2,
+            half_view_rad: 0.5 * member.sensor.view_rad() + ROUNDING_RAD,
             nearness_per_m2: 1.0 / (limit_m * limit_m),
             is_plain: position_m2 == Matrix2::zeros() && range.is_none_or(|range| range.std_per_m == 0.0),
             range_per_m2: range.map_or(0.0, |range| 1.0 / (range.std_m * range.std_m)),
@@ -58,6 +67,14 @@ impl Noise {
     /// `a e e^T + c e_p e_p^T`, `a = 1 / (sigma_r(d)^2 + e^T P e)`, `c = 1 / (d^2 (sigma_b^2 + sigma_psi^2) + e_p^T P e_p)`.
     pub(super) fn information(&self, sight_m: Vector) -> Information {
         self.information_over(sight_m, 1.0)
+    }
+
+    /// The same after a move this way, which its field of view looks along. At rest its heading is not the planner's to choose:
+    /// then the target counts as seen.
+    pub(in crate::planner) fn information_after(&self, way_m: Vector, sight_m: Vector) -> Information {
+        let is_seen =
+            self.half_view_rad >= PI || way_m == Vector::default() || is_in_view(way_m, sight_m, self.half_view_rad);
+        if is_seen { self.information(sight_m) } else { Information::default() }
     }
 
     /// The same with the sight `p / w`: where the position is known, one division is enough.

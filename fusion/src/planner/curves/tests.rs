@@ -11,14 +11,14 @@ use crate::planner::{TeamMember, for_team};
 
 const CERTIFIED: PlannerSpec = PlannerSpec::Certified { nodes: 5_000 };
 
-fn covariance_m2() -> impl Strategy<Value = Matrix2<f64>> {
+pub(in crate::planner) fn covariance_m2() -> impl Strategy<Value = Matrix2<f64>> {
     (0.1..10.0_f64, 0.1..10.0_f64, -0.9..0.9_f64).prop_map(|(a, c, correlation)| {
         let b = correlation * (a * c).sqrt();
         Matrix2::new(a, b, b, c)
     })
 }
 
-fn maybe<T: std::fmt::Debug + Clone + 'static>(
+pub(in crate::planner) fn maybe<T: std::fmt::Debug + Clone + 'static>(
     none: T,
     some: impl Strategy<Value = T> + 'static,
 ) -> impl Strategy<Value = T> {
@@ -40,7 +40,7 @@ fn sensor() -> impl Strategy<Value = SensorSpec> {
     )
 }
 
-fn member() -> impl Strategy<Value = TeamMember> {
+pub(in crate::planner) fn member() -> impl Strategy<Value = TeamMember> {
     let place = (-40.0..40.0_f64, -40.0..40.0_f64).prop_map(|(x, y)| Vector::new(x, y));
     (place, maybe(Matrix2::zeros(), covariance_m2()), maybe(0.0, 0.01..0.1_f64), maybe(0.0, 0.1..30.0_f64), sensor())
         .prop_map(|(position_m, position_covariance_m2, heading_std_rad, max_speed_mps, sensor)| TeamMember {
@@ -147,7 +147,7 @@ proptest! {
         let problem = Problem::of(&situation);
         let mut team = Team::default();
         team.pose(&situation, &problem);
-        let total = commanded(&team, &situation, &problem, &best);
+        let total = commanded(&situation, team.curves.iter().map(|curve| curve.noise), &best.commands);
         // One bearing from next to the target outweighs all else by far.
         let is_lopsided = best.worth.position_trace_m2 * total.t > 1e3;
         prop_assert!(certificate.is_optimal || is_lopsided, "{:?} {certificate:?}", best.worth);

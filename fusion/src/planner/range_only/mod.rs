@@ -26,9 +26,11 @@ pub(super) mod reach;
 pub mod relaxation;
 mod solution;
 
-use rangehound_shared::scenario::PlannerSpec;
+use rangehound_shared::message::Command;
+use rangehound_shared::scenario::{PlannerSpec, defaults};
 
-use super::{Plan, Planner, PlannerError, Situation};
+use super::{Plan, Planner, PlannerError, Situation, Worth};
+use crate::vector::Vector;
 pub use arm::{Arm, Extent};
 pub use problem::Problem;
 pub use solution::{Solution, hull_certificate};
@@ -56,6 +58,8 @@ pub fn solver(spec: PlannerSpec, robots: usize, seed: u64) -> Result<Box<dyn Sol
         PlannerSpec::Greedy => Box::new(greedy::Greedy),
         PlannerSpec::Pursue => Box::new(pursue::Pursue),
         PlannerSpec::Random => Box::new(random::Random::new(seed)),
+        // Of its single steps.
+        PlannerSpec::Horizon { .. } => Box::new(certified::Certified::new(defaults::NODES as u32)),
     })
 }
 
@@ -73,6 +77,18 @@ impl RangeOnly {
     #[must_use]
     pub fn new(solver: Box<dyn Solver>) -> Self {
         Self { solver, problem: Problem::default(), solution: Solution::default() }
+    }
+
+    /// What these commands are worth.
+    pub(super) fn worth(&mut self, situation: &Situation, commands: &[Command]) -> Worth {
+        let Self { problem, solution, .. } = self;
+        problem.pose(situation);
+        solution.directions.clear();
+        solution.directions.extend(problem.reaches.iter().zip(commands).map(|(reach, command)| {
+            reach.direction_after(Vector::from_angle(command.heading_rad) * (command.speed_mps * situation.step_s))
+        }));
+        solution.value(problem);
+        solution.worth()
     }
 }
 

@@ -117,7 +117,7 @@ impl Problem {
     pub(super) fn after_heading(&self, i: usize, heading_rad: f64) -> (Vector, Command) {
         let reach = &self.reaches[i];
         let heading = Vector::from_angle(heading_rad);
-        let direction = reach.direction_after(heading);
+        let direction = reach.direction_after(heading * reach.step_m);
         if reach.is_clear_after(heading, &self.corners_m) {
             return (direction, Command { heading_rad, speed_mps: reach.speed_mps });
         }

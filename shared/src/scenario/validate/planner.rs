@@ -13,6 +13,8 @@ impl Checker<'_> {
         let step_rad =
             self.number("planner.step_rad", table.step_rad, defaults::GRID_STEP_RAD, 1e-6..=std::f64::consts::PI)?;
         let nodes = self.whole("planner.nodes", table.nodes, defaults::NODES, 1..=1_000_000)? as u32;
+        let steps = self.whole("planner.steps", table.steps, defaults::STEPS, 1..=100)?;
+        let blocks = self.whole("planner.blocks", table.blocks, defaults::BLOCKS.min(steps), 1..=steps)? as u32;
         match table.name.as_deref().unwrap_or(defaults::PLANNER) {
             "certified" => Ok(PlannerSpec::Certified { nodes }),
             "adaptive" => Ok(PlannerSpec::Adaptive { iterations, alpha }),
@@ -21,6 +23,7 @@ impl Checker<'_> {
             "greedy" => Ok(PlannerSpec::Greedy),
             "pursue" => Ok(PlannerSpec::Pursue),
             "random" => Ok(PlannerSpec::Random),
+            "horizon" => Ok(PlannerSpec::Horizon { steps: steps as u32, blocks }),
             other => {
                 let known = PLANNERS.map(quoted).join(", ");
                 Err(self.refuse("planner.name", format!("one of {known}"), quoted(other)))

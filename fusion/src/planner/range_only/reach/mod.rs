@@ -190,9 +190,19 @@ impl Reach {
         (heading, if self.step_m > 0.0 { self.speed_mps * (length_m / self.step_m).min(1.0) } else { 0.0 })
     }
 
-    /// Doubled bearing to the predicted target after a move at full speed along this heading (Eqs. 7, 8).
-    pub(super) fn direction_after(&self, heading: Vector) -> Vector {
-        let sight_m = self.to_target_m - heading * self.step_m;
+    /// Heading, as a unit vector, and speed of a move along this heading: at full speed if that keeps all clearances, else to the
+    /// nearest bearing that does.
+    pub(in crate::planner) fn motion_along(&self, heading: Vector, corners_m: &[Vector]) -> (Vector, f64) {
+        if self.is_clear_after(heading, corners_m) {
+            return (heading, self.speed_mps);
+        }
+        let arm = self.arm(1.0, corners_m);
+        self.motion(arm.nearest(self.direction_after(heading * self.step_m), arm.centre), corners_m)
+    }
+
+    /// Doubled bearing to the predicted target after this way (Eqs. 7, 8).
+    pub(super) fn direction_after(&self, way_m: Vector) -> Vector {
+        let sight_m = self.to_target_m - way_m;
         sight_m.normalised().unwrap_or(Vector::new(1.0, 0.0)).doubled()
     }
 
@@ -213,7 +223,7 @@ impl Reach {
 }
 
 /// The clearance that counts at this step: the least distance to the target, m.
-pub(super) fn stand_off_m(clearance: &Clearance, position_trace_m2: f64) -> f64 {
+pub(in crate::planner) fn stand_off_m(clearance: &Clearance, position_trace_m2: f64) -> f64 {
     clearance.stand_off_m.max(clearance.stand_off_sigma * position_trace_m2.max(0.0).sqrt())
 }
 

@@ -12,7 +12,7 @@ const ROUNDED: f64 = 1e-12;
 impl Limit {
     /// The limit that neighbour `other` sets to robot `me`: half of the distance between them, less half of the separation.
     /// While both respect it they keep the separation; if they are too close, it moves both apart.
-    pub(in super::super) fn between(
+    pub(in crate::planner) fn between(
         me: (usize, Vector),
         other: (usize, Vector),
         separation_m: f64,
@@ -29,7 +29,7 @@ impl Limit {
 
 impl Reach {
     /// Clips the places to the buffered Voronoi cell that the neighbours leave. Appends its corners.
-    pub(in super::super) fn separate(
+    pub(in crate::planner) fn separate(
         &mut self,
         limits: impl Iterator<Item = Limit> + Clone,
         corners_m: &mut Vec<Vector>,
