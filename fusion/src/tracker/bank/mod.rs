@@ -603,7 +603,10 @@ impl<const N: usize> Tracker for Bank<N> {
     }
 
     fn predict_into(&self, dt_s: f64, belief: &mut Belief) {
-        belief.assign(&self.estimate.predict(&self.motion.transition(dt_s)));
+        // The mean of mirror images is a place where the target is not: a plan needs the most likely one.
+        let most_likely = self.hypotheses.iter().max_by(|a, b| a.log_weight.total_cmp(&b.log_weight));
+        let estimate = most_likely.map_or(&self.estimate, |hypothesis| &hypothesis.estimate.target);
+        belief.assign(&estimate.predict(&self.motion.transition(dt_s)));
     }
 }
 
