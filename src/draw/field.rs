@@ -177,7 +177,7 @@ impl Paths {
                 let outline = covariance_m2.map(|covariance_m2| Ellipse::new(*place_m, &covariance_m2, 3.0));
                 let outline = outline.into_iter().flat_map(|ellipse| ellipse.outline_m(ELLIPSE_STEPS));
                 let lines = [
-                    (square.pieces(ray), colour.mix(0.2).stroke_width(2)),
+                    (square.pieces(ray), colour.mix(0.3).stroke_width(2)),
                     (square.pieces(error), colour.mix(0.7).stroke_width(2)),
                     (square.pieces(outline.map(|p| (p.x, p.y))), colour.mix(0.5).stroke_width(2)),
                 ];

@@ -23,7 +23,9 @@ fn totals(report: &Value, keys: [&str; 2]) -> [u64; 2] {
 #[track_caller]
 fn assert_tracked(run: &Run, flags: &str, rmse_max_m: f64) {
     let tracked = Run::new();
-    ["ranges.csv", "truth.csv"].map(|file| tracked.write(file, run.read(file)));
+    for file in ["ranges.csv", "truth.csv"] {
+        tracked.write(file, run.read(file));
+    }
     tracked.command(&format!("track ranges.csv --truth truth.csv --in-process --strict {flags}")).finish().succeeded();
     let (before, report) = (run.report(), tracked.report());
     let keys = ["ranges", "bearings"];

@@ -28,11 +28,11 @@ const FRAME: u32 = 110;
 const PLACES: f64 = 500.0;
 
 /// A kind of trouble in the logs: its name, and the number of affected robots.
-type Trouble = (&'static str, fn(&Bucket) -> u64);
+type Trouble<Name> = (Name, fn(&Bucket) -> u64);
 
 const WITHOUT_HEADING: &str = "without heading";
 
-const TROUBLES: [Trouble; 4] = [
+const TROUBLES: [Trouble<&str>; 4] = [
     ("robots missing", |bucket| bucket.missing),
     ("ranges late", |bucket| bucket.late),
     ("robots distrusted", |bucket| bucket.distrusted),
@@ -46,7 +46,7 @@ pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Sectio
     // The sensors of a recording follow no headings.
     let is_meant = |name| name != WITHOUT_HEADING || report.recording.is_none();
     let troubles = TROUBLES.into_iter().filter(|(name, of)| is_meant(*name) && count(*of) > 0);
-    let troubles: Vec<(String, fn(&Bucket) -> u64)> =
+    let troubles: Vec<Trouble<String>> =
         troubles.map(|(name, of)| (name.replace("ranges", report.measured()), of)).collect();
     if nodes.is_empty() && troubles.is_empty() {
         let text = "No node ended before the run did; no robot was missing, late or distrusted.".to_owned();
