@@ -107,8 +107,8 @@ pub struct TraceSummary {
     pub median: f64,
 }
 
-/// The outcome of the ranges, and of the bearings if there are any. A robot's range of a tick is fused, rejected or missing: their sum is robots
-/// times ticks where every robot has a range at every tick.
+/// The outcome of the ranges, and of the bearings if there are any. A robot's range of a tick is fused, rejected or missing:
+/// their sum is robots times ticks where every robot has a range, and nothing else, at every tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
     /// Published by robots, as logged by fusion or reported to the simulator by the end of the tick.
