@@ -23,6 +23,7 @@
 //! | `recordings` | recorded ranges, ours and (where they lie beside the project) real ones |
 //! | `recordings::believed` | the credibility of a recording: verdicts, and the findings of `calibrate` |
 //! | `recordings::intake` | input of a recording into a run: pipes, the copy in the run folder, names, a known start |
+//! | `results::bearings` | runs with bearings and uncertain robots: their report, and the run as a recording |
 //! | `results::page` | `report.html`: complete, small, offline, and it shows the faults |
 //! | `results::run_mcap` | a run in one file: for other readers, replayed bit-identically, cut, repaired, bounded |
 //! | `support` | run names, watchdogs, temporary folders |

@@ -48,7 +48,7 @@ fn description(file: &str, out_dir: PathBuf) -> RunDescription {
 /// Sealed descriptions of runs, and their bodies.
 #[must_use]
 pub fn run_descriptions() -> Vec<Vec<u8>> {
-    let files = ["paper.toml", "mixed_team.toml", "custom_model.toml", "recording/replay.toml"];
+    let files = ["paper.toml", "mixed_team.toml", "mixed_sensors.toml", "custom_model.toml", "recording/replay.toml"];
     let descriptions = files.map(|file| description(file, PathBuf::from("/nowhere")));
     let sealed = descriptions.iter().map(|description| description.seal().unwrap().into_bytes());
     let bodies = descriptions.iter().map(|description| serde_json::to_vec(description).unwrap());

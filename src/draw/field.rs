@@ -6,6 +6,7 @@ use nalgebra::{Matrix2, Vector2};
 use plotters::prelude::*;
 use rangehound_shared::scenario::Scenario;
 
+use crate::draw::belief::Belief;
 use crate::draw::chart::{self, Area, Drawn, ESTIMATE, KeyEntry, Plane, TARGET};
 use crate::draw::ellipse::Ellipse;
 
@@ -14,6 +15,9 @@ const ELLIPSES: usize = 16;
 
 /// Corners of an ellipse.
 const ELLIPSE_STEPS: u32 = 48;
+
+/// Steps of a straight line.
+const LINE_STEPS: u32 = 12;
 
 /// Teams up to this size have each robot in the legend.
 const FEW_ROBOTS: usize = 10;
@@ -38,6 +42,8 @@ pub struct Paths {
     pub truths_m: Vec<Option<Vector2<f64>>>,
     /// A path for each robot.
     pub robots_m: Vec<Vec<Vector2<f64>>>,
+    /// Each robot's own view, at the ticks at which there is something to show of it.
+    pub beliefs: Vec<Vec<Belief>>,
     /// Display name of each robot.
     pub names: Vec<String>,
 }
@@ -88,12 +94,13 @@ impl Paths {
     pub fn of_team(scenario: &Scenario) -> Self {
         let robots = scenario.robots.len();
         let names = (0..robots).map(|robot| scenario.name_of(robot)).collect();
-        Self { robots_m: vec![Vec::new(); robots], names, ..Self::default() }
+        Self { robots_m: vec![Vec::new(); robots], beliefs: vec![Vec::new(); robots], names, ..Self::default() }
     }
 
-    /// All true positions of target and robots.
+    /// All true positions of target and robots, and where robots believed they were.
     pub fn bodies(&self) -> impl Iterator<Item = &Vector2<f64>> {
-        self.truths_m.iter().flatten().chain(self.robots_m.iter().flatten())
+        let believed = self.beliefs.iter().flatten().map(|belief| &belief.place_m);
+        self.truths_m.iter().flatten().chain(self.robots_m.iter().flatten()).chain(believed)
     }
 
     /// Size of a picture of this width by [`Self::draw_whole`], px.
@@ -125,6 +132,7 @@ impl Paths {
         }
         let mut chart = builder.build_cartesian_2d(x, y)?;
         chart::draw_axes(&mut chart, "x, m", "y, m")?;
+        self.draw_beliefs(&mut chart, square)?;
         self.draw_robots(&mut chart, square)?;
         self.draw_ellipses(&mut chart, square)?;
         let estimates = square.pieces(self.estimates_m.iter().map(|p| (p.x, p.y)));
@@ -154,6 +162,35 @@ impl Paths {
         Ok(())
     }
 
+    /// The robots' own views at some ticks: the ray of a bearing, the 3 sigma ellipse of the own position, and a line from the
+    /// true to the believed place. Not of large teams, whose lines would hide the paths.
+    fn draw_beliefs(&self, chart: &mut Plane<'_, '_>, square: Square) -> Drawn {
+        if self.beliefs.len() > FEW_ROBOTS {
+            return Ok(());
+        }
+        for (id, beliefs) in self.beliefs.iter().enumerate() {
+            let colour = chart::robot_colour(id);
+            let every = beliefs.len().div_ceil(ELLIPSES).max(1);
+            for Belief { true_m, place_m, covariance_m2, ray_end_m } in beliefs.iter().rev().step_by(every) {
+                let ray = ray_end_m.map(|end_m| line_between(*place_m, end_m)).into_iter().flatten();
+                let error = line_between(*true_m, *place_m);
+                let outline = covariance_m2.map(|covariance_m2| Ellipse::new(*place_m, &covariance_m2, 3.0));
+                let outline = outline.into_iter().flat_map(|ellipse| ellipse.outline_m(ELLIPSE_STEPS));
+                let lines = [
+                    (square.pieces(ray), colour.mix(0.3).stroke_width(2)),
+                    (square.pieces(error), colour.mix(0.7).stroke_width(2)),
+                    (square.pieces(outline.map(|p| (p.x, p.y))), colour.mix(0.5).stroke_width(2)),
+                ];
+                for (piece, style) in
+                    lines.into_iter().flat_map(|(pieces, style)| pieces.into_iter().map(move |piece| (piece, style)))
+                {
+                    chart.draw_series(std::iter::once(PathElement::new(piece, style)))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// The 3 sigma ellipses of some ticks.
     fn draw_ellipses(&self, chart: &mut Plane<'_, '_>, square: Square) -> Drawn {
         let every = self.estimates_m.len().div_ceil(ELLIPSES).max(1);
@@ -165,6 +202,14 @@ impl Paths {
         }
         Ok(())
     }
+}
+
+/// Points on a straight line, so that it can be cut at the edge of a square.
+fn line_between(from_m: Vector2<f64>, to_m: Vector2<f64>) -> impl Iterator<Item = (f64, f64)> {
+    (0..=LINE_STEPS).map(move |step| {
+        let p = from_m.lerp(&to_m, f64::from(step) / f64::from(LINE_STEPS));
+        (p.x, p.y)
+    })
 }
 
 #[cfg(test)]

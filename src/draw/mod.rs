@@ -3,9 +3,10 @@
 //! | module | what |
 //! |---|---|
 //! | [`chart`] | a picture: its axes, colours and file |
-//! | [`field`], [`ellipse`] | paths and covariances in the plane |
+//! | [`field`], [`ellipse`], [`belief`] | paths, covariances and the robots' own views in the plane |
 //! | [`over_time`] | curves over time |
 
+pub mod belief;
 pub mod chart;
 pub mod ellipse;
 pub mod field;

@@ -7,15 +7,16 @@ use nalgebra::Matrix2;
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::Scenario;
+use rangehound_shared::scenario::{RobotSpec, Scenario};
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::history::{History, Known, News};
 use super::latency::{Latencies, Latency};
+use crate::draw::belief::Belief;
 use crate::draw::chart::{self, COLOURS};
 use crate::results::frame::{Frame, UNSETTLED_TICKS};
-use crate::results::report::{RangeSummary, position_covariance};
+use crate::results::report::{RangeSummary, measured, position_covariance};
 
 /// Most places of all robots' trails together.
 const TRAIL_PLACES_MAX: usize = 8_000;
@@ -30,6 +31,7 @@ const RATE_SPAN: Duration = Duration::from_secs(2);
 #[derive(Debug, Default)]
 pub(super) struct Scene {
     about: Value,
+    specs: Vec<RobotSpec>,
     trail_max: usize,
     newest: Option<Frame>,
     trails: VecDeque<Places>,
@@ -101,9 +103,14 @@ struct Robot {
     /// Fusion's command.
     command_rad: f64,
     command_mps: f64,
-    /// The range that fusion received, and where it was measured.
+    /// The range that fusion received.
     range_m: Option<f64>,
-    range_from_m: Option<[f64; 2]>,
+    /// Where the robot believed it was when it measured, if fusion received its message, and the covariance of that, if it
+    /// is not exact.
+    believed_m: Option<[f64; 2]>,
+    believed_covariance_m2: Option<[f64; 3]>,
+    /// End of the ray of its bearing.
+    bearing_to_m: Option<[f64; 2]>,
     is_distrusted: bool,
 }
 
@@ -122,12 +129,13 @@ impl Scene {
             "labels": scenario.robots.iter().map(|robot| &robot.label).collect::<Vec<_>>(),
             "ticks": scenario.ticks,
             "dt_s": scenario.dt_s,
+            "measured": measured(scenario.robots.iter().any(|robot| robot.sensor.bearing_std_rad.is_some())),
             "trail_max": trail_max,
             // Without the estimate's colour, by robot id; the same as in the report.
             "robot_colours": (0..COLOURS.len() - 1).map(|id| hex(chart::robot_colour(id))).collect::<Vec<_>>(),
             "estimate_colour": hex(chart::ESTIMATE),
         });
-        Self { about, trail_max, ..Self::default() }
+        Self { about, specs: scenario.robots.clone(), trail_max, ..Self::default() }
     }
 
     /// Adds a tick; the last one is shown.
@@ -214,7 +222,8 @@ impl Scene {
         let Places { tick, target_m, estimate_m, .. } = Places::of(frame);
         let p: Matrix2<f64> = position_covariance(&frame.fusion.estimate);
         let distrusted = frame.fusion.estimate.distrusted.map(RobotSet::from_bits);
-        let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges).enumerate();
+        let beliefs = Belief::all(&self.specs, &frame.fusion, &frame.world);
+        let robots = frame.world.robots.iter().zip(&frame.fusion.exchanges).zip(beliefs).enumerate();
         Picture {
             tick,
             time_s: frame.fusion.time_s,
@@ -223,9 +232,9 @@ impl Scene {
             estimate_m,
             covariance_m2: [p[(0, 0)], p[(0, 1)], p[(1, 1)]],
             robots: robots
-                .map(|(id, (robot, exchange))| {
-                    let range =
-                        exchange.heard.and_then(|heard| Some((heard.measurement.range()?.0, heard.measurement.pose)));
+                .map(|(id, ((robot, exchange), belief))| {
+                    let range = exchange.heard.and_then(|heard| heard.measurement.range());
+                    let covariance_m2 = belief.and_then(|belief| belief.covariance_m2);
                     Robot {
                         position_m: at(robot.pose),
                         heading_rad: milli(robot.driven.heading_rad),
@@ -233,7 +242,9 @@ impl Scene {
                         command_rad: milli(exchange.command.heading_rad),
                         command_mps: milli(exchange.command.speed_mps),
                         range_m: range.map(|(range_m, _)| milli(range_m)),
-                        range_from_m: range.map(|(_, pose)| at(pose)),
+                        believed_m: belief.map(|belief| belief.place_m.map(milli).into()),
+                        believed_covariance_m2: covariance_m2.map(|p| [p[(0, 0)], p[(0, 1)], p[(1, 1)]]),
+                        bearing_to_m: belief.and_then(|belief| Some(belief.ray_end_m?.map(milli).into())),
                         is_distrusted: distrusted.iter().any(|of_kind| of_kind.contains(id)),
                     }
                 })
@@ -326,6 +337,8 @@ pub(super) fn frame_for_test(tick: u64, scenario: &Scenario) -> Frame {
 #[cfg(test)]
 mod tests {
 
+    use rangehound_shared::measurement::Measurement;
+    use rangehound_shared::record::Heard;
     use rangehound_shared::scenario::ScenarioFile;
 
     use super::*;
@@ -375,6 +388,29 @@ mod tests {
         (3..=100).for_each(|at| tally.count(at, &tick(3, 0)));
         assert_eq!(tally.counts(), Counts { ticks: 100, fused: 5 + 98 * 3, ..expected });
         assert_eq!(tally.recent.len(), UNSETTLED_TICKS);
+    }
+
+    #[test]
+    fn a_robot_has_its_believed_place_its_uncertainty_and_the_ray_of_its_bearing() {
+        let file = ScenarioFile::parse(include_str!("../../scenarios/mixed_sensors.toml"), "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
+        let (mut scene, mut seen) = (Scene::new("a", "run", &scenario), Seen::default());
+        let mut frame = frame_for_test(1, &scenario);
+        frame.fusion.estimate.state[..2].copy_from_slice(&[10.0, 0.0]);
+        let exact = Measurement::new(Pose::default(), Some((9.5, 0.3)));
+        let pose = Pose { covariance_m2: [1.0, 0.25, 4.0], ..Pose::at([0.0, 1.0]) };
+        let uncertain = Measurement::new(pose, None).with_bearing(Some((0.0, 0.02)));
+        for (exchange, measurement) in frame.fusion.exchanges.iter_mut().zip([exact, uncertain]) {
+            exchange.heard = Some(Heard { measurement, ..Heard::default() });
+        }
+        scene.add(frame);
+        let sent = events(&scene, &mut seen);
+        assert_eq!(sent[0].1["measured"], "measurements");
+        let shown = ["range_m", "believed_m", "believed_covariance_m2", "bearing_to_m"];
+        let of = |robot: usize| shown.map(|key| sent[2].1["robots"][robot][key].clone());
+        assert_eq!(of(0), [json!(9.5), json!([0.0, 0.0]), Value::Null, Value::Null]);
+        assert_eq!(of(1), [Value::Null, json!([0.0, 1.0]), json!([1.0, 0.25, 4.0]), json!([11.055, 1.0])]);
+        assert_eq!(of(2), [Value::Null, Value::Null, Value::Null, Value::Null]);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use rangehound_shared::record::{FusionRecord, Heading, WorldRecord};
 use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::Scenario;
 
+use crate::draw::belief::Belief;
 use crate::draw::field::Paths;
 use crate::results::frame::LoggedTick;
 use crate::results::report::{Truth, position_covariance};
@@ -139,6 +140,13 @@ impl Curves {
                 }
             }
         }
+        if let (Some(fusion), Some(world)) = (fusion, world)
+            && thinning.keeps(tick)
+        {
+            for (beliefs, belief) in self.paths.beliefs.iter_mut().zip(Belief::all(&scenario.robots, fusion, world)) {
+                beliefs.extend(belief.filter(|belief| !belief.is_plain()));
+            }
+        }
     }
 
     fn add_to_stretch(&mut self, tick: u64, time_s: f64, estimate: &Estimate, thinning: Thinning) {
@@ -160,10 +168,12 @@ impl Curves {
 
     /// True if all numbers are finite and small enough: otherwise the loops that draw axes and ellipses would not end.
     fn can_be_drawn(&self) -> bool {
-        let Paths { estimates_m, covariances_m2, .. } = &self.paths;
-        let places = estimates_m.iter().chain(self.paths.bodies()).flat_map(|place| place.iter());
+        let Paths { estimates_m, covariances_m2, beliefs, .. } = &self.paths;
+        let rays_m = beliefs.iter().flatten().filter_map(|belief| belief.ray_end_m.as_ref());
+        let own_m2 = beliefs.iter().flatten().filter_map(|belief| belief.covariance_m2.as_ref());
+        let places = estimates_m.iter().chain(self.paths.bodies()).chain(rays_m).flat_map(|place| place.iter());
         let buckets = self.buckets.iter().map(|bucket| &bucket.time_s);
-        let numbers = places.chain(covariances_m2.iter().flat_map(|covariance| covariance.iter()));
+        let numbers = places.chain(covariances_m2.iter().chain(own_m2).flat_map(|covariance| covariance.iter()));
         let ends = self.ended_ns.iter().map(|(_, time_s)| time_s);
         numbers.chain(&self.times_s).chain(buckets).chain(ends).all(|number| number.abs() <= DRAWABLE_MAX)
             && self.times_s.is_sorted()

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
-use rangehound_shared::measurement::Pose;
+use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{FusionRecord, WorldRecord};
 use rangehound_shared::scenario::Source;
@@ -51,8 +51,9 @@ fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) ->
     writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
 }
 
-/// Writes `ranges.csv` and `truth.csv` of a run with known truth: the ranges that fusion received, in the form of a
-/// recording, and the target's true positions.
+/// Writes `ranges.csv` and `truth.csv` of a run with known truth: the ranges and bearings that fusion received, in the form of
+/// a recording, and the target's true positions. The columns of bearings, headings and uncertain poses are there if the run
+/// has them.
 ///
 /// # Errors
 /// If a file cannot be read or written.
@@ -60,7 +61,12 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let out_dir = &description.out_dir;
     let mut ranges = AtomicFile::create(&out_dir.join(RANGES))?;
     let mut truths = AtomicFile::create(&out_dir.join(TRUTH))?;
-    writeln!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
+    let columns = columns_of(description)?;
+    write!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
+    for (name, _) in &columns {
+        write!(ranges, ",{name}")?;
+    }
+    writeln!(ranges)?;
     writeln!(truths, "time_s,x_m,y_m")?;
     Frames::open(description)?.for_each(|LoggedTick { fusion, world, .. }| {
         let Some(WorldRecord { time_s, truth, .. }) = world else { return Ok(()) };
@@ -68,13 +74,48 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
         writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
         let exchanges = fusion.map_or(&[][..], |fusion| &fusion.exchanges);
         for (id, heard) in exchanges.iter().enumerate().filter_map(|(id, exchange)| Some((id, exchange.heard?))) {
-            if let Some((range_m, _)) = heard.measurement.range() {
-                let Pose { x_m, y_m, .. } = heard.measurement.pose;
-                writeln!(ranges, "{time_s:.4},{id},{x_m:.4},{y_m:.4},{:.4}", range_m.max(0.0))?;
+            let Measurement { pose: Pose { x_m, y_m, .. }, kinds, .. } = heard.measurement;
+            if kinds == 0 {
+                continue;
             }
+            write!(ranges, "{time_s:.4},{id},{x_m:.4},{y_m:.4},")?;
+            if let Some((range_m, _)) = heard.measurement.range() {
+                write!(ranges, "{:.4}", range_m.max(0.0))?;
+            }
+            for (_, value) in &columns {
+                match value(&heard.measurement) {
+                    Some(value) => write!(ranges, ",{value:.6}")?,
+                    None => write!(ranges, ",")?,
+                }
+            }
+            writeln!(ranges)?;
         }
         Ok(())
     })?;
     ranges.finish()?;
     truths.finish()
+}
+
+/// A column of a recording that only some runs need: its name, and its value for a measurement.
+type Column = (&'static str, fn(&Measurement) -> Option<f64>);
+
+const COLUMNS: [Column; 4] = [
+    ("bearing_rad", |measurement| Some(measurement.bearing()?.0)),
+    ("sensor_heading_rad", |measurement| measurement.bearing().map(|_| measurement.pose.heading_rad)),
+    ("sensor_std_m", |measurement| Some((0.5 * measurement.pose.position_covariance_m2().trace()).max(0.0).sqrt())),
+    ("sensor_heading_std_rad", |measurement| Some(measurement.pose.heading_std_rad)),
+];
+
+/// The columns that have a value other than 0 in a run.
+fn columns_of(description: &RunDescription) -> anyhow::Result<Vec<Column>> {
+    let mut is_needed = [false; COLUMNS.len()];
+    let mut log = logs::read_estimates(description)?;
+    while let Some(record) = log.next() {
+        for heard in record?.1.exchanges.iter().filter_map(|exchange| exchange.heard) {
+            for (is_needed, (_, value)) in is_needed.iter_mut().zip(COLUMNS) {
+                *is_needed |= value(&heard.measurement).is_some_and(|value| value != 0.0);
+            }
+        }
+    }
+    Ok(COLUMNS.into_iter().zip(is_needed).filter_map(|(column, is_needed)| is_needed.then_some(column)).collect())
 }

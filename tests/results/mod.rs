@@ -1,4 +1,5 @@
 //! The results of a run.
 
+mod bearings;
 mod page;
 pub(crate) mod run_mcap;

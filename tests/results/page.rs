@@ -69,3 +69,16 @@ fn unknown_facts_have_no_section() {
     tracked.command("track ranges.csv --range-std 1.0 --accel-psd 10 --in-process").finish().succeeded();
     assert_eq!(headings(&tracked.read("report.html")), ["Paths", "Trace", "NIS", "Faults"]);
 }
+
+#[test]
+fn the_page_of_a_recording_has_nothing_on_headings_that_no_sensor_follows() {
+    let run = Run::new();
+    run.write("ranges.csv", include_str!("../../scenarios/recording/ranges.csv"));
+    run.command("track ranges.csv --range-std 0.15 --accel-psd 0.05").finish().succeeded();
+    let page = run.read("report.html");
+    assert_eq!(headings(&page), ["Paths", "Trace", "NIS", "Faults"]);
+    assert!(!page.contains("<dt>headings</dt>") && !page.contains("range to heading"), "{page}");
+    // Programs find the figures all the same.
+    assert!(run.report()["latency_us"]["count"].as_u64() > Some(0));
+    run.assert_nothing_left();
+}

@@ -347,7 +347,8 @@ fn ticks_of_a_damaged_chunk_are_reported_missing() {
 
 #[test]
 fn every_frame_comes_back_to_the_bit() {
-    for file in ["paper.toml", "many_robots.toml", "constant_acceleration.toml", "recording/replay.toml"] {
+    let files = ["paper.toml", "many_robots.toml", "constant_acceleration.toml", "mixed_sensors.toml", "cameras.toml"];
+    for file in files.into_iter().chain(["recording/replay.toml"]) {
         let (description, mut all) = frames(file, 12);
         // Cases that do not occur in lock step.
         let strange = &mut all[7];

@@ -28,27 +28,34 @@ const FRAME: u32 = 110;
 const PLACES: f64 = 500.0;
 
 /// A kind of trouble in the logs: its name, and the number of affected robots.
-type Trouble = (&'static str, fn(&Bucket) -> u64);
+type Trouble<Name> = (Name, fn(&Bucket) -> u64);
 
-const TROUBLES: [Trouble; 4] = [
+const WITHOUT_HEADING: &str = "without heading";
+
+const TROUBLES: [Trouble<&str>; 4] = [
     ("robots missing", |bucket| bucket.missing),
     ("ranges late", |bucket| bucket.late),
     ("robots distrusted", |bucket| bucket.distrusted),
-    ("without heading", |bucket| bucket.without_heading),
+    (WITHOUT_HEADING, |bucket| bucket.without_heading),
 ];
 
 /// All failures that the logs and the supervisor recorded.
 pub(super) fn section(report: &Report, curves: &Curves) -> anyhow::Result<Section> {
     let nodes: Vec<&NodeSummary> = report.nodes.iter().filter(|node| has_failed(node)).collect();
     let count = |of: fn(&Bucket) -> u64| curves.buckets.iter().map(of).fold(0, u64::saturating_add);
-    let troubles: Vec<Trouble> = TROUBLES.into_iter().filter(|(_, of)| count(*of) > 0).collect();
+    // The sensors of a recording follow no headings.
+    let is_meant = |name| name != WITHOUT_HEADING || report.recording.is_none();
+    let troubles = TROUBLES.into_iter().filter(|(name, of)| is_meant(*name) && count(*of) > 0);
+    let troubles: Vec<Trouble<String>> =
+        troubles.map(|(name, of)| (name.replace("ranges", report.measured()), of)).collect();
     if nodes.is_empty() && troubles.is_empty() {
         let text = "No node ended before the run did; no robot was missing, late or distrusted.".to_owned();
         return Ok(Section { heading: "Faults", text, picture: String::new(), below: Markup::default() });
     }
     let drawn = &nodes[..nodes.len().min(NODES_MAX)];
     let titles: Vec<String> = drawn.iter().map(|node| node.title()).collect();
-    let names: Vec<&str> = troubles.iter().map(|(name, _)| *name).chain(titles.iter().map(String::as_str)).collect();
+    let names: Vec<&str> =
+        troubles.iter().map(|(name, _)| name.as_str()).chain(titles.iter().map(String::as_str)).collect();
     let key = key(!troubles.is_empty(), drawn);
     let height = chart::key_height(WIDTH, &key) + FRAME + ROW * names.len() as u32;
     let picture = chart::draw_to_string((WIDTH, height), |area| {

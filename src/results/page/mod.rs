@@ -43,7 +43,9 @@ pub fn write(report: &Report, curves: &Curves, out_dir: &Path) -> anyhow::Result
 }
 
 fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
-    let broad = [("ranges", report.ranges.to_string()), ("headings", report.headings.to_string())];
+    // The sensors of a recording follow no headings.
+    let headings = report.recording.is_none().then(|| ("headings", report.headings.to_string()));
+    let broad = [(report.measured(), report.ranges.to_string())].into_iter().chain(headings);
     let sections = sections::of(report, curves)?;
     let page = html! {
         (DOCTYPE)
@@ -106,11 +108,15 @@ fn key_figures(report: &Report) -> Vec<(&'static str, String)> {
     let anees = report.anees.map(|anees| ("ANEES, 1 is ideal", format!("{anees:.2}")));
     let nis = report.nis_mean.map(|nis| ("NIS, 1 is ideal", format!("{nis:.2}")));
     let nis_all = report.nis_all_mean.filter(|_| report.ranges.rejected > 0);
-    let nis_all = nis_all.map(|nis| ("NIS with the rejected ranges", format!("{nis:.2}")));
+    let with_rejected = match report.has_bearings() {
+        true => "NIS with the rejected measurements",
+        false => "NIS with the rejected ranges",
+    };
+    let nis_all = nis_all.map(|nis| (with_rejected, format!("{nis:.2}")));
     figures.extend([position_error, anees, nis, nis_all].into_iter().flatten());
     figures.push(("position trace, end", format!("{:.3} m²", trace.r#final)));
     figures.push(("position trace, median", format!("{:.3} m²", trace.median)));
-    if latency.count > 0 {
+    if report.has_latency() {
         figures.push(("range to heading, p50", format!("{:.0} µs", latency.p50)));
         figures.push(("range to heading, p99", format!("{:.0} µs", latency.p99)));
     }

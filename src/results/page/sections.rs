@@ -22,10 +22,10 @@ pub(super) fn of(report: &Report, curves: &Curves) -> anyhow::Result<Vec<Section
     if curves.has_length() {
         sections.push(paths(curves)?);
         sections.extend(errors(curves)?);
-        sections.push(trace(curves)?);
-        sections.extend(nis(curves)?);
+        sections.push(trace(curves, report)?);
+        sections.extend(nis(curves, report)?);
     }
-    if report.latency_us.count > 0 {
+    if report.has_latency() {
         sections.push(latency(report)?);
         sections.push(hops(report)?);
     }
@@ -44,6 +44,13 @@ fn paths(curves: &Curves) -> anyhow::Result<Section> {
     let picture = chart::draw_to_string(size, |area| curves.paths.draw_whole(area))?;
     let mut text =
         "The field from above, with 3 sigma ellipses of the estimate. Marks show the last positions.".to_owned();
+    let beliefs = || curves.paths.beliefs.iter().flatten();
+    if beliefs().any(|belief| belief.ray_end_m.is_some()) {
+        text.push_str(" Pale lines are bearings, from where the robot believed it was.");
+    }
+    if beliefs().any(|belief| belief.covariance_m2.is_some()) {
+        text.push_str(" Ellipses in a robot's colour are its own 3 sigma, with a line from where it was to where it believed it was.");
+    }
     // On a large field the ellipse is too small to see, so the text gives its half axes.
     let last = curves.paths.estimates_m.last().zip(curves.paths.covariances_m2.last());
     if let Some((centre_m, covariance_m2)) = last {
@@ -106,7 +113,7 @@ fn limit(extents: &Ascending) -> f64 {
     (1.05 * extents.quantile(1.0)).min(2.0 * extents.quantile(0.95)).max(1e-6)
 }
 
-fn trace(curves: &Curves) -> anyhow::Result<Section> {
+fn trace(curves: &Curves, report: &Report) -> anyhow::Result<Section> {
     // The bound of the last tick refers to a tick that is not in the run.
     let end_s = curves.span_s().end;
     let least_m2: Vec<(f64, f64)> =
@@ -122,16 +129,18 @@ fn trace(curves: &Curves) -> anyhow::Result<Section> {
     let picture = chart::draw_to_string((WIDTH, HEIGHT), |area| chart.draw_log(area, curves.span_s()))?;
     let mut text = "Trace of the position covariance: what the planner minimises.".to_owned();
     if is_proven {
-        text.push_str(
-            " The thin line is the planner's proven lower bound: no headings at the previous tick lead to less, if all ranges \
+        write!(
+            text,
+            " The thin line is the planner's proven lower bound: no headings at the previous tick lead to less, if all {} \
              are fused.",
-        );
+            report.measured()
+        )?;
     }
     Ok(section("Trace", text, picture))
 }
 
-/// Innovations beside the filter's own covariance; `None` if no range was fused.
-fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
+/// Innovations beside the filter's own covariance; `None` if nothing was fused.
+fn nis(curves: &Curves, report: &Report) -> anyhow::Result<Option<Section>> {
     let fused: Vec<&Bucket> =
         curves.buckets.iter().filter(|bucket| bucket.fused > 0 && bucket.nis.abs() <= DRAWABLE_MAX).collect();
     let Some(first) = fused.first() else { return Ok(None) };
@@ -148,7 +157,7 @@ fn nis(curves: &Curves) -> anyhow::Result<Option<Section>> {
     let limits = (1.0 - limit).max(0.0)..1.0 + limit;
     let span_s = curves.span_s();
     let chart = OverTime {
-        label: "NIS for each range".to_owned(),
+        label: format!("NIS for each {}", report.measured().trim_end_matches('s')),
         bands: vec![Band {
             name: Some("95 % of consistent filters".to_owned()),
             colour: BLACK.mix(0.15),

@@ -12,8 +12,8 @@ use rangehound_shared::scenario::{Scenario, Source};
 use super::consistency::{Consistency, ConsistencySummary};
 use super::verdict::{Evidence, RecordingEvidence, SensorEvidence, TruthEvidence, Verdict};
 use super::{
-    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
-    TraceSummary,
+    BearingSummary, Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
+    SensorSummary, TraceSummary,
 };
 use crate::results::hops::Hops;
 use crate::results::percentiles;
@@ -40,24 +40,47 @@ pub struct Accumulator {
     headings: HeadingSummary,
     latency_us: Samples,
     hops: Hops,
-    ranges_m: Samples,
+    /// Ranges, and distances to the estimate of bearings without a range, m.
+    distances_m: Samples,
     first_end_ns: Option<u64>,
     last_end_ns: u64,
 }
 
-/// One sensor's ranges.
-#[derive(Debug, Default)]
-struct Sensor {
+/// One sensor's measurements, by [`Kind`].
+type Sensor = [Outcomes; Kind::COUNT];
+
+/// One sensor's measurements of a kind.
+#[derive(Debug, Clone, Copy, Default)]
+struct Outcomes {
     counts: [u64; Use::ALL.len()],
     nis: Mean,
     nis_capped: Mean,
 }
 
-impl Sensor {
-    fn summary(&self, name: &str) -> SensorSummary {
-        let [fused, rejected, distrusted] = self.counts;
-        let ranges = fused + rejected + distrusted;
-        SensorSummary { name: name.to_owned(), ranges, fused, rejected, distrusted, nis_mean: self.nis.value() }
+impl Outcomes {
+    fn all(&self) -> u64 {
+        self.counts.iter().sum()
+    }
+}
+
+/// The summary of a sensor's measurements.
+fn summary_of([of_ranges, of_bearings]: &Sensor, name: &str) -> SensorSummary {
+    let [fused, rejected, distrusted] = of_ranges.counts;
+    let [bearings_fused, bearings_rejected, bearings_distrusted] = of_bearings.counts;
+    SensorSummary {
+        name: name.to_owned(),
+        ranges: of_ranges.all(),
+        fused,
+        rejected,
+        distrusted,
+        nis_mean: of_ranges.nis.value(),
+        bearings: (of_bearings.all() > 0).then(|| BearingSummary {
+            bearings: of_bearings.all(),
+            bearings_fused,
+            bearings_rejected,
+            bearings_distrusted,
+            bearings_nis_mean: of_bearings.nis.value(),
+        }),
     }
 }
 
@@ -83,7 +106,7 @@ impl Accumulator {
             headings: HeadingSummary::default(),
             latency_us: Samples::new()?,
             hops: Hops::new()?,
-            ranges_m: Samples::new()?,
+            distances_m: Samples::new()?,
             first_end_ns: None,
             last_end_ns: 0,
         })
@@ -150,32 +173,36 @@ impl Accumulator {
         }
     }
 
-    /// Adds the ranges of a tick that fusion has but the simulator did not log as published: the message reached the
-    /// simulator too late, or the simulator ended before the tick did.
+    /// Adds the measurements of a tick that fusion has but the simulator did not count as published: the second one of a
+    /// message, or a message that reached the simulator too late, or after its end.
     pub fn add_unlogged(&mut self, exchanges: &[Exchange], robots: &[RobotRecord]) {
         for (robot, exchange) in exchanges.iter().enumerate() {
             let is_told = robots.get(robot).is_some_and(|robot| robot.range_sent_ns.is_some());
-            let is_heard = exchange.heard.is_some_and(|heard| heard.measurement.kinds != 0);
-            self.ranges.published += u64::from(is_heard && !is_told);
+            let heard = exchange.heard.map_or(0, |heard| heard.measurement.count());
+            self.ranges.published += heard.saturating_sub(u64::from(is_told));
         }
     }
 
-    /// Adds the outcome of a tick's ranges for each sensor.
-    pub fn add_sensors(&mut self, exchanges: &[Exchange]) {
+    /// Adds the outcome of a tick's measurements for each sensor.
+    pub fn add_sensors(&mut self, estimate: &Estimate, exchanges: &[Exchange]) {
+        let [x_m, y_m, ..] = estimate.state;
         for (robot, exchange) in exchanges.iter().enumerate() {
             if self.sensors.len() <= robot {
                 self.sensors.push(Sensor::default());
             }
             let Some(heard) = exchange.heard else { continue };
-            if let Some((range_m, _)) = heard.measurement.range() {
-                self.ranges_m.add((range_m * 1e3) as u64);
+            let measurement = heard.measurement;
+            let distance_m = (measurement.pose.position_m() - Vector2::new(x_m, y_m)).norm();
+            let seen_m = measurement.bearing().map(|_| distance_m);
+            if let Some(distance_m) = measurement.range().map(|(range_m, _)| range_m).or(seen_m) {
+                self.distances_m.add((distance_m * 1e3) as u64);
             }
-            let sensor = &mut self.sensors[robot];
-            for judged in heard.judged.into_iter().flatten() {
-                sensor.counts[judged.used as usize] += 1;
+            for (outcomes, judged) in self.sensors[robot].iter_mut().zip(heard.judged) {
+                let Some(judged) = judged else { continue };
+                outcomes.counts[judged.used as usize] += 1;
                 if let Some(square) = judged.normalised_square {
-                    sensor.nis.add(square);
-                    sensor.nis_capped.add(square.min(SQUARE_CAP));
+                    outcomes.nis.add(square);
+                    outcomes.nis_capped.add(square.min(SQUARE_CAP));
                 }
             }
         }
@@ -196,21 +223,23 @@ impl Accumulator {
             .zip(&self.sensors)
             .map(|(robot, sensor)| SensorEvidence {
                 name: robot.label.clone(),
-                ranges: sensor.counts.iter().sum(),
-                fused: sensor.counts[Use::Fused as usize],
+                ranges: sensor.iter().map(Outcomes::all).sum(),
+                fused: sensor.iter().map(|outcomes| outcomes.counts[Use::Fused as usize]).sum(),
             })
             .collect();
         // A faulty sensor does not count against the result of the others.
-        let of_others = |nis: fn(&Sensor) -> Mean| {
+        let of_others = |nis: fn(&Outcomes) -> Mean| {
             let others = sensors.iter().zip(&self.sensors).filter(|(evidence, _)| !evidence.is_faulty());
-            let mean: Mean = others.map(|(_, sensor)| nis(sensor)).sum();
+            let mean: Mean = others.flat_map(|(_, sensor)| sensor).map(nis).sum();
             let dof_each = mean.count() / self.ticks.max(1) as f64;
             let all = self.nis_all.summary()?;
             mean.value().map(|mean| ConsistencySummary::new(mean, all.independent_samples, dof_each))
         };
-        let (nis_all, nis_capped) = (of_others(|sensor| sensor.nis), of_others(|sensor| sensor.nis_capped));
+        let (nis_all, nis_capped) = (of_others(|of_kind| of_kind.nis), of_others(|of_kind| of_kind.nis_capped));
         let mut traces_m2 = self.traces_m2[self.traces_m2.len() / 2..].to_vec();
-        let mut stds_m: Vec<f64> = scenario.robots.iter().filter_map(|robot| Some(robot.sensor.range?.std_m)).collect();
+        let sensors_of = || scenario.robots.iter().map(|robot| robot.sensor);
+        let mut stds_m: Vec<f64> = sensors_of().filter_map(|sensor| Some(sensor.range?.std_m)).collect();
+        let mut stds_rad: Vec<f64> = sensors_of().filter_map(|sensor| sensor.bearing_std_rad).collect();
         let Background { truth, recording } = background;
         Evidence {
             sensors,
@@ -220,9 +249,10 @@ impl Accumulator {
             anees: self.nees.summary(),
             truth,
             position_std_m: median(&mut traces_m2).unwrap_or(0.0).max(0.0).sqrt(),
-            median_range_m: self.ranges_m.at(0.5),
+            median_distance_m: self.distances_m.at(0.5),
             widened_share: self.gate_widened as f64 / self.ticks.max(1) as f64,
-            range_std_m: median(&mut stds_m).unwrap_or(0.0),
+            range_std_m: median(&mut stds_m),
+            bearing_std_rad: median(&mut stds_rad),
             recording,
         }
     }
@@ -265,8 +295,8 @@ impl Accumulator {
             sensors: scenario
                 .robots
                 .iter()
-                .zip(self.sensors)
-                .map(|(robot, sensor)| sensor.summary(&robot.label))
+                .zip(&self.sensors)
+                .map(|(robot, sensor)| summary_of(sensor, &robot.label))
                 .collect(),
             refused: self.refused,
             recording,
@@ -361,17 +391,46 @@ mod tests {
         };
         let mut totals = Accumulator::new().unwrap();
         let (fused, rejected, distrusted) = (Use::Fused, Use::Rejected, Use::Distrusted);
-        totals.add_sensors(&[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))]);
-        totals.add_sensors(&[
-            exchange(Some((fused, Some(0.5)))),
-            Exchange::default(),
-            exchange(Some((rejected, Some(20.0)))),
-        ]);
-        let summaries: Vec<SensorSummary> = totals.sensors.iter().map(|sensor| sensor.summary("a")).collect();
+        let estimate = Estimate::default();
+        totals.add_sensors(
+            &estimate,
+            &[exchange(Some((fused, None))), exchange(None), exchange(Some((distrusted, Some(5.0))))],
+        );
+        totals.add_sensors(
+            &estimate,
+            &[exchange(Some((fused, Some(0.5)))), Exchange::default(), exchange(Some((rejected, Some(20.0))))],
+        );
+        let summaries: Vec<SensorSummary> = totals.sensors.iter().map(|sensor| summary_of(sensor, "a")).collect();
         let expected = [(2, 2, 0, 0, Some(0.5)), (0, 0, 0, 0, None), (2, 0, 1, 1, Some(12.5))];
         for (summary, (ranges, fused, rejected, distrusted, nis_mean)) in summaries.into_iter().zip(expected) {
-            assert_eq!(summary, SensorSummary { name: "a".to_owned(), ranges, fused, rejected, distrusted, nis_mean });
+            let name = "a".to_owned();
+            assert_eq!(summary, SensorSummary { name, ranges, fused, rejected, distrusted, nis_mean, bearings: None });
         }
+    }
+
+    #[test]
+    fn bearings_are_counted_beside_ranges_and_both_as_published() {
+        let both = Measurement::new(Pose::at([3.0, 4.0]), Some((5.5, 0.1))).with_bearing(Some((0.5, 0.02)));
+        let alone = Measurement::new(Pose::at([3.0, 4.0]), None).with_bearing(Some((0.5, 0.02)));
+        let [fused, rejected] = [(Use::Fused, 0.5), (Use::Rejected, 20.0)]
+            .map(|(used, square)| Some(Judged { used, normalised_square: Some(square) }));
+        let exchange = |measurement, judged| Exchange {
+            heard: Some(Heard { measurement, taken_at: 1, judged }),
+            command: Command::default(),
+        };
+        let exchanges = [exchange(both, [fused, rejected]), exchange(alone, [None, fused])];
+        let answered = RobotRecord { range_sent_ns: Some(1), ..RobotRecord::default() };
+        let mut totals = Accumulator::new().unwrap();
+        totals.add_world(1, &[answered, answered]);
+        totals.add_unlogged(&exchanges, &[answered, answered]);
+        totals.add_sensors(&Estimate::default(), &exchanges);
+        assert_eq!(totals.ranges.published, 3);
+        assert!((totals.distances_m.at(1.0) - 5.5).abs() < 0.01 && (totals.distances_m.at(0.0) - 5.0).abs() < 0.01);
+        let json = |sensor| serde_json::to_string(&summary_of(&totals.sensors[sensor], "a")).unwrap();
+        let counts = r#""bearings":1,"bearings_fused":0,"bearings_rejected":1,"bearings_distrusted":0,"bearings_nis_mean":20.0}"#;
+        let expected = r#"{"name":"a","ranges":1,"fused":1,"rejected":0,"distrusted":0,"nis_mean":0.5,"#;
+        assert_eq!(json(0), format!("{expected}{counts}"));
+        assert!(json(1).starts_with(r#"{"name":"a","ranges":0,"#) && json(1).contains(r#""bearings_fused":1"#));
     }
 
     #[test]

@@ -27,8 +27,8 @@ use crate::files::layout::REPORT;
 use crate::results::frame::{Frames, LoggedTick};
 pub use accumulator::{Accumulator, Background, position_covariance, position_error};
 pub use summary::{
-    Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
-    SensorSummary, TraceSummary,
+    BearingSummary, Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary,
+    Report, SensorSummary, TraceSummary, measured,
 };
 pub use truth::Truth;
 use verdict::{RecordingEvidence, TruthEvidence};
@@ -79,7 +79,7 @@ impl<'a> ReportBuilder<'a> {
         }
         let Some(FusionRecord { time_s, estimate, exchanges }) = fusion else { return };
         totals.add_unlogged(exchanges, world.map_or(&[][..], |world| &world.robots));
-        totals.add_sensors(exchanges);
+        totals.add_sensors(estimate, exchanges);
         if let Some(world) = world {
             totals.add_hops(&estimate.stages, &world.robots);
         }

@@ -3,13 +3,13 @@
 use rangehound_shared::scenario::{name_of, printable};
 
 use super::{
-    Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report, SensorSummary,
-    TraceSummary,
+    BearingSummary, Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
+    SensorSummary, TraceSummary,
 };
 use crate::results::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
 
-/// Share of a sensor's ranges that were not fused, above which the sensor is printed.
+/// Share of a sensor's ranges or bearings that were not fused, above which the sensor is printed.
 const DOUBTFUL_SHARE: f64 = 0.1;
 
 /// Most intervals of distrust that are printed; the file has all.
@@ -36,7 +36,7 @@ impl std::fmt::Display for Report {
         writeln!(f, "{}", field("consistency", consistency))?;
         let TraceSummary { r#final: end, median } = self.position_trace_m2;
         writeln!(f, "{}", field("position trace", format_args!("{end:.3} m^2 at the end, {median:.3} median")))?;
-        writeln!(f, "{}\n{}", field("ranges", ranges), field("headings", headings))?;
+        writeln!(f, "{}\n{}", field(self.measured(), ranges), field("headings", headings))?;
         self.fmt_doubtful_messages(f)?;
         self.fmt_doubtful_sensors(f)?;
         if latency_us.count > 0 {
@@ -76,17 +76,28 @@ impl std::fmt::Display for HeadingSummary {
 const SENSOR_LINES_MAX: usize = 5;
 
 impl Report {
-    /// The sensors that lost most of their ranges, if any, and whether the gate was widened.
+    /// The sensors that lost many of their ranges or bearings, if any, and whether the gate was widened.
     fn fmt_doubtful_sensors(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let lost = |sensor: &SensorSummary| sensor.rejected + sensor.distrusted;
-        let mut doubtful: Vec<&SensorSummary> =
-            self.sensors.iter().filter(|sensor| lost(sensor) as f64 > DOUBTFUL_SHARE * sensor.ranges as f64).collect();
-        let share = |count: u64, of: u64| 100.0 * count as f64 / of as f64;
-        doubtful.sort_by(|a, b| share(lost(b), b.ranges).total_cmp(&share(lost(a), a.ranges)));
-        for SensorSummary { name, ranges, rejected, distrusted, .. } in doubtful.into_iter().take(SENSOR_LINES_MAX) {
-            let (rejected, distrusted) = (share(*rejected, *ranges), share(*distrusted, *ranges));
-            let lost = format!("{rejected:.0} % of {ranges} ranges rejected, {distrusted:.0} % distrusted");
-            writeln!(f, "{}", field_in(DOUBTFUL, "sensor", format_args!("{}: {lost}", printable(name))))?;
+        let share = |count: u64, of: u64| count as f64 / of as f64;
+        let mut doubtful: Vec<(f64, String)> = Vec::new();
+        for SensorSummary { name, ranges, rejected, distrusted, bearings, .. } in &self.sensors {
+            let of_bearings = bearings
+                .as_ref()
+                .map(|of: &BearingSummary| (of.bearings, "bearings", of.bearings_rejected, of.bearings_distrusted));
+            for (all, kind, rejected, distrusted) in
+                std::iter::once((*ranges, "ranges", *rejected, *distrusted)).chain(of_bearings)
+            {
+                let lost = share(rejected + distrusted, all);
+                if lost > DOUBTFUL_SHARE {
+                    let [rejected, distrusted] = [rejected, distrusted].map(|count| 100.0 * share(count, all));
+                    let text = format!("{rejected:.0} % of {all} {kind} rejected, {distrusted:.0} % distrusted");
+                    doubtful.push((lost, format!("{}: {text}", printable(name))));
+                }
+            }
+        }
+        doubtful.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+        for (_, text) in doubtful.into_iter().take(SENSOR_LINES_MAX) {
+            writeln!(f, "{}", field_in(DOUBTFUL, "sensor", text))?;
         }
         if self.gate_widened > 0 {
             let times = format!("at {} ticks: most sensors failed it together", self.gate_widened);

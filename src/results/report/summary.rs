@@ -72,6 +72,32 @@ pub struct Report {
     pub verdict: Verdict,
 }
 
+impl Report {
+    /// The word for what was counted: "ranges", or "measurements" if some are bearings.
+    #[must_use]
+    pub fn measured(&self) -> &'static str {
+        measured(self.has_bearings())
+    }
+
+    /// True if fusion received bearings.
+    #[must_use]
+    pub fn has_bearings(&self) -> bool {
+        self.sensors.iter().any(|sensor| sensor.bearings.is_some())
+    }
+
+    /// True if robots followed headings, and the time from range to heading is known. The sensors of a recording follow none.
+    #[must_use]
+    pub fn has_latency(&self) -> bool {
+        self.recording.is_none() && self.latency_us.count > 0
+    }
+}
+
+/// The word for what is counted in a run.
+#[must_use]
+pub fn measured(has_bearings: bool) -> &'static str {
+    if has_bearings { "measurements" } else { "ranges" }
+}
+
 /// Trace of the position covariance, m^2.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub struct TraceSummary {
@@ -81,8 +107,8 @@ pub struct TraceSummary {
     pub median: f64,
 }
 
-/// The outcome of the ranges. A robot's range of a tick is fused, rejected or missing: their sum is robots
-/// times ticks where every robot has a range at every tick.
+/// The outcome of the ranges, and of the bearings if there are any. A robot's range of a tick is fused, rejected or missing:
+/// their sum is robots times ticks where every robot has a range, and nothing else, at every tick.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct RangeSummary {
     /// Published by robots, as logged by fusion or reported to the simulator by the end of the tick.
@@ -99,7 +125,7 @@ pub struct RangeSummary {
     pub missing: u64,
 }
 
-/// The outcome of one sensor's ranges, in time or late: fused, rejected and distrusted add up to all.
+/// The outcome of one sensor's ranges and bearings, in time or late: fused, rejected and distrusted add up to all.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct SensorSummary {
     /// The sensor's name in the recording, or its robot's id.
@@ -115,6 +141,24 @@ pub struct SensorSummary {
     /// Each range's squared innovation over its variance, averaged over all ranges with a prediction: 1 if the sensor is
     /// as accurate as specified.
     pub nis_mean: Option<f64>,
+    /// The same of its bearings, if it had any.
+    #[serde(flatten)]
+    pub bearings: Option<BearingSummary>,
+}
+
+/// The outcome of one sensor's bearings, as that of its ranges in [`SensorSummary`].
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct BearingSummary {
+    /// Bearings that fusion received and tested.
+    pub bearings: u64,
+    /// Fused.
+    pub bearings_fused: u64,
+    /// Failed the gate.
+    pub bearings_rejected: u64,
+    /// Not fused because the robot's bearings were distrusted.
+    pub bearings_distrusted: u64,
+    /// Each bearing's squared innovation over its variance, averaged.
+    pub bearings_nis_mean: Option<f64>,
 }
 
 /// Messages that fusion refused, by [`Refusal`](rangehound_shared::message::Refusal).

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::consistency::ConsistencySummary;
+use super::measured;
 use crate::terminal::{BAD, DOUBTFUL, GOOD, prose_in};
 
 /// Share of a sensor's ranges that are not fused, above which the sensor counts as faulty.
@@ -43,12 +44,14 @@ pub struct Evidence {
     pub truth: Option<TruthEvidence>,
     /// Median standard deviation of the position (square root of the trace) in the second half of the run, m.
     pub position_std_m: f64,
-    /// Median of all ranges, m.
-    pub median_range_m: f64,
+    /// Median of all ranges, and of the distances of bearings without a range, m.
+    pub median_distance_m: f64,
     /// Share of the ticks at which the noise was widened, as most ranges failed the gate together.
     pub widened_share: f64,
-    /// Standard deviation that is assumed of a range, m: the median of the sensors'.
-    pub range_std_m: f64,
+    /// Standard deviation that is assumed of a range, m: the median of the sensors'; `None` if none measures ranges.
+    pub range_std_m: Option<f64>,
+    /// The same of a bearing, rad.
+    pub bearing_std_rad: Option<f64>,
     /// Facts about a recording; `None` for a simulated run.
     pub recording: Option<RecordingEvidence>,
 }
@@ -95,6 +98,30 @@ pub struct Verdict {
     pub reasons: Vec<String>,
     /// Further remarks.
     pub notes: Vec<String>,
+}
+
+impl Evidence {
+    fn has_bearings(&self) -> bool {
+        self.bearing_std_rad.is_some()
+    }
+
+    fn measured(&self) -> &'static str {
+        measured(self.has_bearings())
+    }
+
+    /// The assumed standard deviations, with their units.
+    fn assumed_noise(&self) -> String {
+        let [range, bearing] = [(self.range_std_m, "m"), (self.bearing_std_rad, "rad")]
+            .map(|(std, unit)| std.map(|std| format!("{std} {unit}")));
+        range.into_iter().chain(bearing).collect::<Vec<String>>().join(" and ")
+    }
+
+    /// The flags that assume this many times as much.
+    fn flags_of_noise(&self, factor: f64) -> String {
+        let range = self.range_std_m.map(|std_m| format!("--range-std {:.2}", std_m * factor));
+        let bearing = self.bearing_std_rad.map(|std_rad| format!("--bearing-std {:.4}", std_rad * factor));
+        range.into_iter().chain(bearing).collect::<Vec<String>>().join(" ")
+    }
 }
 
 impl SensorEvidence {
@@ -156,7 +183,7 @@ impl Symptoms {
                 || evidence.widened_share > WIDENED_SHARE_MAX,
             misfits: is_overconfident(&evidence.nis_capped) || is_overconfident(&evidence.nis),
             errs: is_overconfident(&evidence.anees),
-            is_vague: fused > 0 && evidence.position_std_m > VAGUE_SHARE * evidence.median_range_m,
+            is_vague: fused > 0 && evidence.position_std_m > VAGUE_SHARE * evidence.median_distance_m,
             is_doubtful: evidence.recording.as_ref().is_some_and(|recording| !recording.doubts.is_empty()),
             misses_truth: evidence.truth.is_some_and(|truth| truth.covered_share == 0.0),
         }
@@ -199,36 +226,47 @@ impl Symptoms {
     }
 
     fn reason_of_misfit(self, evidence: &Evidence) -> String {
-        let std_m = evidence.range_std_m;
+        let measured = evidence.measured();
         let heard = evidence.sensors.iter().filter(|sensor| sensor.ranges > 0).count();
         if self.nothing_fused && evidence.sensors.iter().all(|sensor| sensor.ranges == 0) {
-            return "no range was received: see logs/ in the run folder".to_owned();
+            let one = measured.trim_end_matches('s');
+            return format!("no {one} was received: see logs/ in the run folder");
         }
         let is_recorded = evidence.recording.is_some();
         if !is_recorded && self.errs && !self.misfits {
-            return "the error is larger than the filter believes although the ranges fit: robots came as close to the \
-                    target as its position is uncertain; keep a distance with --stand-off"
-                .to_owned();
+            return format!(
+                "the error is larger than the filter believes although the {measured} fit: robots came as close to the \
+                 target as its position is uncertain; keep a distance with --stand-off"
+            );
         }
         if !is_recorded {
-            return "the ranges do not fit the scenario's model: noise, prior or target model differ from the truth"
-                .to_owned();
+            return format!(
+                "the {measured} do not fit the scenario's model: noise, prior or target model differ from the truth"
+            );
         }
         let faulty = evidence.sensors.iter().find(|sensor| sensor.is_faulty());
         if let Some(SensorEvidence { name, ranges, fused }) = faulty.filter(|_| !self.rejects_most) {
             return format!(
-                "sensor {name} contradicts the others: {fused} of its {ranges} ranges were fused; correct its place or \
-                 bias, or leave it out"
+                "sensor {name} contradicts the others: {fused} of its {ranges} {measured} were fused; correct its place \
+                 or bias, or leave it out"
             );
         }
         let misfit = evidence.nis_capped.or(evidence.nis).filter(|_| self.misfits).map(|nis| nis.mean.sqrt());
         match misfit {
             _ if self.errs && heard <= 2 => self.reason_of_vagueness(evidence),
-            Some(misfit) => format!(
-                "the ranges differ from what is expected by {misfit:.1} times the assumed {std_m} m: a bias, sensors in \
-                 the wrong place, or more noise (--range-std {:.2}); `rangehound calibrate` shows which",
-                std_m * misfit
-            ),
+            Some(misfit) => {
+                let (assumed, flags) = (evidence.assumed_noise(), evidence.flags_of_noise(misfit));
+                format!(
+                    "the {measured} differ from what is expected by {misfit:.1} times the assumed {assumed}: a bias, sensors \
+                     in the wrong place, or more noise ({flags}){}",
+                    if evidence.has_bearings() { "" } else { "; `rangehound calibrate` shows which" }
+                )
+            }
+            None if evidence.has_bearings() => {
+                "the measurements contradict each other or the truth: a bias, a wrong unit, sensors in the wrong place or with \
+                 a wrong heading, or two targets"
+                    .to_owned()
+            }
             None if self.errs => "the error is larger than the filter believes although the ranges fit: a bias that is \
                                   common to the sensors, or wrong sensor positions; `rangehound calibrate` looks for a bias"
                 .to_owned(),
@@ -241,6 +279,12 @@ impl Symptoms {
     fn reason_of_vagueness(self, evidence: &Evidence) -> String {
         let heard = evidence.sensors.iter().filter(|sensor| sensor.ranges > 0).count();
         let std_m = evidence.position_std_m;
+        if evidence.has_bearings() {
+            return format!(
+                "the position is known to {std_m:.1} m only: the bearings hardly cross, too few measurements were received, or \
+                 the target's noise is set far too high"
+            );
+        }
         match heard {
             0..=2 => format!(
                 "{heard} sensor{} cannot distinguish the target from its mirror image: the position is known to {std_m:.1} m only; \
@@ -258,8 +302,10 @@ impl Symptoms {
 fn summary(evidence: &Evidence, symptoms: &Symptoms) -> String {
     let [ranges, fused] = [|s: &SensorEvidence| s.ranges, |s: &SensorEvidence| s.fused]
         .map(|count| evidence.sensors.iter().map(count).sum::<u64>());
-    let mut parts = vec![format!("{fused} of {ranges} ranges fused")];
-    for (name, figure) in [("NIS of all ranges", &evidence.nis_all), ("ANEES", &evidence.anees)] {
+    let measured = evidence.measured();
+    let mut parts = vec![format!("{fused} of {ranges} {measured} fused")];
+    for (name, figure) in [(format!("NIS of all {measured}"), &evidence.nis_all), ("ANEES".to_owned(), &evidence.anees)]
+    {
         if let Some(ConsistencySummary { mean, band_95, .. }) = figure {
             let place = if *mean > band_95.high {
                 "above"
@@ -279,19 +325,20 @@ fn summary(evidence: &Evidence, symptoms: &Symptoms) -> String {
 
 fn notes(evidence: &Evidence, sound: bool) -> Vec<String> {
     let mut notes = Vec::new();
+    let measured = evidence.measured();
     let faulty: Vec<&SensorEvidence> = evidence.sensors.iter().filter(|sensor| sensor.is_faulty()).collect();
     if sound && let [only] = faulty[..] {
         let share = 100.0 * only.rejected_share();
-        notes.push(format!("sensor {} was left out: {share:.0} % of its ranges did not fit the others", only.name));
+        notes.push(format!("sensor {} was left out: {share:.0} % of its {measured} did not fit the others", only.name));
     } else if sound && !faulty.is_empty() {
         let names: Vec<&str> = faulty.iter().map(|sensor| sensor.name.as_str()).collect();
-        notes.push(format!("sensors {} were left out: most of their ranges did not fit the others", names.join(", ")));
+        let names = names.join(", ");
+        notes.push(format!("sensors {names} were left out: most of their {measured} did not fit the others"));
     }
     if let Some(nis) = evidence.nis_all.filter(|nis| nis.mean < 0.5 && nis.mean < nis.band_95.low) {
-        let likely_m = evidence.range_std_m * nis.mean.sqrt();
+        let (assumed, flags) = (evidence.assumed_noise(), evidence.flags_of_noise(nis.mean.sqrt()));
         notes.push(format!(
-            "the filter is cautious: the ranges are better than the assumed {} m (--range-std {likely_m:.2} fits)",
-            evidence.range_std_m
+            "the filter is cautious: the {measured} are better than the assumed {assumed} ({flags} fits)"
         ));
     }
     if let Some(truth) =
@@ -342,9 +389,10 @@ mod tests {
             anees: figure(0.9),
             truth: Some(TruthEvidence { covered_share: 1.0, span_s: [0.0, 10.0], run_span_s: [0.0, 10.0] }),
             position_std_m: 0.1,
-            median_range_m: 5.0,
+            median_distance_m: 5.0,
             widened_share: 0.0,
-            range_std_m: 0.1,
+            range_std_m: Some(0.1),
+            bearing_std_rad: None,
             recording: Some(RecordingEvidence::default()),
         }
     }
@@ -405,6 +453,20 @@ mod tests {
         let rejected = ["A", "B", "C"].map(|name| sensor(name, 100, 60));
         assert!(reasons(&Evidence { sensors: rejected.into(), nis: figure(0.9), ..good() }).contains("calibrate"));
         assert!(reasons(&Evidence { widened_share: 0.3, ..good() }).contains("calibrate"));
+    }
+
+    #[test]
+    fn bearings_have_words_and_flags_of_their_own() {
+        let cameras = Evidence { range_std_m: None, bearing_std_rad: Some(0.02), ..good() };
+        assert!(Verdict::of(&cameras).summary.contains("297 of 300 measurements fused, NIS of all measurements"));
+        let misfit = Evidence { nis_all: figure(90.0), nis_capped: figure(9.0), ..cameras.clone() };
+        assert!(
+            reasons(&misfit).contains("3.0 times the assumed 0.02 rad")
+                && reasons(&misfit).contains("(--bearing-std 0.0600)")
+        );
+        let both = Evidence { range_std_m: Some(0.1), ..misfit };
+        assert!(reasons(&both).contains("(--range-std 0.30 --bearing-std 0.0600)"));
+        assert!(reasons(&Evidence { position_std_m: 6.0, ..cameras }).contains("bearings hardly cross"));
     }
 
     #[test]

@@ -1,4 +1,5 @@
-//! A run drawn in well-known messages: positions, commanded headings and measured ranges.
+//! A run drawn in well-known messages: positions, commanded headings, measured ranges and bearings, and the robots' own
+//! views of their positions.
 //!
 //! Foxglove draws the scene. Rerun draws only poses and point clouds, so the main objects are sent as those too.
 
@@ -14,6 +15,7 @@ use nalgebra::Vector2;
 use plotters::style::RGBColor;
 use rangehound_shared::scenario::{Scenario, printable};
 
+use crate::draw::belief::Belief;
 use crate::draw::chart::{ESTIMATE, TARGET, robot_colour};
 use crate::draw::ellipse::Ellipse;
 use crate::results::frame::Frame;
@@ -28,7 +30,8 @@ const TRAIL_S: i32 = 5;
 /// Most scenes per second of the run's time.
 const SCENES_PER_S: f64 = 10.0;
 
-/// Most points of all range circles of a scene together, and the limits for one circle. Larger teams have no circles.
+/// Most points of all range circles of a scene together, and the limits for one circle. Larger teams have no circles, rays
+/// and believed places.
 const CIRCLES_POINTS: usize = 128;
 const CIRCLE_POINTS_MAX: usize = 36;
 const CIRCLE_POINTS_MIN: usize = 12;
@@ -40,20 +43,21 @@ const FONT_PX: f64 = 14.0;
 /// Points of the ellipse in the point cloud.
 const ELLIPSE_POINTS: u32 = 32;
 
-/// Size of an object, as a share of the longest range of the first scene.
+/// Size of an object, as a share of the longest range of the first scene, or of the distance to the estimate for a sensor
+/// without ranges.
 const SIZE_SHARE: f64 = 0.03;
 
 /// As in the report's own pictures.
 const SIGMAS: f64 = 3.0;
 
-/// Opacity of the ellipse and of range circles: objects behind them stay visible.
+/// Opacity of ellipses, and of range circles and rays: objects behind them stay visible.
 const ELLIPSE_OPACITY: f64 = 0.25;
 const CIRCLE_OPACITY: f64 = 0.4;
 
 /// Draws a run's scenes, tick by tick.
 #[derive(Debug, Default)]
 pub struct Scene {
-    /// Size of an object, m; 0 until the first range gives the scale of the scene.
+    /// Size of an object, m; 0 until the first measurement gives the scale of the scene.
     size_m: f64,
     next_s: f64,
     /// Positions in the previous scene: target, estimate, robots.
@@ -70,7 +74,10 @@ impl Scene {
         }
         self.next_s = time_s + 1.0 / SCENES_PER_S;
         if self.size_m == 0.0 {
-            let ranges = frame.world.robots.iter().filter_map(|robot| robot.range_m);
+            let ranges = frame.world.robots.iter().filter_map(|robot| {
+                let to_estimate_m = (robot.pose.position_m() - Vector2::from(estimate_of(frame))).norm();
+                robot.range_m.or(robot.bearing_rad.map(|_| to_estimate_m))
+            });
             let widest_m = ranges.fold(0.0_f64, |widest_m, range_m| widest_m.max(range_m.abs()));
             self.size_m = SIZE_SHARE * widest_m;
         }
@@ -91,12 +98,19 @@ impl Scene {
             });
         }
         entities.push(SceneEntity {
-            spheres: vec![ball(estimate_of(frame), 0.8 * size_m, opaque(ESTIMATE)), ellipsoid(frame)],
+            spheres: vec![
+                ball(estimate_of(frame), 0.8 * size_m, opaque(ESTIMATE)),
+                ellipsoid(estimate_of(frame), ellipse_of(frame), ESTIMATE),
+            ],
             ..entity("estimate".to_owned(), 0)
         });
-        let (mut arrows, mut circles) = (Vec::new(), Vec::new());
+        let (mut arrows, mut circles, mut rays) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut errors, mut ellipses) = (Vec::new(), Vec::new());
         let points = (CIRCLES_POINTS / scenario.robots.len().max(1)).min(CIRCLE_POINTS_MAX);
-        for (id, (robot, exchange)) in frame.world.robots.iter().zip(&frame.fusion.exchanges).enumerate() {
+        let beliefs = Belief::all(&scenario.robots, &frame.fusion, &frame.world);
+        for (id, ((robot, exchange), belief)) in
+            frame.world.robots.iter().zip(&frame.fusion.exchanges).zip(beliefs).enumerate()
+        {
             arrows.push(arrow(
                 at(robot.pose),
                 exchange.command.heading_rad,
@@ -104,15 +118,28 @@ impl Scene {
                 size_m,
                 opaque(robot_colour(id)),
             ));
-            if let Some(heard) = exchange.heard
-                && let Some((range_m, _)) = heard.measurement.range()
-                && points >= CIRCLE_POINTS_MIN
-            {
-                circles.push(circle(at(heard.measurement.pose), range_m, points, robot_colour(id)));
+            let Some((heard, belief)) = exchange.heard.zip(belief).filter(|_| points >= CIRCLE_POINTS_MIN) else {
+                continue;
+            };
+            let (place_m, colour) = (belief.place_m.into(), robot_colour(id));
+            if let Some((range_m, _)) = heard.measurement.range() {
+                circles.push(circle(place_m, range_m, points, colour));
+            }
+            if let Some(end_m) = belief.ray_end_m {
+                rays.push(segment(place_m, end_m.into(), with_opacity(colour, CIRCLE_OPACITY)));
+            }
+            if let Some(covariance_m2) = &belief.covariance_m2 {
+                ellipses.push(ellipsoid(place_m, Ellipse::new(belief.place_m, covariance_m2, SIGMAS), colour));
+            }
+            if belief.place_m != belief.true_m {
+                errors.push(segment(belief.true_m.into(), place_m, opaque(colour)));
             }
         }
         entities.push(SceneEntity { arrows, texts: names(scenario, frame, size_m), ..entity("robots".to_owned(), 0) });
         entities.push(SceneEntity { lines: circles, ..entity("ranges".to_owned(), 0) });
+        // Even without contents: an entity stays as it is until the next one of its name.
+        entities.push(SceneEntity { lines: rays, ..entity("bearings".to_owned(), 0) });
+        entities.push(SceneEntity { spheres: ellipses, lines: errors, ..entity("believed".to_owned(), 0) });
         let now: Vec<Option<[f64; 2]>> = [target_of(frame), Some(estimate_of(frame))]
             .into_iter()
             .chain(frame.world.robots.iter().map(|robot| Some(at(robot.pose))))
@@ -214,15 +241,14 @@ fn ball(place_m: [f64; 2], size_m: f64, of: Color) -> SpherePrimitive {
     SpherePrimitive { pose: Some(pose(place_m, 0.0)), size, color: Some(of) }
 }
 
-/// The covariance as a flat ellipsoid.
-fn ellipsoid(frame: &Frame) -> SpherePrimitive {
-    let ellipse = ellipse_of(frame);
+/// A covariance as a flat ellipsoid.
+fn ellipsoid(place_m: [f64; 2], ellipse: Ellipse, of: RGBColor) -> SpherePrimitive {
     let [a_m, b_m] = ellipse.half_m();
     let size = Some(Vector3 { x: rounded(2.0 * a_m), y: rounded(2.0 * b_m), z: 0.01 });
     SpherePrimitive {
-        pose: Some(pose(estimate_of(frame), ellipse.angle_rad())),
+        pose: Some(pose(place_m, ellipse.angle_rad())),
         size,
-        color: Some(with_opacity(ESTIMATE, ELLIPSE_OPACITY)),
+        color: Some(with_opacity(of, ELLIPSE_OPACITY)),
     }
 }
 
@@ -265,6 +291,11 @@ fn circle([x_m, y_m]: [f64; 2], radius_m: f64, points: usize, of: RGBColor) -> L
     line(LineType::LineLoop, points.collect(), with_opacity(of, CIRCLE_OPACITY))
 }
 
+fn segment(from_m: [f64; 2], to_m: [f64; 2], of: Color) -> LinePrimitive {
+    let points = [from_m, to_m].map(|[x_m, y_m]| Point3 { x: rounded(x_m), y: rounded(y_m), z: 0.0 });
+    line(LineType::LineStrip, points.to_vec(), of)
+}
+
 /// Lines from the previous positions to the present ones.
 fn trail(before: &[Option<[f64; 2]>], now: &[Option<[f64; 2]>]) -> LinePrimitive {
     let steps = before.iter().zip(now).filter_map(|(before, now)| Some([(*before)?, (*now)?]));
@@ -281,5 +312,40 @@ fn line(kind: LineType, points: Vec<Point3>, of: Color) -> LinePrimitive {
         points,
         color: Some(of),
         ..LinePrimitive::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rangehound_shared::measurement::{Measurement, Pose};
+    use rangehound_shared::record::{FusionRecord, Heard, WorldRecord};
+    use rangehound_shared::scenario::ScenarioFile;
+
+    use super::*;
+
+    #[test]
+    fn the_scene_has_rays_and_believed_places_where_there_are_any_and_empty_entities_elsewhere() {
+        let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
+        let frame = |measurement: Measurement| {
+            let mut fusion = FusionRecord::of(&scenario);
+            fusion.exchanges[1].heard = Some(Heard { measurement, ..Heard::default() });
+            Frame { tick: 1, fusion, world: WorldRecord::of(&scenario) }
+        };
+        let drawn = |measurement| {
+            let scene = Scene::default().update(&scenario, &frame(measurement), 0).unwrap();
+            let counts = |id| {
+                let entity = scene.entities.iter().find(|entity| entity.id == id).unwrap();
+                (entity.lines.len(), entity.spheres.len())
+            };
+            ["ranges", "bearings", "believed"].map(counts)
+        };
+        let uncertain = Pose { covariance_m2: [1.0, 0.0, 1.0], ..Pose::at([3.0, 4.0]) };
+        let bearing = Some((0.5, 0.02));
+        assert_eq!(drawn(Measurement::new(Pose::default(), Some((5.0, 0.1)))), [(1, 0), (0, 0), (0, 0)]);
+        assert_eq!(drawn(Measurement::new(Pose::default(), None).with_bearing(bearing)), [(0, 0), (1, 0), (0, 0)]);
+        assert_eq!(
+            drawn(Measurement::new(uncertain, Some((5.0, 0.1))).with_bearing(bearing)),
+            [(1, 0), (1, 0), (1, 1)]
+        );
     }
 }

@@ -34,7 +34,7 @@ function allCharts(about) {
       name: "NIS", unit: "", isLog: false,
       band: { low: (p) => p[NIS_LOW], high: (p) => p[NIS_HIGH], colour: "--quiet", name: "95 %" },
       lines: [{ value: () => 1, colour: "--quiet", width: 1 }, { value: (p) => p[NIS], colour: about.robot_colours[0], name: "NIS" }],
-      of: (p) => `${number(p[NIS])} for each range, 1 is ideal`,
+      of: (p) => `${number(p[NIS])} for each ${about.measured.replace(/s$/, "")}, 1 is ideal`,
     },
     {
       name: "Range to heading", unit: "µs", isLog: true,

@@ -22,13 +22,17 @@ export class Field {
     this.view.begin();
     const shape = (body) => `<svg viewBox="0 0 26 16" aria-hidden="true">${body}</svg>`;
     const first = about.robot_colours[0];
+    this.shown = new Set();
+    // The last of an entry is its name in `shown`: until there is such a thing, the entry is hidden.
     this.legend.innerHTML = [
       [shape(`<circle cx="13" cy="8" r="5.5" fill="currentColor"/>`), "target"],
       [shape(`<ellipse cx="13" cy="8" rx="11" ry="6" fill="${about.estimate_colour}33" stroke="${about.estimate_colour}" stroke-width="2"/>`), "estimate, 3 sigma"],
       [shape(`<path d="M6 2L21 8L6 14Z" fill="${first}"/>`), "robot"],
-      [shape(`<circle cx="13" cy="22" r="18" fill="none" stroke="${first}" stroke-width="1.5"/>`), "its range"],
+      [shape(`<circle cx="13" cy="22" r="18" fill="none" stroke="${first}" stroke-width="1.5"/>`), "its range", "range"],
+      [shape(`<path fill="none" stroke="${first}" stroke-width="1.5" d="M2 14L24 2"/>`), "its bearing", "bearing"],
+      [shape(`<path fill="none" stroke="${first}" stroke-width="1.5" d="M1 13L14 8"/><ellipse cx="14" cy="8" rx="11" ry="6.5" fill="none" stroke="${first}" stroke-width="1.5"/>`), "where it believes it is, 3 sigma", "believed"],
       [shape(`<path fill="none" stroke="currentColor" stroke-width="2" d="M2 8H23M17 3L23 8L17 13"/>`), "commanded heading"],
-    ].map(([picture, name]) => `<li>${picture}${name}</li>`).join("");
+    ].map(([picture, name, thing]) => `<li${thing ? ` data-thing="${thing}" hidden` : ""}>${picture}${name}</li>`).join("");
   }
 
   show(picture) {
@@ -52,7 +56,9 @@ export class Field {
     const few = this.picture.robots.length <= FEW;
     this.drawTrails(context, at, few);
     this.drawRanges(context, at, few);
+    this.drawBearings(context, at, few);
     this.drawEstimate(context, at, scale);
+    this.drawBeliefs(context, at, few);
     this.drawRobots(context, at, few);
     this.drawLens(context, width, height, at);
     return isMoving;
@@ -93,7 +99,9 @@ export class Field {
     context.fill();
     context.clip();
     this.drawTrails(context, lens, true);
-    this.drawRanges(context, lens, this.picture.robots.length <= FEW, scale);
+    const few = this.picture.robots.length <= FEW;
+    this.drawRanges(context, lens, few, scale);
+    this.drawBearings(context, lens, few);
     this.drawEstimate(context, lens, scale);
     context.restore();
     context.strokeStyle = colour("--quiet");
@@ -134,34 +142,61 @@ export class Field {
     context.globalAlpha = 1;
   }
 
-  drawRanges(context, at, few, scale = this.view.place.scale) {
+  // Draws with thin lines in the colour of each robot, paler for a large team. `draw` is true if it drew the named thing.
+  drawOfRobots(context, few, thing, draw, strength = 1) {
     context.lineWidth = 1;
-    context.globalAlpha = few ? 0.4 : Math.max(0.06, 3 / this.picture.robots.length);
-    this.picture.robots.forEach(({ range_m, range_from_m }, id) => {
-      // Noise can make a range negative: it has no circle.
-      if (!range_from_m || !(range_m > 0)) return;
+    context.globalAlpha = strength * (few ? 0.4 : Math.max(0.06, 3 / this.picture.robots.length));
+    this.picture.robots.forEach((robot, id) => {
       context.strokeStyle = this.robotColour(id);
       context.beginPath();
-      context.arc(...at(range_from_m), range_m / scale, 0, 2 * Math.PI);
+      if (!draw(robot)) return;
       context.stroke();
+      if (this.shown.has(thing)) return;
+      this.shown.add(thing);
+      this.legend.querySelector(`[data-thing="${thing}"]`).hidden = false;
     });
     context.globalAlpha = 1;
   }
 
+  drawRanges(context, at, few, scale = this.view.place.scale) {
+    this.drawOfRobots(context, few, "range", ({ range_m, believed_m }) => {
+      // Noise can make a range negative: it has no circle.
+      if (!believed_m || !(range_m > 0)) return false;
+      context.arc(...at(believed_m), range_m / scale, 0, 2 * Math.PI);
+      return true;
+    });
+  }
+
+  // From where the robot believes it is to just behind the estimate, or as far as its sensor reaches.
+  drawBearings(context, at, few) {
+    this.drawOfRobots(context, few, "bearing", ({ believed_m, bearing_to_m }) => {
+      if (!bearing_to_m) return false;
+      context.moveTo(...at(believed_m));
+      context.lineTo(...at(bearing_to_m));
+      return true;
+    });
+  }
+
+  // Where robots believe they are, with their own ellipses, and a line from where they are.
+  drawBeliefs(context, at, few) {
+    this.drawOfRobots(context, few, "believed", ({ position_m, believed_m, believed_covariance_m2 }) => {
+      if (!believed_m || (!believed_covariance_m2 && position_m.join() === believed_m.join())) return false;
+      if (believed_covariance_m2) addEllipse(context, at(believed_m), believed_covariance_m2, this.view.place.scale);
+      context.moveTo(...at(position_m));
+      context.lineTo(...at(believed_m));
+      return true;
+    }, 2);
+  }
+
   drawEstimate(context, at, scale) {
-    const { estimate_m, target_m, covariance_m2: [xx, xy, yy] } = this.picture;
+    const { estimate_m, target_m, covariance_m2 } = this.picture;
     const [px, py] = at(estimate_m);
-    // Half axes and direction of a 2 x 2 covariance in closed form.
-    const mean = (xx + yy) / 2;
-    const root = Math.hypot((xx - yy) / 2, xy);
-    const axis = (variance) => Math.min(1e6, (SIGMAS * Math.sqrt(Math.max(variance, 0))) / scale);
     const stroke = this.about.estimate_colour;
     context.strokeStyle = stroke;
     context.lineWidth = 2;
     context.fillStyle = `${stroke}26`;
     context.beginPath();
-    // Pixels count downwards, so the angle changes its sign.
-    context.ellipse(px, py, axis(mean + root), axis(mean - root), -0.5 * Math.atan2(2 * xy, xx - yy), 0, 2 * Math.PI);
+    addEllipse(context, [px, py], covariance_m2, scale);
     context.fill();
     context.stroke();
     context.beginPath();
@@ -214,6 +249,16 @@ export class Field {
       }
     });
   }
+}
+
+// Adds the ellipse of a 2 x 2 covariance round a place in pixels to a path.
+function addEllipse(context, [px, py], [xx, xy, yy], scale) {
+  // Half axes and direction in closed form.
+  const mean = (xx + yy) / 2;
+  const root = Math.hypot((xx - yy) / 2, xy);
+  const axis = (variance) => Math.min(1e6, (SIGMAS * Math.sqrt(Math.max(variance, 0))) / scale);
+  // Pixels count downwards, so the angle changes its sign.
+  context.ellipse(px, py, axis(mean + root), axis(mean - root), -0.5 * Math.atan2(2 * xy, xx - yy), 0, 2 * Math.PI);
 }
 
 function arrow(context, px, py, heading_rad, length) {

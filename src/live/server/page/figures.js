@@ -43,7 +43,7 @@ function figuresOf({ tick, time_s, ticks_per_s, tally, latency }, about) {
     ["tick", `${whole(tick)} <small>of ${rough(about.ticks)}</small>`],
     ["time", `${time_s >= 100 ? whole(time_s) : (time_s ?? 0).toFixed(1)} <small>s</small>`],
     ["speed", `${ticks_per_s == null ? "–" : number(ticks_per_s)} <small>ticks/s</small>`],
-    ["ranges fused", rough(tally.fused)],
+    [`${about.measured} fused`, rough(tally.fused)],
     ["rejected", whole(tally.rejected)],
     ["late", whole(tally.late)],
     ["missing", whole(tally.missing)],

@@ -34,7 +34,7 @@ export class View {
     if (this.isOwn && this.place) return false;
     const { covariance_m2: [xx, , yy], estimate_m, target_m, robots } = picture;
     const spread = [SIGMAS * Math.sqrt(Math.max(xx, 0)), SIGMAS * Math.sqrt(Math.max(yy, 0))];
-    const places = [target_m ?? estimate_m, ...robots.map((robot) => robot.position_m)];
+    const places = [target_m ?? estimate_m, ...robots.flatMap(({ position_m, believed_m }) => [position_m, believed_m ?? position_m])];
     places.push(...recent(places, trails));
     const bound = (axis) => {
       const values = places.map((place) => place[axis]).filter(Number.isFinite);
