@@ -65,7 +65,7 @@ impl Circle {
 
     /// One of its Gaussians: alternately both ways round the sensor, from this direction.
     pub(super) fn piece(&self, sensor_m: Vector2<f64>, towards_rad: f64, index: usize) -> Piece {
-        let turn = if index % 2 == 0 { index / 2 } else { self.count - index.div_ceil(2) };
+        let turn = if index.is_multiple_of(2) { index / 2 } else { self.count - index.div_ceil(2) };
         let (sin, cos) = (towards_rad + TAU * turn as f64 / self.count as f64).sin_cos();
         let along = Vector2::new(cos, sin);
         Piece {
