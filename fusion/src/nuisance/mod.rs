@@ -5,8 +5,8 @@
 //! measurement is linear in them: a range has the row `[h 0 1]` and a bearing `[h 1 0]`, with its gradient `h`.
 //!
 //! [`Estimate`] is the target's estimate together with what is known of its dependence on them. The Schmidt filter
-//! ([`schmidt`]) follows the cross-covariances `C_i = E[x~ n_i^T]` and estimates no nuisance, at a cost of O(M). The other
-//! choice ([`joint`]) estimates some of them with the target.
+//! (`schmidt.rs`) follows the cross-covariances `C_i = E[x~ n_i^T]` and estimates no nuisance, at a cost of O(M). The other
+//! choice (`joint.rs`) estimates some of them with the target.
 
 mod chain;
 mod joint;
