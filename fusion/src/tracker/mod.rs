@@ -127,7 +127,7 @@ pub fn for_scenario(scenario: &Scenario) -> Box<dyn Tracker> {
                 // A recording with a known start is tracked like other recordings, but from this estimate.
                 Source::Recorded(_) => Box::new(imm::Imm::<N>::new(&motion, gate, chain).starting_from(prior)),
                 Source::Simulated { .. } if scenario.robots.len() < KALMAN_ROBOTS_MIN => {
-                    Box::new(bank::Bank::<N>::new(motion, gate, chain).starting_from(prior))
+                    Box::new(bank::Bank::<N>::new(motion, gate, chain).finely().starting_from(prior))
                 }
                 Source::Simulated { .. } => Box::new(kalman::Kalman::<N>::new(motion, prior, gate, chain)),
             }

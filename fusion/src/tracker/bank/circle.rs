@@ -13,8 +13,7 @@ use super::Piece;
 /// Most hypotheses on one circle. With 64 the circle bends by 3e-4 of its radius within one of them.
 pub(super) const CIRCLE_MAX: usize = 64;
 
-/// The same bend within a new hypothesis. It is below [`BEND_MAX`](super::BEND_MAX), so that the hypothesis is not
-/// split again at once.
+/// Bend within a new hypothesis, relative to that by which one is split: it is not split again at once.
 const BEND_SPLIT: f64 = 0.5;
 
 /// Spacing of the hypotheses on a circle, in their standard deviations: their sum has a ripple of
@@ -42,9 +41,10 @@ pub(super) struct Circle {
 
 impl Circle {
     /// The circle of a range with this standard deviation, m, measured at this height.
-    pub(super) fn of(range_m: f64, range_std_m: f64, height_m: f64) -> Self {
+    pub(super) fn of(range_m: f64, range_std_m: f64, height_m: f64, bend_max: f64) -> Self {
+        let bend_split = BEND_SPLIT * bend_max;
         if height_m != 0.0 {
-            return Self::of_slant_range(range_m, range_std_m, height_m);
+            return Self::of_slant_range(range_m, range_std_m, height_m, bend_split);
         }
         let variance_m2 = range_std_m * range_std_m;
         if range_m < range_std_m {
@@ -54,7 +54,7 @@ impl Circle {
             let arc_m = TAU * range_std_m;
             return Self { count: 1, radius_m: 0.0, radial_variance_m2, tangential_variance_m2, arc_m };
         }
-        let spacing_m = SPACING * (2.0 * range_m * range_std_m * BEND_SPLIT).sqrt();
+        let spacing_m = SPACING * (2.0 * range_m * range_std_m * bend_split).sqrt();
         let count = ((TAU * range_m / spacing_m).ceil() as usize).clamp(1, CIRCLE_MAX);
         let arc_m = TAU * range_m / count as f64;
         let tangential_variance_m2 = (arc_m / SPACING) * (arc_m / SPACING);
@@ -77,7 +77,7 @@ impl Circle {
         }
     }
 
-    fn of_slant_range(range_m: f64, range_std_m: f64, height_m: f64) -> Self {
+    fn of_slant_range(range_m: f64, range_std_m: f64, height_m: f64, bend_split: f64) -> Self {
         // A range shorter than the height is noise: the target is near the foot.
         let slant_m = range_m.max(height_m.abs());
         // The square of the horizontal distance, and its standard deviation.
@@ -96,7 +96,7 @@ impl Circle {
         }
         let radius_m = square_m2.sqrt();
         let radial_std_m = range_std_m * slant_m / radius_m;
-        let spacing_m = SPACING * (2.0 * radius_m * radial_std_m * BEND_SPLIT).sqrt();
+        let spacing_m = SPACING * (2.0 * radius_m * radial_std_m * bend_split).sqrt();
         let count = ((TAU * radius_m / spacing_m).ceil() as usize).clamp(1, CIRCLE_MAX);
         let along_m = TAU * radius_m / count as f64;
         let tangential_variance_m2 = (along_m / SPACING) * (along_m / SPACING);

@@ -40,6 +40,10 @@ const HYPOTHESES_MAX: usize = 128;
 /// the range. Below, the second-order terms account for the bend.
 const BEND_MAX: f64 = 1.0;
 
+/// The same for a long run of one or two robots, where many ranges from about one place would make a coarser bank too sure
+/// of itself. A recording has outliers, and needs the room for them instead.
+const BEND_MAX_FINE: f64 = 0.3;
+
 /// If an update is less than `exp` of this more likely than an outlier, a copy of the hypothesis without the update is
 /// kept. That is the case for a range about 1.8 standard deviations off, or for a hypothesis so wide that one outlier
 /// would move it far.
@@ -102,6 +106,7 @@ pub struct Bank<const N: usize> {
     judged: Vec<Judged>,
     chain: Chain,
     outlier_share: f64,
+    bend_max: f64,
     scratch: Vec<Whitened<N>>,
 }
 
@@ -149,6 +154,12 @@ impl<const N: usize> Bank<N> {
         self
     }
 
+    /// The same bank with finer hypotheses.
+    #[must_use]
+    pub(super) fn finely(self) -> Self {
+        Self { bend_max: BEND_MAX_FINE, ..self }
+    }
+
     /// State from which [`Self::restore`] continues.
     pub(super) fn saved(&self) -> SavedBank<'_, N> {
         let Self { ref hypotheses, estimate, rejections, log_likelihood, .. } = *self;
@@ -193,6 +204,7 @@ impl<const N: usize> Bank<N> {
             judged: judged_room(),
             chain,
             outlier_share: if gate.is_open() { NO_OUTLIER_SHARE } else { OUTLIER_SHARE },
+            bend_max: BEND_MAX,
             scratch: Vec::new(),
         }
     }
@@ -341,7 +353,7 @@ impl<const N: usize> Bank<N> {
     /// Multiplies a hypothesis by `p(z|X) + p(outlier)`; a negligible term is left out.
     fn apply(&mut self, index: usize, reading: &Reading, sight: &Sight) {
         let room = self.hypotheses.len() < HYPOTHESES_MAX;
-        if sight.is_bent(reading, BEND_MAX) {
+        if sight.is_bent(reading, self.bend_max) {
             // Without room it only loses weight, as if the measurement were an outlier.
             self.split(index, reading, sight, sight.own_std, false);
             self.branch(index, reading, sight);
@@ -413,7 +425,7 @@ impl<const N: usize> Bank<N> {
         let Hypothesis { log_weight, estimate } = self.hypotheses[index].clone();
         let from_sensor = estimate.target.position() - sight.row.sensor_m;
         let towards_rad = from_sensor.y.atan2(from_sensor.x);
-        let pieces = Pieces::of(reading, sight, std, &estimate.target, is_start);
+        let pieces = Pieces::of(reading, sight, (std, self.bend_max), &estimate.target, is_start);
         for k in 0..pieces.count().min(HYPOTHESES_MAX - self.hypotheses.len()) {
             let piece = pieces.piece(sight.row.sensor_m, towards_rad, k);
             let across = Vector2::new(-piece.along.y, piece.along.x);
@@ -536,9 +548,15 @@ pub(super) fn merge<const N: usize>(into: &mut Estimate<N>, pair: &[Hypothesis<N
 }
 
 impl Pieces {
-    fn of<const N: usize>(reading: &Reading, sight: &Sight, std: f64, target: &Gaussian<N>, is_start: bool) -> Self {
+    fn of<const N: usize>(
+        reading: &Reading,
+        sight: &Sight,
+        (std, bend_max): (f64, f64),
+        target: &Gaussian<N>,
+        is_start: bool,
+    ) -> Self {
         match reading.kind {
-            Kind::Range => Self::Circle(Circle::of(reading.value, std, reading.pose.height_m)),
+            Kind::Range => Self::Circle(Circle::of(reading.value, std, reading.pose.height_m, bend_max)),
             Kind::Bearing => {
                 let bearing_rad = wrapped_rad(reading.value + reading.pose.heading_rad);
                 if is_start {
