@@ -10,7 +10,7 @@ use rangehound_shared::scenario::name_of;
 use super::{Section, WIDTH};
 use crate::draw::chart::{self, COLOURS, Drawn, ESTIMATE, KeyEntry};
 use crate::results::curves::{Bucket, Curves};
-use crate::results::report::{Distrust, Incident, NodeSummary, Report};
+use crate::results::report::{Distrust, Incident, NodeSummary, Report, of_bearings};
 
 /// Most nodes that have their own row.
 const NODES_MAX: usize = 24;
@@ -173,7 +173,7 @@ fn table(report: &Report, curves: &Curves, nodes: &[&NodeSummary]) -> Markup {
     let distrusted = report.distrusted.iter().map(|Distrust { robot, sensor, kind, from_tick, to_tick }| {
         let until = to_tick.map_or("the end".to_owned(), |tick| tick.to_string());
         let name = name_of(*robot, report.recording.as_ref().map(|_| sensor.as_str()));
-        (format!("tick {from_tick} to {until}"), format!("{name} distrusted ({kind}s)"))
+        (format!("tick {from_tick} to {until}"), format!("{name} distrusted{}", of_bearings(kind)))
     });
     let lines: Vec<(String, String)> = incidents.chain(distrusted).collect();
     html! {

@@ -28,7 +28,7 @@ use crate::results::frame::{Frames, LoggedTick};
 pub use accumulator::{Accumulator, Background, position_covariance, position_error};
 pub use summary::{
     BearingSummary, Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary,
-    Report, SensorSummary, TraceSummary, measured,
+    Report, SensorSummary, TraceSummary, measured, of_bearings,
 };
 pub use truth::Truth;
 use verdict::{RecordingEvidence, TruthEvidence};

@@ -4,7 +4,7 @@ use rangehound_shared::scenario::{name_of, printable};
 
 use super::{
     BearingSummary, Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
-    SensorSummary, TraceSummary,
+    SensorSummary, TraceSummary, of_bearings,
 };
 use crate::results::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
@@ -120,8 +120,9 @@ impl Report {
         for Distrust { robot, sensor, kind, from_tick, to_tick } in distrusted.iter().take(DISTRUST_LINES_MAX) {
             let until = to_tick.map_or("the end".to_owned(), |tick| format!("tick {tick}"));
             let time = format!(
-                "{} ({kind}s) from tick {from_tick} to {until}",
-                name_of(*robot, self.recording.as_ref().map(|_| sensor.as_str()))
+                "{}{} from tick {from_tick} to {until}",
+                name_of(*robot, self.recording.as_ref().map(|_| sensor.as_str())),
+                of_bearings(kind)
             );
             writeln!(f, "{}", field_in(DOUBTFUL, "distrusted", time))?;
         }

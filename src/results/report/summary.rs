@@ -1,6 +1,7 @@
 //! The summary of a run: the keys of `report.json`.
 
 use rangehound_node::rendezvous::Role;
+use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{Heading, RobotRecord};
 use rangehound_shared::recording::ReadSummary;
@@ -191,6 +192,12 @@ pub struct Distrust {
     pub from_tick: u64,
     /// The tick after whose range it was trusted again; null if it never was.
     pub to_tick: Option<u64>,
+}
+
+/// What follows a sensor's name if only its bearings are meant.
+#[must_use]
+pub fn of_bearings(kind: &str) -> &'static str {
+    if kind == Kind::Bearing.name() { " (bearings)" } else { "" }
 }
 
 /// The headings that the robots followed, summed over robots and ticks; ticks without the robot's answer do not count.
