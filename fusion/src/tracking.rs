@@ -1,9 +1,9 @@
 //! Tracker and trust together: processes a tick's reports, and processes past ticks again when a report arrives late.
 
-use rangehound_shared::measurement::{Kind, Measurement};
+use rangehound_shared::measurement::{Kind, Measurement, Pose};
 use rangehound_shared::record::{JudgedKinds, Use};
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{RobotSpec, Scenario};
+use rangehound_shared::scenario::{NuisanceSpec, PoseCorrelation, RobotSpec, Scenario};
 use rangehound_shared::sealed::SealError;
 
 use crate::past::PastTick;
@@ -18,6 +18,7 @@ pub(crate) struct Tracking {
     pub(crate) trusts: [Trust; Kind::COUNT],
     /// Growth of the standard deviation of each robot's ranges with the distance.
     stds_per_m: Vec<f64>,
+    nuisances: Vec<NuisanceSpec>,
     readings: Vec<Reading>,
     /// What the last step did with each robot's report.
     judged: Vec<JudgedKinds>,
@@ -33,6 +34,7 @@ impl Tracking {
             tracker: tracker::for_scenario(scenario),
             trusts: std::array::from_fn(|_| Trust::new(robots, policy)),
             stds_per_m: scenario.robots.iter().map(std_per_m).collect(),
+            nuisances: scenario.robots.iter().map(|robot| robot.nuisances).collect(),
             readings: Vec::with_capacity(Kind::COUNT * robots),
             judged: vec![JudgedKinds::default(); robots],
         }
@@ -88,7 +90,11 @@ impl Tracking {
                 continue;
             }
             let of_kind = self.readings.iter().zip(self.tracker.judged()).filter(|(reading, _)| reading.kind == kind);
-            let squares = of_kind.map(|(reading, judged)| (reading.robot, judged.normalised_square));
+            let nuisances = &self.nuisances;
+            let squares = of_kind.map(|(reading, judged)| {
+                let shows_noise = !is_mostly_nuisance(reading, &nuisances[reading.robot]);
+                (reading.robot, judged.normalised_square.filter(|_| shows_noise))
+            });
             factor = factor.max(self.trusts[kind as usize].judge(squares, &fit.failed[kind as usize]));
         }
         if factor > 1.0 {
@@ -132,6 +138,19 @@ impl Tracking {
         }
         Ok(fused.unwrap_or(false))
     }
+}
+
+/// True if errors that stay are greater than the noise of a measurement: then its innovations are alike for a while, and show
+/// how great those errors are at present, not the noise.
+fn is_mostly_nuisance(reading: &Reading, spec: &NuisanceSpec) -> bool {
+    let Pose { covariance_m2: [xx_m2, _, yy_m2], heading_std_rad, .. } = reading.pose;
+    let stays = spec.correlation != PoseCorrelation::White;
+    let (pose, bias) = match reading.kind {
+        Kind::Range => (0.5 * (xx_m2 + yy_m2), spec.bias_std_m * spec.bias_std_m),
+        Kind::Bearing => (heading_std_rad * heading_std_rad, 0.0),
+    };
+    let staying = if stays { pose } else { 0.0 } + bias;
+    staying > reading.std * reading.std
 }
 
 /// Copies the trusts of the same team without allocating.
