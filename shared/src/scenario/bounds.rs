@@ -48,3 +48,5 @@ pub const START_STD_M: RangeInclusive<f64> = 1e-3..=1e5;
 pub const NUISANCE_STD_M: RangeInclusive<f64> = 0.0..=1e5;
 /// Time for which an error stays, s.
 pub const CORRELATION_S: RangeInclusive<f64> = 1e-3..=1e9;
+/// Most robots whose nuisances can be estimated: memory and time grow with the square.
+pub const ESTIMATED_ROBOTS_MAX: usize = 32;

@@ -9,12 +9,15 @@ use crate::cli::ExperimentArgs;
 use crate::cli::values::{PlannerName, number, whole, within};
 use crate::failure::Failure;
 use crate::study::compare;
-use crate::study::compare::monte_carlo::Trials;
+use crate::study::compare::monte_carlo::{TREATMENTS, Trials, Variant};
 
 /// Most ticks of all runs together: their samples take two gigabytes.
 const TICKS_MAX: u64 = 30_000_000;
 
 const THREADS_MAX: u64 = 1_024;
+
+/// The planners that are compared by default: those that serve a team of any size.
+const COMPARED: [&str; 6] = ["certified", "adaptive", "standard", "greedy", "pursue", "random"];
 
 /// `compare`.
 #[derive(Debug, Args)]
@@ -24,15 +27,16 @@ pub struct CompareArgs {
     /// Scenario file, as a flag
     #[arg(long = "scenario", value_name = "FILE", conflicts_with = "scenario")]
     pub scenario_flag: Option<PathBuf>,
-    /// Planners to compare, separated by commas
-    #[arg(
-        long,
-        value_name = "NAMES",
-        value_delimiter = ',',
-        value_parser = PlannerName,
-        default_value = "certified,adaptive,standard,greedy,pursue,random"
-    )]
-    pub planners: Vec<String>,
+    /// Planners to compare, separated by commas [default: certified,adaptive,standard,greedy,pursue,random; only certified
+    /// with --sensors or --nuisances]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = PlannerName)]
+    pub planners: Option<Vec<String>>,
+    /// Sensors to compare, separated by commas: names of [sensor.NAME] in the scenario, which all robots have in turn
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub sensors: Vec<String>,
+    /// Treatments of uncertain poses and biases to compare, separated by commas: ignored, inflated, schmidt, estimated
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = TREATMENTS)]
+    pub nuisances: Vec<String>,
     /// Number of runs of each planner; run i has the same target, noise and prior for all planners
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1_000)]
     pub runs: u64,
@@ -77,17 +81,26 @@ impl CompareArgs {
         };
         let given = experiment.given()?;
         let (runs, first_seed) = (self.runs, given.file.seed.unwrap_or(defaults::SEED));
-        for (index, name) in self.planners.iter().enumerate() {
+        let asked = self.planners.as_deref().unwrap_or_default();
+        for (index, name) in asked.iter().enumerate() {
             if !PLANNERS.contains(&name.as_str()) {
                 let known = PLANNERS.join(", ");
                 return Err(Failure::input(format!("--planners has {name:?}: expected names out of {known}")));
             }
-            if self.planners[..index].contains(name) {
+            if asked[..index].contains(name) {
                 return Err(Failure::input(format!("--planners has {name} twice: expected each name once")));
             }
         }
         let ticks_of_run = given.file.ticks.unwrap_or(defaults::TICKS);
-        let ticks = runs.saturating_mul(ticks_of_run).saturating_mul(self.planners.len() as u64);
+        // Where something else varies, one planner is enough unless more are asked for.
+        let varies = !self.sensors.is_empty() || !self.nuisances.is_empty();
+        let planners = match &self.planners {
+            None if varies => vec![defaults::PLANNER.to_owned()],
+            None => COMPARED.map(str::to_owned).to_vec(),
+            Some(names) => names.clone(),
+        };
+        let variants = Variant::all(&planners, &self.sensors, &self.nuisances);
+        let ticks = runs.saturating_mul(ticks_of_run).saturating_mul(variants.len() as u64);
         if runs == 0 || ticks > TICKS_MAX {
             let expected = format!("at least one run and at most {TICKS_MAX} ticks of all runs of all planners");
             return Err(Failure::input(format!("--runs is {runs}: expected {expected}")));
@@ -101,10 +114,9 @@ impl CompareArgs {
         let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get() as u64);
         let threads =
             within("--threads", 1..=THREADS_MAX, &format!("1 to {THREADS_MAX}"), self.threads.unwrap_or(cores))?;
-        let planners = self.planners.clone();
         // At most one thread for each run.
-        let threads = threads.min(runs.saturating_mul(planners.len() as u64)) as usize;
-        let trials = Trials { given, planners, runs, first_seed, threads };
+        let threads = threads.min(runs.saturating_mul(variants.len() as u64)) as usize;
+        let trials = Trials { given, variants, runs, first_seed, threads };
         compare::compare(trials, self.out.as_deref(), self.json)
     }
 }

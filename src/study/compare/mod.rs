@@ -48,7 +48,7 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
         results?
     };
     let [first, ..] = scenarios.as_slice() else { return Ok(()) };
-    let summaries = trials.planners.iter().zip(&results);
+    let summaries = trials.variants.iter().zip(&results);
     let comparison = Comparison {
         scenario: first.name.clone(),
         seed: first.seed,
@@ -60,8 +60,13 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
         wall_s: began.elapsed().as_secs_f64(),
         anees_bounds: summary::anees_bounds(trials.runs),
         time_s: (1..=first.ticks).map(|tick| tick as f64 * first.dt_s).collect(),
-        planners: summaries.map(|(name, trials)| Summary::new(name, trials, first.ticks)).collect(),
-        planning_time: scenarios.iter().map(planning_time::measure).collect(),
+        planners: summaries.map(|(variant, trials)| Summary::new(&variant.name, trials, first.ticks)).collect(),
+        planning_time: trials
+            .variants
+            .iter()
+            .zip(&scenarios)
+            .map(|(variant, scenario)| planning_time::measure(&variant.name, scenario))
+            .collect(),
     };
     atomic_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
     pictures::draw(&comparison, &scenarios, out)?;
@@ -71,7 +76,7 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
     failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
 }
 
-/// Each planner's first scenario: if it can be set up, so can all other runs of the planner.
+/// Each variant's first scenario: if it can be set up, so can all other runs of the variant.
 fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
     let Given { file, file_name, .. } = &trials.given;
     if file.recording.is_some() {
@@ -79,7 +84,8 @@ fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
             "recording is given in {file_name}: expected a simulated target, because recorded sensors cannot be planned for"
         )));
     }
-    let scenarios: Result<Vec<Scenario>, _> = trials.planners.iter().map(|name| trials.scenario(name, 0)).collect();
+    let scenarios: Result<Vec<Scenario>, _> =
+        trials.variants.iter().map(|variant| trials.scenario(variant, 0)).collect();
     let scenarios = scenarios.map_err(Failure::input)?;
     for scenario in &scenarios {
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)

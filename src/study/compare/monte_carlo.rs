@@ -1,17 +1,16 @@
-//! Many runs of each planner, spread over threads, with common random numbers.
+//! Many runs of each variant, spread over threads, with common random numbers.
 //!
-//! Run `i` of every planner has the seed `first_seed + i`. Prior mean, target noise and range noise are
-//! functions of seed, tick and robot, so planners differ only in their headings.
+//! Run `i` of every variant has the seed `first_seed + i`. Prior mean, target noise, noise of measurements and errors of poses
+//! are functions of seed, tick and robot, so planners differ only in their headings.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context;
 use nalgebra::Vector2;
-use rangehound_fusion::planner::range_only::certified::Certified;
-use rangehound_fusion::planner::range_only::{Problem, RangeOnly, hull_certificate};
-use rangehound_fusion::planner::{Plan, Planner};
-use rangehound_shared::scenario::{PlannerTable, Scenario, ScenarioError, defaults};
+use rangehound_fusion::planner::range_only::Problem;
+use rangehound_fusion::planner::{self, Plan, Planner, PlannerError, hull_certificate};
+use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioError, ScenarioFile, defaults};
 
 use crate::files::input;
 use crate::results::report::{position_covariance, position_error};
@@ -25,10 +24,10 @@ const LOOK: Duration = Duration::from_millis(50);
 /// The subject of a comparison.
 #[derive(Debug)]
 pub struct Trials {
-    /// The scenario; planner and seed are overridden.
+    /// The scenario; what varies and the seed are overridden.
     pub given: Given,
-    /// The planners.
-    pub planners: Vec<String>,
+    /// What is compared.
+    pub variants: Vec<Variant>,
     /// Runs of each.
     pub runs: u64,
     /// Seed of run 0.
@@ -37,7 +36,72 @@ pub struct Trials {
     pub threads: usize,
 }
 
-/// One run of one planner.
+/// One of the things compared: a planner, with another sensor or another treatment of nuisances if those vary too.
+#[derive(Debug, Clone)]
+pub struct Variant {
+    /// Its name in tables and pictures.
+    pub name: String,
+    /// The planner.
+    pub planner: String,
+    /// The named sensor that all robots have; the scenario's own if none.
+    pub sensor: Option<String>,
+    /// What the filter does about nuisances; the scenario's own if none.
+    pub nuisances: Option<String>,
+}
+
+/// The treatments of nuisances by name: those of a scenario, and estimation.
+pub const TREATMENTS: [&str; 4] = ["ignored", "inflated", "schmidt", "estimated"];
+
+impl Variant {
+    /// All combinations. A name has what varies, or the planner if nothing does.
+    #[must_use]
+    pub fn all(planners: &[String], sensors: &[String], nuisances: &[String]) -> Vec<Self> {
+        let or_own = |names: &[String]| -> Vec<Option<String>> {
+            if names.is_empty() { vec![None] } else { names.iter().cloned().map(Some).collect() }
+        };
+        let (own_sensors, own_nuisances) = (or_own(sensors), or_own(nuisances));
+        let mut variants = Vec::new();
+        for planner in planners {
+            for sensor in &own_sensors {
+                for treatment in &own_nuisances {
+                    let varies = own_sensors.len() * own_nuisances.len() > 1;
+                    let of_planner = (planners.len() > 1 || !varies).then_some(planner.as_str());
+                    let parts = [of_planner, sensor.as_deref(), treatment.as_deref()];
+                    variants.push(Self {
+                        name: parts.into_iter().flatten().collect::<Vec<_>>().join(" "),
+                        planner: planner.clone(),
+                        sensor: sensor.clone(),
+                        nuisances: treatment.clone(),
+                    });
+                }
+            }
+        }
+        variants
+    }
+
+    fn apply(&self, file: &mut ScenarioFile) {
+        file.planner.get_or_insert_default().name = Some(self.planner.clone());
+        if let Some(sensor) = &self.sensor {
+            match &mut file.robot {
+                Some(robots) => robots.iter_mut().for_each(|robot| {
+                    (robot.sensor, robot.range_std_m) = (Some(sensor.clone()), None);
+                }),
+                None => {
+                    let robots = file.robots.get_or_insert_default();
+                    (robots.sensor, robots.range_std_m) = (Some(sensor.clone()), None);
+                }
+            }
+        }
+        if let Some(treatment) = &self.nuisances {
+            let filter = file.filter.get_or_insert_default();
+            let estimates = treatment == "estimated";
+            filter.nuisances = (!estimates).then(|| treatment.clone());
+            filter.estimate = estimates.then(|| vec!["bias".to_owned(), "pose".to_owned()]);
+        }
+    }
+}
+
+/// One run of one variant.
 #[derive(Debug, Clone, Default)]
 pub struct Trial {
     /// Ticks 1 to the last; fewer than requested if the estimate diverged beyond all bounds.
@@ -76,21 +140,21 @@ impl Trials {
     ///
     /// # Errors
     /// [`ScenarioError`] for the first fault.
-    pub fn scenario(&self, planner: &str, run: u64) -> Result<Scenario, ScenarioError> {
+    pub fn scenario(&self, variant: &Variant, run: u64) -> Result<Scenario, ScenarioError> {
         let Given { file, file_name, folder, .. } = &self.given;
         let mut file = file.clone();
         file.seed = Some(self.first_seed.wrapping_add(run));
-        file.planner.get_or_insert_with(PlannerTable::default).name = Some(planner.to_owned());
+        variant.apply(&mut file);
         input::scenario(&file, file_name, folder)
     }
 
-    /// Runs of all planners together.
+    /// Runs of all variants together.
     #[must_use]
     pub fn count(&self) -> u64 {
-        self.runs.saturating_mul(self.planners.len() as u64)
+        self.runs.saturating_mul(self.variants.len() as u64)
     }
 
-    /// Runs them all: for each planner its trials in order of runs, independent of the threads.
+    /// Runs them all: for each variant its trials in order of runs, independent of the threads.
     ///
     /// # Errors
     /// If a run cannot be set up or a thread cannot be started.
@@ -117,28 +181,27 @@ impl Trials {
             Ok::<_, anyhow::Error>(indexed)
         })?;
         indexed.sort_unstable_by_key(|(index, _)| *index);
-        let mut trials: Vec<Vec<Trial>> = self.planners.iter().map(|_| Vec::new()).collect();
+        let mut trials: Vec<Vec<Trial>> = self.variants.iter().map(|_| Vec::new()).collect();
         for (index, trial) in indexed {
-            trials[(index % self.planners.len() as u64) as usize].push(trial);
+            trials[(index % self.variants.len() as u64) as usize].push(trial);
         }
         Ok(trials)
     }
 
-    /// A thread's share. All planners of a run come before the next run, so that a busy moment of the
+    /// A thread's share. All variants of a run come before the next run, so that a busy moment of the
     /// machine affects all of them alike, and the remaining time can be estimated from the finished runs.
     fn work(&self, next: &AtomicU64, done: &AtomicU64) -> anyhow::Result<Vec<(u64, Trial)>> {
-        let mut yardstick = Yardstick::default();
         let mut trials = Vec::new();
         loop {
             let index = next.fetch_add(1, Ordering::Relaxed);
             if index >= self.count() {
                 return Ok(trials);
             }
-            let planners = self.planners.len() as u64;
+            let variants = self.variants.len() as u64;
             let trial = self
-                .scenario(&self.planners[(index % planners) as usize], index / planners)
+                .scenario(&self.variants[(index % variants) as usize], index / variants)
                 .map_err(anyhow::Error::from)
-                .and_then(|scenario| Trial::run(&scenario, &mut yardstick))
+                .and_then(|scenario| Trial::run(&scenario))
                 // The other threads need not continue.
                 .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))?;
             trials.push((index, trial));
@@ -148,8 +211,9 @@ impl Trials {
 }
 
 impl Trial {
-    fn run(scenario: &Scenario, yardstick: &mut Yardstick) -> anyhow::Result<Self> {
+    fn run(scenario: &Scenario) -> anyhow::Result<Self> {
         let mut team = Team::new(scenario)?;
+        let yardstick = &mut Yardstick::new(scenario)?;
         let mut trial = Self { samples: Vec::with_capacity(scenario.ticks as usize), ..Self::default() };
         for tick in 0..=scenario.ticks {
             if team.tick().is_err() {
@@ -195,16 +259,9 @@ impl Trial {
 /// The certified optimum of the same situations that other planners received.
 #[derive(Debug)]
 struct Yardstick {
-    optimiser: RangeOnly,
+    optimiser: Box<dyn Planner>,
     optimum: Plan,
     problem: Problem,
-}
-
-impl Default for Yardstick {
-    fn default() -> Self {
-        let optimiser = RangeOnly::new(Box::new(Certified::new(defaults::NODES as u32)));
-        Self { optimiser, optimum: Plan::default(), problem: Problem::default() }
-    }
 }
 
 /// Distance of a plan from the optimum; as in [`Sample`].
@@ -216,6 +273,12 @@ struct Distance {
 }
 
 impl Yardstick {
+    fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
+        let certified = PlannerSpec::Certified { nodes: defaults::NODES as u32 };
+        let optimiser = planner::for_team(certified, scenario.robots.len(), scenario.seed)?;
+        Ok(Self { optimiser, optimum: Plan::default(), problem: Problem::default() })
+    }
+
     fn measure(&mut self, team: &Team) -> Distance {
         let (situation, plan) = (team.centre().situation(), team.centre().last_plan());
         // A plan with its own certificate needs no second one.
@@ -225,9 +288,11 @@ impl Yardstick {
             self.optimum.certificate
         });
         self.problem.pose(situation);
-        let best = best.unwrap_or_else(|| hull_certificate(&self.problem, &plan.worth));
+        let best = best.unwrap_or_else(|| hull_certificate(situation, plan));
+        // The paper's |S| may be zero, a criterion of other teams is not.
+        let scale = if situation.is_range_only() { self.problem.lambda_sum() } else { best.lower_bound };
         Distance {
-            gap: ((plan.worth.objective - best.lower_bound) / self.problem.lambda_sum()).max(0.0),
+            gap: ((plan.worth.objective - best.lower_bound) / scale).max(0.0),
             trace_excess: (plan.worth.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
             certified: best.is_optimal,
         }

@@ -46,9 +46,9 @@ pub fn draw(comparison: &Comparison, scenarios: &[Scenario], folder: &Path) -> a
     chart::draw_to_file(&planning_time, SIZE, |area| draw_planning_time(comparison, area))
 }
 
-/// The planner's colour, the same in all pictures and comparisons.
-fn colour_of(name: &str) -> RGBColor {
-    let at = PLANNERS.iter().position(|known| *known == name).unwrap_or_default();
+/// The planner's colour, the same in all pictures and comparisons; that of another variant follows from its place.
+fn colour_of(name: &str, index: usize) -> RGBColor {
+    let at = PLANNERS.iter().position(|known| *known == name).unwrap_or(index % (COLOURS.len() + 1));
     COLOURS.get(at).copied().unwrap_or(LAST_COLOUR)
 }
 
@@ -57,26 +57,26 @@ fn widths() -> impl Iterator<Item = u32> {
     [9, 6].into_iter().chain(std::iter::repeat(3))
 }
 
-fn key_entry(name: String, planner: &str) -> KeyEntry {
-    (name, colour_of(planner).stroke_width(6))
+fn key_entry(text: String, name: &str, index: usize) -> KeyEntry {
+    (text, colour_of(name, index).stroke_width(6))
 }
 
 fn key(planners: &[Summary]) -> Vec<KeyEntry> {
-    planners.iter().map(|planner| key_entry(planner.name.clone(), &planner.name)).collect()
+    planners.iter().enumerate().map(|(i, planner)| key_entry(planner.name.clone(), &planner.name, i)).collect()
 }
 
 /// Fig. 3 of the paper: the position trace over time.
 fn draw_trace(comparison: &Comparison, area: &Area<'_>) -> Drawn {
     let Comparison { planners, time_s, .. } = comparison;
     let below = chart::draw_key(area, &key(planners))?;
-    let band = |Summary { name, series, .. }: &Summary| {
+    let band = |(index, Summary { name, series, .. }): (usize, &Summary)| {
         let limits = series.trace_m2.p10.iter().zip(&series.trace_m2.p90);
         let points = time_s.iter().zip(limits).map(|(time_s, (low, high))| (*time_s, *low, *high)).collect();
-        Band { name: None, colour: colour_of(name).mix(0.12), points }
+        Band { name: None, colour: colour_of(name, index).mix(0.12), points }
     };
     let chart = OverTime {
         label: "trace of the position covariance, m²: median and 10 to 90 %".to_owned(),
-        bands: planners.iter().map(band).collect(),
+        bands: planners.iter().enumerate().map(band).collect(),
         lines: lines(comparison, |planner| &planner.series.trace_m2.median),
     };
     chart.draw_log(&below, times_s(comparison))
@@ -84,12 +84,12 @@ fn draw_trace(comparison: &Comparison, area: &Area<'_>) -> Drawn {
 
 /// A line for each planner.
 fn lines(comparison: &Comparison, values: impl Fn(&Summary) -> &Vec<f64>) -> Vec<Line> {
-    let line = |(planner, width): (&Summary, u32)| Line {
+    let line = |((index, planner), width): ((usize, &Summary), u32)| Line {
         name: None,
-        style: colour_of(&planner.name).stroke_width(width),
+        style: colour_of(&planner.name, index).stroke_width(width),
         points: comparison.time_s.iter().copied().zip(values(planner).iter().copied()).collect(),
     };
-    comparison.planners.iter().zip(widths()).map(line).collect()
+    comparison.planners.iter().enumerate().zip(widths()).map(line).collect()
 }
 
 fn times_s(comparison: &Comparison) -> Range<f64> {
@@ -141,7 +141,7 @@ fn draw_paths(comparison: &Comparison, paths: &[Paths], area: &Area<'_>) -> Draw
     let square = Square::around(paths.iter().flat_map(Paths::bodies));
     for (index, (panel, paths)) in below.split_evenly(grid(paths.len())).iter().zip(paths).enumerate() {
         let name = comparison.planners.get(index).map_or("", |planner| planner.name.as_str());
-        paths.draw(panel, square, Some((name, colour_of(name))))?;
+        paths.draw(panel, square, Some((name, colour_of(name, index))))?;
     }
     Ok(())
 }
@@ -183,9 +183,9 @@ fn draw_gap(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         .build_cartesian_2d(LogAxis(chart::log_limits(gaps)), 0.0..1.02)?;
     let label = "|S| above the certified lower bound, relative to the sum of all lambda";
     chart::draw_axes(&mut chart, label, "part of the steps with at most this gap")?;
-    for (planner, width) in planners.iter().zip(widths()) {
+    for ((index, planner), width) in planners.iter().enumerate().zip(widths()) {
         let line = planner.gap_distribution.iter().copied();
-        chart.draw_series(LineSeries::new(line, colour_of(&planner.name).stroke_width(width)))?;
+        chart.draw_series(LineSeries::new(line, colour_of(&planner.name, index).stroke_width(width)))?;
     }
     Ok(())
 }
@@ -197,7 +197,8 @@ fn draw_planning_time(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         Some(law) => format!("{}  M^{:.2}", scaling.name, law.exponent),
         None => scaling.name.clone(),
     };
-    let key: Vec<_> = scalings.iter().map(|scaling| key_entry(name(scaling), &scaling.name)).collect();
+    let key: Vec<_> =
+        scalings.iter().enumerate().map(|(i, scaling)| key_entry(name(scaling), &scaling.name, i)).collect();
     let below = chart::draw_key(area, &key)?;
     let points = || scalings.iter().flat_map(|scaling| &scaling.points);
     let robots = chart::log_limits(points().map(|point| point.robots as f64));
@@ -208,8 +209,8 @@ fn draw_planning_time(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         .y_label_area_size(110)
         .build_cartesian_2d(LogAxis(robots), LogAxis(times_us))?;
     chart::draw_axes(&mut chart, "M, robots", "time to plan a step, µs: median, and the power law through it")?;
-    for scaling in scalings {
-        let colour = colour_of(&scaling.name);
+    for (index, scaling) in scalings.iter().enumerate() {
+        let colour = colour_of(&scaling.name, index);
         let points = || scaling.points.iter().map(|point| (point.robots as f64, point.planning_us));
         chart.draw_series(LineSeries::new(points(), colour.mix(0.25).stroke_width(3)))?;
         if let (Some(law), [first, .., last]) = (scaling.law, scaling.fitted()) {

@@ -50,7 +50,7 @@ pub struct Point {
 
 /// Measures the planner of a scenario on teams of the scenario's robots round a target.
 #[must_use]
-pub fn measure(scenario: &Scenario) -> Scaling {
+pub fn measure(name: &str, scenario: &Scenario) -> Scaling {
     let mut points = Vec::new();
     for robots in SIZES {
         let began = Instant::now();
@@ -60,7 +60,7 @@ pub fn measure(scenario: &Scenario) -> Scaling {
             break;
         }
     }
-    let mut scaling = Scaling { name: scenario.planner.name().to_owned(), points, law: None };
+    let mut scaling = Scaling { name: name.to_owned(), points, law: None };
     let fitted = scaling.fitted().iter().map(|point| (point.robots as f64, point.planning_us));
     scaling.law = fit_power_law(&fitted.collect::<Vec<_>>());
     scaling

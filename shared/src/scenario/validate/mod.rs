@@ -8,7 +8,7 @@ mod values;
 
 use std::time::Duration;
 
-use super::bounds::{DT_S, GATE_SIGMA, NOISE_PSD, STD_M, TICKS_MAX, TIMEOUT_S};
+use super::bounds::{DT_S, ESTIMATED_ROBOTS_MAX, GATE_SIGMA, NOISE_PSD, STD_M, TICKS_MAX, TIMEOUT_S};
 use super::{
     Clearance, Clock, FilterTable, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario, ScenarioError,
     ScenarioFile, Source, Timeout, TimeoutKey, Treatment, defaults,
@@ -111,6 +111,11 @@ impl Checker<'_> {
             scenario.source = Source::Simulated { target_start };
             scenario.robots = self.team(raw)?;
             self.set_filter_noise(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;
+        }
+        let robots = scenario.robots.len();
+        if matches!(scenario.treatment, Treatment::Estimated { .. }) && robots > ESTIMATED_ROBOTS_MAX {
+            let expected = format!("no such key for more than {ESTIMATED_ROBOTS_MAX} robots or sensors");
+            return Err(self.refuse("filter.estimate", expected, format!("given for {robots}")));
         }
         Ok(scenario)
     }
