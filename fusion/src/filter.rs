@@ -25,7 +25,7 @@ const MEAN_BEND_MAX_RAD: f64 = 0.5;
 const ROUNDING: f64 = 1e-12;
 
 /// Rounding of a difference relative to its operands: about a hundred units in the last place.
-pub(crate) const DIFFERENCE_ROUNDING: f64 = 3e-14;
+const DIFFERENCE_ROUNDING: f64 = 3e-14;
 
 /// Gaussian estimate of the target: `X` (position first) and its error covariance `P`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -170,17 +170,7 @@ impl<const N: usize> Gaussian<N> {
         let b = a * prior_adjugate / prior_det;
         let mut p = self.p + b * (posterior - prior) * b.transpose();
         let cross = b * posterior;
-        for i in 0..N {
-            for k in 0..2 {
-                let value = if i < 2 { posterior[(i, k)] } else { cross[(i, k)] };
-                p[(i, k)] = value;
-                p[(k, i)] = value;
-            }
-        }
-        for i in 0..N {
-            // A difference is uncertain by the rounding of its operands.
-            p[(i, i)] += DIFFERENCE_ROUNDING * self.p[(i, i)];
-        }
+        set_position(&mut p, &posterior, &cross, &self.p);
         let mut x = self.x + b * shift;
         x[0] = self.x[0] + shift[0];
         x[1] = self.x[1] + shift[1];
@@ -269,6 +259,27 @@ impl Information {
 /// Determinant of a positive semi-definite matrix: never below zero, whatever the rounding.
 pub(crate) fn determinant(m: &Matrix2<f64>) -> f64 {
     (m[(0, 0)] * m[(1, 1)] - m[(0, 1)] * m[(1, 0)]).max(0.0)
+}
+
+/// Completes a posterior covariance, of which only the part beyond the position is right: sets the position's own and its
+/// covariance with the other states, and allows for the rounding of the difference from the prior.
+pub(crate) fn set_position<const N: usize>(
+    p: &mut SMatrix<f64, N, N>,
+    position: &Matrix2<f64>,
+    with_position: &SMatrix<f64, N, 2>,
+    prior: &SMatrix<f64, N, N>,
+) {
+    for i in 0..N {
+        for k in 0..2 {
+            let value = if i < 2 { position[(i, k)] } else { with_position[(i, k)] };
+            p[(i, k)] = value;
+            p[(k, i)] = value;
+        }
+    }
+    for i in 0..N {
+        // A difference is uncertain by the rounding of its operands.
+        p[(i, i)] += DIFFERENCE_ROUNDING * prior[(i, i)];
+    }
 }
 
 /// The matrix made symmetric to the bit, with variances inflated against rounding.

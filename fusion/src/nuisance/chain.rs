@@ -64,11 +64,7 @@ impl Covariance {
 
     /// The full matrix.
     pub(crate) fn matrix(&self) -> SMatrix<f64, NUISANCES, NUISANCES> {
-        let mut matrix = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();
-        matrix.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.position_m2);
-        matrix[(2, 2)] = self.heading_rad2;
-        matrix[(3, 3)] = self.bias_m2;
-        matrix
+        of_blocks(&self.position_m2, self.heading_rad2, self.bias_m2)
     }
 }
 
@@ -83,11 +79,7 @@ impl Change {
 
     /// `F`.
     pub(crate) fn matrix(&self) -> SMatrix<f64, NUISANCES, NUISANCES> {
-        let mut matrix = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();
-        matrix.fixed_view_mut::<2, 2>(0, 0).copy_from(&self.position);
-        matrix[(2, 2)] = self.heading;
-        matrix[(3, 3)] = self.bias;
-        matrix
+        of_blocks(&self.position, self.heading, self.bias)
     }
 }
 
@@ -203,6 +195,15 @@ impl Chain {
             }
         })
     }
+}
+
+/// The matrix of a robot's nuisances with these blocks.
+fn of_blocks(position: &Matrix2<f64>, heading: f64, bias: f64) -> SMatrix<f64, NUISANCES, NUISANCES> {
+    let mut matrix = SMatrix::<f64, NUISANCES, NUISANCES>::zeros();
+    matrix.fixed_view_mut::<2, 2>(0, 0).copy_from(position);
+    matrix[(2, 2)] = heading;
+    matrix[(3, 3)] = bias;
+    matrix
 }
 
 /// The factor on an error whose variance has changed, `f`. If the variance has fallen below `f^2` of what it was, the robot

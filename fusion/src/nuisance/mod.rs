@@ -263,7 +263,7 @@ impl<const N: usize> Estimate<N> {
         }
     }
 
-    /// True if all its numbers are finite and it belongs to a team of this size.
+    /// True if it belongs to a team of this size.
     pub(crate) fn is_of_team(&self, robots: usize) -> bool {
         match &self.dependence {
             Dependence::None => true,

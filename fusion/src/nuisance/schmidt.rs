@@ -16,7 +16,7 @@
 use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
 
 use super::{Chain, Cross, NUISANCES, Row};
-use crate::filter::{DIFFERENCE_ROUNDING, Gaussian, conditioned, determinant, posterior_covariance};
+use crate::filter::{Gaussian, conditioned, determinant, posterior_covariance, set_position};
 
 /// Least determinant of `B` with which the position's covariance is computed without an inverse.
 const WELL_CONDITIONED: f64 = 0.1;
@@ -76,17 +76,7 @@ pub(super) fn update<'a, const N: usize>(
         - g_g
         + l * e * l.transpose();
     let with_position = b * position + beyond;
-    for i in 0..N {
-        for k in 0..2 {
-            let value = if i < 2 { position[(i, k)] } else { with_position[(i, k)] };
-            p[(i, k)] = value;
-            p[(k, i)] = value;
-        }
-    }
-    for i in 0..N {
-        // A difference is uncertain by the rounding of its operands.
-        p[(i, i)] += DIFFERENCE_ROUNDING * prior.p[(i, i)];
-    }
+    set_position(&mut p, &position, &with_position, &prior.p);
 
     let gain = b * e_upper - l * e;
     let gain_h = b * (Matrix2::identity() - e.fixed_view::<2, 2>(0, 2)) + l * e_right;
