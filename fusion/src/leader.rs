@@ -321,7 +321,7 @@ impl Leader {
     }
 
     fn gather(&mut self, now_ns: u64) -> Result<Option<Action>, Diverged> {
-        self.intake.extend(self.suspension.look(now_ns));
+        self.intake.extend(self.suspension.look(now_ns), now_ns);
         let next = self.centre.next_tick();
         if next < self.over_before || self.intake.is_ready(next, now_ns) {
             self.stages = Stages { last_range_ns: self.intake.last_range_ns(), began_ns: now_ns, ..Stages::default() };

@@ -140,7 +140,8 @@ impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A
     fn receive(&mut self, events: Events) -> Result<(), BusError> {
         let Self { machine, worlds, headings, .. } = self;
         if events.has(Event::World) || events.is_empty() {
-            worlds.drain(|header, entries| machine.on_world(header, entries))?;
+            let now_ns = monotonic_ns();
+            worlds.drain(|header, entries| machine.on_world(header, entries, now_ns))?;
         }
         if events.has(Event::Heading) || events.is_empty() {
             headings.drain(|header, commands| machine.on_heading(header, commands))?;

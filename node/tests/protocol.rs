@@ -14,17 +14,18 @@ use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
 
 /// Every protocol so far with the digest of its data layout. Add a line for a new protocol; never change an old one.
-const HISTORY: [(u32, u64); 6] = [
+const HISTORY: [(u32, u64); 7] = [
     (1, 0x8a98_a0c7_e0b3_ca0d),
     (2, 0xf26b_d96f_19ad_d4f6),
     (3, 0x1db7_11f4_60fd_fd13),
     (4, 0xc0ea_c5a0_6031_6e7e),
     (5, 0x7a0e_4cf4_61c2_071c),
     (6, 0x65ae_7aff_f591_598d),
+    (7, 0x2195_e843_691a_5f26),
 ];
 
 /// The same for the description of a recorded run.
-const RECORDED: (u32, u64) = (6, 0xc5cd_55b9_ce77_e334);
+const RECORDED: (u32, u64) = (7, 0xc5cd_55b9_ce77_e334);
 
 /// The versioned type names that iceoryx2 compares; reading them through iceoryx2 would take `unsafe`.
 fn type_names() -> String {

@@ -32,6 +32,11 @@ impl Controller {
         driven
     }
 
+    /// Forgets the last heading: the robot stands still until it gets a new one.
+    pub fn forget(&mut self) {
+        self.last = None;
+    }
+
     /// The command for a tick whose heading did not arrive in time: the last heading for
     /// [`HOLD_TICKS`], then a stop.
     #[must_use]

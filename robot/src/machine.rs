@@ -2,7 +2,8 @@
 //!
 //! A driver feeds it with messages ([`Machine::on_world`], [`Machine::on_heading`]), asks for the next [`Action`], carries
 //! it out, and asks again until there is none. Two actions are answered: [`Action::Measure`] by [`Machine::measured`],
-//! [`Action::CarryOut`] by [`Machine::carried_out`]. Time is an argument: monotonic, ns.
+//! [`Action::CarryOut`] by [`Machine::carried_out`]. Time is an argument: monotonic, ns, of the robot's own clock. All deadlines
+//! count from when this robot received a message: the clocks of other hosts may show any time.
 
 use std::collections::VecDeque;
 
@@ -47,7 +48,7 @@ pub struct Machine {
     controller: Controller,
     is_moving: bool,
     /// The newest world message that has not been processed.
-    world: Option<(Header, WorldEntry)>,
+    world: Option<Received>,
     /// The newest heading received: its tick and this robot's command.
     heading: Option<(u64, Command)>,
     present: Option<Present>,
@@ -59,12 +60,22 @@ pub struct Machine {
     actions: VecDeque<Action>,
 }
 
+/// A world message and when it was received.
+#[derive(Debug, Clone, Copy)]
+struct Received {
+    header: Header,
+    entry: WorldEntry,
+    at_ns: u64,
+}
+
 /// The present tick of a robot.
 #[derive(Debug, Clone, Copy)]
 struct Present {
     sim_incarnation: u64,
     tick: u64,
     time_s: f64,
+    /// When its world was received first.
+    began_ns: u64,
     range: Range,
     range_sent_ns: u64,
     /// True once the default command, for the case that no heading arrives, has been published.
@@ -76,6 +87,7 @@ struct Present {
 enum Asked {
     Range {
         header: Header,
+        began_ns: u64,
     },
     /// A command from a heading that was received at this time; 0 without a heading.
     Drive {
@@ -110,11 +122,11 @@ impl Machine {
         Some(machine)
     }
 
-    /// Takes a message of the topic `world`.
-    pub fn on_world(&mut self, header: &Header, entries: &[WorldEntry]) {
+    /// Takes a message of the topic `world`, received at `now_ns`.
+    pub fn on_world(&mut self, header: &Header, entries: &[WorldEntry], now_ns: u64) {
         let is_of_run = header.tick <= self.last_tick && header.valid_at_s.is_finite();
         if let Some(entry) = entries.get(self.id).filter(|entry| is_of_run && entry.is_valid()) {
-            self.world = Some((*header, *entry));
+            self.world = Some(Received { header: *header, entry: *entry, at_ns: now_ns });
         }
     }
 
@@ -137,10 +149,10 @@ impl Machine {
 
     /// The next action; `None` until a message arrives or [`Self::wakes_at_ns`].
     pub fn next_action(&mut self, now_ns: u64) -> Option<Action> {
-        if self.actions.is_empty() && self.asked.is_none() {
-            self.decide(now_ns);
+        match self.actions.pop_front() {
+            None if self.asked.is_none() => self.decide(now_ns),
+            action => action,
         }
-        self.actions.pop_front()
     }
 
     /// When it must act even if no message arrives, monotonic ns.
@@ -154,7 +166,7 @@ impl Machine {
     pub fn heading_deadline_ns(&self) -> Option<u64> {
         let present = self.present.as_ref()?;
         let waits = self.clock == Clock::Realtime && present.tick > 0 && present.drive.is_none();
-        waits.then(|| heading_deadline_ns(present.range.tick_began_ns, self.dt_s))
+        waits.then(|| heading_deadline_ns(present.began_ns, self.dt_s))
     }
 
     /// True before its first tick.
@@ -166,31 +178,31 @@ impl Machine {
     /// Publishes the default command before the robot sleeps, without a notification: in real time a tick does not wait for
     /// a late robot, and the kernel's timer may expire after the end of the tick.
     pub fn before_sleep(&mut self) {
-        let Some(present) = self.present.filter(|present| !present.provided) else { return };
-        if self.heading_deadline_ns().is_some() {
-            let held = self.controller.hold(present.tick);
-            let drive = Drive { headings_refused: 0, ..self.drive(&present, held, 0, false) };
-            self.present = Some(Present { provided: true, ..present });
-            self.send_drive(&present, drive);
+        if self.heading_deadline_ns().is_none() {
+            return;
         }
+        let Some(present) = self.present.as_mut().filter(|present| !present.provided) else { return };
+        present.provided = true;
+        let held = self.controller.hold(present.tick);
+        let drive = present.drive_of(held, (0, false), 0);
+        self.actions.push_back(Action::SendDrive(present.message(drive)));
     }
 
     /// Answers [`Action::Measure`]. The measurement is published next.
     pub fn measured(&mut self, measurement: Measurement, now_ns: u64) {
-        let Some(Asked::Range { header }) = self.asked.take_if(|asked| matches!(asked, Asked::Range { .. })) else {
-            return;
-        };
-        let range = Range { robot: self.id as u64, measurement, tick_began_ns: header.sent_ns };
-        self.present = Some(Present {
+        let is_range = |asked: &mut Asked| matches!(asked, Asked::Range { .. });
+        let Some(Asked::Range { header, began_ns }) = self.asked.take_if(is_range) else { return };
+        let present = self.present.insert(Present {
             sim_incarnation: header.incarnation,
             tick: header.tick,
             time_s: header.valid_at_s,
-            range,
+            began_ns,
+            range: Range { robot: self.id as u64, measurement },
             range_sent_ns: now_ns,
             provided: false,
             drive: None,
         });
-        self.send_range(&header, range);
+        self.actions.push_back(Action::SendRange(present.message(present.range)));
         // In real time the first range starts fusion's deadline.
         let or_first = self.clock == Clock::Realtime;
         self.notify(Notification::by_last_answer(WaitGroup::Fusion, Event::Range, header.tick, or_first));
@@ -199,108 +211,105 @@ impl Machine {
     /// Answers [`Action::CarryOut`] with the driven command.
     pub fn carried_out(&mut self, driven: Command) {
         let Some(Asked::Drive { heading_held_ns, is_late }) = self.asked.take() else { return };
-        let Some(present) = self.present else { return };
-        let drive = self.drive(&present, driven, heading_held_ns, is_late);
-        self.present = Some(Present { drive: Some(drive), ..present });
-        self.send_drive(&present, drive);
+        let Some(present) = &mut self.present else { return };
+        let drive = *present.drive.insert(present.drive_of(driven, (heading_held_ns, is_late), self.headings_refused));
+        self.actions.push_back(Action::SendDrive(present.message(drive)));
         // In real time the simulator ends a tick by its clock, except the first tick.
-        if self.clock == Clock::Lockstep || present.tick == 0 {
-            self.notify(Notification::by_last_answer(WaitGroup::Sim, Event::Drive, present.tick, false));
+        let tick = present.tick;
+        if self.clock == Clock::Lockstep || tick == 0 {
+            self.notify(Notification::by_last_answer(WaitGroup::Sim, Event::Drive, tick, false));
         }
     }
 
-    fn decide(&mut self, now_ns: u64) {
-        if let Some((header, entry)) = self.world.take() {
-            self.see_world(header, entry);
-            if self.asked.is_some() || !self.actions.is_empty() {
-                return;
-            }
+    fn decide(&mut self, now_ns: u64) -> Option<Action> {
+        // Before it looks at a world: after a suspension the newest one that it received may be as old as the others.
+        if self.stop_deadline_ns().is_some_and(|deadline_ns| deadline_ns <= now_ns) {
+            self.controller.forget();
+            return Some(self.carry_out(Command::default(), Asked::Stop));
         }
-        let Some(present) = self.present else { return };
-        let is_fresh = |&(tick, _): &(u64, Command)| tick == present.tick;
+        if let Some(world) = self.world.take()
+            && let Some(action) = self.see_world(&world)
+        {
+            return Some(action);
+        }
+        let present = self.present.as_ref()?;
+        let tick = present.tick;
         let obeyed = present.drive.is_some_and(|drive| drive.heading_held_ns != 0);
-        if let Some((_, command)) = self.heading.take_if(|heading| is_fresh(heading)).filter(|_| !obeyed) {
-            // After the deadline, but within the tick: a late heading is better than a held one.
-            let is_late = present.drive.is_some();
-            let command = self.controller.obey(present.tick, command);
-            self.carry_out(command, Asked::Drive { heading_held_ns: now_ns, is_late });
-        } else if self.heading_deadline_ns().is_some_and(|deadline_ns| deadline_ns <= now_ns) {
-            let command = self.controller.hold(present.tick);
-            self.carry_out(command, Asked::Drive { heading_held_ns: 0, is_late: false });
-        } else if self.stop_deadline_ns().is_some_and(|deadline_ns| deadline_ns <= now_ns) {
-            self.carry_out(Command::default(), Asked::Stop);
+        // After the deadline, but within the tick: a late heading is better than a held one.
+        let is_late = present.drive.is_some();
+        if let Some((_, command)) = self.heading.take_if(|heading| heading.0 == tick).filter(|_| !obeyed) {
+            let command = self.controller.obey(tick, command);
+            return Some(self.carry_out(command, Asked::Drive { heading_held_ns: now_ns, is_late }));
         }
+        let is_overdue = self.heading_deadline_ns().is_some_and(|deadline_ns| deadline_ns <= now_ns);
+        is_overdue.then(|| {
+            let command = self.controller.hold(tick);
+            self.carry_out(command, Asked::Drive { heading_held_ns: 0, is_late: false })
+        })
     }
 
     /// Measures a new tick and publishes the range; answers a repeated tick with the same message.
-    fn see_world(&mut self, header: Header, entry: WorldEntry) {
-        let seen = self.present.map(|present| (present.sim_incarnation, present.tick));
+    fn see_world(&mut self, Received { header, entry, at_ns }: &Received) -> Option<Action> {
+        let seen = self.present.as_ref().map(|present| (present.sim_incarnation, present.tick));
         let news = (header.incarnation, header.tick);
         if seen == Some(news) {
-            self.repeat();
-        } else if seen.is_none_or(|seen| seen < news) {
-            // The last drive message has already counted these refusals.
-            if let Some(reported) = self.present.and_then(|present| present.drive) {
-                self.headings_refused -= reported.headings_refused;
-            }
-            self.asked = Some(Asked::Range { header });
-            self.actions.push_back(Action::Measure { tick: header.tick, time_s: header.valid_at_s, entry });
+            return self.repeat();
         }
         // A restarted simulator may go back in ticks; the same incarnation never does.
+        seen.is_none_or(|seen| seen < news).then(|| {
+            // The last drive message has already counted these refusals.
+            if let Some(reported) = self.present.as_ref().and_then(|present| present.drive.as_ref()) {
+                self.headings_refused -= reported.headings_refused;
+            }
+            self.asked = Some(Asked::Range { header: *header, began_ns: *at_ns });
+            Action::Measure { tick: header.tick, time_s: header.valid_at_s, entry: *entry }
+        })
     }
 
-    fn repeat(&mut self) {
-        let Some(present) = self.present else { return };
-        if let Some(drive) = present.drive {
-            self.send_drive(&present, drive);
-            self.notify(Notification::always(WaitGroup::Sim, Event::Drive));
-        } else {
-            self.actions.push_back(Action::SendRange(Outgoing {
-                tick: present.tick,
-                valid_at_s: present.time_s,
-                entry: present.range,
-            }));
-            self.notify(Notification::always(WaitGroup::Fusion, Event::Range));
-        }
+    fn repeat(&mut self) -> Option<Action> {
+        let present = self.present.as_ref()?;
+        let (action, to, event) = match present.drive {
+            Some(drive) => (Action::SendDrive(present.message(drive)), WaitGroup::Sim, Event::Drive),
+            None => (Action::SendRange(present.message(present.range)), WaitGroup::Fusion, Event::Range),
+        };
+        self.notify(Notification::always(to, event));
+        Some(action)
     }
 
     /// In real time, when a robot must stop because the simulator has been silent for longer than a heading is held: the
     /// simulator's bodies stand still then, and so must a real one.
     fn stop_deadline_ns(&self) -> Option<u64> {
-        let present = self.present.filter(|_| self.is_moving && self.clock == Clock::Realtime)?;
+        let present = self.present.as_ref().filter(|_| self.is_moving && self.clock == Clock::Realtime)?;
         let held_ns = ((HOLD_TICKS + 1) as f64 * self.dt_s * 1e9) as u64;
-        Some(present.range.tick_began_ns.saturating_add(held_ns))
+        Some(present.began_ns.saturating_add(held_ns))
     }
 
-    fn carry_out(&mut self, command: Command, asked: Asked) {
+    fn carry_out(&mut self, command: Command, asked: Asked) -> Action {
         self.is_moving = command != Command::default();
         self.asked = Some(asked);
-        self.actions.push_back(Action::CarryOut(command));
-    }
-
-    fn send_range(&mut self, header: &Header, entry: Range) {
-        let (tick, valid_at_s) = (header.tick, header.valid_at_s);
-        self.actions.push_back(Action::SendRange(Outgoing { tick, valid_at_s, entry }));
-    }
-
-    fn send_drive(&mut self, present: &Present, entry: Drive) {
-        let (tick, valid_at_s) = (present.tick, present.time_s);
-        self.actions.push_back(Action::SendDrive(Outgoing { tick, valid_at_s, entry }));
+        Action::CarryOut(command)
     }
 
     fn notify(&mut self, notification: Notification) {
         self.actions.push_back(Action::Notify(notification));
     }
+}
 
-    fn drive(&self, present: &Present, driven: Command, heading_held_ns: u64, is_late: bool) -> Drive {
+impl Present {
+    fn message<T>(&self, entry: T) -> Outgoing<T> {
+        Outgoing { tick: self.tick, valid_at_s: self.time_s, entry }
+    }
+
+    fn drive_of(&self, driven: Command, (heading_held_ns, is_late): (u64, bool), headings_refused: u64) -> Drive {
         Drive {
-            robot: self.id as u64,
+            robot: self.range.robot,
             heading_rad: driven.heading_rad,
             speed_mps: driven.speed_mps,
-            range_sent_ns: if present.range.measurement.kinds != 0 { present.range_sent_ns } else { 0 },
+            range_sent_ns: if self.range.measurement.kinds != 0 { self.range_sent_ns } else { 0 },
             heading_held_ns,
             heading_late: u64::from(is_late),
-            headings_refused: self.headings_refused,
+            headings_refused,
+            network_ns: 0,
         }
     }
 }

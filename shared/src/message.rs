@@ -23,7 +23,7 @@ pub struct Header {
     pub tick: u64,
     /// Time at which the contents are valid, s since the run's or recording's zero.
     pub valid_at_s: f64,
-    /// Time of sending, monotonic ns.
+    /// Time of sending, monotonic ns of the sender's clock: for statistics within one host, never for a deadline.
     pub sent_ns: u64,
 }
 
@@ -103,15 +103,13 @@ impl Origin {
 
 /// Topic `range`: one robot's measurement at this tick, a range, a bearing or both; also sent without any.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v4"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Range.v5"))]
 #[repr(C)]
 pub struct Range {
     /// Id of the robot.
     pub robot: u64,
     /// The measurement and the sensor's pose.
     pub measurement: Measurement,
-    /// Start of the tick, monotonic ns, as in `world`: real-time deadlines count from it.
-    pub tick_began_ns: u64,
 }
 
 /// Topic `heading`, an entry for each robot: its command until the next tick.
@@ -127,7 +125,7 @@ pub struct Command {
 
 /// Topic `drive`: one robot's motion until the next tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Drive.v2"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Drive.v3"))]
 #[repr(C)]
 pub struct Drive {
     /// Id of the robot.
@@ -144,6 +142,8 @@ pub struct Drive {
     pub heading_late: u64,
     /// Headings refused since the last drive message: from a deposed fusion, or a process that never led.
     pub headings_refused: u64,
+    /// Time that range and heading spent between the hosts of robot and fusion, ns; 0 on one host.
+    pub network_ns: u64,
 }
 
 /// Why a message was refused. Its contents are never used, but the refusal is counted.
@@ -308,9 +308,9 @@ impl Drive {
 const _: () = {
     assert!(size_of::<Header>() == 40);
     assert!(size_of::<WorldEntry>() == 96);
-    assert!(size_of::<Range>() == 120);
+    assert!(size_of::<Range>() == 112);
     assert!(size_of::<Command>() == 16);
-    assert!(size_of::<Drive>() == 56);
+    assert!(size_of::<Drive>() == 64);
     assert!(size_of::<Estimate>() == 1064);
     assert!(size_of::<Truth>() == 88);
 };

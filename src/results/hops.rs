@@ -1,7 +1,8 @@
 //! The time from a range to its heading, divided into hops.
 //!
-//! The messages carry the time stamps, all of one monotonic clock: robots send theirs in `drive`, fusion sends its own in
-//! `estimate`. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
+//! The messages carry the time stamps, all of the clock of the run's host: robots send theirs in `drive`, fusion sends its own in
+//! `estimate`. The gateway translates the stamps of a robot on another host: it puts half of the time between the hosts on
+//! each way. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
 
 use rangehound_shared::message::Stages;
 use rangehound_shared::record::RobotRecord;
@@ -10,11 +11,11 @@ use serde::{Deserialize, Serialize};
 use crate::statistics::{Percentiles, Samples};
 
 /// Number of hops from range to heading.
-const COUNT: usize = 7;
+const COUNT: usize = 8;
 
 /// Full names of the hops, in order.
-pub const NAMES: [&str; COUNT] =
-    ["wait for the team", "fusion awake", "filter", "planner", "checkpoint", "publish", "robot awake"];
+const NAMES: [&str; COUNT] =
+    ["wait for the team", "fusion awake", "filter", "planner", "checkpoint", "publish", "robot awake", "network"];
 
 /// Durations of the hops of many robots and ticks.
 #[derive(Debug)]
@@ -23,7 +24,7 @@ pub struct Hops([Samples; COUNT]);
 /// Percentiles of each hop, us. The medians of the hops do not add up to the median of the total.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct HopSummary {
-    /// From a robot's range to the last robot's range.
+    /// From a robot's range, as it reaches fusion's host, to the last robot's range.
     pub wait_for_team: Percentiles,
     /// From the last range until fusion has received it.
     pub fusion_awake: Percentiles,
@@ -35,23 +36,34 @@ pub struct HopSummary {
     pub checkpoint: Percentiles,
     /// Sending the headings.
     pub publish: Percentiles,
-    /// From sending until the robot has received its heading.
+    /// From sending until the robot, or its gateway, has received its heading.
     pub robot_awake: Percentiles,
+    /// Between the hosts of robot and fusion, both ways; 0 on one host.
+    #[serde(default)]
+    pub network: Percentiles,
 }
 
 impl HopSummary {
-    /// The hops in order, as [`NAMES`] calls them.
+    /// The hops in order.
     #[must_use]
     pub fn in_order(&self) -> [Percentiles; COUNT] {
-        let Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake } = *self;
-        [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake]
+        let Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network } = *self;
+        [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network]
+    }
+
+    /// The hops with their full names, in order; without the network if the whole team is on one host.
+    #[must_use]
+    pub fn named(&self) -> Vec<(&'static str, Percentiles)> {
+        let mut named: Vec<_> = NAMES.into_iter().zip(self.in_order()).collect();
+        named.truncate(if self.network.p99 > 0.0 { COUNT } else { COUNT - 1 });
+        named
     }
 
     /// A summary of hops in order.
     #[must_use]
     pub fn from_order(hops: [Percentiles; COUNT]) -> Self {
-        let [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake] = hops;
-        Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake }
+        let [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network] = hops;
+        Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network }
     }
 }
 
@@ -83,12 +95,15 @@ impl Hops {
 /// Duration of each hop; `None` if a stamp is missing or older than its predecessor, as after a restart.
 fn durations_ns(stages: &Stages, robot: &RobotRecord) -> Option<[u64; COUNT]> {
     let Stages { last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns } = *stages;
-    let (first_ns, held_ns) = (robot.range_sent_ns?, robot.heading_held_ns?);
+    let (there_ns, back_ns) = (robot.network_ns / 2, robot.network_ns.div_ceil(2));
+    let (first_ns, held_ns) =
+        (robot.range_sent_ns?.checked_add(there_ns)?, robot.heading_held_ns?.checked_sub(back_ns)?);
     let stamps = [first_ns, last_range_ns, began_ns, filtered_ns, planned_ns, saved_ns, sent_ns, held_ns];
     let mut durations_ns = [0; COUNT];
     for (duration_ns, pair) in durations_ns.iter_mut().zip(stamps.windows(2)) {
         *duration_ns = pair[1].checked_sub(pair[0])?;
     }
+    durations_ns[COUNT - 1] = robot.network_ns;
     Some(durations_ns)
 }
 
@@ -109,7 +124,12 @@ mod tests {
     fn hops_add_up_to_the_end_to_end_latency() {
         let robot = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
         let durations_ns = durations_ns(&STAGES, &robot).unwrap();
-        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70]);
+        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 0]);
+        assert_eq!(Some(durations_ns.iter().sum()), robot.latency_ns());
+        // The same robot on another host.
+        let robot = RobotRecord { range_sent_ns: Some(700), heading_held_ns: Some(1_581), network_ns: 601, ..robot };
+        let durations_ns = super::durations_ns(&STAGES, &robot).unwrap();
+        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 601]);
         assert_eq!(Some(durations_ns.iter().sum()), robot.latency_ns());
     }
 
@@ -122,6 +142,9 @@ mod tests {
         hops.add(&Stages { saved_ns: 0, ..STAGES }, &whole);
         assert_eq!(hops.summary(), HopSummary::default());
         hops.add(&STAGES, &whole);
-        assert_eq!(hops.summary().in_order().map(|hop| hop.p50), [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07]);
+        assert_eq!(
+            hops.summary().named().iter().map(|(_, hop)| hop.p50).collect::<Vec<_>>(),
+            [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07]
+        );
     }
 }

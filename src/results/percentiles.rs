@@ -4,7 +4,7 @@ use plotters::prelude::*;
 use serde::Serialize;
 
 use crate::draw::chart::{self, Area, Drawn, LogAxis};
-use crate::results::hops::{self, HopSummary};
+use crate::results::hops::HopSummary;
 use crate::statistics::Samples;
 
 /// Points of a curve each time the remaining part halves.
@@ -86,11 +86,11 @@ pub fn draw_curves(area: &Area<'_>, curves: &[(&[Point], RGBColor)], samples: u6
 /// # Errors
 /// The backend's.
 pub fn draw_hops(area: &Area<'_>, hops_us: &HopSummary, colour: RGBColor, label: &str) -> Drawn {
-    let hops_us = hops_us.in_order();
+    let (names, hops_us): (Vec<_>, Vec<_>) = hops_us.named().into_iter().unzip();
     // Room for the shortest bar, which starts below its median.
     let limits = chart::log_limits(hops_us.iter().flat_map(|hop| [hop.p50 / 2.0, hop.p99]));
     let start_us = limits.start;
-    let mut chart = chart::draw_rows(area, &hops::NAMES, LogAxis(limits), label)?;
+    let mut chart = chart::draw_rows(area, &names, LogAxis(limits), label)?;
     for (hop, top) in hops_us.iter().zip((1..=hops_us.len()).rev()) {
         let bar = |to_us: f64, strength: f64| {
             let corners = [(start_us, top as f64 - 0.85), (to_us.max(start_us), top as f64 - 0.15)];

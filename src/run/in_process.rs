@@ -156,7 +156,7 @@ impl Team {
             if action == sim::Action::SendWorld {
                 let (tick, world) = (self.sim.tick(), self.sim.world());
                 let header = Header { incarnation: 1, tick, valid_at_s: world.time_s(), ..Header::default() };
-                self.robots.iter_mut().for_each(|robot| robot.machine.on_world(&header, world.entries()));
+                self.robots.iter_mut().for_each(|robot| robot.machine.on_world(&header, world.entries(), 0));
             }
         }
     }

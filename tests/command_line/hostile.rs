@@ -233,6 +233,7 @@ fn hostile_messages() {
         heading_held_ns: words[2],
         heading_late: words[3],
         headings_refused: words[4],
+        network_ns: words[0] % 1_000,
     });
     let bits = prop_oneof![2 => 0..4_u64, 1 => word.clone()];
     let entry = ([(); 10].map(|()| number.clone()), bits.clone(), bits);

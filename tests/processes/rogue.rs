@@ -46,7 +46,7 @@ fn rogue() {
             let tick = round % 5_000;
             let range_m = [1.0, f64::NAN, -1.0, f64::INFINITY][(round / 7 % 4) as usize];
             let measurement = Measurement::new(Pose::default(), Some((range_m, 1e-3)));
-            let range = Range { robot, measurement, ..Range::default() };
+            let range = Range { robot, measurement };
             ranges.send(tick, 0.1 * tick as f64, &[range]).unwrap();
             let heading = Heading { heading_rad: 1.0, speed_mps: 10.0 };
             headings.send(tick, 0.0, &vec![heading; robots]).unwrap();

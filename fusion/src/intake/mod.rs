@@ -172,6 +172,7 @@ impl Intake {
         let fits = [state.robots.len(), state.reports.len()] == [self.reports.len(); 2];
         if fits {
             self.state = state;
+            self.timing.resume(now_ns);
             if self.state.began_ns > now_ns {
                 // The computer was restarted, and the monotonic clock with it: the old time has no meaning.
                 self.state.began_ns = 0;
@@ -208,7 +209,7 @@ impl Intake {
             self.timing.add_message(now_ns);
         }
         let report = self.validation.measurement(centre, header, range)?;
-        if tick > self.timing.newest_tick(next, self.state.began_ns, now_ns) {
+        if !self.timing.can_have_begun((id, tick), next, self.state.began_ns, now_ns) {
             return Err(Refusal::Future);
         }
         let robot = &mut self.state.robots[id];
@@ -243,7 +244,7 @@ impl Intake {
         let Some((slot, robot)) = self.reports.get_mut(id).zip(self.state.robots.get_mut(id)) else { return };
         *slot = Some(report);
         robot.incarnation = robot.incarnation.max(header.incarnation);
-        self.timing.add_report(header, range, now_ns);
+        self.timing.add_report(header, now_ns);
         self.times_s.push(header.valid_at_s);
     }
 
@@ -291,8 +292,8 @@ impl Intake {
     }
 
     /// Extends the deadline by the time for which this process was suspended: it is not the robots' silence.
-    pub fn extend(&mut self, suspended_ns: u64) {
-        self.timing.extend(suspended_ns);
+    pub fn extend(&mut self, suspended_ns: u64, now_ns: u64) {
+        self.timing.extend(suspended_ns, now_ns);
     }
 
     /// How many robots the present tick waits for.

@@ -59,9 +59,8 @@ impl Team {
 }
 
 fn valid(tick: u64, robot: u64) -> Range {
-    let tick_began_ns = (1_000 + tick) * DT_NS;
     let measurement = Measurement::new(Pose::at([15.0, 0.0]), (tick > 0).then_some((15.0, 1.0)));
-    Range { robot, measurement, tick_began_ns }
+    Range { robot, measurement }
 }
 
 /// The same message with a changed measurement.
@@ -247,16 +246,29 @@ fn a_tick_does_not_wait_for_a_robot_that_sends_only_nonsense() {
     }
 }
 
-/// Whatever start of a tick a robot reports, the tick neither ends early nor waits for ever.
+/// Deadlines count from the arrival of messages. Whatever a sender's clock shows, no tick ends early or waits for ever.
 #[test]
-fn a_false_start_of_a_tick_moves_no_deadline_far() {
-    for false_ns in [0, u64::MAX] {
+fn no_time_stamp_of_another_clock_moves_a_deadline() {
+    for sent_ns in [0, u64::MAX] {
         let mut team = Team::new("realtime");
         team.tick(&[0, 1, 2]);
-        team.send(2, Range { tick_began_ns: false_ns, ..valid(2, 1) });
+        let header = Header { tick: 2, valid_at_s: 0.2, sent_ns, ..Header::default() };
+        team.leader.on_range(&header, &[valid(2, 1)], team.now_ns);
         let deadline_ns = team.leader.intake.deadline_ns(2).unwrap();
         assert_eq!(deadline_ns, team.now_ns + DT_NS / 2);
     }
+}
+
+/// A robot that sends a tick's message before the tick does not shorten it for the others.
+#[test]
+fn an_early_message_does_not_end_a_tick_early() {
+    let mut team = Team::new("realtime");
+    team.tick(&[0, 1, 2]);
+    team.tick(&[0, 1, 2]);
+    let starts_ns = team.now_ns;
+    team.now_ns -= DT_NS / 2;
+    team.send(3, valid(3, 1));
+    assert_eq!(team.leader.intake.deadline_ns(3), Some(starts_ns + DT_NS / 2));
 }
 
 #[test]

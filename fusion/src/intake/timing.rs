@@ -1,12 +1,17 @@
-//! Starts and deadlines of ticks, pure: from the senders' and the caller's time stamps.
+//! Starts and deadlines of ticks, pure: from the times at which fusion received messages, on its own clock.
 
-use rangehound_shared::message::{Header, Range};
+use rangehound_shared::message::Header;
 use rangehound_shared::protocol::timing::range_deadline_ns;
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 /// Ticks by which a robot may be ahead of the tick that the time since the last start allows: one for a tick that the
-/// simulator catches up on after a suspension, one for a tick whose start was stamped at its repeat.
+/// simulator catches up on after a suspension, one for a tick whose messages were received late.
 pub(super) const AHEAD_TICKS_MAX: u64 = 2;
+
+/// If a tick's messages arrive later than expected, one part in this many of the delay is taken for a later start: it
+/// follows a slower clock and a pause of the simulator, and one slow tick changes little. A start that is taken too early
+/// is harmless; one that is taken too late makes valid messages seem to come from the future.
+const FOLLOWED_PARTS: u64 = 16;
 
 /// The times of the tick that is being gathered, monotonic ns.
 #[derive(Debug)]
@@ -16,10 +21,14 @@ pub(super) struct Timing {
     dt_s: f64,
     last_tick: u64,
     robots: usize,
-    /// The tick's start according to each report.
-    began_ns: Vec<u64>,
+    /// When each report was received.
+    received_ns: Vec<u64>,
     first_ns: Option<u64>,
     last_range_ns: u64,
+    /// Messages received before this may have waited while this process was suspended or not in the lead.
+    prompt_from_ns: u64,
+    /// The newest tick of each robot's messages, whether or not it can have begun.
+    claimed: Vec<u64>,
 }
 
 impl Timing {
@@ -31,9 +40,11 @@ impl Timing {
             dt_s: scenario.dt_s,
             last_tick: scenario.ticks,
             robots,
-            began_ns: Vec::with_capacity(robots),
+            received_ns: Vec::with_capacity(robots),
             first_ns: None,
             last_range_ns: 0,
+            prompt_from_ns: 0,
+            claimed: vec![0; robots],
         }
     }
 
@@ -42,9 +53,9 @@ impl Timing {
         self.first_ns.get_or_insert(now_ns);
     }
 
-    /// Records the time stamps of a report of the present tick.
-    pub(super) fn add_report(&mut self, header: &Header, range: &Range, now_ns: u64) {
-        self.began_ns.push(range.tick_began_ns.min(now_ns));
+    /// Records the arrival of a valid report of the present tick.
+    pub(super) fn add_report(&mut self, header: &Header, now_ns: u64) {
+        self.received_ns.push(now_ns);
         self.last_range_ns = self.last_range_ns.max(header.sent_ns.min(now_ns));
     }
 
@@ -59,13 +70,28 @@ impl Timing {
     }
 
     /// Extends the deadline by the time for which this process was suspended: it is not the robots' silence.
-    pub(super) fn extend(&mut self, suspended_ns: u64) {
+    pub(super) fn extend(&mut self, suspended_ns: u64, now_ns: u64) {
         self.first_ns = self.first_ns.map(|first_ns| first_ns.saturating_add(suspended_ns));
+        if suspended_ns > 0 {
+            self.resume(now_ns);
+        }
     }
 
-    /// The newest tick that can have begun. In lock step a tick begins after fusion has answered the one before. In
-    /// real time ticks begin at fixed intervals, and fusion may be behind because it was suspended or started late.
-    pub(super) fn newest_tick(&self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
+    /// This process has begun to read messages that may have waited.
+    pub(super) fn resume(&mut self, now_ns: u64) {
+        self.prompt_from_ns = now_ns.saturating_add(self.dt_ns());
+    }
+
+    /// True if a tick of which a robot has sent a message can have begun. In lock step a tick begins after fusion has
+    /// answered the one before. In real time ticks begin at fixed intervals, and fusion may be behind because it was
+    /// suspended or started late. Most robots are believed whatever the time: then no wrong time can last.
+    pub(super) fn can_have_begun(
+        &mut self,
+        (robot, tick): (usize, u64),
+        next: u64,
+        last_began_ns: u64,
+        now_ns: u64,
+    ) -> bool {
         let newest = match (self.clock, next.checked_sub(1)) {
             (Clock::Realtime, Some(last)) => {
                 let elapsed = now_ns.saturating_sub(last_began_ns) / self.dt_ns();
@@ -73,7 +99,12 @@ impl Timing {
             }
             _ => next,
         };
-        newest.min(self.last_tick)
+        if tick > self.last_tick {
+            return false;
+        }
+        self.claimed[robot] = tick;
+        let claims = || self.claimed.iter().filter(|claimed| **claimed >= tick).count();
+        tick <= newest || self.clock == Clock::Realtime && 2 * claims() > self.robots
     }
 
     /// The present tick's deadline, if it has one: tick 0 waits for the complete team.
@@ -83,28 +114,33 @@ impl Timing {
             return None;
         }
         match (self.clock, self.timeout) {
-            // A robot that sends too early, or reports too early a start, must not shorten the tick.
             (Clock::Realtime, _) => {
-                let reported_ns = self.began_ns.iter().copied().max().unwrap_or(first_ns);
-                // The earliest start is a step after the last tick's, but not later than a step after the first
-                // message: the ticks that the simulator catches up on begin in quick succession.
+                // A robot that sends too early must not shorten the tick: the earliest start is a step after the last
+                // tick's. But it is not later than a step after the first message: the ticks that the simulator catches
+                // up on begin in quick succession.
                 let earliest_ns = self.after(last_began_ns).min(first_ns.saturating_add(self.dt_ns()));
-                Some(range_deadline_ns(reported_ns.max(earliest_ns), self.dt_s))
+                Some(range_deadline_ns(first_ns.max(earliest_ns), self.dt_s))
             }
             (Clock::Lockstep, Timeout::Forever) => None,
             (Clock::Lockstep, Timeout::After(limit)) => Some(first_ns.saturating_add(limit.as_nanos() as u64)),
         }
     }
 
-    /// Ends the present tick, processed at `now_ns`; returns its start: the lower median of the reports if most robots
-    /// have reported, else a step after the previous start.
+    /// Ends the present tick, processed at `now_ns`; returns its start: a step after the previous start, corrected by the
+    /// lower median of the reports' arrivals if most robots have reported.
     pub(super) fn close(&mut self, next: u64, last_began_ns: u64, now_ns: u64) -> u64 {
-        let is_majority = 2 * self.began_ns.len() > self.robots;
-        let reported_ns = lower_median(&mut self.began_ns, u64::cmp).filter(|_| is_majority);
+        let is_majority = 2 * self.received_ns.len() > self.robots;
+        let received_ns = lower_median(&mut self.received_ns, u64::cmp).filter(|_| is_majority);
+        let expected_ns = self.after(last_began_ns);
+        let began_ns = received_ns.map_or(expected_ns, |received_ns| match received_ns.checked_sub(expected_ns) {
+            Some(_) if received_ns < self.prompt_from_ns => expected_ns,
+            Some(later_ns) => expected_ns + later_ns / FOLLOWED_PARTS,
+            None => received_ns,
+        });
         (self.first_ns, self.last_range_ns) = (None, 0);
-        self.began_ns.clear();
+        self.received_ns.clear();
         // The end of tick 0 counts as its start, because tick 1 waits for the answer to tick 0.
-        if next == 0 { now_ns } else { reported_ns.unwrap_or_else(|| self.after(last_began_ns)) }
+        if next == 0 { now_ns } else { began_ns }
     }
 
     /// The start of a real-time tick, one step after that of the tick before.

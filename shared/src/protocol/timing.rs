@@ -1,4 +1,4 @@
-//! The deadlines of a real-time tick, and detection of suspended processes: pure, on the caller's time stamps.
+//! The deadlines of a real-time tick, and detection of suspended processes: pure, on the caller's own clock.
 
 /// Part of a real-time tick after which fusion goes on without the missing ranges.
 const RANGE_DEADLINE: f64 = 0.5;
@@ -23,13 +23,13 @@ impl Suspension {
     }
 }
 
-/// When fusion stops waiting for ranges of the real-time tick with this start.
+/// When fusion stops waiting for ranges of the real-time tick with this start on its clock.
 #[must_use]
 pub fn range_deadline_ns(tick_began_ns: u64, dt_s: f64) -> u64 {
     tick_began_ns.saturating_add((dt_s * 1e9 * RANGE_DEADLINE) as u64)
 }
 
-/// When a robot stops waiting for the heading of the real-time tick with this start.
+/// When a robot stops waiting for the heading of the real-time tick with this start on its clock.
 #[must_use]
 pub fn heading_deadline_ns(tick_began_ns: u64, dt_s: f64) -> u64 {
     tick_began_ns.saturating_add((dt_s * 1e9 * HEADING_DEADLINE) as u64)

@@ -51,11 +51,11 @@ struct Put<'a>(&'a mut Vec<u8>);
 
 impl Fields for Put<'_> {
     fn whole(&mut self, _name: &str, value: &mut u64) {
-        self.0.extend(value.to_le_bytes());
+        self.0.extend_from_slice(&value.to_le_bytes());
     }
 
     fn number(&mut self, _name: &str, value: &mut f64) {
-        self.0.extend(value.to_le_bytes());
+        self.0.extend_from_slice(&value.to_le_bytes());
     }
 }
 

@@ -113,6 +113,8 @@ pub struct RobotRecord {
     pub driven: Command,
     /// Headings that it refused since the last tick.
     pub headings_refused: u64,
+    /// Time that range and heading spent between its host and fusion's, ns; 0 on one host.
+    pub network_ns: u64,
 }
 
 impl RobotRecord {
@@ -298,6 +300,7 @@ impl RobotRecord {
                 speed_mps: drive.speed_mps,
             }),
             headings_refused: drive.map_or(0, |drive| drive.headings_refused),
+            network_ns: drive.map_or(0, |drive| drive.network_ns),
         }
     }
 
@@ -314,6 +317,7 @@ impl RobotRecord {
         fields.number("heading_rad", &mut self.driven.heading_rad);
         fields.number("speed_mps", &mut self.driven.speed_mps);
         fields.whole("headings_refused", &mut self.headings_refused);
+        fields.whole("network_ns", &mut self.network_ns);
         let stamp = |ns: u64| (ns != 0).then_some(ns);
         [self.range_m, self.bearing_rad] = [range_m, bearing_rad].map(|value| Some(value).filter(|it| !it.is_nan()));
         (self.range_sent_ns, self.heading_held_ns) = (stamp(sent_ns), stamp(held_ns));
@@ -400,6 +404,7 @@ mod tests {
             heading,
             driven,
             headings_refused: 4,
+            network_ns: 5,
             ..silent
         };
         let mut record = WorldRecord { time_s: 0.1, ended_ns: 5, truth: vec![1.0, 2.0], robots: vec![silent, busy] };
@@ -412,6 +417,6 @@ mod tests {
             described
                 .starts_with(r#"["time_s","<f8"],["ended_ns","<u8"],["truth","<f8",[2]],["robots",[["x_m","<f8"],"#)
         );
-        assert!(described.ends_with(r#"["headings_refused","<u8"]],[2]]"#), "{described}");
+        assert!(described.ends_with(r#"["network_ns","<u8"]],[2]]"#), "{described}");
     }
 }

@@ -6,7 +6,6 @@ use super::{
     BearingSummary, Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
     SensorSummary, TraceSummary, of_bearings,
 };
-use crate::results::hops;
 use crate::terminal::{DOUBTFUL, TITLE, field, field_in};
 
 /// Share of a sensor's ranges or bearings that were not fused, above which the sensor is printed.
@@ -43,8 +42,8 @@ impl std::fmt::Display for Report {
             let LatencySummary { p50, p90, p99, p99_9, max, .. } = latency_us;
             let waits = format!("{p50:.0} us p50, {p90:.0} p90, {p99:.0} p99, {p99_9:.0} p99.9, {max:.0} max");
             writeln!(f, "{}", field("range to heading", waits))?;
-            let hops = hops::NAMES.iter().zip(self.hops_us.in_order());
-            let hops: Vec<String> = hops.map(|(name, hop)| format!("{name} {:.1}", hop.p50)).collect();
+            let hops = self.hops_us.named();
+            let hops: Vec<String> = hops.iter().map(|(name, hop)| format!("{name} {:.1}", hop.p50)).collect();
             writeln!(f, "{}", field("hops, us p50", hops.join(", ")))?;
         }
         for node in self.nodes.iter().filter(|node| node.starts != 1 || node.kills + node.exits > 0) {

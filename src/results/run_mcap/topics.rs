@@ -88,6 +88,7 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 range_sent_ns: body.range_sent_ns,
                 heading_held_ns: body.heading_held_ns,
                 headings_refused: body.headings_refused,
+                network_ns: body.network_ns,
             })
         };
         (*body != silent).then(drive)
@@ -284,6 +285,7 @@ impl Gathering {
             robot.range_sent_ns = drive.range_sent_ns;
             robot.heading_held_ns = drive.heading_held_ns;
             robot.headings_refused = drive.headings_refused;
+            robot.network_ns = drive.network_ns;
         }
         let (time_s, estimate) = estimate.ok_or(lacking("/estimate"))?;
         Ok(Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world })

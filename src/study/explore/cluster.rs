@@ -158,7 +158,7 @@ impl<'a> Cluster<'a> {
             order: 0,
             events_at_once: 0,
             due: BinaryHeap::new(),
-            nodes: plan.clock_rates.iter().map(|clock_rate| Node::new(*clock_rate)).collect(),
+            nodes: plan.clocks.iter().map(|clock| Node::new(*clock)).collect(),
             partitions: Vec::new(),
             sim_starts: 0,
             lead: Lead::default(),

@@ -37,7 +37,7 @@ use crate::failure::{self, Failure};
 use crate::run::in_process;
 use crate::run::watch::Progress;
 use cluster::{Cluster, Counts, Outcome, Violation};
-use plan::{Equipment, Network, Plan};
+use plan::{Equipment, LocalClock, Network, Plan};
 use trace::table;
 
 /// Largest number of ticks of an exploration.
@@ -212,7 +212,7 @@ impl Stage {
                 fewer.faults.remove(index);
                 fewer
             });
-            let right_clocks = Plan { clock_rates: vec![1.0; fewest.clock_rates.len()], ..fewest.clone() };
+            let right_clocks = Plan { clocks: vec![LocalClock::default(); fewest.clocks.len()], ..fewest.clone() };
             let calmer = calmer.into_iter().map(|network| Plan { network, ..fewest.clone() });
             let candidates: Vec<Plan> =
                 fewer.chain(calmer).chain([right_clocks]).filter(|plan| *plan != fewest).collect();

@@ -9,6 +9,7 @@ use rangehound_sim::machine as sim;
 
 use super::lead::Lease;
 use super::message::Message;
+use super::plan::LocalClock;
 use super::witness::robot::RobotWitness;
 
 /// A robot's machine, sensor, localiser and checks.
@@ -40,7 +41,7 @@ impl Process {
 
 /// A node, and the history of its processes.
 pub(super) struct Node {
-    pub(super) clock_rate: f64,
+    pub(super) clock: LocalClock,
     pub(super) process: Process,
     /// Counts the starts and ends of its processes.
     pub(super) life: u32,
@@ -91,9 +92,9 @@ pub(super) enum Fate {
 }
 
 impl Node {
-    pub(super) fn new(clock_rate: f64) -> Self {
+    pub(super) fn new(clock: LocalClock) -> Self {
         Self {
-            clock_rate,
+            clock,
             process: Process::None,
             life: 0,
             is_stopped: false,

@@ -13,6 +13,9 @@ use super::faults::{self, Fault, Team};
 /// The simulator's node.
 pub(super) const SIM: usize = 0;
 
+/// How far the clocks of two hosts can be apart, ns.
+const CLOCKS_APART_NS: u64 = 2 * 3_600 * 1_000_000_000;
+
 /// One exploration.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Plan {
@@ -36,8 +39,8 @@ pub(super) struct Plan {
     pub(super) ticks: u64,
     /// How messages travel.
     pub(super) network: Network,
-    /// Rate of each node's clock.
-    pub(super) clock_rates: Vec<f64>,
+    /// Each node's clock.
+    pub(super) clocks: Vec<LocalClock>,
     /// The faults, in order of time.
     pub(super) faults: Vec<Fault>,
 }
@@ -68,6 +71,40 @@ pub(super) struct Network {
     pub(super) wakes_on_arrival: bool,
 }
 
+impl Network {
+    /// The longest delay of a message, ns.
+    pub(super) fn slowest_ns(&self) -> u64 {
+        if self.slow > 0.0 { self.slow_max_ns } else { 0 }
+    }
+}
+
+/// A node's monotonic clock. Fusion and its standbys share a host; each other node has one of its own.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LocalClock {
+    /// Its seconds in a true second.
+    pub(super) rate: f64,
+    /// What it shows at time 0, ns.
+    pub(super) ahead_ns: u64,
+}
+
+impl Default for LocalClock {
+    fn default() -> Self {
+        Self { rate: 1.0, ahead_ns: 0 }
+    }
+}
+
+impl LocalClock {
+    /// What it shows at a true time, ns.
+    pub(super) fn local_ns(self, now_ns: u64) -> u64 {
+        self.ahead_ns + (now_ns as f64 * self.rate) as u64
+    }
+
+    /// The true time at which it shows this, ns; 0 before it started.
+    pub(super) fn global_ns(self, local_ns: u64) -> u64 {
+        (local_ns.saturating_sub(self.ahead_ns) as f64 / self.rate) as u64
+    }
+}
+
 impl Plan {
     /// The plan of a seed.
     pub(super) fn new(seed: u64) -> Self {
@@ -78,7 +115,8 @@ impl Plan {
         let standbys = random.random_range(0..=2);
         let nodes = 2 + standbys + robots;
         // A stream of its own, so that a seed has the faults that it had when all teams measured ranges.
-        let is_mixed = ChaCha8Rng::seed_from_u64(!seed).random_bool(0.2);
+        let mut later_random = ChaCha8Rng::seed_from_u64(!seed);
+        let is_mixed = later_random.random_bool(0.2);
         let equipment = if is_mixed { Equipment::Mixed } else { Equipment::Ranges };
         let ticks = random.random_range(4..=16);
         let is_quiet = random.random_bool(0.3);
@@ -90,8 +128,13 @@ impl Plan {
             garbled: if is_quiet { 0.0 } else { random.random_range(0.0..0.1) },
             wakes_on_arrival: random.random_bool(0.5),
         };
-        let mut clock_rate = || if is_quiet { 1.0 } else { random.random_range(0.995..1.005) };
-        let clock_rates = (0..nodes).map(|_| clock_rate()).collect();
+        let mut clocks = vec![LocalClock::default(); nodes];
+        for clock in &mut clocks {
+            clock.rate = if is_quiet { 1.0 } else { random.random_range(0.995..1.005) };
+            clock.ahead_ns = later_random.random_range(0..CLOCKS_APART_NS);
+        }
+        let fusion_ahead_ns = clocks[1].ahead_ns;
+        clocks[1..2 + standbys].iter_mut().for_each(|clock| clock.ahead_ns = fusion_ahead_ns);
         // A tick of lock step takes some milliseconds, or the time until a repeat; one of real time takes its fixed
         // time.
         let span_ns = match clock {
@@ -115,7 +158,7 @@ impl Plan {
             measures_anew,
             ticks,
             network,
-            clock_rates,
+            clocks,
             faults,
         }
     }
@@ -155,11 +198,14 @@ impl Plan {
         self.faults.iter().map(Fault::ends_ns).max().unwrap_or(0)
     }
 
+    /// True if all clocks run at one rate.
+    pub(super) fn has_one_rate(&self) -> bool {
+        self.clocks.iter().all(|clock| clock.rate == 1.0)
+    }
+
     /// True if there are no faults, no message is lost, slow, doubled or garbled, and all clocks agree.
     pub(super) fn is_undisturbed(&self) -> bool {
         let Network { loss, duplicates, slow, garbled, .. } = self.network;
-        self.faults.is_empty()
-            && [loss, duplicates, slow, garbled] == [0.0; 4]
-            && self.clock_rates.iter().all(|rate| *rate == 1.0)
+        self.faults.is_empty() && [loss, duplicates, slow, garbled] == [0.0; 4] && self.has_one_rate()
     }
 }

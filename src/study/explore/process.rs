@@ -232,7 +232,7 @@ impl Cluster<'_> {
             let what = "it had something to do before now, and does nothing";
             return Err(self.violation(Some(node), what.to_owned()));
         }
-        let left_ns = ((left_ns as f64 / self.nodes[node].clock_rate) as u64 + 1).min(IDLE_NS);
+        let left_ns = ((left_ns as f64 / self.nodes[node].clock.rate) as u64 + 1).min(IDLE_NS);
         self.sleep(node, left_ns);
         Ok(())
     }
@@ -249,12 +249,12 @@ impl Cluster<'_> {
 
     /// The time of a node's own clock, ns.
     pub(super) fn local_ns(&self, node: usize) -> u64 {
-        (self.now_ns as f64 * self.nodes[node].clock_rate) as u64
+        self.nodes[node].clock.local_ns(self.now_ns)
     }
 
     /// How far clocks may have diverged, and how late a running node may notice that a deadline has passed, ns.
     pub(super) fn late_ns(&self) -> u64 {
-        let has_clocks_apart = self.plan.clock_rates.iter().any(|rate| *rate != 1.0);
+        let has_clocks_apart = !self.plan.has_one_rate();
         1_000_000 + if has_clocks_apart { self.now_ns / 80 } else { 0 }
     }
 }

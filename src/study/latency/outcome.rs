@@ -9,7 +9,7 @@ use super::reference::Reference;
 use super::warm_up_ticks;
 use crate::files::atomic_file;
 use crate::files::layout::LATENCY;
-use crate::results::hops::{self, HopSummary};
+use crate::results::hops::HopSummary;
 use crate::results::percentiles::{self, Point};
 use crate::results::report::LatencySummary;
 use crate::run::pin::Pin;
@@ -236,7 +236,7 @@ impl std::fmt::Display for Outcome {
         }
         row("median", &self.p50_ratios)?;
         writeln!(f, "  {:<20}{p50:>8} {p99:>8}", "system's hops, us")?;
-        for (name, hop) in hops::NAMES.iter().zip(self.hops_us.in_order()) {
+        for (name, hop) in self.hops_us.named() {
             writeln!(f, "  {name:<20}{:>8.1} {:>8.1}", hop.p50, hop.p99)?;
         }
         Ok(())

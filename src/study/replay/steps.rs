@@ -83,7 +83,7 @@ impl Steps {
         let header = Header { tick, valid_at_s: frame.fusion.time_s, ..Header::default() };
         for (robot, exchange) in frame.fusion.exchanges.iter().enumerate() {
             let Some(Heard { measurement, taken_at, .. }) = exchange.heard else { continue };
-            let range = Range { robot: robot as u64, measurement, tick_began_ns: now_ns };
+            let range = Range { robot: robot as u64, measurement };
             if taken_at == tick {
                 leader.on_range(&header, &[range], now_ns);
                 fed.in_time += u64::from(measurement.kinds != 0);

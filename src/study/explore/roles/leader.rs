@@ -140,8 +140,8 @@ impl Cluster<'_> {
         let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
         let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
         let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
-        let has_one_time = plan.clock_rates.iter().all(|rate| *rate == 1.0);
-        let is_calm = has_one_time && now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
+        let has_one_rate = plan.has_one_rate();
+        let is_calm = has_one_rate && now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
         let robots_from = plan.robot_nodes().start;
         witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
     }
@@ -163,7 +163,7 @@ impl Cluster<'_> {
             tick,
             missing,
             is_cut: leading.newest_heard > tick || self.is_finished,
-            at_ns: (began_ns as f64 / fusion.clock_rate) as u64,
+            at_ns: fusion.clock.global_ns(began_ns),
             arrived_ns: of_tick(first_arrival),
             held_ns: of_tick(leading.first_range).map(|first_ns| began_ns.saturating_sub(first_ns)),
             ran_ns: of_tick(leading.ran_at_first_ns).map(|first_ns| ran_ns - first_ns),
@@ -172,6 +172,7 @@ impl Cluster<'_> {
                 .min(fusion.well_for_ns(self.now_ns))
                 .min(self.now_ns - leading.since_ns),
             late_ns: self.late_ns(),
+            slowest_ns: self.plan.network.slowest_ns(),
         }
     }
 

@@ -36,10 +36,11 @@ impl Cluster<'_> {
         let is_well = !self.nodes[node].is_interrupted;
         let awake = robot.witness.wakes(self.now_ns, self.nodes[node].well_for_ns(self.now_ns), self.late_ns());
         awake.map_err(|what| self.violation(Some(node), what))?;
+        let now_ns = self.local_ns(node);
         for message in self.take_inbox(node) {
             match message {
                 Message::World(header, entries) => {
-                    robot.machine.on_world(&header, &entries);
+                    robot.machine.on_world(&header, &entries, now_ns);
                     robot.witness.world(header.incarnation);
                 }
                 Message::Heading(header, commands) => {
@@ -51,7 +52,6 @@ impl Cluster<'_> {
                 Message::Range(..) | Message::Drive(..) => {}
             }
         }
-        let now_ns = self.local_ns(node);
         let mut provides = true;
         loop {
             let Some(action) = robot.machine.next_action(now_ns) else {
@@ -81,7 +81,7 @@ impl Cluster<'_> {
     fn act_robot(&mut self, node: usize, robot: &mut Robot, action: Action) -> Result<(), Violation> {
         let Robot { machine, sensor, poses, witness } = robot;
         let id = node - self.plan.robot_nodes().start;
-        let now_ns = self.local_ns(node);
+        let (now_ns, late_ns) = (self.local_ns(node), self.late_ns());
         match action {
             Action::Measure { tick, time_s, entry } => {
                 let checked = witness.measures(tick, self.now_ns);
@@ -93,7 +93,7 @@ impl Cluster<'_> {
                 machine.measured(measurement, now_ns);
             }
             Action::CarryOut(command) => {
-                witness.carries_out(command);
+                witness.carries_out(command, self.now_ns, late_ns);
                 machine.carried_out(command);
             }
             Action::SendRange(Outgoing { tick, valid_at_s, entry }) => {

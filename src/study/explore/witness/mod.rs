@@ -68,7 +68,7 @@ impl Witness {
         let is_realtime = scenario.clock == Clock::Realtime;
         let mut may_refuse = [plan.network.garbled > 0.0; Refusal::ALL.len()];
         // With different clocks a tick may come before its time.
-        may_refuse[Refusal::Future as usize] |= plan.clock_rates.iter().any(|rate| *rate != 1.0);
+        may_refuse[Refusal::Future as usize] |= !plan.has_one_rate();
         Self {
             // If robots measure anew, the run differs from the undisturbed one.
             undisturbed: if plan.measures_anew { Rc::default() } else { undisturbed },
@@ -105,10 +105,9 @@ impl Witness {
 
     /// A robot publishes its range.
     pub(super) fn range(&mut self, tick: u64, range: &Range) -> Result<(), String> {
-        let measured = Range { tick_began_ns: 0, ..*range };
         let ranges = self.ranges.entry((range.robot, tick)).or_default();
-        if !ranges.contains(&measured) {
-            ranges.push(measured);
+        if !ranges.contains(range) {
+            ranges.push(*range);
         }
         if ranges.len() > 1 && !self.measures_anew {
             return Err(format!("robot-{} measured twice at tick {tick}", range.robot));

@@ -45,8 +45,8 @@ pub(in crate::study::explore) struct RobotWitness {
     held: Option<(u64, Command)>,
     /// The command that the actuator carried out, until it is reported.
     carried: Option<Command>,
-    /// The newest tick for which it has reported what it drives without a heading.
-    provided: Option<u64>,
+    /// The newest tick for which it has reported what it drives without a heading, and the command.
+    provided: Option<(u64, Command)>,
     /// The tick of the heading that it reported last, and when it took it, by its own clock.
     reported_held: (u64, u64),
 }
@@ -115,7 +115,7 @@ impl RobotWitness {
     /// keep moving without ticks.
     pub(in crate::study::explore) fn sleeps(&self, now_ns: u64, late_ns: u64) -> Result<(), String> {
         let tick = self.newest_tick.map(|(_, tick)| tick).filter(|tick| self.is_realtime && *tick > 0);
-        if tick.is_some() && self.undecided_since_ns.is_some() && self.provided != tick {
+        if tick.is_some() && self.undecided_since_ns.is_some() && self.provided.map(|(provided, _)| provided) != tick {
             return Err("it sleeps and has not reported what it drives without a heading".to_owned());
         }
         let longest_ns = (HELD_TICKS + 1) as f64 * self.dt_ns + late_ns as f64;
@@ -139,8 +139,13 @@ impl RobotWitness {
         Ok(())
     }
 
-    /// Its actuator carries out a command.
-    pub(in crate::study::explore) fn carries_out(&mut self, command: Command) {
+    /// Its actuator carries out a command. If it stops because no tick has come for long, it may forget the heading that it
+    /// held.
+    pub(in crate::study::explore) fn carries_out(&mut self, command: Command, now_ns: u64, late_ns: u64) {
+        let silent_ns = (now_ns - self.seen_ns + late_ns) as f64;
+        if command == Command::default() && silent_ns >= (HELD_TICKS + 1) as f64 * self.dt_ns {
+            self.held = None;
+        }
         self.moves_since_ns = (command != Command::default()).then_some(self.seen_ns);
         self.undecided_since_ns = None;
         self.carried = Some(command);
@@ -158,10 +163,11 @@ impl RobotWitness {
         if held_ns == 0 {
             let held = self.held.filter(|(held, _)| self.is_realtime && tick - held <= HELD_TICKS);
             let is_held = command == held.map_or(Command::default(), |(_, command)| command);
-            self.provided = Some(tick);
+            // It may repeat a report after it has forgotten the heading.
+            let is_repeat = self.provided.replace((tick, command)) == Some((tick, command));
             return if !self.is_realtime || tick == 0 {
                 Err(format!("it drove at tick {tick} without a heading"))
-            } else if !is_held {
+            } else if !is_held && !is_repeat {
                 Err(format!("without a heading for tick {tick} it neither held the last one nor stood"))
             } else {
                 Ok(false)

@@ -73,6 +73,8 @@ pub(in crate::study::explore) struct Closing {
     pub(in crate::study::explore) well_for_ns: u64,
     /// How far clocks may have diverged, ns.
     pub(in crate::study::explore) late_ns: u64,
+    /// Longest delay of a message, ns. Fusion knows the start of a tick only by the arrival of its messages.
+    pub(in crate::study::explore) slowest_ns: u64,
 }
 
 impl Timing {
@@ -144,7 +146,8 @@ impl Timing {
 
     /// Fusion has closed a tick: it must be neither early nor late.
     pub(in crate::study::explore) fn closes(&mut self, closing: &Closing) -> Result<(), String> {
-        let Closing { tick, missing, is_cut, at_ns, arrived_ns, held_ns, ran_ns, well_for_ns, late_ns } = *closing;
+        let Closing { tick, missing, is_cut, at_ns, arrived_ns, held_ns, ran_ns, well_for_ns, late_ns, slowest_ns } =
+            *closing;
         // If a predecessor closed the tick, the time is unknown.
         let Some(world_ns) = self.worlds_ns.get(tick as usize).copied().filter(|_| at_ns > 0) else { return Ok(()) };
         let has_newly_missing = missing == Missing::Another;
@@ -181,7 +184,7 @@ impl Timing {
         let is_settled = well_for_ns > SETTLED_TICKS * self.dt_ns
             && before_is_full
             && self.hello_ns < self.worlds_ns[tick as usize - 1];
-        let is_late = arrived_ns.is_some_and(|arrived_ns| at_ns > deadline_ns.max(arrived_ns) + late_ns);
+        let is_late = arrived_ns.is_some_and(|arrived_ns| at_ns > deadline_ns.max(arrived_ns) + late_ns + slowest_ns);
         if tick >= 2 && is_settled && is_late {
             return Err(format!("tick {tick} was held beyond its deadline, though all knew when it began"));
         }

@@ -1,0 +1,3 @@
+//! The program `rangehound-gateway`.
+
+fn main() {}
