@@ -18,8 +18,10 @@
 //! | [`pose`] | the localiser: simulated, recorded, or your own |
 //! | [`drive`] | the motion controller, from headings or their absence to commands, and the actuator |
 //! | [`machine`] | the protocol: messages in, actions out |
+//! | [`remote`] | both ends of the link to a robot on another host |
 
 pub mod drive;
 pub mod machine;
 pub mod pose;
+pub mod remote;
 pub mod sensor;

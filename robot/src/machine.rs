@@ -124,20 +124,31 @@ impl Machine {
 
     /// Takes a message of the topic `world`, received at `now_ns`.
     pub fn on_world(&mut self, header: &Header, entries: &[WorldEntry], now_ns: u64) {
-        let is_of_run = header.tick <= self.last_tick && header.valid_at_s.is_finite();
-        if let Some(entry) = entries.get(self.id).filter(|entry| is_of_run && entry.is_valid()) {
+        if let Some(entry) = entries.get(self.id) {
+            self.on_own_world(header, entry, now_ns);
+        }
+    }
+
+    /// Takes this robot's part of a message of the topic `world`, received at `now_ns`.
+    pub fn on_own_world(&mut self, header: &Header, entry: &WorldEntry, now_ns: u64) {
+        if header.tick <= self.last_tick && header.valid_at_s.is_finite() && entry.is_valid() {
             self.world = Some(Received { header: *header, entry: *entry, at_ns: now_ns });
         }
     }
 
     /// Takes a message of the topic `heading`; those of a deposed fusion are ignored.
     pub fn on_heading(&mut self, header: &Header, commands: &[Command]) {
+        self.on_own_heading(header, commands.get(self.id).filter(|_| commands.len() == self.robots));
+    }
+
+    /// Takes this robot's part of a message of the topic `heading`, if the message has one.
+    pub fn on_own_heading(&mut self, header: &Header, command: Option<&Command>) {
         if header.incarnation < self.fusion_incarnation {
             self.headings_refused += 1;
             return;
         }
         self.fusion_incarnation = header.incarnation;
-        if let Some(command) = commands.get(self.id).filter(|_| commands.len() == self.robots) {
+        if let Some(command) = command {
             self.heading = Some((header.tick, *command));
         }
     }

@@ -6,7 +6,7 @@ use rustix::process::{Pid, test_kill_process};
 
 use crate::rendezvous::{Role, Roster};
 
-/// Nodes remembered as impostors; further ones are looked up again each time.
+/// Impostors that are remembered; further ones are looked up again each time.
 const STRANGERS_MAX: usize = 64;
 
 /// A sender's standing towards the role of its message.
@@ -32,7 +32,8 @@ pub(super) struct Senders {
 struct Known {
     /// Node id by role; 0 if unknown.
     bound: Vec<u128>,
-    strangers: Vec<u128>,
+    /// Roles and the nodes that do not hold them. One node can hold several roles: a gateway's does.
+    strangers: Vec<(usize, u128)>,
 }
 
 impl Senders {
@@ -54,7 +55,7 @@ impl Senders {
         if *bound == node {
             return Standing::Holder;
         }
-        if strangers.contains(&node) {
+        if strangers.contains(&(slot, node)) {
             return Standing::Impostor;
         }
         match self.roster.speaks_through(role, node) {
@@ -70,7 +71,7 @@ impl Senders {
         if strangers.len() == STRANGERS_MAX {
             strangers.clear();
         }
-        strangers.push(node);
+        strangers.push((slot, node));
         Standing::Impostor
     }
 }

@@ -1,0 +1,251 @@
+//! The gateway's end of the link to one robot.
+
+use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
+use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
+use rangehound_shared::scenario::Clock;
+
+use super::RoundTrip;
+use super::wire::{Downlink, Driven, Heading, Measured, Ticks, Uplink, World};
+
+/// Interval of frames that only show that the link works, ns.
+const KEEP_ALIVE_NS: u64 = 100_000_000;
+
+/// A message of the robot for the run's host, and the node that waits for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Publication {
+    /// On the topic `range`.
+    Range(Outgoing<Range>, Notification),
+    /// On the topic `drive`. In real time nobody waits for it.
+    Drive(Outgoing<Drive>, Option<Notification>),
+}
+
+/// The newest messages to and from a robot. If it is lost, the next one learns them from the repeats of both sides.
+#[derive(Debug)]
+pub struct Relay {
+    run_id: u64,
+    robot: usize,
+    clock: Clock,
+    world: Option<World>,
+    heading: Option<Heading>,
+    /// Its measurement of the present tick.
+    measured: Option<Measured>,
+    /// What it drives in the present tick.
+    driven: Option<Outgoing<Drive>>,
+    /// When measurement and heading of the present tick came, ns.
+    measured_at_ns: Option<u64>,
+    heading_at_ns: Option<u64>,
+    heard: Ticks,
+    round_trip: RoundTrip,
+    /// It has news for the robot.
+    has_news: bool,
+    sent_at_ns: u64,
+    repeats: u32,
+    /// Frames sent since the robot joined, and how many of them were repeats.
+    counts: [u64; 2],
+}
+
+impl Relay {
+    /// The link to a robot that has just joined.
+    #[must_use]
+    pub fn new(run_id: u64, robot: usize, clock: Clock) -> Self {
+        Self {
+            run_id,
+            robot,
+            clock,
+            world: None,
+            heading: None,
+            measured: None,
+            driven: None,
+            measured_at_ns: None,
+            heading_at_ns: None,
+            heard: Ticks::default(),
+            round_trip: RoundTrip::default(),
+            has_news: true,
+            sent_at_ns: 0,
+            repeats: 0,
+            counts: [0; 2],
+        }
+    }
+
+    /// Takes a message of the topic `world` for this robot. If the simulator repeats one that the robot has answered, the
+    /// answer is returned again.
+    pub fn on_world(&mut self, header: &Header, entry: &WorldEntry) -> Option<Publication> {
+        let news = (header.incarnation, header.tick);
+        let known = self.world.map(|world| (world.incarnation, world.tick));
+        if known.is_some_and(|known| news < known) {
+            return None;
+        }
+        let is_same_tick = self.world.is_some_and(|world| world.tick == header.tick);
+        let Header { incarnation, tick, valid_at_s, .. } = *header;
+        self.world = Some(World { incarnation, tick, valid_at_s, entry: *entry });
+        if !is_same_tick {
+            (self.measured, self.driven, self.measured_at_ns, self.heading_at_ns) = (None, None, None, None);
+            self.heading = self.heading.filter(|heading| heading.tick == tick);
+            (self.has_news, self.repeats) = (true, 0);
+            return None;
+        }
+        match (self.driven, self.measured) {
+            (Some(driven), _) => {
+                Some(Publication::Drive(driven, Some(Notification::always(WaitGroup::Sim, Event::Drive))))
+            }
+            (None, Some(measured)) => {
+                Some(self.range(&measured, Notification::always(WaitGroup::Fusion, Event::Range)))
+            }
+            (None, None) => {
+                self.has_news = true;
+                None
+            }
+        }
+    }
+
+    /// Takes a message of the topic `heading` for this robot, which came at `now_ns`.
+    pub fn on_heading(&mut self, header: &Header, command: Command, now_ns: u64) {
+        let Header { incarnation, tick, .. } = *header;
+        let is_past = self.world.is_some_and(|world| tick < world.tick);
+        let is_older = self.heading.is_some_and(|known| (incarnation, tick) <= (known.incarnation, known.tick));
+        if is_past || is_older {
+            return;
+        }
+        self.heading = Some(Heading { incarnation, tick, command });
+        if !self.is_obeyed() {
+            self.heading_at_ns.get_or_insert(now_ns);
+            (self.has_news, self.repeats) = (true, 0);
+        }
+    }
+
+    /// Takes a frame of the robot, which came at `now_ns`. Returns what is new in it.
+    pub fn on_uplink(&mut self, frame: &Uplink, now_ns: u64) -> Vec<Publication> {
+        if let Some(echo) = frame.echo
+            && let Some(elapsed_ns) = now_ns.checked_sub(echo.sent_ns)
+        {
+            self.round_trip.add(elapsed_ns.saturating_sub(echo.held_ns));
+        }
+        let mut news = Vec::new();
+        for measured in &frame.measured {
+            if !self.heard.has(measured.tick) {
+                news.push(self.take_measured(measured, now_ns));
+            }
+        }
+        news.extend(frame.driven.as_ref().and_then(|driven| self.take_driven(driven, now_ns)));
+        news
+    }
+
+    fn take_measured(&mut self, measured: &Measured, now_ns: u64) -> Publication {
+        self.heard.add(measured.tick);
+        if self.world.is_none_or(|world| world.tick == measured.tick) {
+            (self.measured, self.measured_at_ns, self.repeats) = (Some(*measured), Some(now_ns), 0);
+        }
+        let or_first = self.clock == Clock::Realtime;
+        self.range(measured, Notification::by_last_answer(WaitGroup::Fusion, Event::Range, measured.tick, or_first))
+    }
+
+    fn range(&self, measured: &Measured, notification: Notification) -> Publication {
+        let Measured { tick, valid_at_s, measurement } = *measured;
+        let entry = Range { robot: self.robot as u64, measurement };
+        Publication::Range(Outgoing { tick, valid_at_s, entry }, notification)
+    }
+
+    /// Only the first report with a heading replaces one without: all others are repeats.
+    fn take_driven(&mut self, driven: &Driven, now_ns: u64) -> Option<Publication> {
+        let is_present = self.world.is_some_and(|world| world.tick == driven.tick);
+        let is_known =
+            self.driven.is_some_and(|known| known.entry.heading_held_ns != 0 || driven.heading_after_ns.is_none());
+        if !is_present || is_known {
+            return None;
+        }
+        let is_first = self.driven.is_none();
+        let entry = self.drive_of(driven, now_ns);
+        let message = Outgoing { tick: driven.tick, valid_at_s: driven.valid_at_s, entry };
+        self.driven = Some(message);
+        self.repeats = 0;
+        let is_waited_for = self.clock == Clock::Lockstep || driven.tick == 0;
+        let notification = is_waited_for.then(|| match is_first {
+            true => Notification::by_last_answer(WaitGroup::Sim, Event::Drive, driven.tick, false),
+            false => Notification::always(WaitGroup::Sim, Event::Drive),
+        });
+        Some(Publication::Drive(message, notification))
+    }
+
+    /// The message with the robot's durations as stamps of the gateway's clock. The time between the hosts is what the robot
+    /// waited longer than the gateway; half of it is put on each way.
+    fn drive_of(&self, driven: &Driven, now_ns: u64) -> Drive {
+        let Driven { command, has_measured, heading_after_ns, heading_late, headings_refused, .. } = *driven;
+        let whole_ns = heading_after_ns.unwrap_or(0);
+        let (network_ns, sent_ns) = match (self.measured_at_ns, self.heading_at_ns, heading_after_ns) {
+            (Some(measured_ns), Some(heading_ns), Some(_)) => {
+                let network_ns = whole_ns.saturating_sub(heading_ns.saturating_sub(measured_ns));
+                (network_ns, measured_ns.saturating_sub(network_ns / 2))
+            }
+            (Some(measured_ns), _, None) => (0, measured_ns),
+            _ => (0, now_ns.saturating_sub(whole_ns)),
+        };
+        let sent_ns = sent_ns.max(1);
+        Drive {
+            robot: self.robot as u64,
+            heading_rad: command.heading_rad,
+            speed_mps: command.speed_mps,
+            range_sent_ns: if has_measured { sent_ns } else { 0 },
+            heading_held_ns: heading_after_ns.map_or(0, |after_ns| sent_ns.saturating_add(after_ns)),
+            heading_late: u64::from(heading_late),
+            headings_refused,
+            network_ns: if has_measured { network_ns } else { 0 },
+        }
+    }
+
+    /// The next frame for the robot, if one is due.
+    pub fn next_frame(&mut self, now_ns: u64) -> Option<Downlink> {
+        if now_ns < self.wakes_at_ns() {
+            return None;
+        }
+        let is_repeat = !self.has_news && self.awaits_answer();
+        // A repeated world makes the robot repeat its answer.
+        let awaits_measurement = self.awaits_measurement();
+        let world = self.world.filter(|_| awaits_measurement || is_repeat);
+        let heading = self.heading.filter(|_| self.awaits_drive());
+        self.has_news = false;
+        self.repeats = self.repeats.saturating_add(u32::from(is_repeat));
+        self.sent_at_ns = now_ns;
+        self.counts = [self.counts[0] + 1, self.counts[1] + u64::from(is_repeat)];
+        let repeat_after_ns = self.round_trip.interval_ns(0);
+        Some(Downlink { run_id: self.run_id, sent_ns: now_ns, world, heading, heard: self.heard, repeat_after_ns })
+    }
+
+    /// When the next frame is due if nothing comes, ns.
+    #[must_use]
+    pub fn wakes_at_ns(&self) -> u64 {
+        if self.has_news {
+            return 0;
+        }
+        let repeat_after_ns = if self.awaits_answer() { self.round_trip.interval_ns(self.repeats) } else { u64::MAX };
+        self.sent_at_ns.saturating_add(repeat_after_ns.min(KEEP_ALIVE_NS))
+    }
+
+    /// The smoothed round trip to the robot, ns, if it has answered.
+    #[must_use]
+    pub fn round_trip_ns(&self) -> Option<u64> {
+        self.round_trip.mean_ns()
+    }
+
+    /// Frames sent, and how many of them were repeats.
+    #[must_use]
+    pub fn counts(&self) -> [u64; 2] {
+        self.counts
+    }
+
+    fn awaits_answer(&self) -> bool {
+        self.awaits_measurement() || self.awaits_drive()
+    }
+
+    fn awaits_measurement(&self) -> bool {
+        self.world.is_some_and(|world| !self.heard.has(world.tick))
+    }
+
+    fn awaits_drive(&self) -> bool {
+        let is_present = |heading: Heading| self.world.is_none_or(|world| world.tick == heading.tick);
+        self.heading.is_some_and(is_present) && !self.is_obeyed()
+    }
+
+    fn is_obeyed(&self) -> bool {
+        self.driven.is_some_and(|driven| driven.entry.heading_held_ns != 0)
+    }
+}

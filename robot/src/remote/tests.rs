@@ -1,0 +1,323 @@
+//! A robot and its gateway over a bad link, in simulated time. Simulator and fusion are played by a few lines.
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rangehound_shared::measurement::{Measurement, Pose};
+use rangehound_shared::message::{Command, Drive, Header, WorldEntry};
+use rangehound_shared::scenario::{Scenario, ScenarioFile};
+
+use super::wire::{Downlink, Uplink};
+use super::{Courier, Publication, Relay};
+use crate::machine::{Action, Machine};
+
+const RUN_ID: u64 = 9;
+const ROBOT: usize = 1;
+const STEP_NS: u64 = 250_000;
+const SIM_REPEATS_NS: u64 = 50_000_000;
+
+/// What the link does to a frame.
+#[derive(Debug, Clone, Copy, Default)]
+struct Link {
+    loss: f64,
+    duplicates: f64,
+    delay_max_ns: u64,
+    /// Cut for the second half of each such period, ns.
+    cut_every_ns: Option<u64>,
+    /// The cut concerns only frames to the robot.
+    cuts_one_way: bool,
+}
+
+/// Everything between the simulator, fusion and one robot.
+struct Bench {
+    link: Link,
+    random: ChaCha8Rng,
+    now_ns: u64,
+    /// How far the robot's clock is ahead, ns.
+    ahead_ns: u64,
+    machine: Machine,
+    courier: Courier,
+    relay: Relay,
+    to_robot: Vec<(u64, Vec<u8>)>,
+    to_gateway: Vec<(u64, Vec<u8>)>,
+    scenario: Scenario,
+    /// What reached the run's host: ranges by tick, and the present tick's newest drive.
+    ranges: Vec<u64>,
+    drive: Option<(u64, Drive)>,
+    measured: Vec<u64>,
+}
+
+impl Bench {
+    fn new(clock: &str, seed: u64, link: Link) -> Self {
+        let text = format!("clock = \"{clock}\"\nticks = 100000\n");
+        let file = ScenarioFile::parse(&text, "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut machine = Machine::new(&scenario, ROBOT, 0).unwrap();
+        while machine.next_action(0).is_some() {}
+        Self {
+            link,
+            now_ns: 1_000_000_000,
+            ahead_ns: random.random_range(0..7_200_000_000_000),
+            random,
+            machine,
+            courier: Courier::new(RUN_ID, scenario.clock),
+            relay: Relay::new(RUN_ID, ROBOT, scenario.clock),
+            to_robot: Vec::new(),
+            to_gateway: Vec::new(),
+            scenario,
+            ranges: Vec::new(),
+            drive: None,
+            measured: Vec::new(),
+        }
+    }
+
+    fn arrivals(&mut self, to_robot: bool) -> Vec<u64> {
+        let Link { loss, duplicates, delay_max_ns, cut_every_ns, cuts_one_way } = self.link;
+        let is_cut = cut_every_ns.is_some_and(|every_ns| self.now_ns % every_ns > every_ns / 2);
+        if is_cut && (to_robot || !cuts_one_way) || self.random.random_bool(loss) {
+            return Vec::new();
+        }
+        let copies = if self.random.random_bool(duplicates) { 2 } else { 1 };
+        (0..copies).map(|_| self.now_ns + 50_000 + self.random.random_range(0..=delay_max_ns)).collect()
+    }
+
+    /// The run's host sends the world of a tick.
+    fn send_world(&mut self, incarnation: u64, tick: u64) {
+        let header = Header { run_id: RUN_ID, incarnation, tick, valid_at_s: tick as f64 * 0.1, sent_ns: 5 };
+        let entry = WorldEntry { pose: Pose::at([tick as f64, 0.0]), kinds: 1, range_m: 5.0, ..WorldEntry::default() };
+        let again = self.relay.on_world(&header, &entry);
+        again.into_iter().for_each(|message| self.publish(message));
+    }
+
+    fn send_heading(&mut self, tick: u64) {
+        let header = Header { run_id: RUN_ID, incarnation: 1, tick, ..Header::default() };
+        self.relay.on_heading(&header, command_of(tick), self.now_ns);
+    }
+
+    fn publish(&mut self, message: Publication) {
+        match message {
+            Publication::Range(range, _) => {
+                assert_eq!(range.entry.robot, ROBOT as u64);
+                assert_eq!(range.entry.measurement, measurement_of(range.tick));
+                self.ranges.push(range.tick);
+            }
+            Publication::Drive(drive, _) => self.drive = Some((drive.tick, drive.entry)),
+        }
+    }
+
+    /// A quarter of a millisecond passes.
+    fn step(&mut self) {
+        self.now_ns += STEP_NS;
+        let local_ns = self.now_ns + self.ahead_ns;
+        let due = |queue: &mut Vec<(u64, Vec<u8>)>, now_ns: u64| {
+            let (due, later) = std::mem::take(queue).into_iter().partition(|(at_ns, _)| *at_ns <= now_ns);
+            *queue = later;
+            let due: Vec<(u64, Vec<u8>)> = due;
+            due
+        };
+        for (_, bytes) in due(&mut self.to_robot, self.now_ns) {
+            let frame = Downlink::from_bytes(&bytes, RUN_ID).unwrap();
+            self.courier.on_downlink(&frame, local_ns);
+            if let Some(world) = frame.world {
+                let (header, entry) = world.message(RUN_ID);
+                self.machine.on_own_world(&header, &entry, local_ns);
+            }
+            if let Some(heading) = frame.heading {
+                let (header, command) = heading.message(RUN_ID);
+                self.machine.on_own_heading(&header, Some(&command));
+            }
+        }
+        let mut provides = true;
+        loop {
+            match self.machine.next_action(local_ns) {
+                Some(Action::Measure { tick, .. }) => {
+                    self.measured.push(tick);
+                    self.machine.measured(measurement_of(tick), local_ns);
+                }
+                Some(Action::CarryOut(command)) => self.machine.carried_out(command),
+                Some(Action::SendRange(message)) => self.courier.on_range(&message),
+                Some(Action::SendDrive(message)) => self.courier.on_drive(&message),
+                Some(Action::Notify(_)) => {}
+                None if std::mem::take(&mut provides) => self.machine.before_sleep(),
+                None => break,
+            }
+        }
+        if let Some(frame) = self.courier.next_frame(local_ns) {
+            let bytes = frame.to_bytes();
+            let arrivals = self.arrivals(false);
+            self.to_gateway.extend(arrivals.into_iter().map(|at_ns| (at_ns, bytes.clone())));
+        }
+        for (_, bytes) in due(&mut self.to_gateway, self.now_ns) {
+            let frame = Uplink::from_bytes(&bytes, RUN_ID).unwrap();
+            let news = self.relay.on_uplink(&frame, self.now_ns);
+            news.into_iter().for_each(|message| self.publish(message));
+        }
+        if let Some(frame) = self.relay.next_frame(self.now_ns) {
+            let bytes = frame.to_bytes();
+            let arrivals = self.arrivals(true);
+            self.to_robot.extend(arrivals.into_iter().map(|at_ns| (at_ns, bytes.clone())));
+        }
+        assert!(self.relay.wakes_at_ns() > self.now_ns, "a frame that is due is sent at once");
+    }
+
+    fn has_range(&self, tick: u64) -> bool {
+        self.ranges.contains(&tick)
+    }
+
+    fn obeyed(&self, tick: u64) -> Option<Drive> {
+        self.drive.filter(|(of, drive)| *of == tick && drive.heading_held_ns != 0).map(|(_, drive)| drive)
+    }
+
+    /// One tick of lock step; `disturb` is called at each moment of it.
+    fn tick(&mut self, tick: u64, mut disturb: impl FnMut(&mut Self)) {
+        self.send_world(1, tick);
+        let mut repeated_ns = self.now_ns;
+        let began_ns = self.now_ns;
+        while self.obeyed(tick).is_none() {
+            assert!(self.now_ns - began_ns < 60_000_000_000, "tick {tick} does not end: {:?}", self.link);
+            if self.has_range(tick) {
+                self.send_heading(tick);
+            }
+            if self.now_ns - repeated_ns > SIM_REPEATS_NS {
+                self.send_world(1, tick);
+                repeated_ns = self.now_ns;
+            }
+            disturb(self);
+            self.step();
+        }
+    }
+}
+
+fn measurement_of(tick: u64) -> Measurement {
+    Measurement::new(Pose::at([tick as f64, 1.0]), (tick > 0).then_some((5.0 + tick as f64, 1.0)))
+}
+
+fn command_of(tick: u64) -> Command {
+    Command { heading_rad: tick as f64 * 0.1, speed_mps: 1.0 }
+}
+
+const LINKS: [Link; 6] = [
+    Link { loss: 0.0, duplicates: 0.0, delay_max_ns: 0, cut_every_ns: None, cuts_one_way: false },
+    Link { loss: 0.3, duplicates: 0.0, delay_max_ns: 0, cut_every_ns: None, cuts_one_way: false },
+    Link { loss: 0.1, duplicates: 0.5, delay_max_ns: 50_000_000, cut_every_ns: None, cuts_one_way: false },
+    Link { loss: 0.0, duplicates: 0.0, delay_max_ns: 0, cut_every_ns: Some(300_000_000), cuts_one_way: false },
+    Link { loss: 0.0, duplicates: 0.0, delay_max_ns: 0, cut_every_ns: Some(300_000_000), cuts_one_way: true },
+    Link { loss: 0.6, duplicates: 0.3, delay_max_ns: 3_000_000, cut_every_ns: None, cuts_one_way: false },
+];
+
+#[test]
+fn lock_step_ends_every_tick_over_every_link_and_measures_once() {
+    for (seed, link) in (0..).zip(LINKS) {
+        let mut bench = Bench::new("lockstep", seed, link);
+        for tick in 0..150 {
+            bench.tick(tick, |_| {});
+            let drive = bench.obeyed(tick).unwrap();
+            assert_eq!((drive.heading_rad, drive.speed_mps), (command_of(tick).heading_rad, 1.0));
+            assert_eq!(drive.heading_held_ns.checked_sub(drive.range_sent_ns).is_some(), true);
+        }
+        assert_eq!(bench.measured, (0..150).collect::<Vec<_>>(), "{link:?}");
+    }
+}
+
+/// Of a good link nothing is repeated, and the time between the hosts is what it is.
+#[test]
+fn a_good_link_needs_no_repeats_and_its_time_is_measured() {
+    let link = Link { delay_max_ns: 0, ..Link::default() };
+    let mut bench = Bench::new("lockstep", 3, link);
+    (0..100).for_each(|tick| bench.tick(tick, |_| {}));
+    let [_, repeats] = bench.relay.counts();
+    assert!(repeats <= 2, "{repeats} repeats");
+    let drive = bench.obeyed(99).unwrap();
+    assert!(drive.network_ns <= 4 * STEP_NS, "{drive:?}");
+}
+
+#[test]
+fn a_gateway_that_is_lost_at_any_moment_changes_nothing() {
+    for seed in 0..20 {
+        let mut bench = Bench::new("lockstep", seed, Link { loss: 0.2, delay_max_ns: 2_000_000, ..Link::default() });
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        for tick in 0..60 {
+            bench.tick(tick, |bench| {
+                if random.random_bool(0.02) {
+                    bench.relay = Relay::new(RUN_ID, ROBOT, bench.scenario.clock);
+                    bench.send_world(1, tick);
+                }
+            });
+        }
+        assert_eq!(bench.measured, (0..60).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_robot_that_starts_again_goes_on_with_the_present_tick() {
+    let mut bench = Bench::new("lockstep", 4, Link { loss: 0.2, ..Link::default() });
+    for tick in 0..60 {
+        let mut is_killed = tick % 7 != 3;
+        bench.tick(tick, |bench| {
+            if !std::mem::replace(&mut is_killed, true) {
+                let Scenario { clock, .. } = bench.scenario;
+                bench.machine = Machine::new(&bench.scenario, ROBOT, 0).unwrap();
+                bench.courier = Courier::new(RUN_ID, clock);
+                bench.relay = Relay::new(RUN_ID, ROBOT, clock);
+                bench.send_world(1, tick);
+            }
+        });
+    }
+}
+
+/// A new incarnation of the simulator asks again for a tick that the robot has answered.
+#[test]
+fn a_simulator_that_starts_again_gets_the_answer_again() {
+    let mut bench = Bench::new("lockstep", 5, Link::default());
+    (0..10).for_each(|tick| bench.tick(tick, |_| {}));
+    bench.drive = None;
+    bench.send_world(2, 9);
+    assert!(bench.obeyed(9).is_some());
+    bench.send_world(1, 10);
+    (0..100).for_each(|_| bench.step());
+    assert!(!bench.has_range(10), "of a simulator that was replaced");
+}
+
+/// In real time a measurement that was lost with its tick comes later, each one once.
+#[test]
+fn measurements_that_could_not_be_sent_come_later() {
+    for seed in 0..10 {
+        let mut bench = Bench::new("realtime", seed, Link { loss: 0.3, delay_max_ns: 5_000_000, ..Link::default() });
+        for tick in 0..40 {
+            bench.send_world(1, tick);
+            (0..400).for_each(|step| {
+                // Frames to the gateway are cut for some ticks.
+                if (10..20).contains(&tick) {
+                    bench.to_gateway.clear();
+                }
+                if step == 40 {
+                    bench.send_heading(tick);
+                }
+                bench.step();
+            });
+        }
+        (0..400).for_each(|_| bench.step());
+        let mut ranges = bench.ranges.clone();
+        ranges.sort_unstable();
+        assert_eq!(ranges, bench.measured, "each once");
+        assert!(ranges.len() >= 38, "{ranges:?}");
+    }
+}
+
+/// Without ticks it holds its heading, and stops at most four ticks after the last one, whatever its clock shows.
+#[test]
+fn a_robot_that_is_cut_off_stops_by_itself() {
+    let mut bench = Bench::new("realtime", 6, Link::default());
+    for tick in 0..5 {
+        bench.send_world(1, tick);
+        bench.send_heading(tick);
+        (0..400).for_each(|_| bench.step());
+    }
+    bench.link.loss = 1.0;
+    let speed_after = |bench: &mut Bench, ticks: u64| {
+        (0..400 * ticks).for_each(|_| bench.step());
+        bench.machine.wakes_at_ns()
+    };
+    assert!(speed_after(&mut bench, 1).is_some(), "it moves, and will stop");
+    assert!(speed_after(&mut bench, 4).is_none(), "it stands");
+}
