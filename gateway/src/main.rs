@@ -1,3 +1,154 @@
-//! The program `rangehound-gateway`.
+//! The program `rangehound-gateway`: a gateway, a robot that connects to one, and their keys. `rangehound` starts it for its
+//! commands of the same names.
 
-fn main() {}
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+use rangehound_gateway::gateway::{self, GatewayError};
+use rangehound_gateway::keys::KeysError;
+use rangehound_gateway::keys::command::KeysArgs;
+use rangehound_gateway::robot::{self, RobotError, Target};
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_node::system::signal::Termination;
+use rangehound_shared::run_name::RunName;
+use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
+
+/// Robots of rangehound on other hosts than the run
+#[derive(Debug, Parser)]
+#[command(name = "rangehound-gateway", version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Let robots on other hosts take part in a run of this host
+    Gateway(GatewayArgs),
+    /// Run one robot of a run on another host: no shared memory is needed here
+    Robot(RobotArgs),
+    /// Make keys and certificates for the hosts of a team
+    Keys(KeysArgs),
+}
+
+#[derive(Debug, Args)]
+struct GatewayArgs {
+    /// Name of the run; waits until the run exists
+    #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
+    name: RunName,
+    /// Address to listen on. Any address but one of this machine's own (127.0.0.1) demands --keys
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: SocketAddr,
+    /// Folder with the keys of this host, from `rangehound keys`
+    #[arg(long, value_name = "DIR")]
+    keys: Option<PathBuf>,
+    /// End when this process ends
+    #[arg(long, value_name = "PID", hide = true)]
+    end_with: Option<u32>,
+}
+
+#[derive(Debug, Args)]
+struct RobotArgs {
+    /// Number of the robot in the team, from 0
+    #[arg(long, value_name = "N")]
+    id: usize,
+    /// Address of the run's gateway
+    #[arg(long, value_name = "HOST:PORT")]
+    connect: String,
+    /// Folder with the keys of this host, from `rangehound keys`
+    #[arg(long, value_name = "DIR")]
+    keys: Option<PathBuf>,
+    /// Name of the run [default: whichever the gateway serves]
+    #[arg(long)]
+    name: Option<RunName>,
+}
+
+/// Why the program fails: 2 for input that it refuses, 1 for all else.
+#[derive(Debug, thiserror::Error)]
+enum Failure {
+    #[error("{0}")]
+    Input(String),
+    #[error("{0}")]
+    Running(String),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("rangehound=info,warn"))
+        .format(|out, record| {
+            use std::io::Write as _;
+            writeln!(out, "rangehound: {}", record.args())
+        })
+        .init();
+    let ended = match cli.command {
+        Command::Gateway(args) => args.carry_out(),
+        Command::Robot(args) => args.carry_out(),
+        Command::Keys(args) => args.carry_out().map_err(|error| Failure::Input(error.to_string())),
+    };
+    match ended {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("rangehound: {failure}");
+            ExitCode::from(if matches!(failure, Failure::Input(_)) { 2 } else { 1 })
+        }
+    }
+}
+
+impl GatewayArgs {
+    fn carry_out(&self) -> Result<(), Failure> {
+        let system = |error: &dyn std::fmt::Display| Failure::Running(error.to_string());
+        let termination = Termination::listen().map_err(|error| system(&error))?;
+        end_with(self.end_with)?;
+        let _ = rustix::thread::set_name(c"rh-gateway");
+        let waiting = || eprintln!("rangehound: waiting for run {}", self.name);
+        let rendezvous = match Rendezvous::join(&self.name, &termination, waiting) {
+            Err(RendezvousError::Terminated) => return Ok(()),
+            joined => joined.map_err(|error| system(&error))?,
+        };
+        let listening = |address: SocketAddr| {
+            eprintln!("rangehound: the gateway of run {} listens on {address}", self.name);
+        };
+        let ended = gateway::run(&rendezvous, self.listen, self.keys.as_ref(), &termination, listening);
+        ended.map_err(|error| match error {
+            GatewayError::Open(_) | GatewayError::Keys(_) | GatewayError::Address { .. } => {
+                Failure::Input(error.to_string())
+            }
+            error => Failure::Running(error.to_string()),
+        })
+    }
+}
+
+impl RobotArgs {
+    fn carry_out(&self) -> Result<(), Failure> {
+        let termination = Termination::listen().map_err(|error| Failure::Running(error.to_string()))?;
+        Role::Robot(self.id).name_process();
+        let target = Target {
+            gateway: self.connect.clone(),
+            keys: self.keys.clone(),
+            run: self.name.as_ref().map(ToString::to_string),
+        };
+        robot::run(&target, self.id, &termination).map_err(|error| match error {
+            RobotError::Refused(_) | RobotError::Keys(_) => Failure::Input(error.to_string()),
+            error => Failure::Running(error.to_string()),
+        })
+    }
+}
+
+impl From<KeysError> for Failure {
+    fn from(error: KeysError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
+/// Asks the kernel to end this process when its parent ends, if the parent is given.
+fn end_with(parent: Option<u32>) -> Result<(), Failure> {
+    let Some(pid) = parent else { return Ok(()) };
+    set_parent_process_death_signal(Some(Signal::TERM)).map_err(|error| Failure::Running(error.to_string()))?;
+    // The parent may have died before the line above.
+    if getppid().map(Pid::as_raw_pid) != i32::try_from(pid).ok() {
+        return Err(Failure::Running("the process that started this one (--end-with) has ended".to_owned()));
+    }
+    Ok(())
+}

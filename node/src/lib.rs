@@ -20,6 +20,7 @@ pub mod block;
 pub mod bus;
 pub mod checkpoint;
 pub mod fusion;
+pub mod gateway_note;
 pub mod logs;
 pub mod rendezvous;
 pub mod robot;

@@ -147,16 +147,7 @@ impl Bus {
     pub fn connect(run: &Rendezvous, name: &str) -> Result<Self, BusError> {
         let node = node(run, name)?;
         let senders = Rc::new(Senders::new(run.roster().clone(), run.description().scenario.robots.len()));
-        let wait_groups_error = |error: BlockError| {
-            let text = error.to_string();
-            // The wait groups are created before any process can join.
-            let is_gone = text.contains("DoesNotExist");
-            let out_dir = run.description().out_dir.display();
-            let gone =
-                format!("removed during the run: stop the run, then continue it with `rangehound resume {out_dir}`");
-            BusError { what: "wait_groups".to_owned(), reason: if is_gone { format!("{gone} ({text})") } else { text } }
-        };
-        let wait_groups = WaitGroups::open(run.shared_memory_prefix()).map_err(wait_groups_error)?;
+        let wait_groups = open_wait_groups(run)?;
         let RunDescription { run_id, scenario, .. } = run.description();
         Ok(Self {
             node,
@@ -257,6 +248,26 @@ impl Bus {
     pub fn notifier_of(&self, group: WaitGroup) -> Notifier {
         Notifier::new(self.wait_groups.clone(), group)
     }
+}
+
+/// The waiter of one wait group of a run, for a process that only waits.
+///
+/// # Errors
+/// [`BusError`] if the run's wait groups are gone.
+pub fn waiter(run: &Rendezvous, group: WaitGroup) -> Result<Waiter, BusError> {
+    Ok(Waiter::new(open_wait_groups(run)?, group))
+}
+
+fn open_wait_groups(run: &Rendezvous) -> Result<WaitGroups, BusError> {
+    WaitGroups::open(run.shared_memory_prefix()).map_err(|error: BlockError| {
+        let text = error.to_string();
+        // The wait groups are created before any process can join.
+        let is_gone = text.contains("DoesNotExist");
+        let out_dir = run.description().out_dir.display();
+        let gone =
+            format!("removed during the run: stop the run, then continue it with `rangehound resume {out_dir}`");
+        BusError { what: "wait_groups".to_owned(), reason: if is_gone { format!("{gone} ({text})") } else { text } }
+    })
 }
 
 /// A process's node in iceoryx2, set up for its run. Must be the process's first use of iceoryx2, whose global

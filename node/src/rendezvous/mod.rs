@@ -57,8 +57,8 @@ const JOIN_POLL: Duration = Duration::from_millis(20);
 /// removed it.
 const DYING: Duration = Duration::from_millis(500);
 
-/// Longest note, bytes.
-const NOTE_LEN_MAX: usize = 1 << 10;
+/// Longest note, bytes: that of a gateway with the largest team.
+const NOTE_LEN_MAX: usize = 1 << 17;
 
 /// The note with port and token of the live page, so that a restarted page keeps its address.
 pub const LIVE_NOTE: &str = "live";

@@ -220,6 +220,11 @@ impl Relay {
         self.sent_at_ns.saturating_add(repeat_after_ns.min(KEEP_ALIVE_NS))
     }
 
+    /// The robot is there again, after its link was cut: it gets a frame at once.
+    pub fn reconnect(&mut self) {
+        (self.has_news, self.repeats) = (true, 0);
+    }
+
     /// The smoothed round trip to the robot, ns, if it has answered.
     #[must_use]
     pub fn round_trip_ns(&self) -> Option<u64> {

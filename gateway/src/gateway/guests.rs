@@ -1,0 +1,292 @@
+//! The robots that have joined through the gateway, with their roles and links.
+
+use std::collections::BTreeMap;
+
+use quinn::Connection;
+use rangehound_node::bus::{Bus, BusError, Event, Events, Notifier, Publisher, Subscriber, WaitGroup};
+use rangehound_node::gateway_note::{GatewayNote, GuestNote};
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
+use rangehound_node::system::clock::monotonic_ns;
+use rangehound_robot::remote::wire::Uplink;
+use rangehound_robot::remote::{Publication, Relay};
+use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
+use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
+
+use super::door::Applicant;
+use super::refusals::Refusals;
+use super::{GatewayError, Input};
+use crate::keys::{Peer, RefusalCause};
+use crate::link::{self, Answer, Request};
+
+/// Silence after which another process may take a robot's role: some intervals of the frames that keep a link alive.
+const CLAIM_NS: u64 = 500_000_000;
+
+/// Silence after which a robot is gone: its role is free for any process.
+const GONE_NS: u64 = 3_000_000_000;
+
+/// Interval of the note about the links.
+const NOTE_NS: u64 = 500_000_000;
+
+/// All of them.
+pub(super) struct Guests<'a> {
+    rendezvous: &'a Rendezvous,
+    bus: Bus,
+    worlds: Subscriber<WorldEntry>,
+    headings: Subscriber<Command>,
+    ranges: Publisher<Range>,
+    drives: Publisher<Drive>,
+    sim: Notifier,
+    fusion: Notifier,
+    all: BTreeMap<usize, Guest>,
+    refusals: Refusals,
+    noted_ns: u64,
+}
+
+/// A robot on another host.
+struct Guest {
+    lease: RoleLease,
+    relay: Relay,
+    connection: Connection,
+    process: u64,
+    host: String,
+    heard_ns: u64,
+    /// Frames that could not be read.
+    malformed: u64,
+}
+
+impl<'a> Guests<'a> {
+    pub(super) fn new(rendezvous: &'a Rendezvous) -> Result<Self, BusError> {
+        let bus = Bus::connect(rendezvous, "gateway")?;
+        Ok(Self {
+            rendezvous,
+            worlds: bus.subscriber()?,
+            headings: bus.subscriber()?,
+            ranges: bus.publisher(1)?,
+            drives: bus.publisher(1)?,
+            sim: bus.notifier_of(WaitGroup::Sim),
+            fusion: bus.notifier_of(WaitGroup::Fusion),
+            bus,
+            all: BTreeMap::new(),
+            refusals: Refusals::default(),
+            noted_ns: 0,
+        })
+    }
+
+    pub(super) fn on_input(&mut self, input: Input) -> Result<(), GatewayError> {
+        match input {
+            Input::Bus(events) => self.read_bus(events)?,
+            Input::Applicant(applicant) => self.on_applicant(*applicant),
+            Input::Frame { robot, connection, bytes } => self.on_frame(robot, connection, &bytes)?,
+            Input::Leaving { robot, connection } => {
+                if self.all.get(&robot).is_some_and(|guest| guest.connection.stable_id() == connection) {
+                    self.release(robot, "has left");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Drains the topics whose events came, or all topics after a time-out.
+    fn read_bus(&mut self, events: Events) -> Result<(), BusError> {
+        let Self { worlds, headings, all, .. } = self;
+        let now_ns = monotonic_ns();
+        let mut again = Vec::new();
+        if events.has(Event::World) || events.is_empty() {
+            worlds.drain(|header, entries| {
+                for (robot, guest) in all.iter_mut() {
+                    let message = entries.get(*robot).and_then(|entry| guest.relay.on_world(header, entry));
+                    again.extend(message.map(|message| (*robot, message)));
+                }
+            })?;
+        }
+        if events.has(Event::Heading) || events.is_empty() {
+            let robots = self.rendezvous.description().scenario.robots.len();
+            headings.drain(|header, commands| {
+                for (robot, guest) in all.iter_mut().filter(|_| commands.len() == robots) {
+                    guest.relay.on_heading(header, commands[*robot], now_ns);
+                }
+            })?;
+            headings.take_impostors();
+        }
+        again.into_iter().try_for_each(|(robot, message)| self.publish(robot, message))
+    }
+
+    fn on_frame(&mut self, robot: usize, connection: usize, bytes: &[u8]) -> Result<(), BusError> {
+        let run_id = self.rendezvous.description().run_id;
+        let is_it = |guest: &&mut Guest| guest.connection.stable_id() == connection;
+        let Some(guest) = self.all.get_mut(&robot).filter(is_it) else { return Ok(()) };
+        let Ok(frame) = Uplink::from_bytes(bytes, run_id) else {
+            guest.malformed += 1;
+            if guest.malformed == 1 {
+                log::warn!("robot-{robot}: {} sends frames that cannot be read", guest.host);
+            }
+            return Ok(());
+        };
+        let now_ns = monotonic_ns();
+        guest.heard_ns = now_ns;
+        let news = guest.relay.on_uplink(&frame, now_ns);
+        news.into_iter().try_for_each(|message| self.publish(robot, message))
+    }
+
+    fn publish(&mut self, robot: usize, message: Publication) -> Result<(), BusError> {
+        let Some(guest) = self.all.get(&robot) else { return Ok(()) };
+        self.bus.speak_as(guest.lease.incarnation);
+        match message {
+            Publication::Range(range, notification) => {
+                self.ranges.send_one(&range)?;
+                self.fusion.notify(&notification);
+            }
+            Publication::Drive(drive, notification) => {
+                self.drives.send_one(&drive)?;
+                notification.iter().for_each(|notification| self.sim.notify(notification));
+            }
+        }
+        Ok(())
+    }
+
+    fn on_applicant(&mut self, applicant: Applicant) {
+        match applicant {
+            Applicant::Refused { address, cause, text } => self.refusals.add(address.ip(), cause, &text),
+            Applicant::Asks { request, peer, connection, answer } => {
+                let robot = request.robot;
+                let address = connection.remote_address();
+                let welcomed = self.welcome(&request, peer.as_ref(), connection);
+                let reply = welcomed.unwrap_or_else(|(cause, text)| {
+                    self.refusals.add(address.ip(), cause, &format!("robot-{robot}: {text}"));
+                    let may_change = matches!(cause, RefusalCause::RoleTaken | RefusalCause::Other);
+                    Answer::Refused { text, may_change }
+                });
+                let _ = answer.send(reply);
+            }
+        }
+    }
+
+    /// Gives a robot its role, or says why it does not get it.
+    fn welcome(
+        &mut self,
+        request: &Request,
+        peer: Option<&Peer>,
+        connection: Connection,
+    ) -> Result<Answer, (RefusalCause, String)> {
+        let Request { protocol, program, robot, process, run } = request;
+        let robot = *robot;
+        let (name, description) = (self.rendezvous.name().to_string(), self.rendezvous.description());
+        if *protocol != PROTOCOL {
+            let program: String = program.chars().filter(char::is_ascii_graphic).take(16).collect();
+            let text = format!(
+                "it is rangehound {program} (protocol {protocol}); the run's is {PROGRAM} (protocol {PROTOCOL}): use one version"
+            );
+            return Err((RefusalCause::Version, text));
+        }
+        if run.as_ref().is_some_and(|run| *run != name) {
+            return Err((RefusalCause::Run, format!("this is the gateway of run {name} (--name)")));
+        }
+        let robots = description.scenario.robots.len();
+        if robot >= robots {
+            let text = format!("robot {robot} (--id) is not in this run: expected 0 to {}", robots - 1);
+            return Err((RefusalCause::NoSuchRobot, text));
+        }
+        if let Some(peer) = peer.filter(|peer| !peer.may_be(robot)) {
+            return Err((RefusalCause::WrongRobot, format!("the certificate of {} does not name it", peer.host)));
+        }
+        let host = peer.map_or_else(|| connection.remote_address().ip().to_string(), |peer| peer.host.clone());
+        self.take_role(robot, *process, host, connection)?;
+        let other = |text: String| (RefusalCause::Other, text);
+        let description = description.seal().map_err(|error| other(error.to_string()))?;
+        Ok(Answer::Welcome { description, fusion_incarnation: self.rendezvous.roster().starts(Role::Fusion) })
+    }
+
+    fn take_role(
+        &mut self,
+        robot: usize,
+        process: u64,
+        host: String,
+        connection: Connection,
+    ) -> Result<(), (RefusalCause, String)> {
+        let now_ns = monotonic_ns();
+        if let Some(guest) = self.all.get_mut(&robot) {
+            if guest.process == process {
+                guest.connection.close(link::REPLACED, b"the robot has connected again");
+                (guest.connection, guest.heard_ns) = (connection, now_ns);
+                guest.relay.reconnect();
+                return Ok(());
+            }
+            let silent_ns = now_ns.saturating_sub(guest.heard_ns);
+            if silent_ns < CLAIM_NS {
+                let text = format!("{} has this role, and was heard {} ms ago", guest.host, silent_ns / 1_000_000);
+                return Err((RefusalCause::RoleTaken, text));
+            }
+            self.release(robot, "starts again");
+        }
+        let role = Role::Robot(robot);
+        let lease = self.rendezvous.roster().take(role).map_err(|error| match error {
+            RendezvousError::RoleTaken { .. } => (RefusalCause::RoleTaken, error.to_string()),
+            error => (RefusalCause::Other, error.to_string()),
+        })?;
+        let registered = self.bus.take_role(self.rendezvous, role, &lease);
+        registered.map_err(|error| (RefusalCause::Other, error.to_string()))?;
+        log::info!("robot-{robot} joins from {host} ({})", connection.remote_address());
+        let description = self.rendezvous.description();
+        let relay = Relay::new(description.run_id, robot, description.scenario.clock);
+        self.all.insert(robot, Guest { lease, relay, connection, process, host, heard_ns: now_ns, malformed: 0 });
+        self.sim.signal(Event::Hello);
+        Ok(())
+    }
+
+    fn release(&mut self, robot: usize, why: &str) {
+        if let Some(guest) = self.all.remove(&robot) {
+            log::info!("robot-{robot} of {} {why}", guest.host);
+            guest.connection.close(link::SILENT, why.as_bytes());
+        }
+    }
+
+    /// Renews the roles of the robots that are heard, and releases those of the others.
+    pub(super) fn look(&mut self, now_ns: u64) {
+        let silent_ns = |guest: &Guest| now_ns.saturating_sub(guest.heard_ns);
+        self.all.values().filter(|guest| silent_ns(guest) < CLAIM_NS).for_each(|guest| guest.lease.renew());
+        let gone = self.all.iter().filter(|(_, guest)| silent_ns(guest) > GONE_NS).map(|(robot, _)| *robot);
+        for robot in gone.collect::<Vec<_>>() {
+            self.release(robot, "is silent: its role is free");
+        }
+        if now_ns >= self.noted_ns.saturating_add(NOTE_NS) {
+            self.noted_ns = now_ns;
+            if let Err(error) = self.note(now_ns).leave(self.rendezvous) {
+                log::debug!("{error}");
+            }
+        }
+    }
+
+    fn note(&self, now_ns: u64) -> GatewayNote {
+        let guests = self.all.iter().map(|(robot, guest)| {
+            let path = guest.connection.stats().path;
+            let [sent, repeated] = guest.relay.counts();
+            GuestNote {
+                robot: *robot,
+                host: guest.host.clone(),
+                address: guest.connection.remote_address().to_string(),
+                round_trip_us: guest.relay.round_trip_ns().map(|ns| ns / 1_000),
+                lost: path.lost_packets as f64 / path.sent_packets.max(1) as f64,
+                repeated: repeated as f64 / sent.max(1) as f64,
+                silent_ms: now_ns.saturating_sub(guest.heard_ns) / 1_000_000,
+            }
+        });
+        let refusals = self.refusals.counts().iter().map(|(cause, count)| ((*cause).to_owned(), *count));
+        GatewayNote { pid: std::process::id(), guests: guests.collect(), refusals: refusals.collect() }
+    }
+
+    /// When the next frame is due, ns.
+    pub(super) fn wakes_at_ns(&self) -> u64 {
+        self.all.values().map(|guest| guest.relay.wakes_at_ns()).min().unwrap_or(u64::MAX)
+    }
+
+    /// Sends every frame that is due.
+    pub(super) fn send_frames(&mut self) {
+        for guest in self.all.values_mut() {
+            if let Some(frame) = guest.relay.next_frame(monotonic_ns()) {
+                // A datagram that cannot be sent counts as lost.
+                let _ = guest.connection.send_datagram(frame.to_bytes().into());
+            }
+        }
+    }
+
+}

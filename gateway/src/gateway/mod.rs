@@ -1,0 +1,163 @@
+//! The gateway's process: it takes the roles of the robots that connect to it, and relays their messages.
+//!
+//! It has no state that could be lost: a gateway that is started again learns everything from the robots and the bus.
+
+mod door;
+mod guests;
+mod refusals;
+
+use std::net::{SocketAddr, UdpSocket};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use rangehound_node::bus::{self, BusError, Events, IDLE, WaitGroup};
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError};
+use rangehound_node::system::clock::{monotonic_ns, until};
+use rangehound_node::system::signal::Termination;
+use tokio::sync::mpsc::{self, Receiver, Sender};
+use tokio::sync::watch;
+
+use crate::keys::{Credentials, KeysError};
+use crate::link;
+use door::Applicant;
+use guests::Guests;
+
+/// Inputs that wait for the gateway; further datagrams are dropped, and repeated by their robots.
+const INPUTS_MAX: usize = 4_096;
+
+/// Longest sleep.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Longest time for which the end of the run is announced to the robots.
+const FAREWELL: Duration = Duration::from_secs(2);
+
+/// Why a gateway ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum GatewayError {
+    /// It cannot take part in the run.
+    #[error(transparent)]
+    Rendezvous(#[from] RendezvousError),
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// Its keys cannot be used.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
+    /// Without keys it must not be reached from other hosts.
+    #[error("--listen {0} can be reached from other hosts: --keys is missing (`rangehound keys` makes them)")]
+    Open(SocketAddr),
+    /// The system does not give it the address.
+    #[error("cannot listen on {address}: {source}")]
+    Address {
+        /// The address.
+        address: SocketAddr,
+        /// The reason.
+        source: std::io::Error,
+    },
+    /// The cryptography does not fit.
+    #[error("{0}")]
+    Cryptography(String),
+    /// The system.
+    #[error("{0}")]
+    System(#[from] std::io::Error),
+}
+
+/// Something that happened.
+#[derive(Debug)]
+enum Input {
+    /// On the bus of the run.
+    Bus(Events),
+    /// A robot wants to join.
+    Applicant(Box<Applicant>),
+    /// A frame of a robot.
+    Frame { robot: usize, connection: usize, bytes: quinn::Bytes },
+    /// A robot leaves in order.
+    Leaving { robot: usize, connection: usize },
+}
+
+/// Runs the gateway of a run until the run ends or until asked to end. `listening` is called with its address.
+///
+/// # Errors
+/// [`GatewayError`].
+pub fn run(
+    rendezvous: &Rendezvous,
+    address: SocketAddr,
+    keys: Option<&PathBuf>,
+    termination: &Termination,
+    listening: impl FnOnce(SocketAddr),
+) -> Result<(), GatewayError> {
+    let tls = match keys {
+        Some(folder) => Credentials::load(folder)?.server_config()?,
+        None if address.ip().is_loopback() => Credentials::for_loopback_server()?,
+        None => return Err(GatewayError::Open(address)),
+    };
+    let config = link::server(tls).map_err(|error| GatewayError::Cryptography(error.to_string()))?;
+    let socket = UdpSocket::bind(address).map_err(|source| GatewayError::Address { address, source })?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let is_over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let (sender, inputs) = mpsc::channel(INPUTS_MAX);
+        let bus_sender = sender.clone();
+        scope.spawn(|| wait_on_bus(rendezvous, bus_sender, &is_over));
+        let ended = runtime.block_on(async {
+            let runtime = std::sync::Arc::new(quinn::TokioRuntime);
+            let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(config), socket, runtime)?;
+            listening(endpoint.local_addr()?);
+            let mut guests = Guests::new(rendezvous)?;
+            let (finished, when_finished) = watch::channel(false);
+            let serve = async {
+                tokio::task::spawn_local(door::answer(endpoint.clone(), sender, keys.is_some(), when_finished));
+                let served = serve(&mut guests, inputs, rendezvous, termination).await;
+                // The roles are free before the robots know that the gateway ends.
+                drop(guests);
+                if rendezvous.is_finished() {
+                    let _ = finished.send(true);
+                    let _ = tokio::time::timeout(FAREWELL, finished.closed()).await;
+                }
+                endpoint.close(link::LEFT, b"the gateway has ended");
+                let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
+                served
+            };
+            tokio::task::LocalSet::new().run_until(serve).await
+        });
+        is_over.store(true, Ordering::Relaxed);
+        ended
+    })
+}
+
+/// Waits for events of the bus in a thread of its own, because a futex cannot be waited for together with a socket.
+fn wait_on_bus(rendezvous: &Rendezvous, sender: Sender<Input>, is_over: &AtomicBool) {
+    let waiter = match bus::waiter(rendezvous, WaitGroup::Robots) {
+        Ok(waiter) => waiter,
+        Err(error) => return log::error!("{error}"),
+    };
+    while !is_over.load(Ordering::Relaxed) {
+        let events = waiter.sleep(IDLE);
+        // If the queue is full, the gateway looks at the bus soon anyway.
+        if let Err(mpsc::error::TrySendError::Closed(_)) = sender.try_send(Input::Bus(events)) {
+            return;
+        }
+    }
+}
+
+async fn serve(
+    guests: &mut Guests<'_>,
+    mut inputs: Receiver<Input>,
+    rendezvous: &Rendezvous,
+    termination: &Termination,
+) -> Result<(), GatewayError> {
+    while !termination.requested() && !rendezvous.is_finished() {
+        rendezvous.look_for_removal()?;
+        let wait = until(guests.wakes_at_ns()).min(LOOK);
+        if let Ok(Some(input)) = tokio::time::timeout(wait, inputs.recv()).await {
+            guests.on_input(input)?;
+            while let Ok(input) = inputs.try_recv() {
+                guests.on_input(input)?;
+            }
+        }
+        guests.look(monotonic_ns());
+        guests.send_frames();
+    }
+    Ok(())
+}

@@ -1,0 +1,83 @@
+//! QUIC between a robot's host and the gateway: ticks are datagrams, joining and leaving a stream.
+
+mod stream;
+mod window;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use quinn::crypto::rustls::{NoInitialCipherSuite, QuicClientConfig, QuicServerConfig};
+use quinn::{ClientConfig, ServerConfig, TransportConfig, VarInt};
+
+pub(crate) use stream::REQUEST_LEN_MAX;
+pub use stream::{Answer, JoinError, Notice, Request, read, write};
+pub use window::FixedWindow;
+
+/// Silence after which QUIC gives a connection up. Both ends notice a cut earlier, by the frames.
+const IDLE: Duration = Duration::from_secs(5);
+
+/// The round trip that the first packets of a connection assume: a lost one is sent again after three of them.
+const FIRST_ROUND_TRIP: Duration = Duration::from_millis(30);
+
+/// Bytes of datagrams that wait to be sent: a few frames. If there are more, the oldest are dropped, because only the
+/// newest tick matters.
+const SEND_BUFFER: usize = 4 << 10;
+
+/// Bytes of datagrams that wait to be read.
+const RECEIVE_BUFFER: usize = 64 << 10;
+
+/// Handshakes that may be under way at the same time. Any more strangers are refused.
+const HANDSHAKES_MAX: usize = 64;
+
+/// Close codes of this program.
+pub const LEFT: VarInt = VarInt::from_u32(1);
+/// The peer was refused; the reason is the text.
+pub const REFUSED: VarInt = VarInt::from_u32(2);
+/// The link was silent for too long.
+pub const SILENT: VarInt = VarInt::from_u32(3);
+/// Another connection of the same robot replaces this one.
+pub const REPLACED: VarInt = VarInt::from_u32(4);
+
+fn transport() -> TransportConfig {
+    let mut transport = TransportConfig::default();
+    transport
+        .max_idle_timeout(IDLE.try_into().ok())
+        .initial_rtt(FIRST_ROUND_TRIP)
+        .max_concurrent_bidi_streams(VarInt::from_u32(1))
+        .max_concurrent_uni_streams(VarInt::from_u32(0))
+        .datagram_send_buffer_size(SEND_BUFFER)
+        .datagram_receive_buffer_size(Some(RECEIVE_BUFFER))
+        // Frames fit in the smallest datagram.
+        .mtu_discovery_config(None)
+        .congestion_controller_factory(Arc::new(FixedWindow));
+    transport
+}
+
+/// The gateway's side of QUIC.
+///
+/// # Errors
+/// If the cipher suites do not fit QUIC.
+pub fn server(tls: rustls::ServerConfig) -> Result<ServerConfig, NoInitialCipherSuite> {
+    let mut config = ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
+    config.transport_config(Arc::new(transport())).max_incoming(HANDSHAKES_MAX).migration(false);
+    Ok(config)
+}
+
+/// The robot's side of QUIC.
+///
+/// # Errors
+/// If the cipher suites do not fit QUIC.
+pub fn client(tls: rustls::ClientConfig) -> Result<ClientConfig, NoInitialCipherSuite> {
+    let mut config = ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls)?));
+    config.transport_config(Arc::new(transport()));
+    Ok(config)
+}
+
+/// The address of a local socket that reaches this one.
+#[must_use]
+pub fn any_address_for(peer: SocketAddr) -> SocketAddr {
+    let any: std::net::IpAddr =
+        if peer.is_ipv4() { std::net::Ipv4Addr::UNSPECIFIED.into() } else { std::net::Ipv6Addr::UNSPECIFIED.into() };
+    (any, 0).into()
+}

@@ -1,0 +1,96 @@
+//! Joining and leaving: messages of JSON with their length before them, on the one stream of a connection.
+
+use quinn::{RecvStream, SendStream};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Longest message, bytes: the description of the largest run is shorter.
+const MESSAGE_LEN_MAX: u32 = 4 << 20;
+
+/// Longest message of a peer that has not joined, bytes.
+pub(crate) const REQUEST_LEN_MAX: u32 = 4 << 10;
+
+/// A robot asks for its role.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Request {
+    /// The protocol of its build.
+    pub protocol: u32,
+    /// The version of its build, for display.
+    pub program: String,
+    /// Its number in the team.
+    pub robot: usize,
+    /// A random number of its process: it tells a robot that comes back from another that claims its role.
+    pub process: u64,
+    /// The run that it wants; any if it names none.
+    pub run: Option<String>,
+}
+
+/// The gateway's answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Answer {
+    /// It has the role.
+    Welcome {
+        /// The sealed description of the run.
+        description: String,
+        /// How often the lead has been taken.
+        fusion_incarnation: u64,
+    },
+    /// It does not get the role.
+    Refused {
+        /// Why.
+        text: String,
+        /// True if it may get it later.
+        may_change: bool,
+    },
+}
+
+/// What either end says after that.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Notice {
+    /// The gateway: the run is over.
+    Finished,
+    /// The robot: it leaves in order.
+    Leaving,
+}
+
+/// Why a message did not come or could not be sent.
+#[derive(Debug, thiserror::Error)]
+pub enum JoinError {
+    /// The connection has ended.
+    #[error("the connection has ended")]
+    Ended,
+    /// The peer sent something else.
+    #[error("not a message of rangehound")]
+    Malformed,
+    /// The peer sent too much.
+    #[error("a message of {0} bytes: at most {1} are allowed")]
+    TooLong(u32, u32),
+}
+
+/// Sends a message.
+///
+/// # Errors
+/// [`JoinError`].
+pub async fn write(stream: &mut SendStream, message: &impl Serialize) -> Result<(), JoinError> {
+    let text = serde_json::to_vec(message).map_err(|_| JoinError::Malformed)?;
+    let len = u32::try_from(text.len()).map_err(|_| JoinError::Malformed)?;
+    stream.write_all(&len.to_le_bytes()).await.map_err(|_| JoinError::Ended)?;
+    stream.write_all(&text).await.map_err(|_| JoinError::Ended)
+}
+
+/// Receives a message of at most this length.
+///
+/// # Errors
+/// [`JoinError`].
+pub async fn read<T: DeserializeOwned>(stream: &mut RecvStream, len_max: Option<u32>) -> Result<T, JoinError> {
+    let len_max = len_max.unwrap_or(MESSAGE_LEN_MAX);
+    let mut len = [0; 4];
+    stream.read_exact(&mut len).await.map_err(|_| JoinError::Ended)?;
+    let len = u32::from_le_bytes(len);
+    if len > len_max {
+        return Err(JoinError::TooLong(len, len_max));
+    }
+    let mut text = vec![0; len as usize];
+    stream.read_exact(&mut text).await.map_err(|_| JoinError::Ended)?;
+    serde_json::from_slice(&text).map_err(|_| JoinError::Malformed)
+}

@@ -1,0 +1,246 @@
+//! A robot on a host without the run's shared memory: the role's machine over a link to the gateway.
+
+mod session;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::system::clock::{monotonic_ns, until};
+use rangehound_node::system::signal::Termination;
+use rangehound_robot::drive::{Actuator, SimulatedActuator};
+use rangehound_robot::machine::{Action, Machine};
+use rangehound_robot::pose::{self, PoseSource};
+use rangehound_robot::remote::Courier;
+use rangehound_robot::remote::wire::Downlink;
+use rangehound_robot::sensor::{self, Sensor, measure};
+use rangehound_shared::message::Command;
+use rangehound_shared::scenario::Scenario;
+
+use crate::keys::{Credentials, KeysError};
+use crate::link;
+pub use session::Refusal;
+use session::{Connector, Happened, Session};
+
+/// Silence of the gateway after which the link is opened again: some intervals of the frames that keep it alive.
+const SILENT_NS: u64 = 500_000_000;
+
+/// Longest sleep: bounds how late the process sees that it is asked to end.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Where a robot connects, and as whom.
+#[derive(Debug, Clone)]
+pub struct Target {
+    /// `HOST:PORT` of the gateway.
+    pub gateway: String,
+    /// Folder of this host's keys. Without, only a gateway of this machine is asked.
+    pub keys: Option<PathBuf>,
+    /// The run; any if none is named.
+    pub run: Option<String>,
+}
+
+/// The sensor, the localiser and the actuator of a robot.
+pub type Equipment = (Box<dyn Sensor>, Box<dyn PoseSource>, Box<dyn Actuator>);
+
+/// Why a robot ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotError {
+    /// The gateway does not take it, and will not.
+    #[error("refused by the gateway: {0}")]
+    Refused(String),
+    /// Its keys cannot be used.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
+    /// The cryptography does not fit.
+    #[error("{0}")]
+    Cryptography(String),
+    /// The system.
+    #[error("{0}")]
+    System(#[from] std::io::Error),
+}
+
+/// Runs one robot, as the scenario of the run has it, until the run ends or until asked to end.
+///
+/// # Errors
+/// [`RobotError`].
+pub fn run(target: &Target, id: usize, termination: &Termination) -> Result<(), RobotError> {
+    let equipment = |scenario: &Scenario| -> Option<Equipment> {
+        let actuator = Box::new(SimulatedActuator);
+        Some((sensor::of_scenario(scenario, id)?, pose::of_scenario(scenario, id)?, actuator))
+    };
+    run_with(target, id, equipment, termination)
+}
+
+/// Runs one robot with the caller's sensor, localiser and actuator, which are made once the scenario is known. The last command
+/// is always to stop, however the run ends. A lost gateway never ends it: the robot stops by itself, and connects again.
+///
+/// # Errors
+/// [`RobotError`].
+pub fn run_with(
+    target: &Target,
+    id: usize,
+    equipment: impl FnMut(&Scenario) -> Option<Equipment>,
+    termination: &Termination,
+) -> Result<(), RobotError> {
+    let tls = match &target.keys {
+        Some(folder) => Credentials::load(folder)?.client_config()?,
+        None => Credentials::for_loopback_client()?,
+    };
+    let config = link::client(tls).map_err(|error| RobotError::Cryptography(error.to_string()))?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let connector = Connector::new(target.clone(), config, id);
+    tokio::task::LocalSet::new().block_on(&runtime, async {
+        let mut driver = Driver { id, equipment, part: None, has_joined: false };
+        let ended = driver.take_part(connector, termination).await;
+        if let Some(part) = &mut driver.part {
+            part.equipment.2.carry_out(Command::default());
+        }
+        ended
+    })
+}
+
+struct Driver<E> {
+    id: usize,
+    equipment: E,
+    part: Option<Part>,
+    has_joined: bool,
+}
+
+/// A robot's part in one run.
+struct Part {
+    run_id: u64,
+    machine: Machine,
+    courier: Courier,
+    equipment: Equipment,
+    /// Frames that could not be read.
+    malformed: u64,
+}
+
+impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
+    async fn take_part(&mut self, mut connector: Connector, termination: &Termination) -> Result<(), RobotError> {
+        let mut session: Option<Session> = None;
+        while !termination.requested() {
+            let wait = self.part.as_ref().map_or(LOOK, Part::wait);
+            let happened = match &mut session {
+                Some(session) => session.next(wait).await,
+                None => connector.next(wait).await,
+            };
+            match happened {
+                Happened::Joined(joined) => {
+                    self.join(&joined)?;
+                    session = Some(*joined);
+                }
+                Happened::Refused(refusal) if refusal.may_change || self.has_joined => connector.report(&refusal.text),
+                Happened::Refused(refusal) => return Err(RobotError::Refused(refusal.text)),
+                Happened::Unreachable(reason) => connector.report(&reason),
+                Happened::Frame(bytes) => {
+                    if let Some(part) = &mut self.part {
+                        part.on_frame(&bytes);
+                    }
+                }
+                Happened::Finished => return Ok(()),
+                Happened::Ended => session = None,
+                Happened::Nothing => {}
+            }
+            let Some(part) = &mut self.part else { continue };
+            part.act();
+            if let Some(open) = &mut session {
+                part.send(open);
+                let silent_ns = monotonic_ns().saturating_sub(open.joined_ns);
+                if part.courier.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns) > SILENT_NS {
+                    open.close(link::SILENT, "the gateway is silent");
+                    session = None;
+                }
+            }
+            if session.is_none() && connector.is_idle() {
+                connector.open();
+            }
+        }
+        if let Some(session) = session {
+            session.leave().await;
+        }
+        Ok(())
+    }
+
+    /// Takes part in the run that the gateway describes. A run that it knows goes on where it was.
+    fn join(&mut self, session: &Session) -> Result<(), RobotError> {
+        let RunDescription { run_id, scenario, .. } = &session.description;
+        self.has_joined = true;
+        if self.part.as_ref().is_some_and(|part| part.run_id == *run_id) {
+            return Ok(());
+        }
+        if let Some(part) = &mut self.part {
+            part.equipment.2.carry_out(Command::default());
+        }
+        let machine = Machine::new(scenario, self.id, session.fusion_incarnation);
+        let equipment = (self.equipment)(scenario);
+        let (Some(machine), Some(equipment)) = (machine, equipment) else {
+            return Err(RobotError::Refused(format!("robot {} is not in this run", self.id)));
+        };
+        let courier = Courier::new(*run_id, scenario.clock);
+        self.part = Some(Part { run_id: *run_id, machine, courier, equipment, malformed: 0 });
+        Ok(())
+    }
+}
+
+impl Part {
+    /// How long it may sleep.
+    fn wait(&self) -> Duration {
+        let due = [self.machine.wakes_at_ns(), self.courier.wakes_at_ns()];
+        due.into_iter().flatten().map(until).min().unwrap_or(LOOK).min(LOOK)
+    }
+
+    fn on_frame(&mut self, bytes: &[u8]) {
+        let now_ns = monotonic_ns();
+        let Ok(frame) = Downlink::from_bytes(bytes, self.run_id) else {
+            self.malformed += 1;
+            if self.malformed == 1 {
+                log::warn!("the gateway sends frames that cannot be read");
+            }
+            return;
+        };
+        self.courier.on_downlink(&frame, now_ns);
+        if let Some(world) = &frame.world {
+            let (header, entry) = world.message(self.run_id);
+            self.machine.on_own_world(&header, &entry, now_ns);
+        }
+        if let Some(heading) = &frame.heading {
+            let (header, command) = heading.message(self.run_id);
+            self.machine.on_own_heading(&header, Some(&command));
+        }
+    }
+
+    fn act(&mut self) {
+        let mut provides = true;
+        loop {
+            let Some(action) = self.machine.next_action(monotonic_ns()) else {
+                if !std::mem::take(&mut provides) {
+                    return;
+                }
+                self.machine.before_sleep();
+                continue;
+            };
+            let (sensor, poses, actuator) = &mut self.equipment;
+            match action {
+                Action::Measure { tick, time_s, entry } => {
+                    let measurement = measure(sensor.as_mut(), poses.as_mut(), (tick, time_s), &entry);
+                    self.machine.measured(measurement, monotonic_ns());
+                }
+                Action::CarryOut(command) => {
+                    let driven = actuator.carry_out(command);
+                    self.machine.carried_out(driven);
+                }
+                Action::SendRange(message) => self.courier.on_range(&message),
+                Action::SendDrive(message) => self.courier.on_drive(&message),
+                // The gateway notifies the nodes on its host.
+                Action::Notify(_) => {}
+            }
+        }
+    }
+
+    fn send(&mut self, session: &Session) {
+        while let Some(frame) = self.courier.next_frame(monotonic_ns()) {
+            session.send(frame.to_bytes());
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! The link of a robot to its gateway: opened until it succeeds, watched, and opened again.
+
+use std::time::Duration;
+
+use quinn::{ClientConfig, Connection, Endpoint, RecvStream, SendStream, VarInt};
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::system::clock::monotonic_ns;
+use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
+use tokio::task::JoinHandle;
+
+use super::Target;
+use crate::keys::{GATEWAY_NAME, RefusalCause};
+use crate::link::{self, Answer, Notice, Request};
+
+/// Time for one attempt to connect and to join.
+const ATTEMPT: Duration = Duration::from_millis(800);
+
+/// Time between two attempts.
+const BETWEEN: Duration = Duration::from_millis(100);
+
+/// Time in which a robot that leaves must reach the gateway.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// What happened at the link.
+pub(super) enum Happened {
+    /// The robot has joined.
+    Joined(Box<Session>),
+    /// The gateway refused it.
+    Refused(Refusal),
+    /// No gateway answered.
+    Unreachable(String),
+    /// A frame came.
+    Frame(quinn::Bytes),
+    /// The run is over.
+    Finished,
+    /// The connection has ended.
+    Ended,
+    /// Time is up.
+    Nothing,
+}
+
+/// Why a gateway does not take a robot.
+#[derive(Debug)]
+pub struct Refusal {
+    /// The reason.
+    pub text: String,
+    /// True if it may take it later.
+    pub may_change: bool,
+}
+
+/// Opens links.
+pub(super) struct Connector {
+    target: Target,
+    config: ClientConfig,
+    robot: usize,
+    process: u64,
+    attempt: Option<JoinHandle<Happened>>,
+    reported: Option<String>,
+}
+
+/// An open link of a robot that has joined.
+pub(super) struct Session {
+    endpoint: Endpoint,
+    connection: Connection,
+    send: SendStream,
+    notice: JoinHandle<Option<Notice>>,
+    /// When it joined, ns.
+    pub(super) joined_ns: u64,
+    /// The run.
+    pub(super) description: RunDescription,
+    /// How often the lead had been taken.
+    pub(super) fusion_incarnation: u64,
+}
+
+impl Connector {
+    pub(super) fn new(target: Target, config: ClientConfig, robot: usize) -> Self {
+        Self { target, config, robot, process: rand::random(), attempt: None, reported: None }
+    }
+
+    pub(super) fn is_idle(&self) -> bool {
+        self.attempt.is_none()
+    }
+
+    /// Begins to open a link.
+    pub(super) fn open(&mut self) {
+        let request = Request {
+            protocol: PROTOCOL,
+            program: PROGRAM.to_owned(),
+            robot: self.robot,
+            process: self.process,
+            run: self.target.run.clone(),
+        };
+        let (target, config) = (self.target.clone(), self.config.clone());
+        self.attempt = Some(tokio::task::spawn_local(async move {
+            let attempt = tokio::time::timeout(ATTEMPT, open(&target, config, &request)).await;
+            let failed = attempt.unwrap_or_else(|_| Happened::Unreachable("no answer".to_owned()));
+            if !matches!(failed, Happened::Joined(_)) {
+                tokio::time::sleep(BETWEEN).await;
+            }
+            failed
+        }));
+    }
+
+    /// The end of an attempt, or nothing after this time.
+    pub(super) async fn next(&mut self, wait: Duration) -> Happened {
+        if self.is_idle() {
+            self.open();
+        }
+        let Some(attempt) = &mut self.attempt else { return Happened::Nothing };
+        match tokio::time::timeout(wait, attempt).await {
+            Err(_) => Happened::Nothing,
+            Ok(ended) => {
+                self.attempt = None;
+                let happened = ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()));
+                if let Happened::Joined(_) = happened
+                    && self.reported.take().is_some()
+                {
+                    log::info!("joined through {}", self.target.gateway);
+                }
+                happened
+            }
+        }
+    }
+
+    /// Reports why the robot has no link, once for each reason.
+    pub(super) fn report(&mut self, reason: &str) {
+        if self.reported.as_deref() != Some(reason) {
+            log::warn!("no link to the gateway at {}: {reason}; it is tried again", self.target.gateway);
+            self.reported = Some(reason.to_owned());
+        }
+    }
+}
+
+/// Connects and joins.
+async fn open(target: &Target, config: ClientConfig, request: &Request) -> Happened {
+    let unreachable = |reason: &dyn std::fmt::Display| Happened::Unreachable(reason.to_string());
+    let address = match tokio::net::lookup_host(&target.gateway).await.map(|mut found| found.next()) {
+        Ok(Some(address)) => address,
+        Ok(None) => return unreachable(&"it has no address"),
+        Err(error) => return unreachable(&error),
+    };
+    if target.keys.is_none() && !address.ip().is_loopback() {
+        let text = format!("{address} is another host: --keys is missing (`rangehound keys` makes them)");
+        return Happened::Refused(Refusal { text, may_change: false });
+    }
+    // A socket of its own for each attempt: the host may have got other addresses since.
+    let endpoint = match Endpoint::client(link::any_address_for(address)) {
+        Ok(endpoint) => endpoint,
+        Err(error) => return unreachable(&error),
+    };
+    let connecting = match endpoint.connect_with(config, address, GATEWAY_NAME) {
+        Ok(connecting) => connecting,
+        Err(error) => return unreachable(&error),
+    };
+    let connection = match connecting.await {
+        Ok(connection) => connection,
+        Err(error) => return refused_or_unreachable(&error),
+    };
+    match join(endpoint, &connection, request).await {
+        Some(happened) => happened,
+        // In TLS 1.3 the gateway checks the robot's certificate after the robot has connected.
+        None => refused_or_unreachable(&connection.closed().await),
+    }
+}
+
+fn refused_or_unreachable(error: &quinn::ConnectionError) -> Happened {
+    match (RefusalCause::of_connection_error(error), error) {
+        (Some(cause), _) => Happened::Refused(Refusal { text: cause.name().to_owned(), may_change: false }),
+        (None, quinn::ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::REFUSED => {
+            let text = String::from_utf8_lossy(&closed.reason).into_owned();
+            Happened::Refused(Refusal { text, may_change: true })
+        }
+        (None, error) => Happened::Unreachable(error.to_string()),
+    }
+}
+
+/// Asks for the role. `None` if the connection has ended.
+async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) -> Option<Happened> {
+    let (mut send, mut receive) = connection.open_bi().await.ok()?;
+    link::write(&mut send, request).await.ok()?;
+    let answer = match link::read::<Answer>(&mut receive, None).await {
+        Ok(answer) => answer,
+        Err(link::JoinError::Ended) => return None,
+        Err(error) => return Some(Happened::Refused(Refusal { text: error.to_string(), may_change: false })),
+    };
+    match answer {
+        Answer::Refused { text, may_change } => {
+            connection.close(link::LEFT, b"refused");
+            Some(Happened::Refused(Refusal { text, may_change }))
+        }
+        Answer::Welcome { description, fusion_incarnation } => {
+            let description = match RunDescription::open(description.as_bytes()) {
+                Ok(description) => description,
+                Err(error) => {
+                    return Some(Happened::Refused(Refusal { text: error.to_string(), may_change: false }));
+                }
+            };
+            let notice = tokio::task::spawn_local(notice_of(receive));
+            let connection = connection.clone();
+            let joined_ns = monotonic_ns();
+            let session = Session { endpoint, connection, send, notice, joined_ns, description, fusion_incarnation };
+            Some(Happened::Joined(Box::new(session)))
+        }
+    }
+}
+
+async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
+    link::read(&mut receive, Some(link::REQUEST_LEN_MAX)).await.ok()
+}
+
+impl Session {
+    /// What happens next, or nothing after this time.
+    pub(super) async fn next(&mut self, wait: Duration) -> Happened {
+        let Self { connection, notice, .. } = self;
+        tokio::select! {
+            frame = connection.read_datagram() => match frame {
+                Ok(bytes) => Happened::Frame(bytes),
+                // A notice may have come with the end.
+                Err(_) => match tokio::time::timeout(FAREWELL, notice).await {
+                    Ok(Ok(Some(Notice::Finished))) => Happened::Finished,
+                    _ => Happened::Ended,
+                },
+            },
+            notice = &mut *notice, if !notice.is_finished() => match notice {
+                Ok(Some(Notice::Finished)) => Happened::Finished,
+                _ => Happened::Ended,
+            },
+            () = tokio::time::sleep(wait) => Happened::Nothing,
+        }
+    }
+
+    /// Sends a frame. A datagram that cannot be sent counts as lost.
+    pub(super) fn send(&self, frame: Vec<u8>) {
+        let _ = self.connection.send_datagram(frame.into());
+    }
+
+    pub(super) fn close(&self, code: VarInt, reason: &str) {
+        self.notice.abort();
+        self.connection.close(code, reason.as_bytes());
+    }
+
+    /// Leaves in order: the gateway frees the role.
+    pub(super) async fn leave(mut self) {
+        self.notice.abort();
+        let farewell = async {
+            if link::write(&mut self.send, &Notice::Leaving).await.is_ok() {
+                let _ = self.send.finish();
+                let _ = self.send.stopped().await;
+            }
+        };
+        let _ = tokio::time::timeout(FAREWELL, farewell).await;
+        self.connection.close(link::LEFT, b"the robot has left");
+        let _ = tokio::time::timeout(FAREWELL, self.endpoint.wait_idle()).await;
+    }
+}

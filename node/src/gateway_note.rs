@@ -1,0 +1,58 @@
+//! What a gateway tells the tools of its host about the robots on other hosts.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::rendezvous::{Rendezvous, RendezvousError};
+
+/// Name of the note.
+const NOTE: &str = "gateway";
+
+/// The links of a gateway.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GatewayNote {
+    /// The gateway's process.
+    pub pid: u32,
+    /// The robots that have joined.
+    pub guests: Vec<GuestNote>,
+    /// Peers that were refused, by cause.
+    pub refusals: BTreeMap<String, u64>,
+}
+
+/// The link to one robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GuestNote {
+    /// Its number.
+    pub robot: usize,
+    /// Its host, by its certificate, or its address.
+    pub host: String,
+    /// Its address.
+    pub address: String,
+    /// The round trip, us, if it has answered.
+    pub round_trip_us: Option<u64>,
+    /// Part of the packets to it that were lost.
+    pub lost: f64,
+    /// Part of the frames to it that were repeats.
+    pub repeated: f64,
+    /// Time since its last frame, ms.
+    pub silent_ms: u64,
+}
+
+impl GatewayNote {
+    /// Leaves it for the tools.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn leave(&self, run: &Rendezvous) -> Result<(), RendezvousError> {
+        run.leave_note(NOTE, &serde_json::to_string(self).unwrap_or_default())
+    }
+
+    /// The note of a run's gateway, if it has one that lives.
+    #[must_use]
+    pub fn read(run: &Rendezvous) -> Option<Self> {
+        let note: Self = serde_json::from_str(&run.note(NOTE)?).ok()?;
+        let pid = rustix::process::Pid::from_raw(i32::try_from(note.pid).ok()?)?;
+        rustix::process::test_kill_process(pid).is_ok().then_some(note)
+    }
+}
