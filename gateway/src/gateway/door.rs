@@ -138,7 +138,7 @@ async fn attend(guest: Guest, sender: &Sender<Input>, mut finished: watch::Recei
     let frames = async {
         while let Ok(bytes) = connection.read_datagram().await {
             // A full queue drops the frame: the robot sends it again.
-            let _ = sender.try_send(Input::Frame { robot, connection: id, bytes });
+            let _ = sender.try_send(Input::Frame { robot, connection: id, bytes: bytes.into() });
         }
     };
     tokio::select! {

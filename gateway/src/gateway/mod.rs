@@ -71,7 +71,7 @@ enum Input {
     /// A robot wants to join.
     Applicant(Box<Applicant>),
     /// A frame of a robot.
-    Frame { robot: usize, connection: usize, bytes: quinn::Bytes },
+    Frame { robot: usize, connection: usize, bytes: Vec<u8> },
     /// A robot leaves in order.
     Leaving { robot: usize, connection: usize },
 }

@@ -25,7 +25,7 @@ pub const ALPN: &[u8] = b"rangehound/1";
 pub struct Credentials {
     own: CertifiedKey,
     authority: Arc<RootCertStore>,
-    peer: Peer,
+    own_peer: Peer,
 }
 
 impl Credentials {
@@ -53,20 +53,23 @@ impl Credentials {
             authority.add(certificate).map_err(|error| not_certificate(AUTHORITY_CERTIFICATE, error.to_string()))?;
         }
         let chain = certificates(HOST_CERTIFICATE)?;
-        let peer = Peer::of(&chain).map_err(|error| not_certificate(HOST_CERTIFICATE, error.to_string()))?;
+        let own_peer = Peer::of(&chain).map_err(|error| match error {
+            KeysError::Peer(reason) => not_certificate(HOST_CERTIFICATE, reason.to_owned()),
+            error => error,
+        })?;
         let key = PrivateKeyDer::from_pem_slice(read(&dir.join(HOST_KEY))?.as_bytes())
             .map_err(|error| bad(HOST_KEY, "a private key", error.to_string()))?;
         let own = CertifiedKey::from_der(chain, key, &provider()).map_err(|error| match error {
             Error::InconsistentKeys(InconsistentKeys::KeyMismatch) => KeysError::NotAPair(dir.to_owned()),
             error => bad(HOST_KEY, "a private key", error.to_string()),
         })?;
-        Ok(Self { own, authority: Arc::new(authority), peer })
+        Ok(Self { own, authority: Arc::new(authority), own_peer })
     }
 
     /// What the host's own certificate says about it, which its peers will read.
     #[must_use]
     pub fn own(&self) -> &Peer {
-        &self.peer
+        &self.own_peer
     }
 
     #[cfg(test)]

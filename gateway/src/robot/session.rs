@@ -30,7 +30,7 @@ pub(super) enum Happened {
     /// No gateway answered.
     Unreachable(String),
     /// A frame came.
-    Frame(quinn::Bytes),
+    Frame(Vec<u8>),
     /// The run is over.
     Finished,
     /// The connection has ended.
@@ -214,7 +214,7 @@ impl Session {
         let Self { connection, notice, .. } = self;
         tokio::select! {
             frame = connection.read_datagram() => match frame {
-                Ok(bytes) => Happened::Frame(bytes),
+                Ok(bytes) => Happened::Frame(bytes.into()),
                 // A notice may have come with the end.
                 Err(_) => match tokio::time::timeout(FAREWELL, notice).await {
                     Ok(Ok(Some(Notice::Finished))) => Happened::Finished,
