@@ -4,6 +4,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
+use rangehound_node::gateway_note::GatewayNote;
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{ENDING_NOTE, Holder, Process, Rendezvous, Role, living_runs};
 use rangehound_shared::run_name::RunName;
@@ -44,6 +45,8 @@ pub(crate) struct Status {
     /// Processes that stand by to lead.
     pub(crate) standbys: usize,
     pub(crate) nodes: Vec<NodeStatus>,
+    /// The gateway to robots on other hosts, if there is one.
+    pub(crate) gateway: Option<GatewayNote>,
 }
 
 /// The present state of a node.
@@ -247,6 +250,7 @@ impl Status {
             leads: roster.starts(Role::Fusion),
             standbys: standbys.len(),
             nodes: roles.map(|role| NodeStatus::of(run, role)).collect(),
+            gateway: GatewayNote::read(run),
         }
     }
 }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::time::{Duration, Instant};
 
 use anstyle::Style;
+use rangehound_node::gateway_note::GatewayNote;
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
@@ -23,6 +24,9 @@ const ROBOTS_MAX: usize = 16;
 
 /// Characters of a sensor's name in the table.
 const SENSOR_CHARS_MAX: usize = 16;
+
+/// A robot on another host that is silent for longer has no working link, ms.
+const SILENT_MS: u64 = 500;
 
 /// Time between two looks of `--watch`.
 const LOOK: Duration = Duration::from_secs(1);
@@ -110,6 +114,9 @@ impl Status {
         if rows.iter().any(|(_, row)| row.cells()[1] == ELSEWHERE) {
             out.push_str("\n\nelsewhere: in another PID namespace (container); run this command there.");
         }
+        if let Some(gateway) = &self.gateway {
+            out.push_str(&links(gateway));
+        }
         out
     }
 
@@ -173,6 +180,32 @@ impl Row<'_> {
     }
 }
 
+/// The links to robots on other hosts, and who was refused.
+fn links(gateway: &GatewayNote) -> String {
+    let heads = ["other hosts", "host", "address", "trip", "lost", "repeated", "silent"].map(str::to_owned);
+    let mut out = format!("\n\n{TITLE}{}{TITLE:#}", link(&heads));
+    for guest in &gateway.guests {
+        let trip = guest.round_trip_us.map_or("-".to_owned(), |us| format!("{:.1} ms", us as f64 / 1_000.0));
+        let percent = |part: f64| format!("{:.1} %", 100.0 * part);
+        let silent = format!("{:.2} s", guest.silent_ms as f64 / 1_000.0);
+        let (lost, repeated) = (percent(guest.lost), percent(guest.repeated));
+        let (name, host) = (format!("robot-{}", guest.robot), shown_sensor(&guest.host));
+        let style = if guest.silent_ms > SILENT_MS { DOUBTFUL } else { GOOD };
+        let cells = [name, host, guest.address.clone(), trip, lost, repeated, silent];
+        let _ = write!(out, "\n{style}{}{style:#}", link(&cells));
+    }
+    if !gateway.refusals.is_empty() {
+        let refusals: Vec<String> = gateway.refusals.iter().map(|(cause, count)| format!("{cause} {count}")).collect();
+        let _ = write!(out, "\n{}", field("refused", refusals.join(", ")));
+    }
+    out
+}
+
+/// A line of the links' table.
+fn link([robot, host, address, trip, lost, repeated, silent]: &[String; 7]) -> String {
+    format!("{robot:<12} {host:<16} {address:<21} {trip:>8} {lost:>7} {repeated:>8} {silent:>7}").trim_end().to_owned()
+}
+
 /// A row of the table, with the style of its state; or the heads.
 fn line(style: Style, [name, state, pid, starts, silent, memory, sensor]: &[String; 7]) -> String {
     let sensor = if sensor.is_empty() { String::new() } else { format!("  {sensor}") };
@@ -206,6 +239,8 @@ fn ids(robots: &[&NodeStatus]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use rangehound_node::gateway_note::GuestNote;
+
     use super::*;
     use crate::terminal::WIDTH;
 
@@ -230,7 +265,26 @@ mod tests {
             leads: 1_000,
             standbys: 2,
             nodes,
+            gateway: None,
         }
+    }
+
+    #[test]
+    fn links_to_other_hosts_and_refusals_are_shown() {
+        let guest = |robot, silent_ms| GuestNote {
+            robot,
+            host: "a-host-with-a-long-name".to_owned(),
+            address: "192.168.100.200:65535".to_owned(),
+            round_trip_us: (robot == 0).then_some(1_260),
+            lost: 0.125,
+            repeated: 0.03,
+            silent_ms,
+        };
+        let mut status = status(2, |_| "running");
+        let refusals = [("no certificate".to_owned(), 3)].into();
+        status.gateway = Some(GatewayNote { pid: 1, guests: vec![guest(0, 20), guest(255, 123_456)], refusals });
+        let text = text(&status, true);
+        assert!(text.contains("1.3 ms  12.5 %    3.0 %  0.02 s") && text.contains("no certificate 3"), "{text}");
     }
 
     fn text(status: &Status, all: bool) -> String {

@@ -33,8 +33,6 @@ pub(super) struct Guests<'a> {
     bus: Bus,
     worlds: Subscriber<WorldEntry>,
     headings: Subscriber<Command>,
-    ranges: Publisher<Range>,
-    drives: Publisher<Drive>,
     sim: Notifier,
     fusion: Notifier,
     all: BTreeMap<usize, Guest>,
@@ -45,6 +43,9 @@ pub(super) struct Guests<'a> {
 /// A robot on another host.
 struct Guest {
     lease: RoleLease,
+    /// Ports of its own: each has a queue at the receiver, and one for all would lose messages of a large team.
+    ranges: Publisher<Range>,
+    drives: Publisher<Drive>,
     relay: Relay,
     connection: Connection,
     process: u64,
@@ -61,8 +62,6 @@ impl<'a> Guests<'a> {
             rendezvous,
             worlds: bus.subscriber()?,
             headings: bus.subscriber()?,
-            ranges: bus.publisher(1)?,
-            drives: bus.publisher(1)?,
             sim: bus.notifier_of(WaitGroup::Sim),
             fusion: bus.notifier_of(WaitGroup::Fusion),
             bus,
@@ -133,11 +132,11 @@ impl<'a> Guests<'a> {
         self.bus.speak_as(guest.lease.incarnation);
         match message {
             Publication::Range(range, notification) => {
-                self.ranges.send_one(&range)?;
+                guest.ranges.send_one(&range)?;
                 self.fusion.notify(&notification);
             }
             Publication::Drive(drive, notification) => {
-                self.drives.send_one(&drive)?;
+                guest.drives.send_one(&drive)?;
                 notification.iter().for_each(|notification| self.sim.notify(notification));
             }
         }
@@ -223,12 +222,15 @@ impl<'a> Guests<'a> {
             RendezvousError::RoleTaken { .. } => (RefusalCause::RoleTaken, error.to_string()),
             error => (RefusalCause::Other, error.to_string()),
         })?;
-        let registered = self.bus.take_role(self.rendezvous, role, &lease);
-        registered.map_err(|error| (RefusalCause::Other, error.to_string()))?;
+        let other = |error: BusError| (RefusalCause::Other, error.to_string());
+        self.bus.take_role(self.rendezvous, role, &lease).map_err(other)?;
+        let ranges = self.bus.publisher(1).map_err(other)?;
+        let drives = self.bus.publisher(1).map_err(other)?;
         log::info!("robot-{robot} joins from {host} ({})", connection.remote_address());
         let description = self.rendezvous.description();
         let relay = Relay::new(description.run_id, robot, description.scenario.clock);
-        self.all.insert(robot, Guest { lease, relay, connection, process, host, heard_ns: now_ns, malformed: 0 });
+        let guest = Guest { lease, ranges, drives, relay, connection, process, host, heard_ns: now_ns, malformed: 0 };
+        self.all.insert(robot, guest);
         self.sim.signal(Event::Hello);
         Ok(())
     }

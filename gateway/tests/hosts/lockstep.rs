@@ -65,7 +65,7 @@ fn cuts_of_either_direction_change_nothing() {
 
 #[test]
 fn kills_of_gateway_and_robots_change_nothing() {
-    let words = "--ticks 2000 --robots 3";
+    let words = "--ticks 1000 --robots 3";
     let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
     let digest = digest_over(words, &[0, 1, 2], Faults { loss: 0.02, ..Faults::default() }, |run, link, robots| {
         let mut random = ChaCha8Rng::seed_from_u64(11);
@@ -99,7 +99,7 @@ fn kills_of_gateway_and_robots_change_nothing() {
 /// Two hosts claim one robot: the one that is heard keeps it. When it is gone, the other takes its place.
 #[test]
 fn of_two_hosts_that_claim_a_robot_one_has_it() {
-    let words = "--ticks 3000 --robots 2";
+    let words = "--ticks 1000 --robots 2";
     let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
     let digest = digest_over(words, &[0, 1], Faults::default(), |run, link, robots| {
         run.wait_until_tick(20);
