@@ -94,8 +94,8 @@ impl<'a> Guests<'a> {
         if events.has(Event::World) || events.is_empty() {
             worlds.drain(|header, entries| {
                 for (robot, guest) in all.iter_mut() {
-                    let message = entries.get(*robot).and_then(|entry| guest.relay.on_world(header, entry));
-                    again.extend(message.map(|message| (*robot, message)));
+                    let answers = entries.get(*robot).map(|entry| guest.relay.on_world(header, entry));
+                    again.extend(answers.into_iter().flatten().map(|message| (*robot, message)));
                 }
             })?;
         }
@@ -227,7 +227,8 @@ impl<'a> Guests<'a> {
         registered.map_err(|error| (RefusalCause::Other, error.to_string()))?;
         log::info!("robot-{robot} joins from {host} ({})", connection.remote_address());
         let description = self.rendezvous.description();
-        let relay = Relay::new(description.run_id, robot, description.scenario.clock);
+        let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
+        let relay = Relay::new(description.run_id, robot, &description.scenario, fusion_incarnation);
         self.all.insert(robot, Guest { lease, relay, connection, process, host, heard_ns: now_ns, malformed: 0 });
         self.sim.signal(Event::Hello);
         Ok(())
@@ -288,5 +289,4 @@ impl<'a> Guests<'a> {
             }
         }
     }
-
 }
