@@ -93,8 +93,8 @@ impl<'a> Guests<'a> {
         if events.has(Event::World) || events.is_empty() {
             worlds.drain(|header, entries| {
                 for (robot, guest) in all.iter_mut() {
-                    let message = entries.get(*robot).and_then(|entry| guest.relay.on_world(header, entry));
-                    again.extend(message.map(|message| (*robot, message)));
+                    let answers = entries.get(*robot).map(|entry| guest.relay.on_world(header, entry));
+                    again.extend(answers.into_iter().flatten().map(|message| (*robot, message)));
                 }
             })?;
         }
@@ -228,7 +228,8 @@ impl<'a> Guests<'a> {
         let drives = self.bus.publisher(1).map_err(other)?;
         log::info!("robot-{robot} joins from {host} ({})", connection.remote_address());
         let description = self.rendezvous.description();
-        let relay = Relay::new(description.run_id, robot, description.scenario.clock);
+        let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
+        let relay = Relay::new(description.run_id, robot, &description.scenario, fusion_incarnation);
         let guest = Guest { lease, ranges, drives, relay, connection, process, host, heard_ns: now_ns, malformed: 0 };
         self.all.insert(robot, guest);
         self.sim.signal(Event::Hello);

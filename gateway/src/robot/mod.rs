@@ -121,7 +121,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
     async fn take_part(&mut self, mut connector: Connector, termination: &Termination) -> Result<(), RobotError> {
         let mut session: Option<Session> = None;
         while !termination.requested() {
-            let wait = self.part.as_ref().map_or(LOOK, Part::wait);
+            let wait = self.part.as_ref().map_or(LOOK, |part| part.wait(session.is_some()));
             let happened = match &mut session {
                 Some(session) => session.next(wait).await,
                 None => connector.next(wait).await,
@@ -185,9 +185,9 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
 }
 
 impl Part {
-    /// How long it may sleep.
-    fn wait(&self) -> Duration {
-        let due = [self.machine.wakes_at_ns(), self.courier.wakes_at_ns()];
+    /// How long it may sleep. Without a link no frame is due.
+    fn wait(&self, is_linked: bool) -> Duration {
+        let due = [self.machine.wakes_at_ns(), self.courier.wakes_at_ns().filter(|_| is_linked)];
         due.into_iter().flatten().map(until).min().unwrap_or(LOOK).min(LOOK)
     }
 

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::scenario::Clock;
 
+use super::round_trip::INTERVAL_NS;
 use super::wire::{Downlink, Driven, Echo, Heading, MEASUREMENTS_MAX, Measured, REMEMBERED_TICKS, Uplink, World};
 
 /// A measurement that the gateway may not have.
@@ -42,7 +43,7 @@ impl Courier {
             kept: VecDeque::new(),
             measured: None,
             driven: None,
-            repeat_after_ns: 0,
+            repeat_after_ns: *INTERVAL_NS.end(),
         }
     }
 
@@ -50,7 +51,8 @@ impl Courier {
     pub fn on_downlink(&mut self, frame: &Downlink, now_ns: u64) {
         self.newest = Some((frame.sent_ns, now_ns));
         self.owes_answer = true;
-        self.repeat_after_ns = frame.repeat_after_ns;
+        // Whatever a frame says, a measurement is not sent again at once, nor never.
+        self.repeat_after_ns = frame.repeat_after_ns.clamp(*INTERVAL_NS.start(), *INTERVAL_NS.end());
         self.kept.retain(|kept| !frame.heard.has(kept.measured.tick));
     }
 
@@ -101,10 +103,12 @@ impl Courier {
         for kept in self.kept.iter_mut().rev() {
             let is_newest = newest.is_some_and(|newest| newest.tick == kept.measured.tick);
             let is_due = kept.sent_at_ns.is_none_or(|at_ns| at_ns.saturating_add(self.repeat_after_ns) <= now_ns);
-            if is_due && !is_newest && measured.len() < MEASUREMENTS_MAX {
+            // What does not fit is due in the next frame.
+            let is_sent = is_due && !is_newest && measured.len() < MEASUREMENTS_MAX;
+            if is_sent {
                 measured.push(kept.measured);
             }
-            if is_newest || is_due {
+            if is_newest || is_sent {
                 kept.sent_at_ns = Some(now_ns);
             }
         }

@@ -2,7 +2,7 @@
 
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
-use rangehound_shared::scenario::Clock;
+use rangehound_shared::scenario::{Clock, Scenario};
 
 use super::RoundTrip;
 use super::wire::{Downlink, Driven, Heading, Measured, Ticks, Uplink, World};
@@ -25,6 +25,9 @@ pub struct Relay {
     run_id: u64,
     robot: usize,
     clock: Clock,
+    last_tick: u64,
+    /// Greatest known incarnation of fusion: headings of earlier ones are not sent.
+    fusion_incarnation: u64,
     world: Option<World>,
     heading: Option<Heading>,
     /// Its measurement of the present tick.
@@ -38,6 +41,8 @@ pub struct Relay {
     round_trip: RoundTrip,
     /// It has news for the robot.
     has_news: bool,
+    /// The simulator waits for an answer that this relay does not have.
+    asks_again: bool,
     sent_at_ns: u64,
     repeats: u32,
     /// Frames sent since the robot joined, and how many of them were repeats.
@@ -45,13 +50,15 @@ pub struct Relay {
 }
 
 impl Relay {
-    /// The link to a robot that has just joined.
+    /// The link to a robot that has just joined; `fusion_incarnation` is the newest of fusion.
     #[must_use]
-    pub fn new(run_id: u64, robot: usize, clock: Clock) -> Self {
+    pub fn new(run_id: u64, robot: usize, scenario: &Scenario, fusion_incarnation: u64) -> Self {
         Self {
             run_id,
             robot,
-            clock,
+            clock: scenario.clock,
+            last_tick: scenario.ticks,
+            fusion_incarnation,
             world: None,
             heading: None,
             measured: None,
@@ -61,6 +68,7 @@ impl Relay {
             heard: Ticks::default(),
             round_trip: RoundTrip::default(),
             has_news: true,
+            asks_again: false,
             sent_at_ns: 0,
             repeats: 0,
             counts: [0; 2],
@@ -68,39 +76,48 @@ impl Relay {
     }
 
     /// Takes a message of the topic `world` for this robot. If the simulator repeats one that the robot has answered, the
-    /// answer is returned again.
-    pub fn on_world(&mut self, header: &Header, entry: &WorldEntry) -> Option<Publication> {
+    /// answers are returned again.
+    pub fn on_world(&mut self, header: &Header, entry: &WorldEntry) -> Vec<Publication> {
+        // The robot would refuse it, and it would hide the right ones.
+        if header.tick > self.last_tick || !header.valid_at_s.is_finite() || !entry.is_valid() {
+            return Vec::new();
+        }
         let news = (header.incarnation, header.tick);
         let known = self.world.map(|world| (world.incarnation, world.tick));
         if known.is_some_and(|known| news < known) {
-            return None;
+            return Vec::new();
         }
         let is_same_tick = self.world.is_some_and(|world| world.tick == header.tick);
         let Header { incarnation, tick, valid_at_s, .. } = *header;
         self.world = Some(World { incarnation, tick, valid_at_s, entry: *entry });
         if !is_same_tick {
-            (self.measured, self.driven, self.measured_at_ns, self.heading_at_ns) = (None, None, None, None);
+            // A robot that has joined a new gateway may have answered this tick before its world came here.
+            self.measured = self.measured.filter(|measured| measured.tick == tick);
+            self.measured_at_ns = self.measured_at_ns.filter(|_| self.measured.is_some());
+            (self.driven, self.heading_at_ns) = (None, None);
             self.heading = self.heading.filter(|heading| heading.tick == tick);
             (self.has_news, self.repeats) = (true, 0);
-            return None;
+            return Vec::new();
         }
-        match (self.driven, self.measured) {
-            (Some(driven), _) => {
-                Some(Publication::Drive(driven, Some(Notification::always(WaitGroup::Sim, Event::Drive))))
-            }
-            (None, Some(measured)) => {
-                Some(self.range(&measured, Notification::always(WaitGroup::Fusion, Event::Range)))
-            }
-            (None, None) => {
-                self.has_news = true;
-                None
-            }
+        // Fusion may wait for the measurement until the robot has its heading.
+        let measured = self.measured.filter(|_| !self.is_obeyed());
+        let range = measured.map(|range| self.range(&range, Notification::always(WaitGroup::Fusion, Event::Range)));
+        let notification = Notification::always(WaitGroup::Sim, Event::Drive);
+        let drive = self.driven.map(|driven| Publication::Drive(driven, Some(notification)));
+        if range.is_none() && drive.is_none() {
+            (self.has_news, self.asks_again) = (true, true);
         }
+        range.into_iter().chain(drive).collect()
     }
 
     /// Takes a message of the topic `heading` for this robot, which came at `now_ns`.
     pub fn on_heading(&mut self, header: &Header, command: Command, now_ns: u64) {
         let Header { incarnation, tick, .. } = *header;
+        if incarnation < self.fusion_incarnation || tick > self.last_tick {
+            return;
+        }
+        self.fusion_incarnation = incarnation;
+        self.heading = self.heading.filter(|known| known.incarnation == incarnation);
         let is_past = self.world.is_some_and(|world| tick < world.tick);
         let is_older = self.heading.is_some_and(|known| (incarnation, tick) <= (known.incarnation, known.tick));
         if is_past || is_older {
@@ -132,7 +149,8 @@ impl Relay {
 
     fn take_measured(&mut self, measured: &Measured, now_ns: u64) -> Publication {
         self.heard.add(measured.tick);
-        if self.world.is_none_or(|world| world.tick == measured.tick) {
+        let is_past = self.world.is_some_and(|world| measured.tick < world.tick);
+        if !is_past && self.measured.is_none_or(|known| known.tick <= measured.tick) {
             (self.measured, self.measured_at_ns, self.repeats) = (Some(*measured), Some(now_ns), 0);
         }
         let or_first = self.clock == Clock::Realtime;
@@ -200,9 +218,9 @@ impl Relay {
         let is_repeat = !self.has_news && self.awaits_answer();
         // A repeated world makes the robot repeat its answer.
         let awaits_measurement = self.awaits_measurement();
-        let world = self.world.filter(|_| awaits_measurement || is_repeat);
+        let world = self.world.filter(|_| awaits_measurement || is_repeat || self.asks_again);
         let heading = self.heading.filter(|_| self.awaits_drive());
-        self.has_news = false;
+        (self.has_news, self.asks_again) = (false, false);
         self.repeats = self.repeats.saturating_add(u32::from(is_repeat));
         self.sent_at_ns = now_ns;
         self.counts = [self.counts[0] + 1, self.counts[1] + u64::from(is_repeat)];

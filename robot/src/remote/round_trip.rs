@@ -4,7 +4,7 @@
 const FIRST_NS: u64 = 20_000_000;
 
 /// Bounds of the interval, ns: below, most repeats would cross their answers; above, a tick would wait too long.
-const INTERVAL_NS: std::ops::RangeInclusive<u64> = 2_000_000..=200_000_000;
+pub(super) const INTERVAL_NS: std::ops::RangeInclusive<u64> = 2_000_000..=200_000_000;
 
 /// Mean and deviation of the round trips of a link, smoothed as RFC 6298 does for TCP.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

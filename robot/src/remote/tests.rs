@@ -3,10 +3,10 @@
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rangehound_shared::measurement::{Measurement, Pose};
-use rangehound_shared::message::{Command, Drive, Header, WorldEntry};
+use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
-use super::wire::{Downlink, Uplink};
+use super::wire::{Downlink, Measured, REMEMBERED_TICKS, Uplink};
 use super::{Courier, Publication, Relay};
 use crate::machine::{Action, Machine};
 
@@ -61,7 +61,7 @@ impl Bench {
             random,
             machine,
             courier: Courier::new(RUN_ID, scenario.clock),
-            relay: Relay::new(RUN_ID, ROBOT, scenario.clock),
+            relay: Relay::new(RUN_ID, ROBOT, &scenario, 0),
             to_robot: Vec::new(),
             to_gateway: Vec::new(),
             scenario,
@@ -213,7 +213,7 @@ fn lock_step_ends_every_tick_over_every_link_and_measures_once() {
             bench.tick(tick, |_| {});
             let drive = bench.obeyed(tick).unwrap();
             assert_eq!((drive.heading_rad, drive.speed_mps), (command_of(tick).heading_rad, 1.0));
-            assert_eq!(drive.heading_held_ns.checked_sub(drive.range_sent_ns).is_some(), true);
+            assert!(drive.heading_held_ns.checked_sub(drive.range_sent_ns).is_some());
         }
         assert_eq!(bench.measured, (0..150).collect::<Vec<_>>(), "{link:?}");
     }
@@ -239,7 +239,7 @@ fn a_gateway_that_is_lost_at_any_moment_changes_nothing() {
         for tick in 0..60 {
             bench.tick(tick, |bench| {
                 if random.random_bool(0.02) {
-                    bench.relay = Relay::new(RUN_ID, ROBOT, bench.scenario.clock);
+                    bench.relay = Relay::new(RUN_ID, ROBOT, &bench.scenario, 0);
                     bench.send_world(1, tick);
                 }
             });
@@ -258,7 +258,7 @@ fn a_robot_that_starts_again_goes_on_with_the_present_tick() {
                 let Scenario { clock, .. } = bench.scenario;
                 bench.machine = Machine::new(&bench.scenario, ROBOT, 0).unwrap();
                 bench.courier = Courier::new(RUN_ID, clock);
-                bench.relay = Relay::new(RUN_ID, ROBOT, clock);
+                bench.relay = Relay::new(RUN_ID, ROBOT, &bench.scenario, 0);
                 bench.send_world(1, tick);
             }
         });
@@ -320,4 +320,72 @@ fn a_robot_that_is_cut_off_stops_by_itself() {
     };
     assert!(speed_after(&mut bench, 1).is_some(), "it moves, and will stop");
     assert!(speed_after(&mut bench, 4).is_none(), "it stands");
+}
+
+/// Seed 138 of `rangehound explore`: the answer came to a new gateway before the tick's world did, and fusion lost it.
+#[test]
+fn an_answer_that_came_before_its_world_is_repeated() {
+    let mut bench = Bench::new("realtime", 7, Link::default());
+    bench.relay.reconnect();
+    let measured = Measured { tick: 3, valid_at_s: 0.3, measurement: measurement_of(3) };
+    let frame = Uplink { run_id: RUN_ID, echo: None, measured: vec![measured], driven: None };
+    let news = bench.relay.on_uplink(&frame, bench.now_ns);
+    news.into_iter().for_each(|message| bench.publish(message));
+    bench.send_world(1, 3);
+    assert_eq!(bench.ranges, [3]);
+    bench.send_world(1, 3);
+    assert_eq!(bench.ranges, [3, 3], "the simulator waits for it");
+}
+
+/// Seed 2 of `rangehound explore`: a fusion that has been behind needs the measurement again, though the robot drives.
+#[test]
+fn a_robot_without_a_heading_is_heard_again_with_its_measurement() {
+    let mut bench = Bench::new("realtime", 8, Link::default());
+    bench.send_world(1, 2);
+    (0..40).for_each(|_| bench.step());
+    assert!(bench.has_range(2) && bench.drive.is_some_and(|(tick, drive)| tick == 2 && drive.heading_held_ns == 0));
+    bench.ranges.clear();
+    bench.send_world(1, 2);
+    assert!(bench.has_range(2));
+}
+
+/// The next tick does not make the relay forget which fusion leads.
+#[test]
+fn a_heading_of_a_deposed_fusion_is_not_sent() {
+    let mut bench = Bench::new("realtime", 9, Link::default());
+    let heading = |incarnation, tick| Header { run_id: RUN_ID, incarnation, tick, ..Header::default() };
+    bench.send_world(1, 4);
+    bench.relay.on_heading(&heading(2, 4), command_of(4), bench.now_ns);
+    (0..40).for_each(|_| bench.step());
+    assert!(bench.obeyed(4).is_some());
+    bench.send_world(1, 5);
+    bench.relay.on_heading(&heading(1, 5), command_of(9), bench.now_ns);
+    (0..40).for_each(|_| bench.step());
+    assert!(bench.obeyed(5).is_none());
+    bench.relay.on_heading(&heading(2, 5), command_of(5), bench.now_ns);
+    (0..40).for_each(|_| bench.step());
+    assert!(bench.obeyed(5).is_some());
+}
+
+#[test]
+fn an_invalid_world_does_not_hide_the_next_one() {
+    let mut bench = Bench::new("lockstep", 10, Link::default());
+    bench.send_world(1, 200_000);
+    bench.tick(0, |_| {});
+    assert_eq!(bench.measured, [0]);
+}
+
+/// After a long cut, all that has gathered is sent at once.
+#[test]
+fn a_courier_sends_all_that_is_due_in_some_frames() {
+    let mut courier = Courier::new(RUN_ID, rangehound_shared::scenario::Clock::Realtime);
+    let kept = REMEMBERED_TICKS / 2;
+    for tick in 0..kept {
+        let entry = Range { robot: ROBOT as u64, measurement: measurement_of(tick) };
+        courier.on_range(&Outgoing { tick, valid_at_s: 0.0, entry });
+    }
+    let mut ticks: Vec<u64> =
+        std::iter::from_fn(|| courier.next_frame(5)).flat_map(|frame| frame.measured).map(|m| m.tick).collect();
+    ticks.sort_unstable();
+    assert_eq!(ticks, (0..kept).collect::<Vec<_>>());
 }

@@ -11,6 +11,7 @@ use rangehound_shared::scenario::{Clock, Scenario};
 use rangehound_shared::sealed::slots::Turns;
 
 use super::disk::Disk;
+use super::gateway::Gateway;
 use super::lead::Lead;
 use super::message::Message;
 use super::node::{Node, Process};
@@ -31,6 +32,9 @@ const AT_ONCE_MAX: u32 = 100_000;
 /// Time within which an undisturbed run in lock step ends: for the start, and for each tick.
 const SMOOTH_START_NS: u64 = 40_000_000;
 const SMOOTH_TICK_NS: u64 = 500_000;
+
+/// The additional time for the start if robots are on other hosts: they may ask for a gateway that has not started, ns.
+const SMOOTH_JOIN_NS: u64 = 120_000_000;
 
 /// A broken invariant.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,6 +67,10 @@ pub(super) enum SimEvent {
     ProcessStarts { node: usize, life: u32 },
     ProcessContinues { node: usize, life: u32 },
     PartitionEnds(usize),
+    GatewayStarts,
+    GatewayWakes { is_timer: bool },
+    GatewayKillBegins(usize),
+    CutBegins(usize),
     SupervisorLooks,
     SupervisorActs,
     SupervisorContinues,
@@ -125,6 +133,7 @@ pub(super) struct Cluster<'a> {
     /// By [`WaitGroup`](rangehound_shared::protocol::wake::WaitGroup).
     pub(super) groups: [GroupState; 3],
     pub(super) supervisor: Supervisor,
+    pub(super) gateway: Gateway,
     pub(super) is_finished: bool,
     pub(super) witness: Witness,
     pub(super) counts: Counts,
@@ -168,6 +177,7 @@ impl<'a> Cluster<'a> {
             disks: vec![Disk::default()],
             groups: [GroupState::default(); 3],
             supervisor: Supervisor::new(plan),
+            gateway: Gateway::default(),
             is_finished: false,
             witness: Witness::new(scenario, undisturbed, plan),
             counts: Counts::default(),
@@ -184,6 +194,7 @@ impl<'a> Cluster<'a> {
 
     fn go_on(&mut self) -> Result<(), Violation> {
         self.start_all();
+        self.start_links();
         for (index, fault) in self.plan.faults.iter().enumerate() {
             self.after(fault.at_ns, SimEvent::FaultBegins(index));
         }
@@ -215,7 +226,8 @@ impl<'a> Cluster<'a> {
         if !self.plan.is_undisturbed() {
             return Ok(());
         }
-        let longest_ns = SMOOTH_START_NS + (self.plan.ticks + 1) * SMOOTH_TICK_NS;
+        let join_ns = if self.plan.links.is_some() { SMOOTH_JOIN_NS } else { 0 };
+        let longest_ns = SMOOTH_START_NS + join_ns + (self.plan.ticks + 1) * SMOOTH_TICK_NS;
         if self.plan.clock == Clock::Lockstep && self.now_ns - START_NS > longest_ns {
             return Err(self.violation(None, "an undisturbed run waited for repeats".to_owned()));
         }
@@ -229,7 +241,11 @@ impl<'a> Cluster<'a> {
         match sim_event {
             SimEvent::Arrival { to, message, is_garbled } => {
                 let is_woken = self.arrive(to, message, is_garbled);
-                if is_woken { self.run(to) } else { Ok(()) }
+                match is_woken {
+                    true if to == self.plan.gateway() => self.run_gateway(),
+                    true => self.run(to),
+                    false => Ok(()),
+                }
             }
             SimEvent::Wakes { node, event } => {
                 if let (Some(Event::Hello), Process::Sim(machine)) = (event, &mut self.nodes[node].process) {
@@ -250,6 +266,16 @@ impl<'a> Cluster<'a> {
             SimEvent::ProcessStarts { node, life } if self.nodes[node].life == life => self.start_process(node),
             SimEvent::ProcessContinues { node, life } if self.nodes[node].life == life => self.continue_process(node),
             SimEvent::ProcessStarts { .. } | SimEvent::ProcessContinues { .. } => Ok(()),
+            SimEvent::GatewayStarts => self.start_gateway(),
+            SimEvent::GatewayWakes { is_timer } => self.wake_gateway(is_timer),
+            SimEvent::GatewayKillBegins(kill) => {
+                self.begin_gateway_kill(kill);
+                Ok(())
+            }
+            SimEvent::CutBegins(cut) => {
+                self.begin_cut(cut);
+                Ok(())
+            }
             SimEvent::SupervisorLooks => self.look_when_due(),
             SimEvent::SupervisorActs => self.supervise(),
             SimEvent::SupervisorContinues => self.continue_supervisor(),
@@ -275,6 +301,11 @@ impl<'a> Cluster<'a> {
     pub(super) fn after(&mut self, after_ns: u64, sim_event: SimEvent) {
         self.order += 1;
         self.due.push(Reverse(Due { at_ns: self.now_ns + after_ns, order: self.order, sim_event }));
+    }
+
+    /// Time since the start, ns.
+    pub(super) fn since_start_ns(&self) -> u64 {
+        self.now_ns - START_NS
     }
 
     /// A violation at the present time.

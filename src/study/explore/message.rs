@@ -2,6 +2,7 @@
 
 use std::rc::Rc;
 
+use rangehound_robot::remote::wire::{Downlink, Uplink};
 use rangehound_shared::message::{Command, Drive, Header, Range, WorldEntry};
 
 /// More ticks than any run has.
@@ -17,6 +18,17 @@ pub(super) enum Message {
     Range(Header, Range),
     Heading(Header, Rc<[Command]>),
     Drive(u64, Drive),
+    /// From the gateway to a robot that has joined over this link.
+    Downlink {
+        connection: u64,
+        frame: Box<Downlink>,
+    },
+    /// From such a robot.
+    Uplink {
+        robot: usize,
+        connection: u64,
+        frame: Box<Uplink>,
+    },
 }
 
 impl Message {
@@ -48,6 +60,8 @@ impl Message {
                 Self::Heading(header, commands.iter().map(|_| one).chain([one]).collect())
             }
             Self::Drive(tick, drive) => Self::Drive(tick, Drive { robot: NO_ROBOT, ..drive }),
+            // A link authenticates its frames: a garbled one is a lost one.
+            frame @ (Self::Downlink { .. } | Self::Uplink { .. }) => frame,
         }
     }
 }

@@ -3,19 +3,22 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `plan`, `faults` | what happens to a team, from a seed |
+//! | `plan`, `faults`, `links` | what happens to a team, from a seed |
 //! | `cluster` | the team: events in the order of simulated time |
 //! | `roles` | the roles' machines, driven in it |
 //! | `process` | processes that are started, stopped and killed between two actions |
 //! | `network`, `disk`, `lead` | messages that get lost, half-written checkpoints, the lock of the lead |
 //! | `supervisor` | the supervisor's machine, driven in it |
+//! | `gateway` | the gateway of robots on other hosts, and who has joined it |
 //! | `witness` | the invariants |
 //! | `trace` | what happened, as a table |
 
 mod cluster;
 mod disk;
 mod faults;
+mod gateway;
 mod lead;
+mod links;
 mod message;
 mod network;
 mod node;
@@ -37,6 +40,7 @@ use crate::failure::{self, Failure};
 use crate::run::in_process;
 use crate::run::watch::Progress;
 use cluster::{Cluster, Counts, Outcome, Violation};
+use links::Links;
 use plan::{Equipment, LocalClock, Network, Plan};
 use trace::table;
 
@@ -182,9 +186,10 @@ impl Stage {
             let _ = writeln!(text, "  {fault:?}");
             text
         });
-        let Plan { seed, clock, robots, standbys, ticks, network, .. } = &fewest;
+        let Plan { seed, clock, robots, standbys, ticks, network, links, .. } = &fewest;
+        let links = links.as_ref().map(|links| format!("{links:?}\n")).unwrap_or_default();
         failure::print(format!(
-            "seed {seed}: {robots} robots, {standbys} standbys, {ticks} ticks, {clock:?}, {network:?}\n{faults}\
+            "seed {seed}: {robots} robots, {standbys} standbys, {ticks} ticks, {clock:?}, {network:?}\n{links}{faults}\
              repeat it: rangehound explore --seed {seed} --seeds 1\n"
         ))?;
         let at_ms = shrunk.at_ns as f64 / 1e6;
@@ -214,8 +219,11 @@ impl Stage {
             });
             let right_clocks = Plan { clocks: vec![LocalClock::default(); fewest.clocks.len()], ..fewest.clone() };
             let calmer = calmer.into_iter().map(|network| Plan { network, ..fewest.clone() });
+            let links = fewest.links.as_ref().map(Links::calmer).unwrap_or_default();
+            let links = [None].into_iter().chain(links.into_iter().map(Some));
+            let links = links.map(|links| Plan { links, ..fewest.clone() });
             let candidates: Vec<Plan> =
-                fewer.chain(calmer).chain([right_clocks]).filter(|plan| *plan != fewest).collect();
+                links.chain(fewer).chain(calmer).chain([right_clocks]).filter(|plan| *plan != fewest).collect();
             let mut smaller = None;
             for candidate in candidates {
                 if self.explore(&candidate, false)?.violation.is_some() {
@@ -252,15 +260,16 @@ mod tests {
     #[test]
     fn no_seed_breaks_a_promise() {
         let mut stage = Stage::default();
-        let mut total = Counts::default();
+        let (mut total, mut with_links) = (Counts::default(), 0);
         for seed in 0..2_000 {
             let plan = Plan::new(seed);
+            with_links += u32::from(plan.links.is_some());
             let Outcome { violation, counts, .. } = stage.explore(&plan, false).unwrap();
             assert_eq!(violation, None, "seed {seed}");
             total.faults += counts.faults;
             total.successions += counts.successions;
         }
         // Without faults the test would show nothing.
-        assert!(total.faults > 2_000 && total.successions > 200, "{total:?}");
+        assert!(total.faults > 2_000 && total.successions > 200 && with_links > 400, "{total:?}, {with_links}");
     }
 }

@@ -51,6 +51,14 @@ impl Cluster<'_> {
 
     /// A message reaches a node; true if that wakes its process.
     pub(super) fn arrive(&mut self, to: usize, message: Message, is_garbled: bool) -> bool {
+        if to == self.plan.gateway() {
+            let is_frame = matches!(message, Message::Uplink { .. });
+            if self.gateway.is_up {
+                self.gateway.inbox.push(message);
+            }
+            return is_frame || self.plan.network.wakes_on_arrival;
+        }
+        let is_frame = matches!(message, Message::Downlink { .. });
         let node = &mut self.nodes[to];
         // A starting process may receive messages that were sent before it knew the leader.
         if matches!(node.process, Process::None) {
@@ -70,7 +78,7 @@ impl Cluster<'_> {
             node.first_arrival = Some((header.tick, self.now_ns, self.plan.robot_nodes().start + range.robot as usize));
         }
         node.inbox.push((message, is_garbled));
-        self.plan.network.wakes_on_arrival && node.process.is_woken()
+        (is_frame || self.plan.network.wakes_on_arrival) && node.process.is_woken()
     }
 
     /// The messages that have arrived. A process that was interrupted gets none yet, and reads them at once after its
@@ -81,6 +89,17 @@ impl Cluster<'_> {
             return Vec::new().into_iter().map(message_of);
         }
         std::mem::take(&mut self.nodes[node].inbox).into_iter().map(message_of)
+    }
+
+    /// The first frame that has arrived, as [`Self::take_inbox`] has messages. The others wake the process at once.
+    pub(super) fn take_frame(&mut self, node: usize) -> Option<Message> {
+        let receiver = &mut self.nodes[node];
+        let is_interrupted = std::mem::take(&mut receiver.is_interrupted);
+        let frame = if is_interrupted || receiver.inbox.is_empty() { None } else { Some(receiver.inbox.remove(0)) };
+        if is_interrupted || !receiver.inbox.is_empty() {
+            self.after(0, SimEvent::Wakes { node, event: Some(Event::World) });
+        }
+        frame.map(message_of)
     }
 
     /// Wakes the nodes that a role notifies.
@@ -99,9 +118,15 @@ impl Cluster<'_> {
             WaitGroup::Fusion => self.plan.fusion_nodes(),
             WaitGroup::Robots => self.plan.robot_nodes(),
         };
+        let has_remote = to == WaitGroup::Robots && self.plan.links.is_some();
         // A message that arrives wakes its receiver anyway.
         let is_needed = matches!(event, Event::Hello | Event::Finished) || !self.plan.network.wakes_on_arrival;
-        for node in members.filter(|node| is_needed && *node != from) {
+        if has_remote && is_needed {
+            self.after(WAKE_NS, SimEvent::GatewayWakes { is_timer: false });
+        }
+        let robots_from = self.plan.robot_nodes().start;
+        let is_remote = |node: usize| node >= robots_from && self.plan.is_remote(node - robots_from);
+        for node in members.filter(|node| is_needed && *node != from && !is_remote(*node)) {
             if !matches!(self.nodes[node].process, Process::Standby(_)) {
                 self.after(WAKE_NS, SimEvent::Wakes { node, event: Some(event) });
             }

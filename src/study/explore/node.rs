@@ -10,6 +10,7 @@ use rangehound_sim::machine as sim;
 use super::lead::Lease;
 use super::message::Message;
 use super::plan::LocalClock;
+use super::roles::remote::RemoteEnd;
 use super::witness::robot::RobotWitness;
 
 /// A robot's machine, sensor, localiser and checks.
@@ -18,6 +19,8 @@ pub(super) struct Robot {
     pub(super) sensor: Box<dyn Sensor>,
     pub(super) poses: Box<dyn PoseSource>,
     pub(super) witness: RobotWitness,
+    /// Its end of the link to the gateway, if it is on another host.
+    pub(super) remote: Option<RemoteEnd>,
 }
 
 /// The process of a node.

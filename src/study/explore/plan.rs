@@ -9,6 +9,7 @@ use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::Clock;
 
 use super::faults::{self, Fault, Team};
+use super::links::Links;
 
 /// The simulator's node.
 pub(super) const SIM: usize = 0;
@@ -43,6 +44,8 @@ pub(super) struct Plan {
     pub(super) clocks: Vec<LocalClock>,
     /// The faults, in order of time.
     pub(super) faults: Vec<Fault>,
+    /// Robots on other hosts, if there are any.
+    pub(super) links: Option<Links>,
 }
 
 /// What the robots measure, and how well they know where they are.
@@ -147,6 +150,7 @@ impl Plan {
         let faults = faults::draw(&mut random, Team { nodes, standbys, is_endless }, span_ns);
         // A broken node that waits out a time-out for a lost robot lives too long to be given up.
         let leaves_robots = leaves_robots && !faults.iter().any(Fault::is_break);
+        let links = Links::draw(&mut later_random, robots, span_ns);
         Self {
             seed,
             clock,
@@ -160,6 +164,7 @@ impl Plan {
             network,
             clocks,
             faults,
+            links,
         }
     }
 
@@ -188,14 +193,40 @@ impl Plan {
         }
     }
 
+    /// The gateway, which follows the nodes: it has no role of its own.
+    pub(super) fn gateway(&self) -> usize {
+        self.nodes()
+    }
+
+    /// The robots by id.
+    pub(super) fn robot_ids(&self) -> Range<usize> {
+        0..self.robots
+    }
+
+    /// True if a robot is on another host.
+    pub(super) fn is_remote(&self, robot: usize) -> bool {
+        self.links.as_ref().is_some_and(|links| links.has(robot))
+    }
+
+    /// The nodes of the robots on the run's host.
+    pub(super) fn local_robot_nodes(&self) -> impl Iterator<Item = usize> + use<'_> {
+        self.robot_nodes().zip(self.robot_ids()).filter(|(_, robot)| !self.is_remote(*robot)).map(|(node, _)| node)
+    }
+
+    /// Who receives worlds and headings: the robots on the run's host, and the gateway of the others.
+    pub(super) fn commanded(&self) -> impl Iterator<Item = usize> + use<'_> {
+        self.local_robot_nodes().chain(self.links.as_ref().map(|_| self.gateway()))
+    }
+
     /// A node's name.
     pub(super) fn name_of(&self, node: usize) -> String {
-        self.role_of(node).to_string()
+        if node == self.gateway() { "gateway".to_owned() } else { self.role_of(node).to_string() }
     }
 
     /// Time at which the last fault is over, ns.
     pub(super) fn calm_from_ns(&self) -> u64 {
-        self.faults.iter().map(Fault::ends_ns).max().unwrap_or(0)
+        let links_ns = self.links.as_ref().map_or(0, Links::calm_from_ns);
+        self.faults.iter().map(Fault::ends_ns).max().unwrap_or(0).max(links_ns)
     }
 
     /// True if all clocks run at one rate.
@@ -206,6 +237,7 @@ impl Plan {
     /// True if there are no faults, no message is lost, slow, doubled or garbled, and all clocks agree.
     pub(super) fn is_undisturbed(&self) -> bool {
         let Network { loss, duplicates, slow, garbled, .. } = self.network;
-        self.faults.is_empty() && [loss, duplicates, slow, garbled] == [0.0; 4] && self.has_one_rate()
+        let has_good_links = self.links.as_ref().is_none_or(Links::is_undisturbed);
+        self.faults.is_empty() && has_good_links && [loss, duplicates, slow, garbled] == [0.0; 4] && self.has_one_rate()
     }
 }

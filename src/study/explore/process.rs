@@ -196,10 +196,12 @@ impl Cluster<'_> {
 
     /// Lets a process read its messages and do all of its actions.
     pub(super) fn run(&mut self, node: usize) -> Result<(), Violation> {
-        let running = &mut self.nodes[node];
+        let running = &self.nodes[node];
         if running.is_stopped || matches!(running.process, Process::None | Process::Starting) {
             return Ok(());
         }
+        self.check_arrivals(node)?;
+        let running = &mut self.nodes[node];
         let process = std::mem::replace(&mut running.process, Process::None);
         let life = running.life;
         running.actions = 0;

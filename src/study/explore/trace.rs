@@ -18,7 +18,7 @@ pub(super) struct TraceLine {
 /// The trace as a table: a line for each event, with a column for its node.
 pub(super) fn table(plan: &Plan, trace: &[TraceLine]) -> String {
     let name_of = |node: Option<usize>| node.map_or_else(|| "run".to_owned(), |node| plan.name_of(node));
-    let width = (0..plan.nodes()).map(|node| plan.name_of(node).len()).max().unwrap_or(0);
+    let width = (0..=plan.nodes()).map(|node| plan.name_of(node).len()).max().unwrap_or(0);
     trace.iter().fold(String::new(), |mut text, TraceLine { at_ns, node, what }| {
         let _ = writeln!(text, "{:>12.3} ms  {:width$}  {what}", *at_ns as f64 / 1e6, name_of(*node));
         text

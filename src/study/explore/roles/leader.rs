@@ -110,8 +110,8 @@ impl Cluster<'_> {
                 self.trace(Some(node), || format!("heading({tick})"));
                 let header = self.header(node, tick, machine.centre().time_s());
                 let commands: Rc<[Command]> = commands.into();
-                for robot in self.plan.robot_nodes() {
-                    self.send(node, robot, || Message::Heading(header, Rc::clone(&commands)));
+                for receiver in self.plan.commanded() {
+                    self.send(node, receiver, || Message::Heading(header, Rc::clone(&commands)));
                 }
             }
             Action::Notify(notification) => self.notify(node, notification),
@@ -136,14 +136,18 @@ impl Cluster<'_> {
 
     /// A tick is recorded. Robots may be missing only if there was a recent fault.
     fn record(&mut self, node: usize, leading: &Leading, tick: u64) -> Result<Missing, String> {
+        let calm_ns = CALM_TICKS * (self.scenario.dt_s * 1e9) as u64;
+        let robot_nodes = self.plan.robot_nodes().zip(0..);
+        let are_linked: Vec<bool> =
+            robot_nodes.map(|(node, id)| self.is_linked_for(id, &self.nodes[node], calm_ns)).collect();
         let Self { witness, nodes, plan, .. } = self;
-        let (now_ns, calm_ns) = (self.now_ns, CALM_TICKS * (self.scenario.dt_s * 1e9) as u64);
+        let now_ns = self.now_ns;
         let is_well = |node: usize| nodes[node].well_for_ns(now_ns) > calm_ns;
         let calm_from_ns = self.calm_from_ns.max(leading.since_ns);
         let has_one_rate = plan.has_one_rate();
         let is_calm = has_one_rate && now_ns > calm_from_ns + calm_ns && is_well(SIM) && is_well(node);
         let robots_from = plan.robot_nodes().start;
-        witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id))
+        witness.record(tick, &leading.machine, |id| is_calm && is_well(robots_from + id) && are_linked[id])
     }
 
     /// How a tick was closed.
@@ -156,7 +160,9 @@ impl Cluster<'_> {
         let [sim, fusion] = [SIM, node].map(|node| &self.nodes[node]);
         // A robot that is stopped or killed just after it has sent its range does not notify fusion.
         let first_arrival = fusion.first_arrival.filter(|(.., from)| {
-            is_seen_at_once && self.nodes[*from].well_for_ns(self.now_ns) > (self.scenario.dt_s * 1e9) as u64
+            let (sender, dt_ns) = (&self.nodes[*from], (self.scenario.dt_s * 1e9) as u64);
+            let robot = from - self.plan.robot_nodes().start;
+            is_seen_at_once && sender.well_for_ns(self.now_ns) > dt_ns && self.is_linked_for(robot, sender, dt_ns)
         });
         let first_arrival = first_arrival.map(|(first, at_ns, _)| (first, at_ns));
         Closing {
@@ -172,7 +178,7 @@ impl Cluster<'_> {
                 .min(fusion.well_for_ns(self.now_ns))
                 .min(self.now_ns - leading.since_ns),
             late_ns: self.late_ns(),
-            slowest_ns: self.plan.network.slowest_ns(),
+            slowest_ns: self.plan.network.slowest_ns() + self.links_slowest_ns(),
         }
     }
 

@@ -9,6 +9,7 @@ use crate::study::explore::cluster::{Cluster, Violation};
 use crate::study::explore::message::Message;
 use crate::study::explore::node::{Fate, Process, Robot};
 use crate::study::explore::plan::SIM;
+use crate::study::explore::roles::remote::RemoteEnd;
 use crate::study::explore::witness::robot::RobotWitness;
 
 /// Change of the range of a robot that measures anew, m.
@@ -17,6 +18,7 @@ const ANEW_M: f64 = 0.01;
 impl Cluster<'_> {
     pub(in crate::study::explore) fn start_robot(&mut self, node: usize) -> Process {
         let id = node - self.plan.robot_nodes().start;
+        self.witness.links.forget(id);
         // Like the real process, it reads how often the lead has been taken.
         let fusion_incarnation = self.lead.starts();
         let machine = Machine::new(self.scenario, id, fusion_incarnation);
@@ -24,7 +26,8 @@ impl Cluster<'_> {
         let (Some(machine), (Some(sensor), Some(poses))) = (machine, equipment) else { return Process::None };
         let witness = RobotWitness::new(self.scenario, fusion_incarnation);
         self.nodes[node].incarnation += 1;
-        Process::Robot(Box::new(Robot { machine, sensor, poses, witness }))
+        let remote = self.plan.is_remote(id).then(|| RemoteEnd::new(self.scenario));
+        Process::Robot(Box::new(Robot { machine, sensor, poses, witness, remote }))
     }
 
     pub(in crate::study::explore) fn run_robot(
@@ -32,6 +35,9 @@ impl Cluster<'_> {
         node: usize,
         mut robot: Box<Robot>,
     ) -> Result<Process, Violation> {
+        if let Some(end) = robot.remote.take() {
+            return self.run_remote(node, robot, end);
+        }
         let id = node - self.plan.robot_nodes().start;
         let is_well = !self.nodes[node].is_interrupted;
         let awake = robot.witness.wakes(self.now_ns, self.nodes[node].well_for_ns(self.now_ns), self.late_ns());
@@ -49,26 +55,13 @@ impl Cluster<'_> {
                         robot.witness.heading(header.incarnation, header.tick, commands[id]);
                     }
                 }
-                Message::Range(..) | Message::Drive(..) => {}
+                _ => {}
             }
         }
-        let mut provides = true;
-        loop {
-            let Some(action) = robot.machine.next_action(now_ns) else {
-                if !std::mem::take(&mut provides) {
-                    break;
-                }
-                robot.machine.before_sleep();
-                continue;
-            };
-            let fate = self.before_action(node)?;
-            if let Fate::Dies { .. } = fate {
-                return Ok(Process::None);
-            }
-            self.act_robot(node, &mut robot, action)?;
-            if let Fate::Stops = fate {
-                return Ok(Process::Robot(robot));
-            }
+        match self.act_all(node, &mut robot)? {
+            Fate::Dies { .. } => return Ok(Process::None),
+            Fate::Stops => return Ok(Process::Robot(robot)),
+            Fate::Lives => {}
         }
         if is_well {
             let slept = robot.witness.sleeps(self.now_ns, self.late_ns());
@@ -78,8 +71,34 @@ impl Cluster<'_> {
         Ok(Process::Robot(robot))
     }
 
+    /// Does all that the machine has to do now, unless a fault ends that.
+    pub(in crate::study::explore) fn act_all(&mut self, node: usize, robot: &mut Robot) -> Result<Fate, Violation> {
+        let now_ns = self.local_ns(node);
+        let mut provides = true;
+        loop {
+            let Some(action) = robot.machine.next_action(now_ns) else {
+                if !std::mem::take(&mut provides) {
+                    return Ok(Fate::Lives);
+                }
+                robot.machine.before_sleep();
+                continue;
+            };
+            let fate = self.before_action(node)?;
+            if let Fate::Dies { .. } = fate {
+                return Ok(fate);
+            }
+            self.act_robot(node, robot, action)?;
+            if let Fate::Stops = fate {
+                return Ok(fate);
+            }
+        }
+    }
+
     fn act_robot(&mut self, node: usize, robot: &mut Robot, action: Action) -> Result<(), Violation> {
-        let Robot { machine, sensor, poses, witness } = robot;
+        let Robot { machine, sensor, poses, witness, remote } = robot;
+        if let Some(end) = remote {
+            end.keep(&action);
+        }
         let id = node - self.plan.robot_nodes().start;
         let (now_ns, late_ns) = (self.local_ns(node), self.late_ns());
         match action {
@@ -98,6 +117,10 @@ impl Cluster<'_> {
             }
             Action::SendRange(Outgoing { tick, valid_at_s, entry }) => {
                 self.witness.range(tick, &entry).map_err(|what| self.violation(Some(node), what))?;
+                if remote.is_some() {
+                    self.witness.links.measures(id, tick, self.now_ns);
+                    return Ok(());
+                }
                 let header = self.header(node, tick, valid_at_s);
                 for fusion in self.plan.fusion_nodes() {
                     self.send(node, fusion, || Message::Range(header, entry));
@@ -110,8 +133,14 @@ impl Cluster<'_> {
                 if driven.map_err(|what| self.violation(Some(node), what))? {
                     self.trace(Some(node), || format!("obeys heading({tick})"));
                 }
-                self.send(node, SIM, || Message::Drive(tick, entry));
+                if remote.is_some() {
+                    self.witness.links.drives(id, tick, &entry);
+                } else {
+                    self.send(node, SIM, || Message::Drive(tick, entry));
+                }
             }
+            // The gateway notifies the nodes on the run's host.
+            Action::Notify(_) if remote.is_some() => {}
             Action::Notify(notification) => self.notify(node, notification),
         }
         Ok(())

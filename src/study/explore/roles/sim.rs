@@ -76,8 +76,8 @@ impl Cluster<'_> {
                 self.trace(Some(SIM), || format!("world({tick})"));
                 let header = self.header(SIM, tick, world.time_s());
                 let entries: Rc<[WorldEntry]> = world.entries().into();
-                for robot in self.plan.robot_nodes() {
-                    self.send(SIM, robot, || Message::World(header, Rc::clone(&entries)));
+                for receiver in self.plan.commanded() {
+                    self.send(SIM, receiver, || Message::World(header, Rc::clone(&entries)));
                 }
             }
             Action::Notify(notification) => self.notify(SIM, notification),

@@ -4,10 +4,12 @@
 //! |---|---|
 //! | this one | worlds, ranges, headings and estimates: there is one of each for a tick |
 //! | `robot` | which headings robots obey, hold and drive |
+//! | `link` | what a gateway sends robots on other hosts, and publishes for them |
 //! | `timing` | when ticks begin and end, and which robots they wait for |
 //! | `succession` | when a standby takes the lead |
 //! | `supervision` | which nodes the supervisor kills, starts and gives up |
 
+pub(super) mod link;
 pub(super) mod robot;
 pub(super) mod succession;
 pub(super) mod supervision;
@@ -22,6 +24,7 @@ use rangehound_shared::record::Use;
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 
 use super::plan::Plan;
+use link::Reports;
 use robot::RobotHistory;
 use timing::{Missing, Timing};
 
@@ -44,6 +47,8 @@ pub(super) struct Witness {
     may_refuse: [bool; Refusal::ALL.len()],
     /// The robots' actions.
     pub(super) robots: Vec<RobotHistory>,
+    /// What robots on other hosts have sent.
+    pub(super) links: Reports,
     /// When ticks began and ended.
     pub(super) timing: Timing,
     /// The last tick at which each robot reported in time.
@@ -79,6 +84,7 @@ impl Witness {
             waits_for_all: !is_realtime && scenario.timeout == Timeout::Forever,
             may_refuse,
             robots: (0..robots).map(|_| RobotHistory::default()).collect(),
+            links: Reports::default(),
             timing: Timing::new(scenario),
             heard_at: vec![None; robots],
             worlds: HashMap::new(),

@@ -1,0 +1,178 @@
+//! The gateway of a team: its state.
+
+use std::collections::BTreeMap;
+
+use rangehound_robot::remote::{Publication, Relay};
+use rangehound_shared::scenario::Scenario;
+
+use super::message::Message;
+use super::node::{Node, Process};
+use super::witness::link::LinkWitness;
+
+/// There is only one run here.
+pub(super) const RUN_ID: u64 = 1;
+
+/// Silence after which another process may take a robot's role, ns.
+const CLAIM_NS: u64 = 500_000_000;
+
+/// Silence after which a robot is gone, ns.
+const GONE_NS: u64 = 3_000_000_000;
+
+/// The gateway and what the run's roster has about its robots.
+#[derive(Debug, Default)]
+pub(super) struct Gateway {
+    pub(super) is_up: bool,
+    pub(super) up_since_ns: u64,
+    /// Messages and frames that have arrived.
+    pub(super) inbox: Vec<Message>,
+    pub(super) guests: BTreeMap<usize, Guest>,
+    pub(super) wakes_at_ns: u64,
+    /// The kill that is due, and the number of actions before it.
+    pub(super) pending_kill: Option<(usize, u32)>,
+    /// Links that robots have opened so far.
+    connections: u64,
+    /// How often each robot's role was taken: lives on in the roster.
+    taken: BTreeMap<usize, u64>,
+}
+
+/// A robot that has joined.
+#[derive(Debug)]
+pub(super) struct Guest {
+    pub(super) relay: Relay,
+    /// How often its role had been taken.
+    pub(super) incarnation: u64,
+    pub(super) connection: u64,
+    /// Its process: the life of its node.
+    process: u32,
+    heard_ns: u64,
+    joined_ns: u64,
+    pub(super) witness: LinkWitness,
+}
+
+/// Who asks for a robot's role.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Applicant {
+    pub(super) robot: usize,
+    /// The life of its node.
+    pub(super) process: u32,
+}
+
+/// An open link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Joined {
+    pub(super) connection: u64,
+    /// The robot's role was taken; otherwise it had it.
+    pub(super) is_new: bool,
+}
+
+impl Gateway {
+    /// It starts, and knows no robot.
+    pub(super) fn start(&mut self, now_ns: u64) {
+        (self.is_up, self.up_since_ns, self.wakes_at_ns) = (true, now_ns, u64::MAX);
+    }
+
+    /// It is killed: all roles and links are lost.
+    pub(super) fn die(&mut self) {
+        (self.is_up, self.pending_kill) = (false, None);
+        self.inbox.clear();
+        self.guests.clear();
+    }
+
+    /// Gives a robot its role, unless another process has it and was heard lately.
+    pub(super) fn welcome(
+        &mut self,
+        scenario: &Scenario,
+        Applicant { robot, process }: Applicant,
+        fusion_incarnation: u64,
+        now_ns: u64,
+    ) -> Option<Joined> {
+        if let Some(guest) = self.guests.get_mut(&robot) {
+            if guest.process == process {
+                self.connections += 1;
+                (guest.connection, guest.heard_ns, guest.joined_ns) = (self.connections, now_ns, now_ns);
+                guest.relay.reconnect();
+                return Some(Joined { connection: self.connections, is_new: false });
+            }
+            if now_ns - guest.heard_ns < CLAIM_NS {
+                return None;
+            }
+        }
+        self.connections += 1;
+        let taken = self.taken.entry(robot).or_default();
+        *taken += 1;
+        let guest = Guest {
+            relay: Relay::new(RUN_ID, robot, scenario, fusion_incarnation),
+            incarnation: *taken,
+            connection: self.connections,
+            process,
+            heard_ns: now_ns,
+            joined_ns: now_ns,
+            witness: LinkWitness::new(scenario, fusion_incarnation, now_ns),
+        };
+        self.guests.insert(robot, guest);
+        Some(Joined { connection: self.connections, is_new: true })
+    }
+
+    /// Takes a message of the run or a frame of a robot. Returns what is to be published for which robots.
+    pub(super) fn take(
+        &mut self,
+        message: &Message,
+        robots: usize,
+        now_ns: u64,
+    ) -> Result<Vec<(usize, Publication)>, (usize, String)> {
+        let mut publications = Vec::new();
+        match message {
+            Message::World(header, entries) => {
+                for (robot, guest) in &mut self.guests {
+                    let Some(entry) = entries.get(*robot) else { continue };
+                    guest.witness.world(header, entry);
+                    let again = guest.relay.on_world(header, entry);
+                    publications.extend(again.into_iter().map(|message| (*robot, message)));
+                }
+            }
+            Message::Heading(header, commands) if commands.len() == robots => {
+                for (robot, guest) in &mut self.guests {
+                    guest.witness.heading(header);
+                    guest.relay.on_heading(header, commands[*robot], now_ns);
+                }
+            }
+            Message::Uplink { robot, connection, frame } => {
+                let guest = self.guests.get_mut(robot).filter(|guest| guest.connection == *connection);
+                if let Some(guest) = guest {
+                    guest.heard_ns = now_ns;
+                    let news = guest.relay.on_uplink(frame, now_ns);
+                    guest.witness.news(&news).map_err(|what| (*robot, what))?;
+                    publications.extend(news.into_iter().map(|message| (*robot, message)));
+                }
+            }
+            _ => {}
+        }
+        for (robot, publication) in &publications {
+            if let Some(guest) = self.guests.get(robot) {
+                guest.witness.publishes(publication).map_err(|what| (*robot, what))?;
+            }
+        }
+        Ok(publications)
+    }
+
+    /// Forgets the robots that have been silent for long, and returns them.
+    pub(super) fn release_silent(&mut self, now_ns: u64) -> Vec<usize> {
+        let is_gone = |guest: &Guest| now_ns - guest.heard_ns > GONE_NS;
+        let gone = self.guests.iter().filter(|(_, guest)| is_gone(guest)).map(|(robot, _)| *robot).collect();
+        self.guests.retain(|_, guest| !is_gone(guest));
+        gone
+    }
+
+    /// When a frame is due, ns.
+    pub(super) fn frame_due_ns(&self) -> u64 {
+        self.guests.values().map(|guest| guest.relay.wakes_at_ns()).min().unwrap_or(u64::MAX)
+    }
+
+    /// Time for which the robot's process has had an open link, ns.
+    pub(super) fn linked_for_ns(&self, robot: usize, node: &Node, now_ns: u64) -> u64 {
+        let Process::Robot(process) = &node.process else { return 0 };
+        let connection = process.remote.as_ref().and_then(|remote| remote.connection());
+        let guest = self.guests.get(&robot).filter(|guest| self.is_up && Some(guest.connection) == connection);
+        guest.map_or(0, |guest| now_ns - guest.joined_ns)
+    }
+}
