@@ -35,6 +35,8 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Sim(args) => args.carry_out(),
         Command::Fusion(args) => args.carry_out(),
         Command::Robot(args) => args.carry_out(),
+        Command::Gateway(args) => args.carry_out("gateway"),
+        Command::Keys(args) => args.carry_out("keys"),
         Command::Watch(args) => args.carry_out(),
         Command::Record(args) => args.carry_out(),
         Command::Replay(args) => args.carry_out(),

@@ -47,6 +47,9 @@ struct GatewayArgs {
     /// End when this process ends
     #[arg(long, value_name = "PID", hide = true)]
     end_with: Option<u32>,
+    /// Only check that it could listen, with these keys
+    #[arg(long, hide = true)]
+    check: bool,
 }
 
 #[derive(Debug, Args)]
@@ -99,6 +102,10 @@ fn main() -> ExitCode {
 impl GatewayArgs {
     fn carry_out(&self) -> Result<(), Failure> {
         let system = |error: &dyn std::fmt::Display| Failure::Running(error.to_string());
+        if self.check {
+            let checked = gateway::check(self.listen, self.keys.as_ref());
+            return checked.map(|address| println!("{address}")).map_err(|error| Failure::Input(error.to_string()));
+        }
         let termination = Termination::listen().map_err(|error| system(&error))?;
         end_with(self.end_with)?;
         let _ = rustix::thread::set_name(c"rh-gateway");

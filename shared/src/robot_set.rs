@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use std::str::FromStr;
+
 use crate::ROBOTS_MAX;
 
 /// Words of a [`RobotSet`].
@@ -58,6 +60,26 @@ impl RobotSet {
             let rests = std::iter::successors(Some(word).filter(|word| *word != 0), after);
             rests.map(move |rest| 64 * index + rest.trailing_zeros() as usize)
         })
+    }
+}
+
+impl FromStr for RobotSet {
+    type Err = String;
+
+    /// Reads numbers and ranges, as in `0,1` or `2-5,7`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || format!("expected robots from 0 to {}, such as 0,1 or 2-5", ROBOTS_MAX - 1);
+        let robot = |text: &str| text.parse().ok().filter(|robot| *robot < ROBOTS_MAX).ok_or_else(expected);
+        let mut robots = Self::default();
+        for part in text.split(',') {
+            let (first, last) = part.split_once('-').unwrap_or((part, part));
+            let (first, last) = (robot(first)?, robot(last)?);
+            if first > last {
+                return Err(format!("the range {part} is empty: {}", expected()));
+            }
+            (first..=last).for_each(|robot| robots.set(robot, true));
+        }
+        Ok(robots)
     }
 }
 

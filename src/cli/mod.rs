@@ -28,7 +28,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::terminal;
 pub use input::InputArgs;
-pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
+pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, PassedArgs, RobotArgs, SimArgs};
 pub use observe::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use run::{
     ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs, TrackArgs,
@@ -59,8 +59,14 @@ pub enum Command {
     Sim(SimArgs),
     /// Run the fusion centre alone
     Fusion(FusionArgs),
-    /// Run one robot alone
+    /// Run one robot alone, on this host or, with --connect, of a run on another host
     Robot(RobotArgs),
+    /// Let robots on other hosts take part in a run of this host
+    #[command(disable_help_flag = true)]
+    Gateway(PassedArgs),
+    /// Make keys and certificates for the hosts of a team
+    #[command(disable_help_flag = true)]
+    Keys(PassedArgs),
     /// Show the progress of a run started by hand, and report when it ends
     Watch(WatchArgs),
     /// Show a run on a page in the browser, with buttons to kill its processes and see the run recover

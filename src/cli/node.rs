@@ -1,6 +1,7 @@
 //! Commands that run one node: `sim`, `fusion`, `robot`.
 
-use std::path::Path;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
@@ -15,6 +16,7 @@ use crate::files::layout::SCENARIO;
 use crate::files::out_folder::Claim;
 use crate::run::experiment::{Experiment, Naming};
 use crate::run::folder;
+use crate::run::gateway;
 use crate::run::node::{self, input_or_running};
 use crate::study::latency::reference::{Reference, latency_node};
 
@@ -49,6 +51,30 @@ pub struct RobotArgs {
     /// The run
     #[command(flatten)]
     pub node: NodeArgs,
+    /// Take part in a run on another host, through its gateway at this address
+    #[arg(long, value_name = "HOST:PORT")]
+    pub connect: Option<String>,
+    /// With --connect: folder with the keys of this host, from `rangehound keys`
+    #[arg(long, value_name = "DIR", requires = "connect")]
+    pub keys: Option<PathBuf>,
+}
+
+/// A command of `rangehound-gateway`, which reads its words.
+#[derive(Debug, Args)]
+pub struct PassedArgs {
+    /// Flags: `--help` explains them
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    pub words: Vec<OsString>,
+}
+
+impl PassedArgs {
+    /// Has the other program carry it out.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn carry_out(&self, command: &str) -> Result<(), Failure> {
+        gateway::hand_over(std::iter::once(command.into()).chain(self.words.iter().cloned()))
+    }
 }
 
 /// `latency-node`.
@@ -119,7 +145,19 @@ impl RobotArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        node::robot(&self.node.name, usize::try_from(self.id)?, self.node.parent.end_with)
+        let Some(connect) = &self.connect else {
+            return node::robot(&self.node.name, usize::try_from(self.id)?, self.node.parent.end_with);
+        };
+        let mut words: Vec<OsString> =
+            vec!["robot".into(), "--id".into(), self.id.to_string().into(), "--connect".into(), connect.into()];
+        if let Some(keys) = &self.keys {
+            words.extend(["--keys".into(), keys.into()]);
+        }
+        // The gateway's run, whatever its name, unless one is asked for.
+        if self.node.name.to_string() != rangehound_shared::scenario::defaults::NAME {
+            words.extend(["--name".into(), self.node.name.to_string().into()]);
+        }
+        gateway::hand_over(words)
     }
 }
 

@@ -1,8 +1,10 @@
 //! Commands that start runs: `run`, `track`, `resume`.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::Args;
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Clock, GateKey, TimeoutKey};
 
@@ -16,7 +18,7 @@ use crate::run::experiment::{Experiment, Naming};
 use crate::run::node::end_with;
 use crate::run::pin::Pin;
 use crate::run::supervisor::restart::Rule;
-use crate::run::supervisor::{self, Supervision};
+use crate::run::supervisor::{self, Hosts, Supervision};
 
 /// The experiment, its name and its folder.
 #[derive(Debug, Default, Args)]
@@ -223,6 +225,24 @@ pub struct SupervisionArgs {
     /// The live page
     #[command(flatten)]
     pub show: ShowArgs,
+    /// Robots on other hosts
+    #[command(flatten)]
+    pub hosts: HostsArgs,
+}
+
+/// Robots on other hosts.
+#[derive(Debug, Default, Args)]
+pub struct HostsArgs {
+    /// Start a gateway at this address: robots join from other hosts by `rangehound robot --connect`. Any address but one of
+    /// this machine's own (127.0.0.1) demands --keys
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub listen: Option<SocketAddr>,
+    /// With --listen: folder with the keys of this host, from `rangehound keys`
+    #[arg(long, value_name = "DIR", requires = "listen")]
+    pub keys: Option<PathBuf>,
+    /// With --listen: the robots that join from other hosts, as in 0,2-5; the others are started here [default: all]
+    #[arg(long, value_name = "IDS", requires = "listen")]
+    pub remote: Option<RobotSet>,
 }
 
 /// Whether a run is shown.
@@ -315,6 +335,11 @@ impl SupervisionArgs {
             rules: self.rules.clone(),
             pin: self.pin.clone(),
             live: self.show.live,
+            hosts: self.hosts.listen.map(|listen| Hosts {
+                listen,
+                keys: self.hosts.keys.clone(),
+                remote: self.hosts.remote,
+            }),
             record_limit_mb: (!recording.no_record).then_some(recording.limit.limit_mb),
         }
     }

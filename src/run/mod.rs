@@ -15,6 +15,7 @@
 
 pub mod experiment;
 pub mod folder;
+pub mod gateway;
 pub mod in_process;
 pub mod node;
 pub mod pin;

@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::failure::{Failure, print, print_json};
+use crate::run::gateway;
 use crate::run::node::input_or_running;
 use crate::run::watch;
 
@@ -192,6 +193,12 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
     {
         let last = run.description().scenario.robots.len() - 1;
         return Err(Failure::input(format!("{role} is not in run {}: expected robot-0 to robot-{last}", run.name())));
+    }
+    if let Some(guest) = gateway::guest(run, role) {
+        return Err(Failure::input(format!(
+            "{role} runs on the host {} ({}): run this command there, or end its process there",
+            guest.host, guest.address
+        )));
     }
     match run.roster().process(role) {
         Holder::Here(process) => Ok(process),

@@ -33,12 +33,7 @@ pub(super) enum Applicant {
 }
 
 /// Answers all connections, until the gateway ends. `finished` becomes true when the run is over.
-pub(super) async fn answer(
-    endpoint: Endpoint,
-    sender: Sender<Input>,
-    has_keys: bool,
-    finished: watch::Receiver<bool>,
-) {
+pub(super) async fn answer(endpoint: Endpoint, sender: Sender<Input>, has_keys: bool, finished: watch::Receiver<bool>) {
     let under_way = Rc::new(());
     loop {
         let mut is_finished = finished.clone();

@@ -87,13 +87,7 @@ pub fn run(
     termination: &Termination,
     listening: impl FnOnce(SocketAddr),
 ) -> Result<(), GatewayError> {
-    let tls = match keys {
-        Some(folder) => Credentials::load(folder)?.server_config()?,
-        None if address.ip().is_loopback() => Credentials::for_loopback_server()?,
-        None => return Err(GatewayError::Open(address)),
-    };
-    let config = link::server(tls).map_err(|error| GatewayError::Cryptography(error.to_string()))?;
-    let socket = UdpSocket::bind(address).map_err(|source| GatewayError::Address { address, source })?;
+    let (config, socket) = prepared(address, keys)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -124,6 +118,26 @@ pub fn run(
         is_over.store(true, Ordering::Relaxed);
         ended
     })
+}
+
+/// Checks that a gateway could listen here with these keys, and returns the address with its port.
+///
+/// # Errors
+/// [`GatewayError`].
+pub fn check(address: SocketAddr, keys: Option<&PathBuf>) -> Result<SocketAddr, GatewayError> {
+    let (_, socket) = prepared(address, keys)?;
+    Ok(socket.local_addr()?)
+}
+
+fn prepared(address: SocketAddr, keys: Option<&PathBuf>) -> Result<(quinn::ServerConfig, UdpSocket), GatewayError> {
+    let tls = match keys {
+        Some(folder) => Credentials::load(folder)?.server_config()?,
+        None if address.ip().is_loopback() => Credentials::for_loopback_server()?,
+        None => return Err(GatewayError::Open(address)),
+    };
+    let config = link::server(tls).map_err(|error| GatewayError::Cryptography(error.to_string()))?;
+    let socket = UdpSocket::bind(address).map_err(|source| GatewayError::Address { address, source })?;
+    Ok((config, socket))
 }
 
 /// Waits for events of the bus in a thread of its own, because a futex cannot be waited for together with a socket.

@@ -3,7 +3,6 @@
 use std::fmt::{Display, Formatter};
 use std::str::FromStr;
 
-use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::robot_set::RobotSet;
 
 use super::files::AUTHORITY_FOLDER;
@@ -54,23 +53,8 @@ impl FromStr for RobotHost {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, robots) = text.split_once('=').ok_or("expected NAME=ROBOTS, such as alice=0,1 or bob=2-5")?;
-        Ok(Self { name: name.parse()?, robots: parse_robots(robots)? })
+        Ok(Self { name: name.parse()?, robots: robots.parse()? })
     }
-}
-
-fn parse_robots(text: &str) -> Result<RobotSet, String> {
-    let expected = || format!("expected robots from 0 to {}, such as 0,1 or 2-5", ROBOTS_MAX - 1);
-    let robot = |text: &str| text.parse().ok().filter(|robot| *robot < ROBOTS_MAX).ok_or_else(expected);
-    let mut robots = RobotSet::default();
-    for part in text.split(',') {
-        let (first, last) = part.split_once('-').unwrap_or((part, part));
-        let (first, last) = (robot(first)?, robot(last)?);
-        if first > last {
-            return Err(format!("the range {part} is empty: {}", expected()));
-        }
-        (first..=last).for_each(|robot| robots.set(robot, true));
-    }
-    Ok(robots)
 }
 
 /// What a host may do.

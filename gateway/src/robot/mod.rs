@@ -112,6 +112,7 @@ struct Part {
     machine: Machine,
     courier: Courier,
     equipment: Equipment,
+    is_moving: bool,
     /// Frames that could not be read.
     malformed: u64,
 }
@@ -178,7 +179,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             return Err(RobotError::Refused(format!("robot {} is not in this run", self.id)));
         };
         let courier = Courier::new(*run_id, scenario.clock);
-        self.part = Some(Part { run_id: *run_id, machine, courier, equipment, malformed: 0 });
+        self.part = Some(Part { run_id: *run_id, machine, courier, equipment, is_moving: false, malformed: 0 });
         Ok(())
     }
 }
@@ -227,6 +228,10 @@ impl Part {
                     self.machine.measured(measurement, monotonic_ns());
                 }
                 Action::CarryOut(command) => {
+                    let is_moving = command != Command::default();
+                    if std::mem::replace(&mut self.is_moving, is_moving) && !is_moving {
+                        log::debug!("stands still");
+                    }
                     let driven = actuator.carry_out(command);
                     self.machine.carried_out(driven);
                 }

@@ -10,18 +10,22 @@ pub mod restart;
 mod sidecars;
 pub(crate) mod silence;
 
-use std::path::Path;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_node::system::signal::Termination;
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::Scenario;
 
 use crate::failure::Failure;
 use crate::files::out_folder::{self, Claim};
 use crate::results::made::{self, Keep};
 use crate::run::experiment::Experiment;
 use crate::run::folder;
+use crate::run::gateway;
 use crate::run::in_process;
 use crate::run::node::input_or_running;
 use crate::run::pin::Pin;
@@ -44,6 +48,47 @@ pub struct Supervision {
     pub live: Option<Option<u16>>,
     /// Largest size of the recording, MB; `None` without a recording.
     pub record_limit_mb: Option<u64>,
+    /// Robots on other hosts.
+    pub hosts: Option<Hosts>,
+}
+
+/// The gateway for robots on other hosts.
+#[derive(Debug, Clone)]
+pub struct Hosts {
+    /// Where it listens.
+    pub listen: SocketAddr,
+    /// Folder with the keys of this host.
+    pub keys: Option<PathBuf>,
+    /// The robots that join through it; `None` for all.
+    pub remote: Option<RobotSet>,
+}
+
+/// The program of the gateway, and what it is told.
+struct Gateway {
+    program: PathBuf,
+    listen: SocketAddr,
+    keys: Option<PathBuf>,
+}
+
+impl Supervision {
+    /// True if a robot joins from another host.
+    fn is_remote(&self, robot: usize) -> bool {
+        let remote = self.hosts.as_ref().map(|hosts| &hosts.remote);
+        remote.is_some_and(|remote| remote.is_none_or(|remote| remote.contains(robot)))
+    }
+
+    /// The gateway for robots on other hosts. Robots that the run does not have and a gateway that could not start are
+    /// refused before anything is made.
+    fn gateway(&self, scenario: &Scenario) -> Result<Option<Gateway>, Failure> {
+        let Some(hosts) = &self.hosts else { return Ok(None) };
+        let robots = scenario.robots.len();
+        if let Some(id) = hosts.remote.and_then(|remote| remote.iter().find(|id| *id >= robots)) {
+            let last = robots - 1;
+            return Err(Failure::input(format!("robot {id} (--remote) is not in this run: expected 0 to {last}")));
+        }
+        let listen = gateway::check(hosts.listen, hosts.keys.as_deref())?;
+        Ok(Some(Gateway { program: gateway::program()?, listen, keys: hosts.keys.clone() }))
+    }
 }
 
 /// Continues a run that has no processes any more.
@@ -56,11 +101,12 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
+    let gateway = supervision.gateway(&description.scenario)?;
     let found = || {
         let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
         Ok((rendezvous, folder::look_for_writable(&description)?))
     };
-    supervise(supervision, keep, found)
+    supervise(supervision, gateway, keep, found)
 }
 
 /// Runs an experiment with a process for each node.
@@ -68,8 +114,9 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
 /// # Errors
 /// [`Failure`].
 pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
+    let gateway = supervision.gateway(&experiment.description.scenario)?;
     // The experiment is moved in, so that its recording is freed once its copy is written.
-    supervise(supervision, keep, move || {
+    supervise(supervision, gateway, keep, move || {
         // Only the process that has the run's name may change the folder.
         let rendezvous = experiment.found()?;
         let folder = folder::prepare_folder(&experiment)?;
@@ -102,6 +149,7 @@ pub fn run_in_process(experiment: &Experiment, record_limit_mb: Option<u64>, kee
 /// Creates a run in its folder, starts its processes, supervises them until the run ends, and writes the report.
 fn supervise(
     supervision: &Supervision,
+    gateway: Option<Gateway>,
     keep: &Keep,
     found: impl FnOnce() -> Result<(Rendezvous, Claim), Failure>,
 ) -> Result<(), Failure> {
@@ -112,7 +160,7 @@ fn supervise(
     }
     let (rendezvous, _folder) = found()?;
     let description = &rendezvous.description().clone();
-    let (summaries, outcome) = run_to_the_end(rendezvous, supervision, &termination)?;
+    let (summaries, outcome) = run_to_the_end(rendezvous, supervision, gateway.as_ref(), &termination)?;
     let reported = made::report_and_tables(description, keep, summaries);
     out_folder::seal(&description.out_dir);
     // The reason why the run ended early is reported first.

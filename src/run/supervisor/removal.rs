@@ -6,6 +6,7 @@ use rangehound_node::bus::Bus;
 use rangehound_node::rendezvous::{ENDING_NOTE, LIVE_NOTE, Rendezvous, Role};
 use rangehound_node::system::signal::Termination;
 
+use super::Gateway;
 use super::Supervision;
 use super::cleaner::Cleaner;
 use super::losses::Losses;
@@ -23,6 +24,7 @@ const REMOVALS_MAX: u32 = 5;
 pub(super) fn run_to_the_end(
     rendezvous: Rendezvous,
     supervision: &Supervision,
+    gateway: Option<&Gateway>,
     termination: &Termination,
 ) -> Result<(Vec<NodeSummary>, anyhow::Result<()>), Failure> {
     let mut rendezvous = rendezvous;
@@ -30,7 +32,7 @@ pub(super) fn run_to_the_end(
     let mut removals_in_a_row = 0;
     let mut removed: Option<String> = None;
     loop {
-        let outcome_of_nodes = run_once(&rendezvous, supervision, termination, &mut past);
+        let outcome_of_nodes = run_once(&rendezvous, supervision, gateway, termination, &mut past);
         let with_cause = |error: anyhow::Error| match &removed {
             Some(cause) if past.newest_tick.is_none() && !termination.requested() => error.context(cause.clone()),
             _ => error,
@@ -73,6 +75,7 @@ pub(super) fn run_to_the_end(
 fn run_once(
     rendezvous: &Rendezvous,
     supervision: &Supervision,
+    gateway: Option<&Gateway>,
     termination: &Termination,
     past: &mut Past,
 ) -> Result<Ended, Failure> {
@@ -86,6 +89,9 @@ fn run_once(
         let cleaner = Cleaner::start(rendezvous, scope);
         let mut nodes = Nodes::start(rendezvous, &lease, supervision, cleaner, past.summaries.clone())?;
         let mut sidecars = Sidecars::of(rendezvous, &lease);
+        if let Some(gateway) = gateway {
+            sidecars.start_gateway(gateway);
+        }
         if let Some(limit_mb) = supervision.record_limit_mb {
             sidecars.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);
         }

@@ -1,0 +1,131 @@
+//! In lock step with endless patience no fault of link, gateway or robots changes a bit.
+
+use std::time::Duration;
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::{Signal, kill_process};
+
+use crate::support::{Faults, Link, Process, Run};
+
+const LOCKSTEP: &str = "--clock lockstep --timeout forever --seed 3";
+
+/// A run with these robots behind a link, to its end; `disturb` gets the robots' processes.
+fn digest_over(
+    words: &str,
+    ids: &[usize],
+    faults: Faults,
+    disturb: impl FnOnce(&Run, &Link, &mut Vec<Process>),
+) -> String {
+    let run = Run::new();
+    let remote: Vec<String> = ids.iter().map(ToString::to_string).collect();
+    let (supervisor, gateway) = run.run(&format!("{LOCKSTEP} {words} --remote {}", remote.join(",")));
+    let link = Link::new(gateway, 7, faults);
+    let mut robots: Vec<Process> = ids.iter().map(|id| run.robot(*id, link.address)).collect();
+    disturb(&run, &link, &mut robots);
+    supervisor.succeeds();
+    let robots: Vec<(Option<i32>, String)> = robots.into_iter().map(Process::finish).collect();
+    assert!(robots.iter().all(|(code, _)| *code == Some(0)), "{robots:?}");
+    let report = run.report();
+    let [published, fused] = ["published", "fused"].map(|key| report["ranges"][key].as_u64());
+    assert_eq!(published, fused, "no measurement is lost");
+    run.assert_nothing_left();
+    run.digest()
+}
+
+#[test]
+fn loss_delay_and_doubling_change_nothing() {
+    let words = "--ticks 300 --robots 4";
+    let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
+    let ms = Duration::from_millis;
+    for faults in [
+        Faults::default(),
+        Faults { loss: 0.05, ..Faults::default() },
+        Faults { loss: 0.2, duplicates: 0.1, jitter: ms(3), ..Faults::default() },
+    ] {
+        // Local and remote robots mix.
+        assert_eq!(digest_over(words, &[0, 2, 3], faults, |_, _, _| {}), oracle, "{faults:?}");
+    }
+}
+
+#[test]
+fn cuts_of_either_direction_change_nothing() {
+    let words = "--ticks 400 --robots 3";
+    let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
+    let digest = digest_over(words, &[0, 1, 2], Faults::default(), |run, link, _| {
+        for (tick, up, down) in [(30, true, true), (80, true, false), (130, false, true)] {
+            run.wait_until_tick(tick);
+            link.cut(up, down);
+            std::thread::sleep(Duration::from_millis(1_500));
+            link.cut(false, false);
+        }
+    });
+    assert_eq!(digest, oracle);
+}
+
+#[test]
+fn kills_of_gateway_and_robots_change_nothing() {
+    let words = "--ticks 2000 --robots 3";
+    let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
+    let digest = digest_over(words, &[0, 1, 2], Faults { loss: 0.02, ..Faults::default() }, |run, link, robots| {
+        let mut random = ChaCha8Rng::seed_from_u64(11);
+        run.wait_until_tick(10);
+        for kill in 0..12 {
+            std::thread::sleep(Duration::from_millis(random.random_range(20..150)));
+            match kill % 4 {
+                0 => {
+                    let gateway = run.wait_for("the gateway's note", || run.gateway());
+                    let _ = kill_process(gateway, Signal::KILL);
+                }
+                1 => {
+                    for role in ["sim", "fusion"] {
+                        if let Some(pid) = run.pid_of(role) {
+                            let _ = kill_process(pid, Signal::KILL);
+                        }
+                    }
+                }
+                _ => {
+                    // The host is rebooted: its robot starts anew.
+                    let id = random.random_range(0..robots.len());
+                    let fresh = run.robot(id, link.address);
+                    std::mem::replace(&mut robots[id], fresh).kill();
+                }
+            }
+        }
+    });
+    assert_eq!(digest, oracle);
+}
+
+/// Two hosts claim one robot: the one that is heard keeps it. When it is gone, the other takes its place.
+#[test]
+fn of_two_hosts_that_claim_a_robot_one_has_it() {
+    let words = "--ticks 3000 --robots 2";
+    let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
+    let digest = digest_over(words, &[0, 1], Faults::default(), |run, link, robots| {
+        run.wait_until_tick(20);
+        let other = run.robot(1, link.address);
+        run.wait_for("the refusal", || other.stderr().contains("has this role").then_some(()));
+        assert_eq!(other.stderr().lines().count(), 1, "{}", other.stderr());
+        let first = std::mem::replace(&mut robots[1], other);
+        first.kill();
+        let tick = run.tick();
+        run.wait_until_tick(tick + 10);
+    });
+    assert_eq!(digest, oracle);
+}
+
+/// A robot that leaves in order frees its role at once, for a process of the run's host too.
+#[test]
+fn a_role_that_was_left_can_be_taken_by_a_local_process() {
+    let run = Run::new();
+    let (supervisor, gateway) = run.run(&format!("{LOCKSTEP} --ticks 400 --robots 2 --remote 1"));
+    let robot = run.robot(1, gateway);
+    run.wait_until_tick(10);
+    robot.signal(Signal::TERM);
+    robot.succeeds();
+    let local = run.start(&format!("robot --id 1 --name {}", run.name));
+    supervisor.succeeds();
+    local.succeeds();
+    assert_eq!(run.digest(), Run::digest_in_process(&format!("{LOCKSTEP} --ticks 400 --robots 2")));
+    run.assert_nothing_left();
+}

@@ -1,0 +1,17 @@
+//! Whole runs with robots on other hosts: the real programs, with a link between them that loses, delays, doubles and cuts.
+//!
+//! | module | what |
+//! |---|---|
+//! | `support` | a run with its programs, and the bad link |
+//! | `lockstep` | no fault changes a bit |
+//! | `realtime` | headings stay fresh, robots stop by themselves |
+//! | `security` | who is refused, and how both ends show it |
+//! | `clocks` | hosts with clocks of their own: time namespaces |
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
+
+mod clocks;
+mod lockstep;
+mod realtime;
+mod security;
+mod support;

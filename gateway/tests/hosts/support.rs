@@ -1,0 +1,343 @@
+//! A run with its programs, and a bad link between robots and gateway. Each run has its own name and folder, each wait a limit.
+
+use std::collections::{BinaryHeap, HashMap};
+use std::fs::File;
+use std::net::{SocketAddr, UdpSocket};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Far above the time of any step: only a missing event reaches it.
+pub(crate) const LIMIT: Duration = Duration::from_secs(180);
+
+const GATEWAY: &str = env!("CARGO_BIN_EXE_rangehound-gateway");
+
+/// The program `rangehound`, which is built before: it lies beside the gateway's.
+fn program() -> PathBuf {
+    let program = PathBuf::from(GATEWAY).with_file_name("rangehound");
+    assert!(program.is_file(), "{} is missing: build it first, in the same profile", program.display());
+    program
+}
+
+/// A run's name and folder, and the processes that were started for it.
+pub(crate) struct Run {
+    pub(crate) name: String,
+    folder: TempDir,
+    started: AtomicUsize,
+}
+
+impl Run {
+    pub(crate) fn new() -> Self {
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let name = format!("h{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        Self { name, folder: TempDir::new().unwrap(), started: AtomicUsize::new(0) }
+    }
+
+    pub(crate) fn path(&self, file: &str) -> PathBuf {
+        self.folder.path().join(file)
+    }
+
+    /// Starts a command of `rangehound`, split at spaces.
+    pub(crate) fn start(&self, words: &str) -> Process {
+        self.start_by("exec \"$@\"", words)
+    }
+
+    /// The same from a shell script: `$@` is the program with its arguments.
+    pub(crate) fn start_by(&self, script: &str, words: &str) -> Process {
+        let number = self.started.fetch_add(1, Ordering::Relaxed);
+        let [stdout, stderr] = ["stdout", "stderr"].map(|stream| self.path(&format!(".{number}.{stream}")));
+        let child = Command::new("sh")
+            .args(["-c", script, "sh"])
+            .arg(program())
+            .args(words.split_whitespace())
+            .current_dir(self.folder.path())
+            .env_remove("RUST_LOG")
+            .stdin(Stdio::null())
+            .stdout(File::create(&stdout).unwrap())
+            .stderr(File::create(&stderr).unwrap())
+            .spawn()
+            .unwrap();
+        Process { child: Some(child), words: words.to_owned(), stderr }
+    }
+
+    /// Runs a command of `rangehound` to its end; returns its exit code and its messages.
+    pub(crate) fn finish(&self, words: &str) -> (Option<i32>, String) {
+        self.start(words).finish()
+    }
+
+    /// Starts a run with a gateway, at a port that is free. Returns the gateway's address too.
+    pub(crate) fn run(&self, words: &str) -> (Process, SocketAddr) {
+        let run = self.start(&format!("run --no-record --name {} --out out --listen 127.0.0.1:0 {words}", self.name));
+        let address = self.wait_for("the gateway listens", || {
+            let text = run.stderr();
+            let listens = text.lines().find_map(|line| line.split_once("listens on "))?.1.to_owned();
+            listens.trim().parse().ok()
+        });
+        (run, address)
+    }
+
+    pub(crate) fn robot(&self, id: usize, address: SocketAddr) -> Process {
+        self.start(&format!("robot --id {id} --connect {address}"))
+    }
+
+    /// Waits until something is there.
+    #[track_caller]
+    pub(crate) fn wait_for<T>(&self, what: &str, look: impl Fn() -> Option<T>) -> T {
+        let began = Instant::now();
+        loop {
+            if let Some(found) = look() {
+                return found;
+            }
+            assert!(began.elapsed() < LIMIT, "{}: {what} does not come", self.name);
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    pub(crate) fn report(&self) -> Value {
+        let text = std::fs::read_to_string(self.path("out/report.json")).unwrap();
+        serde_json::from_str(&text).unwrap()
+    }
+
+    pub(crate) fn digest(&self) -> String {
+        self.report()["digest"].as_str().unwrap().to_owned()
+    }
+
+    /// The digest of the same run in one process.
+    pub(crate) fn digest_in_process(words: &str) -> String {
+        let oracle = Self::new();
+        let (code, text) = oracle.finish(&format!("run --in-process --no-record --out out {words}"));
+        assert_eq!(code, Some(0), "{text}");
+        oracle.digest()
+    }
+
+    /// The state of the run, as `status --json` tells.
+    pub(crate) fn status(&self) -> Option<Value> {
+        let output = Command::new(program()).args(["status", "--json", "--name", &self.name]).output().unwrap();
+        serde_json::from_slice(&output.stdout).ok()
+    }
+
+    pub(crate) fn tick(&self) -> u64 {
+        self.status().and_then(|status| status["tick"].as_u64()).unwrap_or(0)
+    }
+
+    #[track_caller]
+    pub(crate) fn wait_until_tick(&self, tick: u64) {
+        self.wait_for("the tick", || (self.tick() >= tick).then_some(()));
+    }
+
+    /// The process in a role of this run, as the kernel knows it.
+    pub(crate) fn pid_of(&self, role: &str) -> Option<Pid> {
+        let status = self.status()?;
+        let node = status["nodes"].as_array()?.iter().find(|node| node["name"] == role)?;
+        Pid::from_raw(i32::try_from(node["pid"].as_i64()?).ok()?)
+    }
+
+    /// The gateway's process.
+    pub(crate) fn gateway(&self) -> Option<Pid> {
+        let note = std::fs::read_to_string(self.shared_folder().join("gateway")).ok()?;
+        let note: Value = serde_json::from_str(&note).ok()?;
+        Pid::from_raw(i32::try_from(note["pid"].as_i64()?).ok()?)
+    }
+
+    pub(crate) fn shared_folder(&self) -> PathBuf {
+        PathBuf::from("/dev/shm").join(format!("rh-{}-{}", rustix::process::getuid().as_raw(), self.name))
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_nothing_left(&self) {
+        self.wait_for("the end of the shared memory", || (!self.shared_folder().exists()).then_some(()));
+    }
+}
+
+/// A process of a test, which ends with it.
+pub(crate) struct Process {
+    child: Option<Child>,
+    words: String,
+    stderr: PathBuf,
+}
+
+impl Process {
+    pub(crate) fn stderr(&self) -> String {
+        std::fs::read_to_string(&self.stderr).unwrap_or_default()
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        if let Some(child) = &self.child {
+            let _ = kill_process(Pid::from_child(child), signal);
+        }
+    }
+
+    pub(crate) fn is_running(&mut self) -> bool {
+        self.child.as_mut().is_some_and(|child| matches!(child.try_wait(), Ok(None)))
+    }
+
+    /// Waits for its end; returns its exit code and its messages.
+    #[track_caller]
+    pub(crate) fn finish(mut self) -> (Option<i32>, String) {
+        let began = Instant::now();
+        while self.is_running() {
+            assert!(began.elapsed() < LIMIT, "{} does not end: {}", self.words, self.stderr());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let status = self.child.take().and_then(|mut child| child.wait().ok());
+        (status.and_then(|status| status.code()), self.stderr())
+    }
+
+    #[track_caller]
+    pub(crate) fn succeeds(self) {
+        let words = self.words.clone();
+        let (code, text) = self.finish();
+        assert_eq!(code, Some(0), "{words}: {text}");
+    }
+
+    pub(crate) fn kill(mut self) {
+        self.signal(Signal::KILL);
+        let _ = self.child.take().map(|mut child| child.wait());
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // In order first: a supervisor ends its nodes.
+        self.signal(Signal::TERM);
+        let began = Instant::now();
+        while self.is_running() && began.elapsed() < Duration::from_secs(10) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.signal(Signal::KILL);
+        let _ = self.child.take().map(|mut child| child.wait());
+    }
+}
+
+/// What a link does to packets.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Faults {
+    pub(crate) loss: f64,
+    pub(crate) duplicates: f64,
+    pub(crate) delay: Duration,
+    pub(crate) jitter: Duration,
+}
+
+/// A link between robots and a gateway on loopback: robots connect to its address.
+pub(crate) struct Link {
+    pub(crate) address: SocketAddr,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+struct Shared {
+    faults: Mutex<Faults>,
+    cut_up: AtomicBool,
+    cut_down: AtomicBool,
+    ended: AtomicBool,
+}
+
+/// A packet that arrives later: the earliest first.
+struct Later {
+    at: Instant,
+    to: SocketAddr,
+    is_up: bool,
+    bytes: Vec<u8>,
+}
+
+impl Ord for Later {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        other.at.cmp(&self.at)
+    }
+}
+
+impl PartialOrd for Later {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Later {
+    fn eq(&self, other: &Self) -> bool {
+        self.at == other.at
+    }
+}
+
+impl Eq for Later {}
+
+impl Link {
+    pub(crate) fn new(gateway: SocketAddr, seed: u64, faults: Faults) -> Self {
+        let front = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let address = front.local_addr().unwrap();
+        let shared = Arc::new(Shared {
+            faults: Mutex::new(faults),
+            cut_up: AtomicBool::new(false),
+            cut_down: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
+        });
+        let its = Arc::clone(&shared);
+        let thread = std::thread::spawn(move || pass(&front, gateway, seed, &its));
+        Self { address, shared, thread: Some(thread) }
+    }
+
+    /// Cuts packets to the gateway, from it, or both.
+    pub(crate) fn cut(&self, up: bool, down: bool) {
+        self.shared.cut_up.store(up, Ordering::Relaxed);
+        self.shared.cut_down.store(down, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+fn pass(front: &UdpSocket, gateway: SocketAddr, seed: u64, shared: &Shared) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    // One socket for each robot, so that the gateway sees them apart.
+    let mut backs: HashMap<SocketAddr, UdpSocket> = HashMap::new();
+    let mut later: BinaryHeap<Later> = BinaryHeap::new();
+    let mut bytes = [0; 2_048];
+    front.set_read_timeout(Some(Duration::from_micros(200))).unwrap();
+    while !shared.ended.load(Ordering::Relaxed) {
+        let mut come: Vec<(SocketAddr, bool, usize, [u8; 2_048])> = Vec::new();
+        if let Ok((len, from)) = front.recv_from(&mut bytes) {
+            backs.entry(from).or_insert_with(|| {
+                let back = UdpSocket::bind("127.0.0.1:0").unwrap();
+                back.connect(gateway).unwrap();
+                back.set_nonblocking(true).unwrap();
+                back
+            });
+            come.push((from, true, len, bytes));
+        }
+        for (robot, back) in &backs {
+            while let Ok(len) = back.recv(&mut bytes) {
+                come.push((*robot, false, len, bytes));
+            }
+        }
+        let faults = *shared.faults.lock().unwrap();
+        for (robot, is_up, len, bytes) in come {
+            let cut = if is_up { &shared.cut_up } else { &shared.cut_down };
+            if cut.load(Ordering::Relaxed) || random.random_bool(faults.loss) {
+                continue;
+            }
+            for _ in 0..if random.random_bool(faults.duplicates) { 2 } else { 1 } {
+                let at = Instant::now() + faults.delay + faults.jitter.mul_f64(random.random_range(0.0..1.0));
+                later.push(Later { at, to: robot, is_up, bytes: bytes[..len].to_vec() });
+            }
+        }
+        while later.peek().is_some_and(|first| first.at <= Instant::now()) {
+            let Some(Later { to, is_up, bytes, .. }) = later.pop() else { break };
+            let _ = match (is_up, backs.get(&to)) {
+                (true, Some(back)) => back.send(&bytes),
+                _ => front.send_to(&bytes, to),
+            };
+        }
+    }
+}
