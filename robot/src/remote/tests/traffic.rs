@@ -7,7 +7,7 @@ const BOOK: &str = include_str!("../../../../docs/machines.md");
 
 /// IPv4; UDP; of QUIC the short header (flags, id of the connection, packet number), an acknowledgement, the head of a datagram
 /// and the tag of the encryption.
-const HEADERS_LEN: usize = 20 + 8 + (1 + 8 + 1) + 5 + 3 + 16;
+const HEADERS_LEN: usize = 20 + 8 + (1 + 8 + 1) + 9 + 3 + 16;
 
 /// A packet with an acknowledgement alone.
 const ACKNOWLEDGEMENT_LEN: usize = HEADERS_LEN - 3;
@@ -78,8 +78,8 @@ fn frames_have_the_lengths_that_the_book_says() {
 fn teams_have_the_traffic_that_the_book_says() {
     for ticks_per_s in [1, 5, 10, 20] {
         let lens: Vec<usize> = frames_of_a_tick(ticks_per_s).concat();
-        // The gateway acknowledges the last frame of an exchange by itself.
-        let acknowledgements = lens.len() / 4;
+        // The gateway acknowledges the last frame of a tick, and each answer to a frame with nothing new, by a packet of its own.
+        let acknowledgements = lens.len() / 2 - 1;
         let packets = lens.iter().map(|len| len + HEADERS_LEN);
         let packets: Vec<usize> = packets.chain(vec![ACKNOWLEDGEMENT_LEN; acknowledgements]).collect();
         for robots in [10, 100, 1_000] {
