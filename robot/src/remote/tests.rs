@@ -220,7 +220,7 @@ fn lock_step_ends_every_tick_over_every_link_and_measures_once() {
             bench.tick(tick, |_| {});
             let drive = bench.obeyed(tick).unwrap();
             assert_eq!((drive.heading_rad, drive.speed_mps), (command_of(tick).heading_rad, 1.0));
-            assert_eq!(drive.heading_held_ns.checked_sub(drive.range_sent_ns).is_some(), true);
+            assert!(drive.heading_held_ns.checked_sub(drive.range_sent_ns).is_some());
         }
         assert_eq!(bench.measured, (0..150).collect::<Vec<_>>(), "{link:?}");
     }
