@@ -1,5 +1,7 @@
 //! A robot and its gateway over a bad link, in simulated time. Simulator and fusion are played by a few lines.
 
+mod traffic;
+
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use rangehound_shared::measurement::{Measurement, Pose};
@@ -39,6 +41,8 @@ struct Bench {
     relay: Relay,
     to_robot: Vec<(u64, Vec<u8>)>,
     to_gateway: Vec<(u64, Vec<u8>)>,
+    /// Lengths of all frames to the robot and to the gateway.
+    lens: [Vec<usize>; 2],
     scenario: Scenario,
     /// What reached the run's host: ranges by tick, and the present tick's newest drive.
     ranges: Vec<u64>,
@@ -64,6 +68,7 @@ impl Bench {
             relay: Relay::new(RUN_ID, ROBOT, &scenario, 0),
             to_robot: Vec::new(),
             to_gateway: Vec::new(),
+            lens: [Vec::new(), Vec::new()],
             scenario,
             ranges: Vec::new(),
             drive: None,
@@ -144,6 +149,7 @@ impl Bench {
         }
         if let Some(frame) = self.courier.next_frame(local_ns) {
             let bytes = frame.to_bytes();
+            self.lens[1].push(bytes.len());
             let arrivals = self.arrivals(false);
             self.to_gateway.extend(arrivals.into_iter().map(|at_ns| (at_ns, bytes.clone())));
         }
@@ -154,6 +160,7 @@ impl Bench {
         }
         if let Some(frame) = self.relay.next_frame(self.now_ns) {
             let bytes = frame.to_bytes();
+            self.lens[0].push(bytes.len());
             let arrivals = self.arrivals(true);
             self.to_robot.extend(arrivals.into_iter().map(|at_ns| (at_ns, bytes.clone())));
         }
