@@ -210,10 +210,8 @@ impl<'a> Guests<'a> {
                 guest.relay.reconnect();
                 return Ok(());
             }
-            let silent_ns = now_ns.saturating_sub(guest.heard_ns);
-            if silent_ns < CLAIM_NS {
-                let text = format!("{} has this role, and was heard {} ms ago", guest.host, silent_ns / 1_000_000);
-                return Err((RefusalCause::RoleTaken, text));
+            if now_ns.saturating_sub(guest.heard_ns) < CLAIM_NS {
+                return Err((RefusalCause::RoleTaken, format!("{} has this role, and is heard", guest.host)));
             }
             self.release(robot, "starts again");
         }

@@ -92,8 +92,11 @@ impl Courier {
 
     /// The next frame for the gateway, if one is due.
     pub fn next_frame(&mut self, now_ns: u64) -> Option<Uplink> {
-        let is_due =
-            |kept: &Kept| kept.sent_at_ns.is_none_or(|at_ns| at_ns.saturating_add(self.repeat_after_ns) <= now_ns);
+        // Only a frame of the gateway shows that a measurement has not come.
+        let (answers, repeat_after_ns) = (self.owes_answer, self.repeat_after_ns);
+        let is_due = |kept: &Kept| {
+            kept.sent_at_ns.is_none_or(|at_ns| answers && at_ns.saturating_add(repeat_after_ns) <= now_ns)
+        };
         let has_due = self.kept.iter().any(is_due);
         if !self.owes_answer && self.measured.is_none() && self.driven.is_none() && !has_due {
             return None;
@@ -102,9 +105,8 @@ impl Courier {
         let mut measured: Vec<Measured> = newest.into_iter().collect();
         for kept in self.kept.iter_mut().rev() {
             let is_newest = newest.is_some_and(|newest| newest.tick == kept.measured.tick);
-            let is_due = kept.sent_at_ns.is_none_or(|at_ns| at_ns.saturating_add(self.repeat_after_ns) <= now_ns);
             // What does not fit is due in the next frame.
-            let is_sent = is_due && !is_newest && measured.len() < MEASUREMENTS_MAX;
+            let is_sent = !is_newest && is_due(kept) && measured.len() < MEASUREMENTS_MAX;
             if is_sent {
                 measured.push(kept.measured);
             }
@@ -123,11 +125,10 @@ impl Courier {
         self.newest.map(|(_, at_ns)| now_ns.saturating_sub(at_ns))
     }
 
-    /// When a measurement is due again, ns.
+    /// When a measurement is due that was not sent yet, ns.
     #[must_use]
     pub fn wakes_at_ns(&self) -> Option<u64> {
-        let due_ns = |kept: &Kept| kept.sent_at_ns.map_or(0, |at_ns| at_ns.saturating_add(self.repeat_after_ns));
-        self.kept.iter().map(due_ns).min()
+        self.kept.iter().any(|kept| kept.sent_at_ns.is_none()).then_some(0)
     }
 }
 

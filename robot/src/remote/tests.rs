@@ -303,7 +303,7 @@ fn measurements_that_could_not_be_sent_come_later() {
                 bench.step();
             });
         }
-        (0..400).for_each(|_| bench.step());
+        (0..1_200).for_each(|_| bench.step());
         let mut ranges = bench.ranges.clone();
         ranges.sort_unstable();
         assert_eq!(ranges, bench.measured, "each once");
