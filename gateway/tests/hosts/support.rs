@@ -304,10 +304,12 @@ fn pass(front: &UdpSocket, gateway: SocketAddr, seed: u64, shared: &Shared) {
     let mut backs: HashMap<SocketAddr, UdpSocket> = HashMap::new();
     let mut later: BinaryHeap<Later> = BinaryHeap::new();
     let mut bytes = [0; 2_048];
-    front.set_read_timeout(Some(Duration::from_micros(200))).unwrap();
+    front.set_nonblocking(true).unwrap();
     while !shared.ended.load(Ordering::Relaxed) {
+        // Not a time-out of the socket: the kernel rounds those up to milliseconds.
+        std::thread::sleep(Duration::from_micros(100));
         let mut come: Vec<(SocketAddr, bool, usize, [u8; 2_048])> = Vec::new();
-        if let Ok((len, from)) = front.recv_from(&mut bytes) {
+        while let Ok((len, from)) = front.recv_from(&mut bytes) {
             backs.entry(from).or_insert_with(|| {
                 let back = UdpSocket::bind("127.0.0.1:0").unwrap();
                 back.connect(gateway).unwrap();
