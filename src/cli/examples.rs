@@ -22,11 +22,13 @@ Exit codes: 0 done, 1 failed while running or ended by Ctrl-C, 2 bad usage or
 bad input.";
 
 /// Below each command's flags.
-const EACH: [(&str, &str); 23] = [
+const EACH: [(&str, &str); 25] = [
     ("run", RUN),
     ("sim", SIM),
     ("fusion", FUSION),
     ("robot", ROBOT),
+    ("gateway", GATEWAY),
+    ("keys", KEYS),
     ("watch", WATCH),
     ("plan", PLAN),
     ("record", RECORD),
@@ -76,8 +78,21 @@ const FUSION: &str = "Examples:
   rangehound fusion --name demo
   rangehound fusion --name demo --standby        takes over if the first dies";
 
-const ROBOT: &str = "Example:
-  rangehound robot --id 2 --name demo            the third robot of run demo";
+const ROBOT: &str = "Examples:
+  rangehound robot --id 2 --name demo            the third robot of run demo
+  rangehound robot --id 2 --connect station:7400 --keys keys
+                                        the same from another host";
+
+const GATEWAY: &str = "Example:
+  rangehound gateway --name demo --listen 192.168.1.10:7400 --keys keys/station
+                                        robots on other hosts join the run demo
+`rangehound run --listen` starts a gateway with the run.";
+
+const KEYS: &str = "Examples:
+  rangehound keys --gateway station --host alice=0,1 --host bob=2-5
+                                        keys for the run's host and two others
+  rangehound keys --host carol=6        and for one more host, later
+Copy the folder of each host to it; the folder keys/authority stays here.";
 
 const WATCH: &str = "Examples:
   rangehound watch --name demo

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `run` | commands that start runs |
 //! | `node` | commands that run one node |
+//! | `hosts` | commands for robots on other hosts |
 //! | `observe` | commands that observe or control runs |
 //! | `study` | commands that measure and compare |
 //! | `shell`, [`complete`] | for the shell: completions, names, manual pages |
@@ -15,6 +16,7 @@
 pub mod complete;
 mod examples;
 mod experiment;
+mod hosts;
 mod input;
 mod node;
 mod observe;
@@ -27,8 +29,9 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::terminal;
+pub use hosts::{GatewayArgs, KeysArgs};
 pub use input::InputArgs;
-pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, PassedArgs, RobotArgs, SimArgs};
+pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 pub use observe::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use run::{
     ExperimentArgs, GateArgs, RecordLimitArgs, RecordingArgs, ResumeArgs, RunArgs, ShowArgs, SupervisionArgs, TrackArgs,
@@ -62,11 +65,9 @@ pub enum Command {
     /// Run one robot alone, on this host or, with --connect, of a run on another host
     Robot(RobotArgs),
     /// Let robots on other hosts take part in a run of this host
-    #[command(disable_help_flag = true)]
-    Gateway(PassedArgs),
+    Gateway(GatewayArgs),
     /// Make keys and certificates for the hosts of a team
-    #[command(disable_help_flag = true)]
-    Keys(PassedArgs),
+    Keys(KeysArgs),
     /// Show the progress of a run started by hand, and report when it ends
     Watch(WatchArgs),
     /// Show a run on a page in the browser, with buttons to kill its processes and see the run recover

@@ -59,24 +59,6 @@ pub struct RobotArgs {
     pub keys: Option<PathBuf>,
 }
 
-/// A command of `rangehound-gateway`, which reads its words.
-#[derive(Debug, Args)]
-pub struct PassedArgs {
-    /// Flags: `--help` explains them
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    pub words: Vec<OsString>,
-}
-
-impl PassedArgs {
-    /// Has the other program carry it out.
-    ///
-    /// # Errors
-    /// [`Failure`].
-    pub fn carry_out(&self, command: &str) -> Result<(), Failure> {
-        gateway::hand_over(std::iter::once(command.into()).chain(self.words.iter().cloned()))
-    }
-}
-
 /// `latency-node`.
 #[derive(Debug, Args)]
 pub struct LatencyNodeArgs {
