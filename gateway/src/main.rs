@@ -7,7 +7,6 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 use rangehound_gateway::gateway::{self, GatewayError};
-use rangehound_gateway::keys::KeysError;
 use rangehound_gateway::keys::command::KeysArgs;
 use rangehound_gateway::robot::{self, RobotError, Target};
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role};
@@ -150,12 +149,6 @@ impl RobotArgs {
             RobotError::Refused(_) | RobotError::Keys(_) => Failure::Input(error.to_string()),
             error => Failure::Running(error.to_string()),
         })
-    }
-}
-
-impl From<KeysError> for Failure {
-    fn from(error: KeysError) -> Self {
-        Self::Input(error.to_string())
     }
 }
 

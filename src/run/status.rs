@@ -182,11 +182,11 @@ impl Row<'_> {
 
 /// The links to robots on other hosts, and who was refused.
 fn links(gateway: &GatewayNote) -> String {
-    let heads = ["other hosts", "host", "address", "trip", "lost", "repeated", "silent"].map(str::to_owned);
+    let heads = ["robot", "host", "address", "trip", "lost", "again", "silent"].map(str::to_owned);
     let mut out = format!("\n\n{TITLE}{}{TITLE:#}", link(&heads));
     for guest in &gateway.guests {
         let trip = guest.round_trip_us.map_or("-".to_owned(), |us| format!("{:.1} ms", us as f64 / 1_000.0));
-        let percent = |part: f64| format!("{:.1} %", 100.0 * part);
+        let percent = |part: f64| format!("{:.0} %", 100.0 * part);
         let silent = format!("{:.2} s", guest.silent_ms as f64 / 1_000.0);
         let (lost, repeated) = (percent(guest.lost), percent(guest.repeated));
         let (name, host) = (format!("robot-{}", guest.robot), shown_sensor(&guest.host));
@@ -203,7 +203,7 @@ fn links(gateway: &GatewayNote) -> String {
 
 /// A line of the links' table.
 fn link([robot, host, address, trip, lost, repeated, silent]: &[String; 7]) -> String {
-    format!("{robot:<12} {host:<16} {address:<21} {trip:>8} {lost:>7} {repeated:>8} {silent:>7}").trim_end().to_owned()
+    format!("{robot:<10} {host:<16} {address:<21} {trip:>8} {lost:>5} {repeated:>5} {silent:>8}").trim_end().to_owned()
 }
 
 /// A row of the table, with the style of its state; or the heads.
@@ -276,7 +276,7 @@ mod tests {
             host: "a-host-with-a-long-name".to_owned(),
             address: "192.168.100.200:65535".to_owned(),
             round_trip_us: (robot == 0).then_some(1_260),
-            lost: 0.125,
+            lost: 0.126,
             repeated: 0.03,
             silent_ms,
         };
@@ -284,7 +284,7 @@ mod tests {
         let refusals = [("no certificate".to_owned(), 3)].into();
         status.gateway = Some(GatewayNote { pid: 1, guests: vec![guest(0, 20), guest(255, 123_456)], refusals });
         let text = text(&status, true);
-        assert!(text.contains("1.3 ms  12.5 %    3.0 %  0.02 s") && text.contains("no certificate 3"), "{text}");
+        assert!(text.contains("1.3 ms  13 %   3 %   0.02 s") && text.contains("no certificate 3"), "{text}");
     }
 
     fn text(status: &Status, all: bool) -> String {
