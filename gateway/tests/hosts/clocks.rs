@@ -51,7 +51,7 @@ fn clocks_an_hour_apart_make_no_heading_late() {
     let headings = &run.report()["headings"];
     let [fresh, late, none] = ["fresh", "late", "none"].map(|key| headings[key].as_u64().unwrap());
     // A busy machine may be late now and then; a wrong clock would be late at every tick of its robot.
-    assert!(fresh >= 4 * 55 && late + none <= 20, "{headings}");
+    assert!(fresh >= 4 * 45 && late + none <= 60, "{headings}");
     run.assert_nothing_left();
 }
 

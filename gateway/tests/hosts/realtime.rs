@@ -22,8 +22,8 @@ fn headings_stay_fresh_over_a_link_that_loses_and_jitters() {
     let robots = [0, 1, 2].map(|id| run.robot(id, link.address));
     supervisor.succeeds();
     robots.into_iter().for_each(Process::succeeds);
-    // The repeats mend almost all; without them 27 of 100 ticks would fail for a robot.
-    assert!(fresh(&run) > 0.9, "{}", run.report()["headings"]);
+    // The repeats mend almost all; without them a quarter of the ticks would fail for a robot, and more for the team.
+    assert!(fresh(&run) > 0.85, "{}", run.report()["headings"]);
     run.assert_nothing_left();
 }
 
