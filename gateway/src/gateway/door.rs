@@ -100,9 +100,9 @@ async fn join(
     let robot = request.robot;
     let (answer, answered) = oneshot::channel();
     let asks = Applicant::Asks { request, peer, connection: connection.clone(), answer };
-    let ended = |_| (RefusalCause::Other, "the gateway ends".to_owned());
-    sender.send(Input::Applicant(Box::new(asks))).await.map_err(|_| ended(()))?;
-    let answer = answered.await.map_err(|_| ended(()))?;
+    let ended = || (RefusalCause::Other, "the gateway ends".to_owned());
+    sender.send(Input::Applicant(Box::new(asks))).await.map_err(|_| ended())?;
+    let answer = answered.await.map_err(|_| ended())?;
     let sent = link::write(&mut send, &answer).await;
     if let Answer::Refused { text, .. } = answer {
         let _ = send.finish();

@@ -74,17 +74,12 @@ impl Courier {
     /// Takes a message of the robot for the topic `drive`.
     pub fn on_drive(&mut self, message: &Outgoing<Drive>) {
         let Outgoing { tick, valid_at_s, entry } = *message;
-        let after_ns = entry.heading_held_ns.saturating_sub(if entry.range_sent_ns == 0 {
-            entry.heading_held_ns
-        } else {
-            entry.range_sent_ns
-        });
         self.driven = Some(Driven {
             tick,
             valid_at_s,
             command: Command { heading_rad: entry.heading_rad, speed_mps: entry.speed_mps },
             has_measured: entry.range_sent_ns != 0,
-            heading_after_ns: (entry.heading_held_ns != 0).then_some(after_ns),
+            heading_after_ns: (entry.heading_held_ns != 0).then(|| entry.latency_ns().unwrap_or(0)),
             heading_late: entry.heading_late != 0,
             headings_refused: entry.headings_refused,
         });
