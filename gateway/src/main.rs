@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use clap::{Args, Parser, Subcommand};
 use rangehound_gateway::gateway::{self, GatewayError};
 use rangehound_gateway::keys::command::KeysArgs;
+use rangehound_gateway::reference::{Exchange, ReferenceError, Transport};
 use rangehound_gateway::robot::{self, RobotError, Target};
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role};
 use rangehound_node::system::signal::Termination;
@@ -30,6 +31,9 @@ enum Command {
     Robot(RobotArgs),
     /// Make keys and certificates for the hosts of a team
     Keys(KeysArgs),
+    /// Be a robot or the centre of a reference run of `rangehound latency --hosts`
+    #[command(hide = true)]
+    LatencyNode(LatencyNodeArgs),
 }
 
 #[derive(Debug, Args)]
@@ -67,6 +71,31 @@ struct RobotArgs {
     name: Option<RunName>,
 }
 
+#[derive(Debug, Args)]
+struct LatencyNodeArgs {
+    /// What carries the frames
+    #[arg(long, value_enum)]
+    transport: Transport,
+    /// The centre's address
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    address: SocketAddr,
+    /// Folder with the keys of this host
+    #[arg(long, value_name = "DIR")]
+    keys: PathBuf,
+    /// Number of ticks
+    #[arg(long, value_name = "N")]
+    ticks: u64,
+    /// Time between two ticks, ns; 0 if each follows the answer before
+    #[arg(long, value_name = "NS")]
+    dt_ns: u64,
+    /// Be this robot
+    #[arg(long, value_name = "N", conflicts_with = "robots", required_unless_present = "robots")]
+    robot: Option<usize>,
+    /// Be the centre of this many robots
+    #[arg(long, value_name = "N")]
+    robots: Option<usize>,
+}
+
 /// Why the program fails: 2 for input that it refuses, 1 for all else.
 #[derive(Debug, thiserror::Error)]
 enum Failure {
@@ -98,6 +127,7 @@ fn main() -> ExitCode {
         Command::Gateway(args) => args.carry_out(),
         Command::Robot(args) => args.carry_out(),
         Command::Keys(args) => args.carry_out().map_err(|error| Failure::Input(error.to_string())),
+        Command::LatencyNode(args) => args.carry_out().map_err(|error| Failure::Running(error.to_string())),
     };
     match ended {
         Ok(()) => ExitCode::SUCCESS,
@@ -149,6 +179,17 @@ impl RobotArgs {
             RobotError::Refused(_) | RobotError::Keys(_) => Failure::Input(error.to_string()),
             error => Failure::Running(error.to_string()),
         })
+    }
+}
+
+impl LatencyNodeArgs {
+    fn carry_out(&self) -> Result<(), ReferenceError> {
+        let Self { transport, address, ticks, dt_ns, .. } = *self;
+        let exchange = Exchange { transport, address, keys: &self.keys, ticks, dt_ns };
+        match (self.robot, self.robots) {
+            (Some(robot), _) => exchange.be_robot(robot),
+            (None, robots) => exchange.be_centre(robots.unwrap_or(0)),
+        }
     }
 }
 

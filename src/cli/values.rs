@@ -52,6 +52,13 @@ pub(super) const KINDS: OneOf<Option<Kind>> = OneOf(
             Some(Kind::TotalOutage),
             "All processes and the supervisor are killed at once; then the run is resumed",
         ),
+        ("cut", Some(Kind::Cut), "With --hosts: a host is cut off the network, up to the longest cut"),
+        ("one-way", Some(Kind::CutOneWay), "With --hosts: the same, but only packets from the host or to it are lost"),
+        (
+            "reboot",
+            Some(Kind::Reboot),
+            "With --hosts: a host loses its robots and its network, and gets them back after a while",
+        ),
         ("all", None, "All of these; total-outage only if --roles has sim, fusion and robot"),
     ],
     &[("storm", "crash-loop"), ("blackout", "total-outage")],
@@ -64,6 +71,7 @@ pub(super) const VICTIMS: OneOf<Victim> = OneOf(
         ("fusion", Victim::Fusion, "The fusion process that leads"),
         ("robot", Victim::Robot, "Any robot"),
         ("standby", Victim::Standby, "Any fusion process that stands by"),
+        ("gateway", Victim::Gateway, "The gateway to robots on other hosts"),
     ],
     &[],
 );

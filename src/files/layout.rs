@@ -122,10 +122,17 @@ impl Kind {
             Self::Latency => {
                 name == LATENCY
                     || name == LATENCY_PICTURE
-                    || numbered("system-", ".toml")
-                    || ["system-", "iceoryx2-", "futex-"].iter().any(|start| numbered(start, ".log"))
+                    || ["system-", "local-"].iter().any(|start| numbered(start, ".toml"))
+                    || ["system-", "local-", "iceoryx2-", "futex-", "udp-", "quic-"]
+                        .iter()
+                        .any(|start| numbered(start, ".log"))
+                    || numbered("system-", ".hosts.log")
             }
-            Self::Chaos => name == CHAOS || numbered("round-", ".toml") || numbered("round-", ".log"),
+            Self::Chaos => {
+                name == CHAOS
+                    || numbered("round-", ".toml")
+                    || ["round-", "hosts-"].iter().any(|start| numbered(start, ".log"))
+            }
         }
     }
 }

@@ -8,6 +8,7 @@ use std::process::Command;
 
 use rangehound_node::gateway_note::{GatewayNote, GuestNote};
 use rangehound_node::rendezvous::{Rendezvous, Role};
+use rustix::process::Pid;
 
 use crate::failure::Failure;
 
@@ -57,6 +58,14 @@ pub fn hand_over(words: impl IntoIterator<Item = OsString>) -> Result<(), Failur
     let program = program()?;
     let error = Command::new(&program).arg0("rangehound").args(words).exec();
     Err(Failure::Running(anyhow::anyhow!("cannot start {}: {error}", program.display())))
+}
+
+/// The process of a run's gateway, if it lives. Its number is only a hint, so the kernel is asked which program it runs.
+#[must_use]
+pub fn process(run: &Rendezvous) -> Option<Pid> {
+    let pid = i32::try_from(GatewayNote::read(run)?.pid).ok()?;
+    let program = std::fs::read_link(format!("/proc/{pid}/exe")).ok()?;
+    Pid::from_raw(pid).filter(|_| program.file_name().is_some_and(|name| name == PROGRAM))
 }
 
 /// The link of a robot that takes part in a run from another host.

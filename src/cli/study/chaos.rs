@@ -9,7 +9,9 @@ use crate::failure::Failure;
 use crate::run::experiment::{Experiment, Naming, Reserved, free_name};
 use crate::study::chaos;
 use crate::study::chaos::enough_ticks;
-use crate::study::chaos::faults::{Asked, Kind, STOP_MIN_S, Victim};
+use crate::study::chaos::faults::{Asked, Kind, OnHosts, STOP_MIN_S, Victim};
+use crate::study::hosts::HOSTS_MAX;
+use crate::study::hosts::link::Conditions;
 
 /// `chaos`.
 #[derive(Debug, Args)]
@@ -23,8 +25,9 @@ pub struct ChaosArgs {
     /// Kinds of faults, separated by commas
     #[arg(long, value_name = "KINDS", value_parser = KINDS, value_delimiter = ',', default_value = "all")]
     pub kinds: Vec<Option<Kind>>,
-    /// Kinds of nodes that faults hit, separated by commas: sim, fusion (the one that leads), robot, standby
-    #[arg(long, value_name = "ROLES", value_parser = VICTIMS, value_delimiter = ',', default_value = "sim,fusion,robot")]
+    /// Kinds of nodes that faults hit, separated by commas: sim, fusion (the one that leads), robot, standby, gateway [default:
+    /// sim,fusion,robot, and gateway if there are several hosts]
+    #[arg(long, value_name = "ROLES", value_parser = VICTIMS, value_delimiter = ',')]
     pub roles: Vec<Victim>,
     /// Standby fusion processes in each run
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = standbys)]
@@ -38,9 +41,64 @@ pub struct ChaosArgs {
     /// Seed of the faults
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
     pub chaos_seed: u64,
+    /// Several hosts
+    #[command(flatten)]
+    pub hosts: OnHostsArgs,
     /// Print the outcome as one line of JSON, with the keys of chaos.json
     #[arg(long)]
     pub json: bool,
+}
+
+/// A team on several hosts.
+#[derive(Debug, Args)]
+pub struct OnHostsArgs {
+    /// Number of hosts: network namespaces of this machine, which need root. The run's host is one of them; the robots are
+    /// spread over all
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub hosts: Option<u64>,
+    /// Longest time for which a host is cut off or down, s
+    #[arg(long, value_name = "SECONDS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 2.0)]
+    pub longest_cut: f64,
+    /// Part of the packets that are lost each way, 0 to 1
+    #[arg(long, value_name = "PART", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
+    pub loss: f64,
+    /// Number of packets that are lost one after the other
+    #[arg(long, value_name = "N", requires = "hosts", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
+    pub burst: u64,
+    /// Part of the packets that come twice, 0 to 1
+    #[arg(long, value_name = "PART", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
+    pub duplicates: f64,
+    /// Time that a packet needs each way, ms
+    #[arg(long, value_name = "MS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
+    pub delay: f64,
+    /// Random time on top of it, up to this, ms; packets overtake each other
+    #[arg(long, value_name = "MS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
+    pub jitter: f64,
+}
+
+impl OnHostsArgs {
+    /// The hosts, if there are several, for this many robots.
+    fn checked(&self, robots: usize) -> Result<Option<OnHosts>, Failure> {
+        let Some(hosts) = self.hosts else { return Ok(None) };
+        let most = robots.min(HOSTS_MAX) as u64;
+        if robots < 2 {
+            return Err(Failure::input("--hosts is given for one robot: expected two robots or more"));
+        }
+        let hosts = within("--hosts", 2..=most, &format!("2 to {most}, with a robot on each"), hosts)?;
+        let part = |flag, part| within(flag, 0.0..=0.9, "0 to 0.9", part);
+        let time_s = |flag, ms| Ok::<f64, Failure>(within(flag, 0.0..=1_000.0, "0 to 1000 ms", ms)? / 1e3);
+        Ok(Some(OnHosts {
+            count: hosts as usize,
+            longest_cut_s: within("--longest-cut", STOP_MIN_S..=600.0, "0.01 to 600 s", self.longest_cut)?,
+            conditions: Conditions {
+                loss: part("--loss", self.loss)?,
+                burst: within("--burst", 1..=1_000, "1 to 1000", self.burst)? as u32,
+                duplicates: part("--duplicates", self.duplicates)?,
+                delay_s: time_s("--delay", self.delay)?,
+                jitter_s: time_s("--jitter", self.jitter)?,
+            },
+        }))
+    }
 }
 
 impl ChaosArgs {
@@ -49,8 +107,9 @@ impl ChaosArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        let asked = self.asked()?;
+        let mut asked = self.asked()?;
         let (experiment, _reserved) = self.experiment(&asked)?;
+        asked.hosts = self.hosts.checked(experiment.description.scenario.robots.len())?;
         chaos::chaos(&experiment, &asked, self.json)
     }
 
@@ -62,14 +121,24 @@ impl ChaosArgs {
         if self.standby == 0 && self.roles.contains(&Victim::Standby) {
             return Err(Failure::input("--roles has standby, but --standby is 0: expected --standby 1 or more"));
         }
+        let mut victims = self.roles.clone();
+        if victims.is_empty() {
+            victims = vec![Victim::Sim, Victim::Fusion, Victim::Robot];
+            victims.extend(self.hosts.hosts.map(|_| Victim::Gateway));
+        }
+        let of_hosts = self.kinds.iter().flatten().any(|kind| kind.is_of_hosts()) || victims.contains(&Victim::Gateway);
+        if of_hosts && self.hosts.hosts.is_none() {
+            return Err(Failure::input("--kinds or --roles has faults between hosts: expected --hosts 2 or more"));
+        }
         Ok(Asked {
             faults: self.faults,
             kinds: self.kinds.iter().copied().collect(),
-            victims: self.roles.clone(),
+            victims,
             standbys: self.standby,
             longest_stop_s: within("--longest-stop", STOP_MIN_S..=60.0, "0.01 to 60 s", self.longest_stop)?,
             rate_per_s: within("--rate", 0.01..=1_000.0, "0.01 to 1000 a second", self.rate)?,
             seed: self.chaos_seed,
+            hosts: None,
         })
     }
 

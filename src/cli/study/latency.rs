@@ -11,6 +11,7 @@ use crate::cli::values::{CLOCKS, PlannerName, number, whole, within};
 use crate::failure::Failure;
 use crate::run::experiment::{Experiment, Given, Naming};
 use crate::run::pin::Pin;
+use crate::study::hosts::HOSTS_MAX;
 use crate::study::latency::{self, OUT};
 
 /// Ticks of a round in lock step: seconds.
@@ -47,7 +48,11 @@ pub struct LatencyArgs {
     /// Processors for all processes: none (any processor), one-core, or numbers as in 0,1
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
-    /// Number of rounds; each measures the system and both references
+    /// Number of hosts: network namespaces of this machine, which need root. All robots are on other hosts than the run, and
+    /// the references are the network, and the system on one host
+    #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
+    pub hosts: Option<u64>,
+    /// Number of rounds; each measures the system and all references
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true, default_value_t = 5)]
     pub rounds: u64,
     /// Name of the runs [default: latency-PID]
@@ -89,8 +94,12 @@ impl LatencyArgs {
         };
         let most = format!("1 to {ROUNDS_MAX}");
         let rounds = within("--rounds", 1..=ROUNDS_MAX, &most, self.rounds)?;
-        let wanted = latency::Wanted { pin: self.pin.clone(), rounds };
-        latency::latency(self.experiment(experiment.given()?)?, &wanted, self.out.as_deref(), self.json)
+        let experiment = self.experiment(experiment.given()?)?;
+        let most = (experiment.description.scenario.robots.len() + 1).min(HOSTS_MAX) as u64;
+        let expected = format!("2 to {most}, with a robot on each but the run's");
+        let hosts = self.hosts.map(|hosts| within("--hosts", 2..=most, &expected, hosts)).transpose()?;
+        let wanted = latency::Wanted { pin: self.pin.clone(), rounds, hosts: hosts.map(|hosts| hosts as usize) };
+        latency::latency(experiment, &wanted, self.out.as_deref(), self.json)
     }
 
     /// The measured experiment. If it gives no number of ticks, it gets as many as a round needs.

@@ -6,7 +6,7 @@ use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription, files_of};
 use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::faults::{Asked, Faults, Kind, PlannedFault};
+use super::faults::{Asked, Faults, Kind, OnHosts, PlannedFault, Target};
 use super::live::{Live, Recovering};
 use super::outcome::{Ended, Injected, Round, RunResult, is_repeatable};
 use super::run::{Run, processes_of};
@@ -18,6 +18,7 @@ use crate::run::in_process;
 use crate::run::node::input_or_running;
 use crate::run::remote::Status;
 use crate::run::watch::Progress;
+use crate::study::hosts::Hosts;
 
 const POLL: Duration = Duration::from_millis(1);
 
@@ -28,12 +29,17 @@ const HUNG: Duration = Duration::from_secs(30);
 /// hang that must be detected.
 const STILL: Duration = Duration::from_secs(2);
 
+/// Most time for a robot on another host to leave a run that has ended, and to end once it is asked to.
+const LEAVING: Duration = Duration::from_secs(5);
+
 /// A campaign of faults, over as many runs as needed.
 pub(super) struct Campaign<'a> {
     experiment: &'a Experiment,
     faults: Faults,
     count: u64,
     standbys: usize,
+    /// The hosts of the team, if there are several.
+    hosts: Option<Hosts>,
     termination: &'a Termination,
     progress: Progress,
     /// The next fault, and the remaining time before it.
@@ -45,16 +51,36 @@ pub(super) struct Campaign<'a> {
 }
 
 impl<'a> Campaign<'a> {
+    /// A campaign.
+    ///
+    /// # Errors
+    /// [`Failure`] if the hosts cannot be made.
     pub(super) fn new(
         experiment: &'a Experiment,
         mut faults: Faults,
         asked: &Asked,
         termination: &'a Termination,
-    ) -> Self {
-        let (next, count, standbys) = (faults.at(0), asked.faults, asked.standbys);
-        let (wait, progress) = (next.gap, Progress::new("fault", count));
-        let (next_number, injected, rounds) = (0, Vec::new(), 0);
-        Self { experiment, faults, count, standbys, termination, progress, next, next_number, wait, injected, rounds }
+    ) -> Result<Self, Failure> {
+        let Experiment { name, description, .. } = experiment;
+        let robots = description.scenario.robots.len();
+        let hosts = |hosts: OnHosts| {
+            Hosts::with_links(hosts.count, robots, name, &description.out_dir, (hosts.conditions, asked.seed))
+        };
+        let next = faults.at(0);
+        Ok(Self {
+            experiment,
+            faults,
+            count: asked.faults,
+            standbys: asked.standbys,
+            hosts: asked.hosts.map(hosts).transpose()?,
+            termination,
+            progress: Progress::new("fault", asked.faults),
+            wait: next.gap,
+            next,
+            next_number: 0,
+            injected: Vec::new(),
+            rounds: 0,
+        })
     }
 
     /// True until all faults are injected.
@@ -75,11 +101,20 @@ impl<'a> Campaign<'a> {
         let seed = description.scenario.seed.wrapping_add(self.rounds as u64);
         self.rounds += 1;
         let out_dir = description.out_dir.join(format!("round-{}", self.rounds));
-        let mut run = Run::start(self.experiment, seed, self.standbys, &out_dir)?;
+        let mut run = Run::start(self.experiment, seed, self.standbys, &out_dir, self.hosts.as_ref())?;
+        let mut hosts = self.hosts.take();
+        if let Some(hosts) = &mut hosts {
+            let log = description.out_dir.join(format!("hosts-{}.log", self.rounds));
+            hosts.start(description.scenario.robots.len(), &log)?;
+        }
         let began = Instant::now();
-        let (joined, mut ended) = self.inject_faults(&mut run)?;
+        let injected = self.inject_faults(&mut run, hosts.as_mut());
         self.progress.finish();
+        let (joined, mut ended) = injected?;
         let code = run.end(ended == Ended::Done)?;
+        // A robot whose link was cut when the run ended does not know of its end.
+        let robots_left = hosts.as_mut().map(|hosts| hosts.end(LEAVING)).unwrap_or_default();
+        self.hosts = hosts;
         if ended == Ended::Done && code != Some(0) {
             ended = Ended::Failed;
         }
@@ -92,7 +127,8 @@ impl<'a> Campaign<'a> {
                 Failure::Running(anyhow::anyhow!(last_message))
             });
         };
-        let processes_left = processes_of(name);
+        let mut processes_left = processes_of(name);
+        processes_left.extend(robots_left);
         // Reported and killed.
         for pid in processes_left.iter().filter_map(|pid| Pid::from_raw(*pid)) {
             let _ = kill_process(pid, Signal::KILL);
@@ -114,7 +150,11 @@ impl<'a> Campaign<'a> {
 
     /// Joins the run and injects faults until it ends; joins again after each total outage. The membership ends on return,
     /// so that the run's last own member cleans up as usual.
-    fn inject_faults(&mut self, run: &mut Run) -> Result<(Option<RunDescription>, Ended), Failure> {
+    fn inject_faults(
+        &mut self,
+        run: &mut Run,
+        mut hosts: Option<&mut Hosts>,
+    ) -> Result<(Option<RunDescription>, Ended), Failure> {
         let name = &self.experiment.name;
         let (mut description, mut recovering) = (None, None);
         loop {
@@ -125,21 +165,24 @@ impl<'a> Campaign<'a> {
                 if run.has_ended()? {
                     return Ok((description, Ended::Failed));
                 }
+                if let Some(hosts) = hosts.as_deref_mut() {
+                    hosts.look()?;
+                }
                 std::thread::sleep(POLL);
             };
             description = Some(rendezvous.description().clone());
-            match self.inject_until_it_ends(run, &rendezvous, recovering.take())? {
+            match self.inject_until_it_ends(run, &rendezvous, recovering.take(), hosts.as_deref_mut())? {
                 Life::Over(ended) => return Ok((description, ended)),
                 Life::AllKilled(hit) => {
                     drop(rendezvous);
                     recovering = Some(Recovering {
                         hit,
-                        role: Role::Supervisor,
+                        target: Target::Node(Role::Supervisor),
                         killed: Instant::now(),
                         starts: 0,
                         heard_before: None,
                     });
-                    run.kill_all_and_resume()?;
+                    run.kill_all_and_resume(hosts.as_deref())?;
                 }
             }
         }
@@ -150,8 +193,9 @@ impl<'a> Campaign<'a> {
         run: &mut Run,
         rendezvous: &Rendezvous,
         recovering: Option<Recovering>,
+        hosts: Option<&mut Hosts>,
     ) -> Result<Life, Failure> {
-        let mut live = Live::new(rendezvous, self.rounds, recovering);
+        let mut live = Live::new(rendezvous, self.rounds, recovering, hosts);
         let mut due = live.began + self.wait;
         let life = loop {
             if rendezvous.is_finished() {
@@ -163,7 +207,7 @@ impl<'a> Campaign<'a> {
             if self.termination.requested() {
                 break Life::Over(Ended::Interrupted);
             }
-            live.update(&mut self.injected);
+            live.update(&mut self.injected)?;
             let idle = live.ticks.since.elapsed();
             if idle >= STILL {
                 // After a stall, faults that became due meanwhile do not hit the first tick.
@@ -191,7 +235,7 @@ impl<'a> Campaign<'a> {
             std::thread::sleep(POLL);
         };
         self.wait = due.saturating_duration_since(Instant::now());
-        live.continue_all();
+        live.continue_all()?;
         Ok(life)
     }
 }

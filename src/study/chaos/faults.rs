@@ -6,6 +6,8 @@ use rangehound_node::rendezvous::Role;
 use rangehound_shared::draws::{Draws, Stream};
 use serde::Serialize;
 
+use crate::study::hosts::link::Conditions;
+
 /// A kind of fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -22,11 +24,54 @@ pub enum Kind {
     /// All processes are killed at once, including the supervisor, and the run is resumed.
     #[serde(rename = "blackout")]
     TotalOutage,
+    /// The link of a host is cut for a while.
+    Cut,
+    /// The link of a host loses all packets in one direction for a while.
+    #[serde(rename = "oneway")]
+    CutOneWay,
+    /// A host loses its robots and its network, and starts again after a while.
+    Reboot,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Kill, Self::Stop, Self::CrashLoop, Self::Several, Self::TotalOutage];
+    pub const ALL: [Self; 8] = [
+        Self::Kill,
+        Self::Stop,
+        Self::CrashLoop,
+        Self::Several,
+        Self::TotalOutage,
+        Self::Cut,
+        Self::CutOneWay,
+        Self::Reboot,
+    ];
+
+    /// True if it hits a host, and not a process.
+    #[must_use]
+    pub fn is_of_hosts(self) -> bool {
+        matches!(self, Self::Cut | Self::CutOneWay | Self::Reboot)
+    }
+}
+
+/// What a fault hits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Target {
+    /// The process in a role.
+    Node(Role),
+    /// The gateway to the robots on other hosts.
+    Gateway,
+    /// A robots' host, by its number.
+    Host(usize),
+}
+
+impl std::fmt::Display for Target {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Node(role) => role.fmt(f),
+            Self::Gateway => f.write_str("gateway"),
+            Self::Host(host) => write!(f, "host-{host}"),
+        }
+    }
 }
 
 /// A kind of node that faults hit.
@@ -40,11 +85,24 @@ pub enum Victim {
     Robot,
     /// Any standby fusion.
     Standby,
+    /// The gateway to robots on other hosts.
+    Gateway,
 }
 
 impl Victim {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Sim, Self::Fusion, Self::Robot, Self::Standby];
+    pub const ALL: [Self; 5] = [Self::Sim, Self::Fusion, Self::Robot, Self::Standby, Self::Gateway];
+}
+
+/// A team on several hosts.
+#[derive(Debug, Clone, Copy)]
+pub struct OnHosts {
+    /// Number of hosts, the run's included.
+    pub count: usize,
+    /// What their links do to packets all the time.
+    pub conditions: Conditions,
+    /// Longest time for which a link is cut or a host is down, s.
+    pub longest_cut_s: f64,
 }
 
 /// The parameters of a campaign.
@@ -52,7 +110,7 @@ impl Victim {
 pub struct Asked {
     /// Number of faults.
     pub faults: u64,
-    /// Their kinds; `None` for all, without total outage unless simulator, fusion and robots are to be hit.
+    /// Their kinds; `None` for all that are possible, without total outage unless simulator, fusion and robots are to be hit.
     pub kinds: Option<Vec<Kind>>,
     /// The kinds of nodes to hit.
     pub victims: Vec<Victim>,
@@ -64,6 +122,8 @@ pub struct Asked {
     pub rate_per_s: f64,
     /// Seed of the faults.
     pub seed: u64,
+    /// The hosts, if there are several.
+    pub hosts: Option<OnHosts>,
 }
 
 /// One fault.
@@ -73,10 +133,12 @@ pub(super) struct PlannedFault {
     pub(super) gap: Duration,
     /// The kind.
     pub(super) kind: Kind,
-    /// The target: one node, except for [`Kind::Several`]; unused for [`Kind::TotalOutage`].
-    pub(super) roles: Vec<Role>,
-    /// How long a stop lasts.
-    pub(super) stop: Duration,
+    /// The target: one, except for [`Kind::Several`]; unused for [`Kind::TotalOutage`].
+    pub(super) targets: Vec<Target>,
+    /// How long a stop, a cut or a reboot lasts.
+    pub(super) lasts: Duration,
+    /// The direction of a cut in one direction: true if packets from the host are lost.
+    pub(super) is_up: bool,
     /// Number of kills of a crash loop.
     pub(super) kills: u32,
 }
@@ -87,9 +149,11 @@ pub(super) struct Faults {
     draws: Draws,
     kinds: Vec<Kind>,
     /// Chosen by kind of node, so that the simulator is hit in a large team too.
-    nodes: Vec<Vec<Role>>,
+    nodes: Vec<Vec<Target>>,
+    hosts: Vec<Target>,
     rate_per_s: f64,
     longest_stop_s: f64,
+    longest_cut_s: f64,
 }
 
 /// Shortest stop, s.
@@ -104,46 +168,55 @@ impl Faults {
         let hits_all = [Victim::Sim, Victim::Fusion, Victim::Robot].iter().all(|victim| asked.victims.contains(victim));
         let is_asked = |kind: &Kind| match &asked.kinds {
             Some(kinds) => kinds.contains(kind),
-            None => *kind != Kind::TotalOutage || hits_all,
+            None => (*kind != Kind::TotalOutage || hits_all) && (!kind.is_of_hosts() || asked.hosts.is_some()),
         };
         let nodes_of = |victim: Victim| match victim {
-            Victim::Sim => vec![Role::Sim],
-            Victim::Fusion => vec![Role::Fusion],
-            Victim::Robot => (0..robots).map(Role::Robot).collect(),
-            Victim::Standby => (1..=asked.standbys).map(Role::Standby).collect(),
+            Victim::Sim => vec![Target::Node(Role::Sim)],
+            Victim::Fusion => vec![Target::Node(Role::Fusion)],
+            Victim::Robot => (0..robots).map(|robot| Target::Node(Role::Robot(robot))).collect(),
+            Victim::Standby => (1..=asked.standbys).map(|number| Target::Node(Role::Standby(number))).collect(),
+            Victim::Gateway => vec![Target::Gateway],
         };
         Self {
             draws: Draws::new(asked.seed, Stream::Faults),
             kinds: Kind::ALL.into_iter().filter(is_asked).collect(),
             nodes: Victim::ALL.into_iter().filter(|victim| asked.victims.contains(victim)).map(nodes_of).collect(),
+            hosts: asked.hosts.iter().flat_map(|hosts| (1..hosts.count).map(Target::Host)).collect(),
             rate_per_s: asked.rate_per_s,
             longest_stop_s: asked.longest_stop_s,
+            longest_cut_s: asked.hosts.map_or(0.0, |hosts| hosts.longest_cut_s),
         }
     }
 
     /// The fault of this number.
     pub(super) fn at(&mut self, index: u64) -> PlannedFault {
-        let all: Vec<Role> = self.nodes.concat();
+        let all: Vec<Target> = self.nodes.concat();
         let mut uniform = vec![0.0; FIXED_DRAWS + all.len()];
         self.draws.uniform(index, &mut uniform);
         let (fixed, by_node) = uniform.split_at(FIXED_DRAWS);
         let kind = self.kinds[below(self.kinds.len(), fixed[1])];
-        let roles = if kind == Kind::Several {
+        let targets = if kind == Kind::Several {
             let at_least = all.len().min(2);
             let count = at_least + below(all.len() - at_least + 1, fixed[2]);
-            let mut order: Vec<(Role, f64)> = all.into_iter().zip(by_node.iter().copied()).collect();
+            let mut order: Vec<(Target, f64)> = all.into_iter().zip(by_node.iter().copied()).collect();
             order.sort_by(|a, b| a.1.total_cmp(&b.1));
-            order.into_iter().take(count).map(|(role, _)| role).collect()
+            order.into_iter().take(count).map(|(target, _)| target).collect()
         } else {
-            let nodes = &self.nodes[below(self.nodes.len(), fixed[2])];
-            vec![nodes[below(nodes.len(), fixed[3])]]
+            let targets = match kind.is_of_hosts() {
+                true => &self.hosts,
+                false => &self.nodes[below(self.nodes.len(), fixed[2])],
+            };
+            vec![targets[below(targets.len(), fixed[3])]]
         };
+        let longest_s = if kind.is_of_hosts() { self.longest_cut_s } else { self.longest_stop_s };
         PlannedFault {
             // The draw is below 1, so this is at most 37 times the mean.
             gap: Duration::from_secs_f64(-(1.0 - fixed[0]).ln() / self.rate_per_s),
             kind,
-            roles,
-            stop: Duration::from_secs_f64(STOP_MIN_S + (self.longest_stop_s - STOP_MIN_S) * fixed[4]),
+            targets,
+            lasts: Duration::from_secs_f64(STOP_MIN_S + (longest_s - STOP_MIN_S) * fixed[4]),
+            // A draw that no fault of hosts uses otherwise.
+            is_up: fixed[2] < 0.5,
             kills: 3 + below(3, fixed[4]) as u32,
         }
     }
@@ -168,6 +241,7 @@ mod tests {
             longest_stop_s: 0.5,
             rate_per_s: 10.0,
             seed: 1,
+            hosts: None,
         };
         change(&mut asked);
         asked
@@ -197,34 +271,57 @@ mod tests {
     #[test]
     fn every_kind_hits_every_role_and_nobody_else() {
         let all = faults(2, |_| ());
-        for kind in Kind::ALL {
-            for role in [Role::Sim, Role::Fusion, Role::Robot(0), Role::Robot(1)] {
-                assert!(all.iter().any(|fault| fault.kind == kind && fault.roles.contains(&role)), "{kind:?} {role}");
+        for kind in Kind::ALL.into_iter().filter(|kind| !kind.is_of_hosts()) {
+            for role in [Role::Sim, Role::Fusion, Role::Robot(0), Role::Robot(1)].map(Target::Node) {
+                assert!(all.iter().any(|fault| fault.kind == kind && fault.targets.contains(&role)), "{kind:?} {role}");
             }
         }
         assert!(all.iter().all(|fault| (3..=5).contains(&fault.kills)));
-        assert!(all.iter().all(|fault| fault.stop.as_millis() >= 10 && fault.stop.as_millis() <= 500));
+        assert!(all.iter().all(|fault| fault.lasts.as_millis() >= 10 && fault.lasts.as_millis() <= 500));
         let without_fusion = faults(2, |asked| asked.victims = vec![Victim::Sim, Victim::Robot]);
         assert!(without_fusion.iter().all(|fault| fault.kind != Kind::TotalOutage));
         let standbys = faults(2, |asked| (asked.victims, asked.standbys) = (vec![Victim::Standby], 2));
-        assert!(standbys.iter().any(|fault| fault.roles == [Role::Standby(2)]));
+        assert!(standbys.iter().any(|fault| fault.targets == [Target::Node(Role::Standby(2))]));
         let only = faults(256, |asked| {
             asked.kinds = Some(vec![Kind::Kill, Kind::Stop]);
             asked.victims = vec![Victim::Robot];
         });
         assert!(only.iter().all(|fault| matches!(fault.kind, Kind::Kill | Kind::Stop)));
-        assert!(only.iter().all(|fault| matches!(fault.roles[..], [Role::Robot(_)])));
+        assert!(only.iter().all(|fault| matches!(fault.targets[..], [Target::Node(Role::Robot(_))])));
     }
 
     #[test]
     fn several_are_at_least_two_and_different() {
         for fault in faults(3, |asked| asked.kinds = Some(vec![Kind::Several])) {
-            let mut roles = fault.roles.clone();
-            roles.sort();
-            roles.dedup();
-            assert!(roles.len() == fault.roles.len() && (2..=5).contains(&roles.len()), "{fault:?}");
+            let mut targets = fault.targets.clone();
+            targets.sort();
+            targets.dedup();
+            assert!(targets.len() == fault.targets.len() && (2..=5).contains(&targets.len()), "{fault:?}");
         }
         let one = faults(3, |asked| (asked.kinds, asked.victims) = (Some(vec![Kind::Several]), vec![Victim::Sim]));
-        assert!(one.iter().all(|fault| fault.roles == [Role::Sim]));
+        assert!(one.iter().all(|fault| fault.targets == [Target::Node(Role::Sim)]));
+    }
+    #[test]
+    fn with_several_hosts_links_are_cut_and_hosts_restart_for_the_time_asked() {
+        let conditions = Conditions { loss: 0.0, burst: 1, duplicates: 0.0, delay_s: 0.0, jitter_s: 0.0 };
+        let all = faults(4, |asked| {
+            asked.hosts = Some(OnHosts { count: 3, conditions, longest_cut_s: 2.0 });
+            asked.victims = vec![Victim::Sim, Victim::Fusion, Victim::Robot, Victim::Gateway];
+        });
+        for kind in [Kind::Cut, Kind::CutOneWay, Kind::Reboot] {
+            let of_kind = || all.iter().filter(|fault| fault.kind == kind);
+            assert!(
+                [1, 2].into_iter().all(|host| of_kind().any(|fault| fault.targets == [Target::Host(host)])),
+                "{kind:?}"
+            );
+            assert!(of_kind().all(|fault| matches!(fault.targets[..], [Target::Host(1 | 2)])), "{kind:?}");
+            assert!(of_kind().all(|fault| fault.lasts.as_millis() >= 10 && fault.lasts.as_secs_f64() <= 2.0));
+            assert!(of_kind().any(|fault| fault.lasts.as_secs_f64() > 1.5), "{kind:?}");
+        }
+        let one_way = || all.iter().filter(|fault| fault.kind == Kind::CutOneWay);
+        assert!(one_way().any(|fault| fault.is_up) && one_way().any(|fault| !fault.is_up));
+        assert!(all.iter().any(|fault| fault.kind == Kind::Kill && fault.targets == [Target::Gateway]));
+        let stops = all.iter().filter(|fault| fault.kind == Kind::Stop);
+        assert!(stops.clone().count() > 0 && stops.clone().all(|fault| fault.lasts.as_millis() <= 500));
     }
 }

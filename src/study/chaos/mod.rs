@@ -36,7 +36,7 @@ pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), F
     let termination = Termination::listen()?;
     let claim = out_folder::claim(&description.out_dir, Kind::Chaos, &experiment.inputs())?;
     claim.clear()?;
-    let mut campaign = Campaign::new(experiment, faults, asked, &termination);
+    let mut campaign = Campaign::new(experiment, faults, asked, &termination)?;
     let mut outcome = Outcome::new(&description.scenario, asked);
     while campaign.goes_on() {
         outcome.add(campaign.round()?);

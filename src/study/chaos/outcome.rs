@@ -6,11 +6,12 @@ use rangehound_node::rendezvous::Role;
 use rangehound_shared::scenario::{Clock, Scenario};
 use serde::Serialize;
 
-use super::faults::{Asked, Kind};
+use super::faults::{Asked, Kind, Target};
 use crate::files::atomic_file;
 use crate::files::layout::CHAOS;
 use crate::results::report::{HeadingSummary, RangeSummary};
 use crate::statistics::Ascending;
+use crate::study::hosts::link::Conditions;
 use crate::terminal::{BAD, GOOD, TITLE, field};
 
 /// The outcome of a campaign; its fields are the keys of `chaos.json`.
@@ -22,6 +23,10 @@ pub(super) struct Outcome {
     pub(super) clock: &'static str,
     /// Robots.
     pub(super) robots: usize,
+    /// Hosts, the run's included.
+    pub(super) hosts: usize,
+    /// What the network between them does to packets; null on one host.
+    pub(super) network: Option<Conditions>,
     /// Seed of the faults.
     pub(super) chaos_seed: u64,
     /// Number of requested faults.
@@ -66,7 +71,7 @@ pub(super) struct PositionError {
 /// Hits on nodes of one kind, and their times of recovery from kills.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct RoleSummary {
-    /// `sim`, `fusion`, `robot`, `standby`, or `run` for all at once.
+    /// `sim`, `fusion`, `robot`, `standby`, `gateway`, `host`, or `run` for all at once.
     pub(super) role: &'static str,
     /// Killed, one node at a time.
     pub(super) kill: usize,
@@ -80,9 +85,17 @@ pub(super) struct RoleSummary {
     /// Killed with everything.
     #[serde(rename = "blackout")]
     pub(super) total_outage: usize,
+    /// Cut off in both directions.
+    pub(super) cut: usize,
+    /// Cut off in one direction.
+    #[serde(rename = "oneway")]
+    pub(super) cut_one_way: usize,
+    /// Down for a while.
+    pub(super) reboot: usize,
     /// From a kill until the role is taken again; `None` before the first.
     pub(super) restart_ms: Option<Percentiles>,
-    /// From a kill until the first tick with the successor; `None` before the first.
+    /// From a kill until the first tick with the successor; from the end of a cut or outage until the first tick in which all
+    /// robots of the host have their headings in time; `None` before the first.
     pub(super) recovery_ms: Option<Percentiles>,
 }
 
@@ -120,18 +133,20 @@ pub(super) struct Injected {
     pub(super) tick: u64,
     /// The kind of fault.
     pub(super) kind: Kind,
-    /// The node.
-    #[serde(serialize_with = "by_name")]
-    pub(super) role: Role,
+    /// The node or host.
+    #[serde(rename = "role", serialize_with = "by_name")]
+    pub(super) target: Target,
+    /// How long it was stopped, cut off or down, s.
+    pub(super) lasts_s: Option<f64>,
     /// From the (last) kill until the successor takes the role, ms.
     pub(super) restart_ms: Option<f64>,
-    /// From the (last) kill until the first tick with the successor, ms; in lock step that tick waits for all others too.
-    /// `None` for a stop, and if the node was killed again first or the run ended.
+    /// From the (last) kill, or the end of the outage, until the first tick with the target, ms; in lock step that tick waits
+    /// for all others too. `None` for a stop, and if the node was killed again first or the run ended.
     pub(super) recovery_ms: Option<f64>,
 }
 
-fn by_name<S: serde::Serializer>(role: &Role, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(role)
+fn by_name<S: serde::Serializer>(target: &Target, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(target)
 }
 
 /// How a run ended.
@@ -195,6 +210,8 @@ impl Outcome {
             scenario: scenario.name.clone(),
             clock: scenario.clock.name(),
             robots: scenario.robots.len(),
+            hosts: asked.hosts.map_or(1, |hosts| hosts.count),
+            network: asked.hosts.map(|hosts| hosts.conditions),
             chaos_seed: asked.seed,
             faults_asked: asked.faults,
             ..Self::default()
@@ -228,16 +245,15 @@ impl Outcome {
     /// Summarises the faults, and finds broken promises.
     pub(super) fn judge(&mut self) {
         let always = ["sim", "fusion", "robot"].map(|role| self.of_role(role));
-        let sometimes = ["standby", "run"].map(|role| self.of_role(role));
-        let is_hit =
-            |role: &RoleSummary| role.kill + role.stop + role.crash_loop + role.several + role.total_outage > 0;
+        let sometimes = ["standby", "gateway", "host", "run"].map(|role| self.of_role(role));
+        let is_hit = |role: &RoleSummary| self.injected.iter().any(|hit| kind_of_target(hit.target) == role.role);
         self.faults = always.into_iter().chain(sometimes.into_iter().filter(is_hit)).collect();
         self.position_rmse_m = self.position_error();
         self.broken = self.rounds.iter().flat_map(Round::broken).collect();
     }
 
     fn of_role(&self, role: &'static str) -> RoleSummary {
-        let hits = || self.injected.iter().filter(|hit| kind_of_node(hit.role) == role);
+        let hits = || self.injected.iter().filter(|hit| kind_of_target(hit.target) == role);
         let count = |kind: Kind| hits().filter(|hit| hit.kind == kind).count();
         RoleSummary {
             role,
@@ -246,6 +262,9 @@ impl Outcome {
             crash_loop: count(Kind::CrashLoop),
             several: count(Kind::Several),
             total_outage: count(Kind::TotalOutage),
+            cut: count(Kind::Cut),
+            cut_one_way: count(Kind::CutOneWay),
+            reboot: count(Kind::Reboot),
             restart_ms: Percentiles::of(hits().filter_map(|hit| hit.restart_ms).collect()),
             recovery_ms: Percentiles::of(hits().filter_map(|hit| hit.recovery_ms).collect()),
         }
@@ -276,13 +295,15 @@ impl Outcome {
     }
 }
 
-fn kind_of_node(role: Role) -> &'static str {
-    match role {
-        Role::Sim => "sim",
-        Role::Fusion => "fusion",
-        Role::Standby(_) => "standby",
-        Role::Robot(_) => "robot",
-        Role::Supervisor => "run",
+fn kind_of_target(target: Target) -> &'static str {
+    match target {
+        Target::Node(Role::Sim) => "sim",
+        Target::Node(Role::Fusion) => "fusion",
+        Target::Node(Role::Standby(_)) => "standby",
+        Target::Node(Role::Robot(_)) => "robot",
+        Target::Node(Role::Supervisor) => "run",
+        Target::Gateway => "gateway",
+        Target::Host(_) => "host",
     }
 }
 
@@ -332,6 +353,9 @@ impl std::fmt::Display for Outcome {
         writeln!(f, "{TITLE}chaos{TITLE:#}: {scenario}, {robots} robots, {done} of {asked} faults, seed {chaos_seed}")?;
         let runs = self.rounds.len();
         writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {runs} runs, {wall_s:.1} s")))?;
+        if let Some(network) = &self.network {
+            writeln!(f, "{}", field("network", format_args!("{} hosts, {network}", self.hosts)))?;
+        }
         self.fmt_faults(f)?;
         let RangeSummary { published, fused, missing, .. } = ranges;
         writeln!(f, "{}", field("ranges", format_args!("{published} published: {fused} fused, {missing} missing")))?;
@@ -367,8 +391,13 @@ impl Outcome {
     fn fmt_faults(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [kill, stop, crash_loop, several, outage] = ["kill", "stop", "crash loop", "several", "outage"];
         writeln!(f, "  {:<16} {kill:>8} {stop:>8} {crash_loop:>11} {several:>8} {outage:>8}", "hits")?;
-        for RoleSummary { role, kill, stop, crash_loop, several, total_outage, .. } in &self.faults {
+        let of_hosts = |role: &&RoleSummary| role.cut + role.cut_one_way + role.reboot > 0;
+        for role in self.faults.iter().filter(|role| !of_hosts(role)) {
+            let RoleSummary { role, kill, stop, crash_loop, several, total_outage, .. } = role;
             writeln!(f, "  {role:<16} {kill:>8} {stop:>8} {crash_loop:>11} {several:>8} {total_outage:>8}")?;
+        }
+        for RoleSummary { role, cut, cut_one_way, reboot, .. } in self.faults.iter().filter(of_hosts) {
+            writeln!(f, "  {role:<16} {cut} cut off, {cut_one_way} cut off in one direction, {reboot} restarted")?;
         }
         writeln!(f, "  {:<16} {:>26} {:>30}", "recovery, ms", "until its role is taken", "until it takes part")?;
         let [p50, p99, max] = ["p50", "p99", "max"];

@@ -13,6 +13,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use crate::files::atomic_file;
 use crate::files::out_folder;
 use crate::run::experiment::Experiment;
+use crate::study::hosts::Hosts;
 
 const POLL: Duration = Duration::from_millis(1);
 
@@ -28,43 +29,36 @@ pub(super) fn log(out_dir: &Path) -> PathBuf {
 pub(super) struct Run {
     pub(super) child: Child,
     pub(super) name: RunName,
-    pub(super) standbys: usize,
     pub(super) out_dir: PathBuf,
+    /// Arguments that `run` and `resume` have in common.
+    arguments: Vec<String>,
 }
 
 impl Run {
-    pub(super) fn start(experiment: &Experiment, seed: u64, standbys: usize, out_dir: &Path) -> anyhow::Result<Self> {
+    /// Starts a run of an experiment; on several hosts if there are some.
+    pub(super) fn start(
+        experiment: &Experiment,
+        seed: u64,
+        standbys: usize,
+        out_dir: &Path,
+        hosts: Option<&Hosts>,
+    ) -> anyhow::Result<Self> {
         let scenario = out_dir.with_extension("toml");
         atomic_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
         let name = experiment.name.clone();
-        let mut run = Command::new(std::env::current_exe().context("cannot find this program's own file")?);
+        let mut arguments = ["--no-record", "--name", &name.to_string()].map(str::to_owned).to_vec();
+        arguments.extend(["--standby".to_owned(), standbys.to_string()]);
+        if let Some(hosts) = hosts {
+            arguments.extend(hosts.arguments(experiment.description.scenario.robots.len()));
+        }
+        let mut run = program(hosts)?;
         run.arg("run").arg(&scenario).args(["--seed", &seed.to_string(), "--out"]).arg(out_dir);
-        let child = Self::spawn(run, &name, standbys, out_dir)?;
-        Ok(Self { child, name, standbys, out_dir: out_dir.to_owned() })
-    }
-
-    pub(super) fn spawn(
-        mut command: Command,
-        name: &RunName,
-        standbys: usize,
-        out_dir: &Path,
-    ) -> anyhow::Result<Child> {
-        let output = out_folder::append(&log(out_dir))?;
-        command
-            .args(["--no-record", "--name", &name.to_string(), "--standby", &standbys.to_string()])
-            // Its last message is quoted in errors.
-            .env("NO_COLOR", "1")
-            // Own process group: Ctrl-C reaches this process only, which ends the run in order.
-            .process_group(0)
-            .stdin(Stdio::null())
-            .stdout(output.try_clone()?)
-            .stderr(output)
-            .spawn()
-            .context("cannot start the run")
+        let child = spawn(run, &arguments, out_dir)?;
+        Ok(Self { child, name, out_dir: out_dir.to_owned(), arguments })
     }
 
     /// Kills the supervisor and all nodes, then resumes the run.
-    pub(super) fn kill_all_and_resume(&mut self) -> anyhow::Result<()> {
+    pub(super) fn kill_all_and_resume(&mut self, hosts: Option<&Hosts>) -> anyhow::Result<()> {
         // A stopped supervisor starts no nodes while the others are killed.
         let _ = kill_process(Pid::from_child(&self.child), Signal::STOP);
         loop {
@@ -80,9 +74,9 @@ impl Run {
             std::thread::sleep(POLL);
         }
         self.child.wait()?;
-        let mut resume = Command::new(std::env::current_exe().context("cannot find this program's own file")?);
+        let mut resume = program(hosts)?;
         resume.arg("resume").arg(&self.out_dir);
-        self.child = Self::spawn(resume, &self.name, self.standbys, &self.out_dir)?;
+        self.child = spawn(resume, &self.arguments, &self.out_dir)?;
         Ok(())
     }
 
@@ -125,6 +119,27 @@ impl Drop for Run {
             let _ = self.end(false);
         }
     }
+}
+
+/// The start of this program, on the run's host if there are several.
+fn program(hosts: Option<&Hosts>) -> anyhow::Result<Command> {
+    let own = || std::env::current_exe().context("cannot find this program's own file").map(Command::new);
+    hosts.map_or_else(own, |hosts| Ok(hosts.on_run_host()))
+}
+
+fn spawn(mut command: Command, arguments: &[String], out_dir: &Path) -> anyhow::Result<Child> {
+    let output = out_folder::append(&log(out_dir))?;
+    command
+        .args(arguments)
+        // Its last message is quoted in errors.
+        .env("NO_COLOR", "1")
+        // Own process group: Ctrl-C reaches this process only, which ends the run in order.
+        .process_group(0)
+        .stdin(Stdio::null())
+        .stdout(output.try_clone()?)
+        .stderr(output)
+        .spawn()
+        .context("cannot start the run")
 }
 
 /// Living processes of this program in this PID namespace with this run's name, except this process. Another container

@@ -5,9 +5,11 @@ use std::time::Instant;
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{Rendezvous, Role, RunDescription};
 use rangehound_node::tick_log::TickLogReader;
-use rangehound_shared::record::{FusionRecord, Record, WorldRecord};
+use rangehound_shared::record::{FusionRecord, Heading, Record, WorldRecord};
 
+use super::faults::Target;
 use super::outcome::is_repeatable;
+use crate::study::hosts::Hosts;
 
 /// Progress of a run, read from its logs while they grow.
 pub(super) struct Ticks<'a> {
@@ -22,14 +24,17 @@ pub(super) struct Ticks<'a> {
     /// Newest tick that was read, and for each robot its newest tick with a range.
     pub(super) read: Option<u64>,
     pub(super) heard: Vec<u64>,
+    /// The same for its newest tick with a fresh heading.
+    led: Vec<u64>,
 }
 
 impl<'a> Ticks<'a> {
     pub(super) fn of(run: &'a Rendezvous) -> Self {
         let description = run.description();
         let heard = vec![0; description.scenario.robots.len()];
+        let led = heard.clone();
         let (newest, newest_estimate, since) = (0, 0, Instant::now());
-        Self { description, world: None, estimate: None, newest, since, newest_estimate, read: None, heard }
+        Self { description, world: None, estimate: None, newest, since, newest_estimate, read: None, heard, led }
     }
 
     pub(super) fn update(&mut self) {
@@ -55,21 +60,32 @@ impl<'a> Ticks<'a> {
         while self.read.is_none_or(|read| read < tick) {
             let Some(Ok((read, record))) = log.next() else { break };
             self.read = Some(read);
-            for (heard, robot) in self.heard.iter_mut().zip(&record.robots) {
+            for (id, robot) in record.robots.iter().enumerate().take(self.heard.len()) {
                 if robot.range_sent_ns.is_some() {
-                    *heard = read;
+                    self.heard[id] = read;
+                }
+                if robot.heading == Heading::Fresh {
+                    self.led[id] = read;
                 }
             }
         }
     }
 
-    /// The newest tick that shows this role at work. In lock step no tick ends without all nodes.
-    pub(super) fn heard(&self, role: Role) -> u64 {
-        match role {
+    /// The newest tick that shows this target at work. In lock step no tick ends without all nodes. The gateway is at work if
+    /// all robots on other hosts are led, a host if those on it are.
+    pub(super) fn heard(&self, target: Target, hosts: Option<&Hosts>) -> u64 {
+        let led = |is_of: &dyn Fn(usize) -> bool| {
+            let host_of = |robot: usize| hosts.map_or(0, |hosts| hosts.host_of(robot));
+            let led = self.led.iter().enumerate().filter(|(robot, _)| is_of(host_of(*robot)));
+            led.map(|(_, tick)| *tick).min().unwrap_or(self.newest)
+        };
+        match target {
             _ if is_repeatable(&self.description.scenario) => self.newest,
-            Role::Robot(id) => self.heard.get(id).copied().unwrap_or(0),
-            Role::Fusion | Role::Standby(_) => self.newest_estimate,
-            Role::Sim | Role::Supervisor => self.newest,
+            Target::Node(Role::Robot(id)) => self.heard.get(id).copied().unwrap_or(0),
+            Target::Node(Role::Fusion | Role::Standby(_)) => self.newest_estimate,
+            Target::Node(Role::Sim | Role::Supervisor) => self.newest,
+            Target::Gateway => led(&|host| host != 0),
+            Target::Host(number) => led(&|host| host == number),
         }
     }
 }

@@ -30,6 +30,7 @@ use crate::run::experiment::Experiment;
 use crate::run::pin::Pin;
 use crate::run::watch::Progress;
 use crate::statistics::Samples;
+use crate::study::hosts::Hosts;
 use outcome::{Contender, Each, Outcome};
 use reference::Reference;
 use samples::Waits;
@@ -44,6 +45,8 @@ pub struct Wanted {
     pub pin: Pin,
     /// Number of rounds.
     pub rounds: u64,
+    /// Number of hosts, if there are several.
+    pub hosts: Option<usize>,
 }
 
 /// `rangehound latency`.
@@ -59,19 +62,30 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
     let Experiment { description, .. } = &experiment;
     let folder = &description.out_dir;
     claim.clear()?;
-    for stale in (1..).map(|round| system::folder(folder, round)).take_while(|stale| stale.exists()) {
-        out_folder::remove(&stale);
+    for contender in [Contender::System, Contender::Local] {
+        for stale in (1..).map(|round| system::folder(folder, contender, round)).take_while(|stale| stale.exists()) {
+            out_folder::remove(&stale);
+        }
     }
-    let mut outcome = Outcome::new(&description.scenario, &wanted.pin)?;
-    let mut progress = Progress::new("measurement", wanted.rounds * Contender::ALL.len() as u64);
-    for (round, done) in (1..=wanted.rounds).zip((0..).step_by(Contender::ALL.len())) {
-        let mut round =
-            Round { experiment: &experiment, round, termination: &termination, hops_us: HopSummary::default() };
-        let mut latencies_us = Each::samples()?;
-        let order = Contender::in_turns(round.round);
-        for (contender, done) in order.into_iter().zip(done..) {
-            progress.show(done, &format!("round {}, {contender}", round.round));
-            let measured = round.measure(contender, latencies_us.get_mut(contender));
+    let robots = description.scenario.robots.len();
+    let mut hosts = wanted.hosts.map(|count| Hosts::all_remote(count, robots, &experiment.name, folder)).transpose()?;
+    let contenders = Contender::all(hosts.is_some());
+    let mut outcome = Outcome::new(&description.scenario, &wanted.pin, wanted.hosts)?;
+    let mut progress = Progress::new("measurement", wanted.rounds * contenders.len() as u64);
+    for (number, done) in (1..=wanted.rounds).zip((0..).step_by(contenders.len())) {
+        let mut round = Round {
+            experiment: &experiment,
+            round: number,
+            termination: &termination,
+            hosts: hosts.as_mut(),
+            hops_us: HopSummary::default(),
+        };
+        let mut latencies_us = Each::samples(contenders)?;
+        let order = Contender::in_turns(contenders, number);
+        for (contender, done) in order.iter().copied().zip(done..) {
+            progress.show(done, &format!("round {number}, {contender}"));
+            let samples = latencies_us.get_mut(contender).ok_or_else(|| anyhow::anyhow!("no samples"))?;
+            let measured = round.measure(contender, samples);
             measured.map_err(|failure| {
                 progress.finish();
                 // After a requested end, errors of the measured processes do not matter.
@@ -79,7 +93,8 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
                 if termination.requested() { asked() } else { failure }
             })?;
         }
-        outcome.add(order, &latencies_us, round.hops_us);
+        let hops_us = round.hops_us;
+        outcome.add(order, &latencies_us, hops_us);
         // Written after each round, so that its result is not lost.
         outcome.write(folder)?;
     }
@@ -106,20 +121,22 @@ struct Round<'a> {
     experiment: &'a Experiment,
     round: u64,
     termination: &'a Termination,
+    hosts: Option<&'a mut Hosts>,
     hops_us: HopSummary,
 }
 
 impl Round<'_> {
     fn measure(&mut self, contender: Contender, latencies_us: &mut Samples) -> Result<(), Failure> {
         match contender {
-            Contender::System => self.measure_system(latencies_us),
+            Contender::System | Contender::Local => self.measure_system(contender, latencies_us),
             Contender::Reference(reference) => self.measure_reference(reference, latencies_us),
         }
     }
 
-    fn measure_system(&mut self, latencies_us: &mut Samples) -> Result<(), Failure> {
-        let folder = system::folder(&self.experiment.description.out_dir, self.round);
-        let description = system::run(self.experiment, &folder, self.termination)?;
+    fn measure_system(&mut self, contender: Contender, latencies_us: &mut Samples) -> Result<(), Failure> {
+        let folder = system::folder(&self.experiment.description.out_dir, contender, self.round);
+        let hosts = self.hosts.as_deref_mut().filter(|_| contender == Contender::System);
+        let description = system::run(self.experiment, &folder, self.termination, hosts)?;
         let scenario = &description.scenario;
         let mut robots: Vec<Waits> = scenario.robots.iter().map(|_| Waits::new(dt_ns(scenario))).collect();
         let mut sample = |latency_ns| latencies_us.add(latency_ns);
@@ -135,7 +152,9 @@ impl Round<'_> {
             Ok(())
         })?;
         robots.iter_mut().for_each(|waits| waits.end(ended_ns, &mut sample));
-        self.hops_us = system::hops_us(&description)?;
+        if contender == Contender::System {
+            self.hops_us = system::hops_us(&description)?;
+        }
         Ok(())
     }
 
@@ -143,7 +162,7 @@ impl Round<'_> {
         let scenario = &self.experiment.description.scenario;
         let log = self.experiment.description.out_dir.join(format!("{}-{}.log", reference.name(), self.round));
         let warm_up = usize::try_from(warm_up_ticks(scenario))?;
-        reference::measure(reference, self.experiment, &log, self.termination, |ticks| {
+        reference::measure(reference, self.experiment, &log, self.termination, self.hosts.as_deref(), |ticks| {
             // Every range of a reference is answered before the next one is sent.
             let mut waits = Waits::new(dt_ns(scenario));
             for exchange in ticks.skip(warm_up) {

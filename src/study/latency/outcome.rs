@@ -19,18 +19,28 @@ use crate::terminal::{TITLE, wrapped};
 /// A measured system.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Contender {
+    /// The system; on several hosts if they are measured.
     System,
+    /// The system on one host, beside that on several.
+    Local,
+    /// The exchange alone.
     Reference(Reference),
 }
 
 impl Contender {
-    pub(super) const ALL: [Self; 3] =
-        [Self::System, Self::Reference(Reference::Iceoryx2), Self::Reference(Reference::Futex)];
+    /// The contenders on one host, or on several.
+    pub(super) fn all(on_hosts: bool) -> &'static [Self] {
+        if on_hosts {
+            &[Self::System, Self::Local, Self::Reference(Reference::Quic), Self::Reference(Reference::Udp)]
+        } else {
+            &[Self::System, Self::Reference(Reference::Iceoryx2), Self::Reference(Reference::Futex)]
+        }
+    }
 
-    /// All contenders, starting with a different one in each round, so that a machine that slows down favours none.
-    pub(super) fn in_turns(round: u64) -> [Self; 3] {
-        let mut order = Self::ALL;
-        order.rotate_left((round % 3) as usize);
+    /// All of them, starting with a different one in each round, so that a machine that slows down favours none.
+    pub(super) fn in_turns(all: &[Self], round: u64) -> Vec<Self> {
+        let mut order = all.to_vec();
+        order.rotate_left((round % all.len() as u64) as usize);
         order
     }
 }
@@ -39,6 +49,7 @@ impl std::fmt::Display for Contender {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::System => "system",
+            Self::Local => "local",
             Self::Reference(reference) => reference.name(),
         })
     }
@@ -50,44 +61,50 @@ impl Serialize for Contender {
     }
 }
 
-/// One value for each contender.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub(super) struct Each<T> {
-    pub(super) system: T,
-    pub(super) iceoryx2: T,
-    pub(super) futex: T,
-}
+/// One value for each contender, in their order.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Each<T>(Vec<(Contender, T)>);
 
 impl<T> Each<T> {
-    pub(super) fn get(&self, contender: Contender) -> &T {
-        match contender {
-            Contender::System => &self.system,
-            Contender::Reference(Reference::Iceoryx2) => &self.iceoryx2,
-            Contender::Reference(Reference::Futex) => &self.futex,
-        }
+    pub(super) fn get(&self, contender: Contender) -> Option<&T> {
+        self.0.iter().find(|(other, _)| *other == contender).map(|(_, value)| value)
     }
 
-    pub(super) fn get_mut(&mut self, contender: Contender) -> &mut T {
-        match contender {
-            Contender::System => &mut self.system,
-            Contender::Reference(Reference::Iceoryx2) => &mut self.iceoryx2,
-            Contender::Reference(Reference::Futex) => &mut self.futex,
-        }
+    pub(super) fn get_mut(&mut self, contender: Contender) -> Option<&mut T> {
+        self.0.iter_mut().find(|(other, _)| *other == contender).map(|(_, value)| value)
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Contender, &T)> {
+        self.0.iter().map(|(contender, value)| (*contender, value))
     }
 
     fn map<U>(&self, of: impl Fn(&T) -> U) -> Each<U> {
-        Each { system: of(&self.system), iceoryx2: of(&self.iceoryx2), futex: of(&self.futex) }
+        Each(self.iter().map(|(contender, value)| (contender, of(value))).collect())
+    }
+}
+
+impl<T: Serialize> Serialize for Each<T> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.iter())
     }
 }
 
 impl Each<Samples> {
-    /// An empty collection.
+    /// An empty collection for each of these.
     ///
     /// # Errors
     /// If the histograms cannot be created.
-    pub(super) fn samples() -> anyhow::Result<Self> {
-        Ok(Self { system: Samples::new()?, iceoryx2: Samples::new()?, futex: Samples::new()? })
+    pub(super) fn samples(contenders: &[Contender]) -> anyhow::Result<Self> {
+        let samples = contenders.iter().map(|contender| Ok((*contender, Samples::new()?)));
+        Ok(Self(samples.collect::<anyhow::Result<_>>()?))
     }
+}
+
+/// The system's median latency over that of each other contender: below 1 the system is faster.
+fn ratios(latency_us: &Each<LatencySummary>) -> Each<f64> {
+    let system = latency_us.get(Contender::System).map_or(f64::NAN, |system| system.p50);
+    let others = latency_us.iter().filter(|(contender, _)| *contender != Contender::System);
+    Each(others.map(|(contender, other)| (contender, system / other.p50)).collect())
 }
 
 /// The outcome of a measurement; its fields are the keys of `latency.json`.
@@ -103,6 +120,8 @@ pub(super) struct Outcome {
     pub(super) rate_hz: Option<f64>,
     /// Robots.
     pub(super) robots: usize,
+    /// Hosts.
+    pub(super) hosts: usize,
     /// Time steps of a round.
     pub(super) ticks: u64,
     /// Number of first ticks that are not counted.
@@ -112,7 +131,7 @@ pub(super) struct Outcome {
     /// Latency over all rounds, us.
     pub(super) latency_us: Each<LatencySummary>,
     /// Median of the rounds' ratios.
-    pub(super) p50_ratios: Ratios,
+    pub(super) p50_ratios: Each<f64>,
     /// The system's hops, us: median of the rounds.
     pub(super) hops_us: HopSummary,
     /// The rounds.
@@ -127,27 +146,13 @@ pub(super) struct Outcome {
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Round {
     /// The contenders in the order of measurement.
-    pub(super) order: [Contender; 3],
+    pub(super) order: Vec<Contender>,
     /// Latency, us.
     pub(super) latency_us: Each<LatencySummary>,
     /// Ratios of the medians.
-    pub(super) p50_ratios: Ratios,
+    pub(super) p50_ratios: Each<f64>,
     /// The system's hops, us.
     pub(super) hops_us: HopSummary,
-}
-
-/// The system's median latency over that of each reference: below 1 the system is faster.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub(super) struct Ratios {
-    pub(super) iceoryx2: f64,
-    pub(super) futex: f64,
-}
-
-impl Ratios {
-    fn of(latency_us: &Each<LatencySummary>) -> Self {
-        let over = |reference: &LatencySummary| latency_us.system.p50 / reference.p50;
-        Self { iceoryx2: over(&latency_us.iceoryx2), futex: over(&latency_us.futex) }
-    }
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -159,36 +164,41 @@ impl Outcome {
     ///
     /// # Errors
     /// If the histograms cannot be created.
-    pub(super) fn new(scenario: &Scenario, pin: &Pin) -> anyhow::Result<Self> {
+    pub(super) fn new(scenario: &Scenario, pin: &Pin, hosts: Option<usize>) -> anyhow::Result<Self> {
         Ok(Self {
             scenario: scenario.name.clone(),
             planner: scenario.planner.name(),
             clock: scenario.clock.name(),
             rate_hz: (scenario.clock == Clock::Realtime).then_some(1.0 / scenario.dt_s),
             robots: scenario.robots.len(),
+            hosts: hosts.unwrap_or(1),
             ticks: scenario.ticks,
             warm_up_ticks: warm_up_ticks(scenario),
             pin: pin.to_string(),
             latency_us: Each::default(),
-            p50_ratios: Ratios::default(),
+            p50_ratios: Each::default(),
             hops_us: HopSummary::default(),
             rounds: Vec::new(),
             percentiles: Each::default(),
-            latencies_us: Each::samples()?,
+            latencies_us: Each::samples(Contender::all(hosts.is_some()))?,
         })
     }
 
     /// Adds a round.
-    pub(super) fn add(&mut self, order: [Contender; 3], latencies_us: &Each<Samples>, hops_us: HopSummary) {
+    pub(super) fn add(&mut self, order: Vec<Contender>, latencies_us: &Each<Samples>, hops_us: HopSummary) {
         let latency_us = latencies_us.map(LatencySummary::of);
-        self.rounds.push(Round { order, latency_us, p50_ratios: Ratios::of(&latency_us), hops_us });
-        for contender in Contender::ALL {
-            self.latencies_us.get_mut(contender).add_all(latencies_us.get(contender));
+        self.rounds.push(Round { order, p50_ratios: ratios(&latency_us), latency_us, hops_us });
+        for (contender, of_round) in latencies_us.iter() {
+            if let Some(all) = self.latencies_us.get_mut(contender) {
+                all.add_all(of_round);
+            }
         }
         self.latency_us = self.latencies_us.map(LatencySummary::of);
         self.percentiles = self.latencies_us.map(percentiles::curve);
-        let ratios = |of: fn(&Ratios) -> f64| median(self.rounds.iter().map(|round| of(&round.p50_ratios)));
-        self.p50_ratios = Ratios { iceoryx2: ratios(|ratios| ratios.iceoryx2), futex: ratios(|ratios| ratios.futex) };
+        let others = ratios(&self.latency_us);
+        let of_rounds =
+            |contender| self.rounds.iter().filter_map(move |round| round.p50_ratios.get(contender).copied());
+        self.p50_ratios = Each(others.iter().map(|(contender, _)| (contender, median(of_rounds(contender)))).collect());
         self.hops_us = self.median_hops_us();
     }
 
@@ -213,7 +223,8 @@ impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { scenario, robots, planner, clock, ticks, warm_up_ticks, pin, .. } = self;
         let rate = self.rate_hz.map_or(String::new(), |rate_hz| format!(" at {rate_hz:.4} Hz"));
-        let what = format!("{robots} robots, {planner} planner, {clock}{rate}, pin {pin}");
+        let hosts = if self.hosts > 1 { format!(" on {} hosts", self.hosts) } else { String::new() };
+        let what = format!("{robots} robots{hosts}, {planner} planner, {clock}{rate}, pin {pin}");
         writeln!(f, "{TITLE}latency{TITLE:#}: {scenario}, {}", wrapped(&what, 11 + scenario.len()))?;
         let rounds = self.rounds.len();
         writeln!(f, "  {rounds} rounds of {ticks} ticks, of which the first {warm_up_ticks} are not counted")?;
@@ -223,18 +234,21 @@ impl std::fmt::Display for Outcome {
             "  {:<20}{p50:>8} {p90:>8} {p99:>8} {p99_9:>9} {max:>10} {:>9}",
             "range to heading, us", "samples"
         )?;
-        for contender in Contender::ALL {
-            let LatencySummary { count, p50, p90, p99, p99_9, max } = self.latency_us.get(contender);
+        for (contender, latency_us) in self.latency_us.iter() {
+            let LatencySummary { count, p50, p90, p99, p99_9, max } = latency_us;
             let name = contender.to_string();
             writeln!(f, "  {name:<20}{p50:>8.1} {p90:>8.1} {p99:>8.1} {p99_9:>9.1} {max:>10.1} {count:>9}")?;
         }
-        writeln!(f, "  {:<20}{:>8} {:>8}", "system's p50 over", "iceoryx2", "futex")?;
-        let mut row =
-            |name: &str, ratios: &Ratios| writeln!(f, "  {name:<20}{:>8.2} {:>8.2}", ratios.iceoryx2, ratios.futex);
+        let row = |f: &mut std::fmt::Formatter<'_>, name: &str, cells: Vec<String>| {
+            writeln!(f, "  {name:<20}{}", cells.iter().map(|cell| format!("{cell:>8}")).collect::<Vec<_>>().join(" "))
+        };
+        let names = self.p50_ratios.iter().map(|(contender, _)| contender.to_string());
+        row(f, "system's p50 over", names.collect())?;
+        let numbers = |ratios: &Each<f64>| ratios.iter().map(|(_, ratio)| format!("{ratio:.2}")).collect();
         for (number, round) in (1..).zip(&self.rounds) {
-            row(&format!("round {number}"), &round.p50_ratios)?;
+            row(f, &format!("round {number}"), numbers(&round.p50_ratios))?;
         }
-        row("median", &self.p50_ratios)?;
+        row(f, "median", numbers(&self.p50_ratios))?;
         writeln!(f, "  {:<20}{p50:>8} {p99:>8}", "system's hops, us")?;
         for (name, hop) in self.hops_us.named() {
             writeln!(f, "  {name:<20}{:>8.1} {:>8.1}", hop.p50, hop.p99)?;
@@ -252,17 +266,13 @@ mod tests {
     fn outcome() -> Outcome {
         let file = ScenarioFile { clock: Some("lockstep".to_owned()), ..ScenarioFile::default() };
         let scenario = Scenario::from_file(&file, "test").unwrap();
-        Outcome::new(&scenario, &Pin::None).unwrap()
+        Outcome::new(&scenario, &Pin::None, None).unwrap()
     }
 
     /// Latencies of one value each, ns.
     fn latencies_us(system: u64, iceoryx2: u64, futex: u64) -> Each<Samples> {
-        let mut latencies_us = Each::samples().unwrap();
-        for (samples, value) in [
-            (&mut latencies_us.system, system),
-            (&mut latencies_us.iceoryx2, iceoryx2),
-            (&mut latencies_us.futex, futex),
-        ] {
+        let mut latencies_us = Each::samples(Contender::all(false)).unwrap();
+        for ((_, samples), value) in latencies_us.0.iter_mut().zip([system, iceoryx2, futex]) {
             samples.add(value);
         }
         latencies_us
@@ -272,16 +282,19 @@ mod tests {
     fn ratios_are_the_median_of_the_rounds() {
         let mut outcome = outcome();
         for system in [1_000, 4_000, 2_000] {
-            outcome.add(Contender::ALL, &latencies_us(system, 2_000, 1_000), HopSummary::default());
+            outcome.add(Contender::all(false).to_vec(), &latencies_us(system, 2_000, 1_000), HopSummary::default());
         }
-        assert_eq!(outcome.p50_ratios, Ratios { iceoryx2: 1.0, futex: 2.0 });
-        assert_eq!(outcome.latency_us.system.count, 3);
+        let of = |reference| *outcome.p50_ratios.get(Contender::Reference(reference)).unwrap();
+        assert_eq!([Reference::Iceoryx2, Reference::Futex].map(of), [1.0, 2.0]);
+        assert_eq!(outcome.latency_us.get(Contender::System).unwrap().count, 3);
         assert_eq!(median([4.0, 1.0].into_iter()), 2.5);
     }
 
     #[test]
     fn each_contender_comes_first_in_turn() {
-        let firsts: Vec<Contender> = (1..=3).map(|round| Contender::in_turns(round)[0]).collect();
-        assert!(Contender::ALL.iter().all(|contender| firsts.contains(contender)), "{firsts:?}");
+        for all in [false, true].map(Contender::all) {
+            let firsts: Vec<Contender> = (1..=4).map(|round| Contender::in_turns(all, round)[0]).collect();
+            assert!(all.iter().all(|contender| firsts.contains(contender)), "{firsts:?}");
+        }
     }
 }

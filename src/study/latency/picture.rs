@@ -4,7 +4,8 @@ use std::path::Path;
 
 use plotters::prelude::*;
 
-use super::outcome::{Contender, Each, Outcome};
+use super::outcome::{Contender, Outcome};
+use super::reference::Reference;
 use crate::draw::chart::{self, Area, COLOURS, Drawn, KeyEntry};
 use crate::files::layout::LATENCY_PICTURE;
 use crate::results::percentiles::{self, Point};
@@ -22,22 +23,27 @@ pub(super) fn draw(outcome: &Outcome, folder: &Path) -> anyhow::Result<()> {
     chart::draw_to_file(&folder.join(LATENCY_PICTURE), SIZE, |area| draw_on(outcome, area))
 }
 
-fn colours() -> Each<RGBColor> {
-    Each { system: COLOURS[6], iceoryx2: COLOURS[0], futex: COLOURS[2] }
+fn colour(contender: Contender) -> RGBColor {
+    COLOURS[match contender {
+        Contender::System => 6,
+        Contender::Local => 4,
+        Contender::Reference(Reference::Iceoryx2 | Reference::Quic) => 0,
+        Contender::Reference(Reference::Futex | Reference::Udp) => 2,
+    }]
 }
 
 fn draw_on(outcome: &Outcome, area: &Area<'_>) -> Drawn {
-    let colours = colours();
-    let name = |contender| format!("{contender}: median {:.1} µs", outcome.latency_us.get(contender).p50);
-    let entry = |contender| (name(contender), colours.get(contender).stroke_width(6));
-    let key: [KeyEntry; 3] = Contender::ALL.map(entry);
+    let latency_us = || outcome.latency_us.iter();
+    let name = |contender, p50| format!("{contender}: median {p50:.1} µs");
+    let entry = |contender, p50| (name(contender, p50), colour(contender).stroke_width(6));
+    let key: Vec<KeyEntry> = latency_us().map(|(contender, latency_us)| entry(contender, latency_us.p50)).collect();
     let below = chart::draw_key(area, &key)?;
     let height = below.dim_in_pixel().1;
     let (upper, lower) = below.split_vertically(height.saturating_sub(BARS));
-    let curves: [(&[Point], RGBColor); 3] =
-        Contender::ALL.map(|contender| (outcome.percentiles.get(contender).as_slice(), *colours.get(contender)));
-    let samples = Contender::ALL.map(|contender| outcome.latency_us.get(contender).count).into_iter().max();
+    let curves = outcome.percentiles.iter().map(|(contender, points)| (points.as_slice(), colour(contender)));
+    let curves: Vec<(&[Point], RGBColor)> = curves.collect();
+    let samples = latency_us().map(|(_, latency_us)| latency_us.count).max();
     percentiles::draw_curves(&upper, &curves, samples.unwrap_or(0))?;
     let label = "hops of the system, µs: median, and pale up to 99 %";
-    percentiles::draw_hops(&lower, &outcome.hops_us, colours.system, label)
+    percentiles::draw_hops(&lower, &outcome.hops_us, colour(Contender::System), label)
 }

@@ -11,6 +11,7 @@ use rangehound_node::system::signal::Termination;
 use rangehound_shared::record::RobotRecord;
 use rustix::process::{Pid, Signal, kill_process};
 
+use super::outcome::Contender;
 use super::samples::Exchange;
 use crate::failure::Failure;
 use crate::files::atomic_file;
@@ -20,19 +21,23 @@ use crate::results::hops::HopSummary;
 use crate::run::experiment::Experiment;
 use crate::run::folder;
 use crate::run::node::this_program;
+use crate::study::hosts::Hosts;
 
 /// Interval between checks of the run: long, to disturb the measurement little.
 const LOOK: Duration = Duration::from_millis(50);
+
+/// Most time for a robot on another host to leave a run that has ended.
+const LEAVING: Duration = Duration::from_secs(5);
 
 /// Most time for a run to end on request.
 const ENDING: Duration = Duration::from_secs(30);
 
 /// Folder of a round's run.
-pub(super) fn folder(out_dir: &Path, round: u64) -> PathBuf {
-    out_dir.join(format!("system-{round}"))
+pub(super) fn folder(out_dir: &Path, contender: Contender, round: u64) -> PathBuf {
+    out_dir.join(format!("{contender}-{round}"))
 }
 
-/// Runs the experiment to its end as its own process, with its own folder.
+/// Runs the experiment to its end as its own process, with its own folder; on several hosts if there are some.
 ///
 /// # Errors
 /// [`Failure`], with the run's last message if it failed.
@@ -40,11 +45,14 @@ pub(super) fn run(
     experiment: &Experiment,
     folder: &Path,
     termination: &Termination,
+    mut hosts: Option<&mut Hosts>,
 ) -> Result<RunDescription, Failure> {
     let (scenario, log_path) = (folder.with_extension("toml"), folder.with_extension("log"));
     atomic_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
     let log = out_folder::append(&log_path).with_context(|| log_path.display().to_string())?;
-    let mut child = this_program()
+    let robots = experiment.description.scenario.robots.len();
+    let mut command = hosts.as_deref().map_or_else(this_program, Hosts::on_run_host);
+    let mut child = command
         .arg("run")
         .arg(&scenario)
         .args([
@@ -56,6 +64,8 @@ pub(super) fn run(
             "--out",
         ])
         .arg(folder)
+        .args(hosts.as_deref().map(|hosts| hosts.arguments(robots)).unwrap_or_default())
+        .env("NO_COLOR", "1")
         // Own process group: Ctrl-C reaches this process only, which ends the run in order.
         .process_group(0)
         .stdin(Stdio::null())
@@ -63,6 +73,9 @@ pub(super) fn run(
         .stderr(log)
         .spawn()
         .context("cannot start the run")?;
+    if let Some(hosts) = hosts.as_deref_mut() {
+        hosts.start(robots, &folder.with_extension("hosts.log"))?;
+    }
     let mut asked: Option<Instant> = None;
     let status = loop {
         if let Some(status) = child.try_wait()? {
@@ -76,8 +89,14 @@ pub(super) fn run(
             Some(at) if at.elapsed() > ENDING => child.kill()?,
             _ => {}
         }
+        if let Some(hosts) = hosts.as_deref_mut() {
+            hosts.look()?;
+        }
         std::thread::sleep(LOOK);
     };
+    if let Some(hosts) = hosts {
+        hosts.end(LEAVING);
+    }
     if !status.success() {
         let log = std::fs::read_to_string(&log_path).unwrap_or_default();
         let last_message = log.lines().last().unwrap_or_default().trim_start_matches("rangehound: ").to_owned();

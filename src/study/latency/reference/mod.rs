@@ -9,6 +9,9 @@
 //! | `futex` | the last one by a futex | one futex for all |
 //!
 //! A reference runs like the system: with a name, in its own folder, and with the same cleanup.
+//!
+//! Across hosts the exchange goes over UDP, and over datagrams of QUIC with the keys of the hosts. The program of the gateway does
+//! it, because it has the libraries.
 
 mod futex;
 mod iceoryx2;
@@ -27,6 +30,10 @@ pub enum Reference {
     Iceoryx2,
     /// Words of shared memory on which threads wait in the kernel: the least cost of a wake-up.
     Futex,
+    /// UDP between hosts.
+    Udp,
+    /// Datagrams of QUIC between hosts: what the links to other hosts use.
+    Quic,
 }
 
 impl Reference {
@@ -36,6 +43,8 @@ impl Reference {
         match self {
             Self::Iceoryx2 => "iceoryx2",
             Self::Futex => "futex",
+            Self::Udp => "udp",
+            Self::Quic => "quic",
         }
     }
 }

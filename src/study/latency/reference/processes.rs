@@ -5,13 +5,14 @@ use std::io::{BufReader, Read, Write};
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_node::system::signal::Termination;
+use rangehound_shared::scenario::Scenario;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -20,7 +21,10 @@ use super::{Reference, WAIT, futex};
 use crate::failure::Failure;
 use crate::files::out_folder;
 use crate::run::experiment::Experiment;
+use crate::run::gateway;
 use crate::run::node::{input_or_running, this_program};
+use crate::study::hosts::{Hosts, RUN_HOST};
+use crate::study::latency::dt_ns;
 use crate::study::latency::samples::Exchange;
 
 /// From the start message to the start, so that all nodes have received it.
@@ -38,6 +42,7 @@ pub(in crate::study::latency) fn measure(
     experiment: &Experiment,
     log: &Path,
     termination: &Termination,
+    hosts: Option<&Hosts>,
     mut robot: impl FnMut(&mut dyn Iterator<Item = anyhow::Result<Exchange>>) -> anyhow::Result<()>,
 ) -> Result<(), Failure> {
     let run = Rendezvous::found(&experiment.name, experiment.description.clone()).map_err(input_or_running)?;
@@ -48,12 +53,43 @@ pub(in crate::study::latency) fn measure(
     let log_file = out_folder::append(log).with_context(|| log.display().to_string())?;
     let mut team = Team { nodes: Vec::new(), log: log.to_owned() };
     for role in std::iter::once(Role::Fusion).chain((0..scenario.robots.len()).map(Role::Robot)) {
-        team.nodes.push(Node::start(reference, role, &run, log_file.try_clone()?, termination)?);
+        let command = match hosts {
+            None => on_this_host(reference, role, &run),
+            Some(hosts) => on_its_host(reference, role, scenario, hosts)?,
+        };
+        team.nodes.push(Node::start(command, role, log_file.try_clone()?, termination)?);
     }
     let exchanged = team.exchange(scenario.ticks, &mut robot).map_err(|error| team.explain(reference, error));
     // The log is read; it is no longer needed.
     let _ = std::fs::remove_file(log);
     Ok(exchanged?)
+}
+
+/// A node of a reference that needs shared memory.
+fn on_this_host(reference: Reference, role: Role, run: &Rendezvous) -> Command {
+    let mut command = this_program();
+    command.args(["latency-node", "--reference", reference.name(), "--role", &role.to_string()]).args([
+        "--name",
+        &run.name().to_string(),
+        "--end-with",
+        &std::process::id().to_string(),
+    ]);
+    command
+}
+
+/// A node of a reference that needs a network: the centre is on the run's host.
+fn on_its_host(reference: Reference, role: Role, scenario: &Scenario, hosts: &Hosts) -> Result<Command, Failure> {
+    let host = role.robot().map_or(RUN_HOST, |robot| hosts.host_of(robot));
+    let mut command = hosts.command(host, &gateway::program()?);
+    command
+        .args(["latency-node", "--transport", reference.name(), "--address", &hosts.gateway().to_string(), "--keys"])
+        .arg(hosts.keys(host))
+        .args(["--ticks", &scenario.ticks.to_string(), "--dt-ns", &dt_ns(scenario).unwrap_or(0).to_string()]);
+    match role.robot() {
+        Some(robot) => command.args(["--robot", &robot.to_string()]),
+        None => command.args(["--robots", &scenario.robots.len().to_string()]),
+    };
+    Ok(command)
 }
 
 struct Team<'a> {
@@ -128,16 +164,8 @@ impl Drop for Team<'_> {
 }
 
 impl<'a> Node<'a> {
-    fn start(
-        reference: Reference,
-        role: Role,
-        run: &Rendezvous,
-        log: File,
-        termination: &'a Termination,
-    ) -> anyhow::Result<Self> {
-        let mut child = this_program()
-            .args(["latency-node", "--reference", reference.name(), "--role", &role.to_string()])
-            .args(["--name", &run.name().to_string(), "--end-with", &std::process::id().to_string()])
+    fn start(mut command: Command, role: Role, log: File, termination: &'a Termination) -> anyhow::Result<Self> {
+        let mut child = command
             // Own process group: Ctrl-C reaches this process only, which ends the nodes in order.
             .process_group(0)
             .stdin(Stdio::piped())
