@@ -79,6 +79,16 @@ fn invalid_values_are_refused_before_anything_starts() {
         ("chaos --longest-stop 0", "--longest-stop is 0: expected 0.01 to 60 s"),
         ("chaos --roles standby", "expected --standby 1 or more"),
         ("chaos --timeout 1", "--timeout is finite: expected forever"),
+        ("chaos --kinds cut", "expected --hosts 2 or more"),
+        ("chaos --roles gateway", "expected --hosts 2 or more"),
+        ("chaos --hosts 1", "--hosts is 1: expected 2 to 3"),
+        ("chaos --hosts 4 --robots 3", "--hosts is 4: expected 2 to 3"),
+        ("chaos --hosts 2 --robots 1", "--hosts is given for one robot"),
+        ("chaos --hosts 2 --loss 1", "--loss is 1: expected 0 to 0.9"),
+        ("chaos --hosts 2 --delay nan", "--delay is NaN: expected 0 to 1000 ms"),
+        ("chaos --hosts 2 --burst 0", "--burst is 0: expected 1 to 1000"),
+        ("chaos --loss 0.1", "--hosts"),
+        ("latency --hosts 1", "--hosts is 1: expected 2 to 4"),
     ] {
         assert_refused_at_once(words, expected);
     }

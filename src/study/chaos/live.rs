@@ -120,7 +120,7 @@ impl<'a> Live<'a> {
             }
             let (at_s, tick) = (self.began.elapsed().as_secs_f64(), self.ticks.newest);
             let round = self.round;
-            let lasts_s = (what.kind == Kind::Stop || what.kind.is_of_hosts()).then(|| what.lasts.as_secs_f64());
+            let lasts_s = (what.kind == Kind::Stop || what.kind.is_of_hosts()).then_some(what.lasts.as_secs_f64());
             injected.push(Injected {
                 fault,
                 round,
