@@ -69,6 +69,9 @@ struct RobotArgs {
     /// Name of the run [default: whichever the gateway serves]
     #[arg(long)]
     name: Option<RunName>,
+    /// Let tools of the run's host end this process
+    #[arg(long)]
+    allow_remote_control: bool,
 }
 
 #[derive(Debug, Args)]
@@ -174,6 +177,7 @@ impl RobotArgs {
             gateway: self.connect.clone(),
             keys: self.keys.clone(),
             run: self.name.as_ref().map(ToString::to_string),
+            allows_control: self.allow_remote_control,
         };
         robot::run(&target, self.id, &termination).map_err(|error| match error {
             RobotError::Refused(_) | RobotError::Keys(_) => Failure::Input(error.to_string()),

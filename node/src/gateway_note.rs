@@ -1,4 +1,4 @@
-//! What a gateway tells the tools of its host about the robots on other hosts.
+//! What a gateway tells the tools of its host about the robots on other hosts, and what they tell it.
 
 use std::collections::BTreeMap;
 
@@ -37,6 +37,38 @@ pub struct GuestNote {
     pub repeated: f64,
     /// Time since its last frame, ms.
     pub silent_ms: u64,
+    /// True if its host lets tools of the run's host end it.
+    #[serde(default)]
+    pub allows_control: bool,
+}
+
+/// How a robot on another host is to end. It is started again by the service manager of its host, if at all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RobotOrder {
+    /// At once, as in a crash.
+    Kill,
+    /// In order.
+    End,
+}
+
+impl RobotOrder {
+    /// Leaves it for the gateway.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn leave(self, run: &Rendezvous, robot: usize) -> Result<(), RendezvousError> {
+        run.leave_note(&order_of(robot), &serde_json::to_string(&self).unwrap_or_default())
+    }
+
+    /// The order for a robot, which is given once.
+    #[must_use]
+    pub fn take(run: &Rendezvous, robot: usize) -> Option<Self> {
+        serde_json::from_str(&run.take_note(&order_of(robot))?).ok()
+    }
+}
+
+fn order_of(robot: usize) -> String {
+    format!("order-robot-{robot}")
 }
 
 impl GatewayNote {

@@ -57,6 +57,9 @@ pub struct RobotArgs {
     /// With --connect: folder with the keys of this host, from `rangehound keys`
     #[arg(long, value_name = "DIR", requires = "connect")]
     pub keys: Option<PathBuf>,
+    /// With --connect: let `rangehound kill` and `restart`, and the live page, on the run's host end this process
+    #[arg(long, requires = "connect")]
+    pub allow_remote_control: bool,
 }
 
 /// `latency-node`.
@@ -139,6 +142,7 @@ impl RobotArgs {
         if self.node.name.to_string() != rangehound_shared::scenario::defaults::NAME {
             words.extend(["--name".into(), self.node.name.to_string().into()]);
         }
+        words.extend(self.allow_remote_control.then(|| "--allow-remote-control".into()));
         gateway::hand_over(words)
     }
 }

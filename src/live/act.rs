@@ -55,7 +55,7 @@ impl Action {
             }
             Self::Restart => Signal::TERM,
         };
-        let pid = remote::signal(run, role, signal).map_err(|failure| match failure {
+        let hit = remote::signal(run, role, signal).map_err(|failure| match failure {
             Failure::Input(problem) => Refused::Nonsense(problem),
             Failure::Running(error) => Refused::NotNow(error.to_string()),
             Failure::ReportedInput => Refused::NotNow(format!("{role} cannot be reached")),
@@ -70,6 +70,6 @@ impl Action {
             Self::Continue => "continued",
             Self::Restart => "asked to end",
         };
-        Ok(format!("{role}, process {pid}: {done}", pid = pid.as_raw_pid()))
+        Ok(format!("{role}, {hit}: {done}"))
     }
 }

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_node::gateway_note::GatewayNote;
+use rangehound_node::gateway_note::{GatewayNote, RobotOrder};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{ENDING_NOTE, Holder, Process, Rendezvous, Role, living_runs};
 use rangehound_shared::run_name::RunName;
@@ -71,12 +71,12 @@ pub(crate) struct NodeStatus {
 /// [`Failure`].
 pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failure> {
     let run = join(name)?;
-    let pid = signal(&run, node, Signal::KILL)?;
-    let pid = pid.as_raw_pid();
+    let hit = signal(&run, node, Signal::KILL)?;
     if json {
+        let pid = hit.pid().map(Pid::as_raw_pid);
         return print_json(&json!({ "name": run.name().to_string(), "node": node.to_string(), "pid": pid }));
     }
-    print(format!("killed {node}, process {pid}\n"))
+    print(format!("killed {node}, {hit}\n"))
 }
 
 /// `rangehound restart`: asks a node to end and waits for its successor.
@@ -85,7 +85,8 @@ pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failur
 /// [`Failure`].
 pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failure> {
     let run = join(name)?;
-    if !run.roster().is_held(Role::Supervisor) {
+    // A robot on another host is started again there.
+    if !run.roster().is_held(Role::Supervisor) && gateway::guest(&run, node).is_none() {
         return Err(Failure::input(format!(
             "run {} was started by hand: expected a run with a supervisor: kill the node, and start it again",
             run.name()
@@ -98,16 +99,21 @@ pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Fai
         if run.roster().starts(node) > starts
             && let Some(pid) = run.roster().holder(node)
         {
-            let (starts, node, pid) = (run.roster().starts(node), node.to_string(), pid.as_raw_pid());
+            let now = match gateway::guest(&run, node) {
+                Some(guest) => Hit::On(guest.host),
+                None => Hit::Here(pid),
+            };
+            let (starts, node) = (run.roster().starts(node), node.to_string());
             if json {
-                let name = run.name().to_string();
+                let (name, pid) = (run.name().to_string(), now.pid().map(Pid::as_raw_pid));
                 return print_json(&json!({ "name": name, "node": node, "pid": pid, "starts": starts }));
             }
-            return print(format!("{node} is now process {pid}, start {starts}\n"));
+            return print(format!("{node} is now {now}, start {starts}\n"));
         }
         if began.elapsed() > REQUEST_TIMEOUT {
             return Err(Failure::Running(anyhow!(
-                "{node} of run {} has ended and was not started again: --restart of its run may forbid it; start it by hand",
+                "{node} of run {} was asked to end and is not started again: --restart of its run may forbid it; on another host \
+                 its service manager starts it",
                 run.name()
             )));
         }
@@ -182,11 +188,52 @@ fn join(name: Option<&RunName>) -> Result<Rendezvous, Failure> {
     run.ok_or_else(|| Failure::input(format!("run {name} (--name) is not running: expected a run that is")))
 }
 
-/// Sends a signal to the process in a role.
-pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Pid, Failure> {
+/// A process that has got a signal.
+#[derive(Debug)]
+pub(crate) enum Hit {
+    /// On this host.
+    Here(Pid),
+    /// A robot's, on this host.
+    On(String),
+}
+
+impl Hit {
+    fn pid(&self) -> Option<Pid> {
+        match self {
+            Self::Here(pid) => Some(*pid),
+            Self::On(_) => None,
+        }
+    }
+}
+
+impl std::fmt::Display for Hit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Here(pid) => write!(f, "process {}", pid.as_raw_pid()),
+            Self::On(host) => write!(f, "on the host {host}"),
+        }
+    }
+}
+
+/// Sends a signal to the process in a role. A robot on another host gets it through the gateway, if its host allows that.
+pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit, Failure> {
+    if let Some(guest) = gateway::guest(run, role).filter(|guest| guest.allows_control) {
+        let order = match signal {
+            Signal::KILL => RobotOrder::Kill,
+            Signal::TERM => RobotOrder::End,
+            _ => {
+                return Err(Failure::input(format!(
+                    "{role} runs on the host {}: expected kill or restart; nothing can be stopped or continued there",
+                    guest.host
+                )));
+            }
+        };
+        order.leave(run, guest.robot).map_err(input_or_running)?;
+        return Ok(Hit::On(guest.host));
+    }
     let process = process_in(run, role)?;
     process.signal(signal).map_err(|_| gone(run, role))?;
-    Ok(process.pid())
+    Ok(Hit::Here(process.pid()))
 }
 
 /// The process in a role, as the kernel identifies it.
@@ -199,7 +246,7 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
     }
     if let Some(guest) = gateway::guest(run, role) {
         return Err(Failure::input(format!(
-            "{role} runs on the host {} ({}): run this command there, or end its process there",
+            "{role} runs on the host {} ({}): end its process there, or start it with --allow-remote-control",
             guest.host, guest.address
         )));
     }

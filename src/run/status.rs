@@ -279,6 +279,7 @@ mod tests {
             lost: 0.126,
             repeated: 0.03,
             silent_ms,
+            allows_control: false,
         };
         let mut status = status(2, |_| "running");
         let refusals = [("no certificate".to_owned(), 3)].into();

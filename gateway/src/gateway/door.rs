@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use quinn::{Connection, Endpoint, Incoming, RecvStream, SendStream};
 use rustls::pki_types::CertificateDer;
-use tokio::sync::mpsc::Sender;
+use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::{oneshot, watch};
 
 use super::Input;
@@ -26,8 +26,14 @@ const HANDSHAKES_TRUSTED: usize = 16;
 /// A peer that wants to join, or was refused before it could say so.
 #[derive(Debug)]
 pub(super) enum Applicant {
-    /// It asks for a role. The answer is for its stream.
-    Asks { request: Request, peer: Option<Peer>, connection: Connection, answer: oneshot::Sender<Answer> },
+    /// It asks for a role. The answer is for its stream, and so are notices after that.
+    Asks {
+        request: Request,
+        peer: Option<Peer>,
+        connection: Connection,
+        answer: oneshot::Sender<Answer>,
+        notices: Sender<Notice>,
+    },
     /// It was refused.
     Refused { address: SocketAddr, cause: RefusalCause, text: String },
 }
@@ -73,6 +79,7 @@ struct Guest {
     connection: Connection,
     receive: RecvStream,
     send: SendStream,
+    notices: Receiver<Notice>,
 }
 
 /// The handshake and the request. `None` if the robot was refused and has been told why.
@@ -99,7 +106,8 @@ async fn join(
         })?;
     let robot = request.robot;
     let (answer, answered) = oneshot::channel();
-    let asks = Applicant::Asks { request, peer, connection: connection.clone(), answer };
+    let (noticing, notices) = mpsc::channel(1);
+    let asks = Applicant::Asks { request, peer, connection: connection.clone(), answer, notices: noticing };
     let ended = || (RefusalCause::Other, "the gateway ends".to_owned());
     sender.send(Input::Applicant(Box::new(asks))).await.map_err(|_| ended())?;
     let answer = answered.await.map_err(|_| ended())?;
@@ -111,7 +119,7 @@ async fn join(
         return Ok(None);
     }
     sent.map_err(|error| (RefusalCause::Other, error.to_string()))?;
-    Ok(Some(Guest { robot, connection, receive, send }))
+    Ok(Some(Guest { robot, connection, receive, send, notices }))
 }
 
 /// The host that the peer's certificate names.
@@ -120,9 +128,9 @@ fn peer_of(connection: &Connection) -> Option<Peer> {
     Peer::of(&identity).ok()
 }
 
-/// Passes on the frames and the farewell of a robot, and tells it when the run is over.
+/// Passes on the frames and the farewell of a robot, and tells it when the run is over or its process is to end.
 async fn attend(guest: Guest, sender: &Sender<Input>, mut finished: watch::Receiver<bool>) {
-    let Guest { robot, connection, mut receive, mut send } = guest;
+    let Guest { robot, connection, mut receive, mut send, mut notices } = guest;
     let id = connection.stable_id();
     let leaving = async {
         if link::read::<Notice>(&mut receive, Some(link::REQUEST_LEN_MAX)).await.is_ok() {
@@ -136,11 +144,18 @@ async fn attend(guest: Guest, sender: &Sender<Input>, mut finished: watch::Recei
             let _ = sender.try_send(Input::Frame { robot, connection: id, bytes: bytes.into() });
         }
     };
+    let notice = async {
+        tokio::select! {
+            Some(notice) = notices.recv() => notice,
+            Ok(_) = finished.wait_for(|finished| *finished) => Notice::Finished,
+            else => std::future::pending().await,
+        }
+    };
     tokio::select! {
         () = leaving => {}
         () = frames => {}
-        Ok(_) = finished.wait_for(|finished| *finished) => {
-            if link::write(&mut send, &Notice::Finished).await.is_ok() {
+        notice = notice => {
+            if link::write(&mut send, &notice).await.is_ok() {
                 let _ = send.finish();
                 let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
             }

@@ -4,19 +4,20 @@ use std::collections::BTreeMap;
 
 use quinn::Connection;
 use rangehound_node::bus::{Bus, BusError, Event, Events, Notifier, Publisher, Subscriber, WaitGroup};
-use rangehound_node::gateway_note::{GatewayNote, GuestNote};
+use rangehound_node::gateway_note::{GatewayNote, GuestNote, RobotOrder};
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_robot::remote::wire::Uplink;
 use rangehound_robot::remote::{Publication, Relay};
 use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
+use tokio::sync::mpsc::Sender;
 
 use super::door::Applicant;
 use super::refusals::Refusals;
 use super::{GatewayError, Input};
 use crate::keys::{Peer, RefusalCause};
-use crate::link::{self, Answer, Request};
+use crate::link::{self, Answer, Notice, Request};
 
 /// Silence after which another process may take a robot's role: some intervals of the frames that keep a link alive.
 const CLAIM_NS: u64 = 500_000_000;
@@ -26,6 +27,9 @@ const GONE_NS: u64 = 3_000_000_000;
 
 /// Interval of the note about the links.
 const NOTE_NS: u64 = 500_000_000;
+
+/// Interval of looks for orders to robots.
+const ORDERS_NS: u64 = 100_000_000;
 
 /// All of them.
 pub(super) struct Guests<'a> {
@@ -38,6 +42,7 @@ pub(super) struct Guests<'a> {
     all: BTreeMap<usize, Guest>,
     refusals: Refusals,
     noted_ns: u64,
+    ordered_ns: u64,
 }
 
 /// A robot on another host.
@@ -51,6 +56,8 @@ struct Guest {
     process: u64,
     host: String,
     heard_ns: u64,
+    allows_control: bool,
+    notices: Sender<Notice>,
     /// Frames that could not be read.
     malformed: u64,
 }
@@ -68,6 +75,7 @@ impl<'a> Guests<'a> {
             all: BTreeMap::new(),
             refusals: Refusals::default(),
             noted_ns: 0,
+            ordered_ns: 0,
         })
     }
 
@@ -146,10 +154,10 @@ impl<'a> Guests<'a> {
     fn on_applicant(&mut self, applicant: Applicant) {
         match applicant {
             Applicant::Refused { address, cause, text } => self.refusals.add(address.ip(), cause, &text),
-            Applicant::Asks { request, peer, connection, answer } => {
+            Applicant::Asks { request, peer, connection, answer, notices } => {
                 let robot = request.robot;
                 let address = connection.remote_address();
-                let welcomed = self.welcome(&request, peer.as_ref(), connection);
+                let welcomed = self.welcome(&request, peer.as_ref(), connection, notices);
                 let reply = welcomed.unwrap_or_else(|(cause, text)| {
                     self.refusals.add(address.ip(), cause, &format!("robot-{robot}: {text}"));
                     let may_change = matches!(cause, RefusalCause::RoleTaken | RefusalCause::Other);
@@ -166,8 +174,9 @@ impl<'a> Guests<'a> {
         request: &Request,
         peer: Option<&Peer>,
         connection: Connection,
+        notices: Sender<Notice>,
     ) -> Result<Answer, (RefusalCause, String)> {
-        let Request { protocol, program, robot, process, run } = request;
+        let Request { protocol, program, robot, run, .. } = request;
         let robot = *robot;
         let (name, description) = (self.rendezvous.name().to_string(), self.rendezvous.description());
         if *protocol != PROTOCOL {
@@ -189,7 +198,7 @@ impl<'a> Guests<'a> {
             return Err((RefusalCause::WrongRobot, format!("the certificate of {} does not name it", peer.host)));
         }
         let host = peer.map_or_else(|| connection.remote_address().ip().to_string(), |peer| peer.host.clone());
-        self.take_role(robot, *process, host, connection)?;
+        self.take_role(request, host, connection, notices)?;
         let other = |text: String| (RefusalCause::Other, text);
         let description = description.seal().map_err(|error| other(error.to_string()))?;
         Ok(Answer::Welcome { description, fusion_incarnation: self.rendezvous.roster().starts(Role::Fusion) })
@@ -197,16 +206,17 @@ impl<'a> Guests<'a> {
 
     fn take_role(
         &mut self,
-        robot: usize,
-        process: u64,
+        request: &Request,
         host: String,
         connection: Connection,
+        notices: Sender<Notice>,
     ) -> Result<(), (RefusalCause, String)> {
+        let Request { robot, process, allows_control, .. } = *request;
         let now_ns = monotonic_ns();
         if let Some(guest) = self.all.get_mut(&robot) {
             if guest.process == process {
                 guest.connection.close(link::REPLACED, b"the robot has connected again");
-                (guest.connection, guest.heard_ns) = (connection, now_ns);
+                (guest.connection, guest.notices, guest.heard_ns) = (connection, notices, now_ns);
                 guest.relay.reconnect();
                 return Ok(());
             }
@@ -228,7 +238,21 @@ impl<'a> Guests<'a> {
         let description = self.rendezvous.description();
         let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
         let relay = Relay::new(description.run_id, robot, &description.scenario, fusion_incarnation);
-        let guest = Guest { lease, ranges, drives, relay, connection, process, host, heard_ns: now_ns, malformed: 0 };
+        // An order is for the process that had the role when it was given.
+        let _ = RobotOrder::take(self.rendezvous, robot);
+        let guest = Guest {
+            lease,
+            ranges,
+            drives,
+            relay,
+            connection,
+            process,
+            host,
+            heard_ns: now_ns,
+            allows_control,
+            notices,
+            malformed: 0,
+        };
         self.all.insert(robot, guest);
         self.sim.signal(Event::Hello);
         Ok(())
@@ -241,13 +265,26 @@ impl<'a> Guests<'a> {
         }
     }
 
-    /// Renews the roles of the robots that are heard, and releases those of the others.
+    /// Renews the roles of the robots that are heard, releases those of the others, and passes on orders of this host's tools.
     pub(super) fn look(&mut self, now_ns: u64) {
         let silent_ns = |guest: &Guest| now_ns.saturating_sub(guest.heard_ns);
         self.all.values().filter(|guest| silent_ns(guest) < CLAIM_NS).for_each(|guest| guest.lease.renew());
         let gone = self.all.iter().filter(|(_, guest)| silent_ns(guest) > GONE_NS).map(|(robot, _)| *robot);
         for robot in gone.collect::<Vec<_>>() {
             self.release(robot, "is silent: its role is free");
+        }
+        if now_ns >= self.ordered_ns.saturating_add(ORDERS_NS) {
+            self.ordered_ns = now_ns;
+            for (robot, guest) in self.all.iter().filter(|(_, guest)| guest.allows_control) {
+                if let Some(order) = RobotOrder::take(self.rendezvous, *robot) {
+                    let (notice, what) = match order {
+                        RobotOrder::Kill => (Notice::Kill, "is killed from the run's host"),
+                        RobotOrder::End => (Notice::End, "is asked to end from the run's host"),
+                    };
+                    log::info!("robot-{robot} of {} {what}", guest.host);
+                    let _ = guest.notices.try_send(notice);
+                }
+            }
         }
         if now_ns >= self.noted_ns.saturating_add(NOTE_NS) {
             self.noted_ns = now_ns;
@@ -269,6 +306,7 @@ impl<'a> Guests<'a> {
                 lost: path.lost_packets as f64 / path.sent_packets.max(1) as f64,
                 repeated: repeated as f64 / sent.max(1) as f64,
                 silent_ms: now_ns.saturating_sub(guest.heard_ns) / 1_000_000,
+                allows_control: guest.allows_control,
             }
         });
         let refusals = self.refusals.counts().iter().map(|(cause, count)| ((*cause).to_owned(), *count));

@@ -23,6 +23,9 @@ pub struct Request {
     pub process: u64,
     /// The run that it wants; any if it names none.
     pub run: Option<String>,
+    /// True if it obeys [`Notice::Kill`] and [`Notice::End`].
+    #[serde(default)]
+    pub allows_control: bool,
 }
 
 /// The gateway's answer.
@@ -51,6 +54,10 @@ pub enum Notice {
     Finished,
     /// The robot: it leaves in order.
     Leaving,
+    /// The gateway: the robot's process is to end at once, as in a crash.
+    Kill,
+    /// The gateway: the robot's process is to end in order.
+    End,
 }
 
 /// Why a message did not come or could not be sent.

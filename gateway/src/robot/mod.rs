@@ -16,9 +16,10 @@ use rangehound_robot::remote::wire::Downlink;
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
+use rustix::process::{Signal, getpid, kill_process};
 
 use crate::keys::{Credentials, KeysError};
-use crate::link;
+use crate::link::{self, Notice};
 pub use session::Refusal;
 use session::{Connector, Happened, Session};
 
@@ -37,6 +38,8 @@ pub struct Target {
     pub keys: Option<PathBuf>,
     /// The run; any if none is named.
     pub run: Option<String>,
+    /// True if tools of the run's host may end this process.
+    pub allows_control: bool,
 }
 
 /// The sensor, the localiser and the actuator of a robot.
@@ -90,7 +93,8 @@ pub fn run_with(
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let connector = Connector::new(target.clone(), config, id);
     tokio::task::LocalSet::new().block_on(&runtime, async {
-        let mut driver = Driver { id, equipment, part: None, has_joined: false };
+        let allows_control = target.allows_control;
+        let mut driver = Driver { id, equipment, part: None, has_joined: false, allows_control };
         let ended = driver.take_part(connector, termination).await;
         if let Some(part) = &mut driver.part {
             part.equipment.2.carry_out(Command::default());
@@ -104,6 +108,7 @@ struct Driver<E> {
     equipment: E,
     part: Option<Part>,
     has_joined: bool,
+    allows_control: bool,
 }
 
 /// A robot's part in one run.
@@ -139,7 +144,16 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                         part.on_frame(&bytes);
                     }
                 }
-                Happened::Finished => return Ok(()),
+                Happened::Noticed(Notice::Finished) => return Ok(()),
+                Happened::Noticed(Notice::Kill) if self.allows_control => {
+                    log::warn!("killed from the run's host");
+                    kill_process(getpid(), Signal::KILL).map_err(std::io::Error::from)?;
+                }
+                Happened::Noticed(Notice::End) if self.allows_control => {
+                    log::warn!("asked to end from the run's host");
+                    break;
+                }
+                Happened::Noticed(_) => log::warn!("the gateway gives orders that --allow-remote-control would allow"),
                 Happened::Ended => session = None,
                 Happened::Nothing => {}
             }

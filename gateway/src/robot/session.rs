@@ -31,8 +31,8 @@ pub(super) enum Happened {
     Unreachable(String),
     /// A frame came.
     Frame(Vec<u8>),
-    /// The run is over.
-    Finished,
+    /// The gateway says that the run is over, or that this process is to end.
+    Noticed(Notice),
     /// The connection has ended.
     Ended,
     /// Time is up.
@@ -89,6 +89,7 @@ impl Connector {
             robot: self.robot,
             process: self.process,
             run: self.target.run.clone(),
+            allows_control: self.target.allows_control,
         };
         let (target, config) = (self.target.clone(), self.config.clone());
         self.attempt = Some(tokio::task::spawn_local(async move {
@@ -217,12 +218,12 @@ impl Session {
                 Ok(bytes) => Happened::Frame(bytes.into()),
                 // A notice may have come with the end.
                 Err(_) => match tokio::time::timeout(FAREWELL, notice).await {
-                    Ok(Ok(Some(Notice::Finished))) => Happened::Finished,
+                    Ok(Ok(Some(notice))) => Happened::Noticed(notice),
                     _ => Happened::Ended,
                 },
             },
             notice = &mut *notice, if !notice.is_finished() => match notice {
-                Ok(Some(Notice::Finished)) => Happened::Finished,
+                Ok(Some(notice)) => Happened::Noticed(notice),
                 _ => Happened::Ended,
             },
             () = tokio::time::sleep(wait) => Happened::Nothing,

@@ -7,11 +7,13 @@
 //! | `realtime` | headings stay fresh, robots stop by themselves |
 //! | `security` | who is refused, and how both ends show it |
 //! | `clocks` | hosts with clocks of their own: time namespaces |
+//! | `control` | robots that tools of the run's host may end |
 //! | `namespaces` | `chaos` and `latency` over hosts with networks of their own |
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
 
 mod clocks;
+mod control;
 mod lockstep;
 mod namespaces;
 mod realtime;

@@ -74,6 +74,12 @@ impl Run {
         self.start(words).finish()
     }
 
+    /// The same for one that must succeed.
+    #[track_caller]
+    pub(crate) fn finish_ok(&self, words: &str) {
+        self.start(words).succeeds();
+    }
+
     /// Starts a run with a gateway, at a port that is free. Returns the gateway's address too.
     pub(crate) fn run(&self, words: &str) -> (Process, SocketAddr) {
         let run = self.start(&format!("run --no-record --name {} --out out --listen 127.0.0.1:0 {words}", self.name));

@@ -325,6 +325,13 @@ impl Rendezvous {
         String::from_utf8(bounded::read(&self.place.path(name), NOTE_LEN_MAX).ok()?).ok()
     }
 
+    /// The text of a note, which is removed.
+    #[must_use]
+    pub fn take_note(&self, name: &str) -> Option<String> {
+        let text = self.note(name)?;
+        std::fs::remove_file(self.place.path(name)).ok().map(|()| text)
+    }
+
     /// Marks the run as ended.
     ///
     /// # Errors
