@@ -13,7 +13,7 @@ use std::io::{BufReader, Read};
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-use rangehound_shared::record::{Record, describe, put, take};
+use rangehound_shared::record::{Record, count, describe, put, take};
 
 /// The first word of every log.
 const MAGIC: u64 = u64::from_le_bytes(*b"rhticks2");
@@ -48,9 +48,7 @@ impl Layout {
         let words = [MAGIC, run_id, description.len() as u64];
         let mut header: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
         header.extend(description.bytes());
-        let mut bytes = Vec::new();
-        put(record, &mut bytes);
-        Self { header, record_len: 8 + bytes.len() }
+        Self { header, record_len: 8 * (1 + count(record)) }
     }
 
     /// Offset of a tick's record; `None` beyond the largest file.
@@ -72,6 +70,7 @@ pub struct TickLogWriter<R> {
     file: File,
     path: PathBuf,
     layout: Layout,
+    /// A record's bytes, as in the file.
     bytes: Vec<u8>,
     /// Buffer of the record that is written or changed.
     record: R,
@@ -92,7 +91,7 @@ impl<R: Record> TickLogWriter<R> {
             file.set_len(0).map_err(failed)?;
             file.write_all_at(&layout.header, 0).map_err(failed)?;
         }
-        Ok(Self { file, path: path.to_owned(), bytes: Vec::with_capacity(layout.record_len), layout, record })
+        Ok(Self { file, path: path.to_owned(), bytes: vec![0; layout.record_len], layout, record })
     }
 
     /// True if no tick has been written.
@@ -134,15 +133,16 @@ impl<R: Record> TickLogWriter<R> {
 fn write_record(
     file: &File,
     layout: &Layout,
-    bytes: &mut Vec<u8>,
+    bytes: &mut [u8],
     tick: u64,
     record: &mut impl Record,
 ) -> std::io::Result<()> {
     let offset = layout.offset(tick).ok_or(std::io::ErrorKind::FileTooLarge)?;
-    bytes.clear();
-    // Marks the record as written: a hole in the file reads as zero.
-    bytes.extend((tick + 1).to_le_bytes());
-    put(record, bytes);
+    if let Some((mark, words)) = bytes.split_first_chunk_mut::<8>() {
+        // Marks the record as written: a hole in the file reads as zero.
+        *mark = (tick + 1).to_le_bytes();
+        put(record, words);
+    }
     file.write_all_at(bytes, offset)
 }
 
@@ -150,12 +150,11 @@ fn write_record(
 fn read_record(
     file: &File,
     layout: &Layout,
-    bytes: &mut Vec<u8>,
+    bytes: &mut [u8],
     tick: u64,
     record: &mut impl Record,
 ) -> std::io::Result<bool> {
     let Some(offset) = layout.offset(tick) else { return Ok(false) };
-    bytes.resize(layout.record_len, 0);
     match file.read_exact_at(bytes, offset) {
         Ok(()) => Ok(take_marked(bytes, tick, record)),
         Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(false),

@@ -171,7 +171,7 @@ impl Team {
                         robot.measured(measurement, RANGE_SENT_NS);
                     }
                     robot::Action::CarryOut(command) => robot.carried_out(command),
-                    robot::Action::SendRange(message) => ranges.push(message),
+                    robot::Action::SendRange => ranges.extend(robot.range()),
                     robot::Action::SendDrive(message) => sim.on_drive(message.tick, &message.entry),
                     robot::Action::Notify(_) => {}
                 }
