@@ -358,8 +358,8 @@ impl Leader {
         let before = std::mem::replace(&mut self.distrusted, now);
         let scales_before = std::mem::replace(&mut self.noise_scales, scales);
         for kind in Kind::ALL {
-            let [now, before] = [now, before].map(|of| of[kind as usize]);
-            let [scale, scale_before] = [scales, scales_before].map(|of| of[kind as usize]);
+            let (now, before) = (&now[kind as usize], &before[kind as usize]);
+            let (scale, scale_before) = (scales[kind as usize], scales_before[kind as usize]);
             if scale > 1.0 && scale_before == 1.0 {
                 self.report(Notice::Widened(kind, scale));
                 continue;
@@ -367,8 +367,10 @@ impl Leader {
             if scale == 1.0 && scale_before > 1.0 {
                 self.report(Notice::NoLongerWidened(kind));
             }
-            now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.report(Notice::Distrusted(kind, id)));
-            before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.report(Notice::Trusted(kind, id)));
+            if now != before {
+                now.iter().filter(|id| !before.contains(*id)).for_each(|id| self.report(Notice::Distrusted(kind, id)));
+                before.iter().filter(|id| !now.contains(*id)).for_each(|id| self.report(Notice::Trusted(kind, id)));
+            }
         }
     }
 

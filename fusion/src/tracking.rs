@@ -57,7 +57,7 @@ impl Tracking {
 
     /// Predicts over `dt_s` seconds, then updates with the reports in order of the robots' ids.
     pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Measurement>]) -> Fit {
-        let (distrusted, noise_scales) = (self.distrusted(), self.noise_scales());
+        let noise_scales = self.noise_scales();
         self.readings.clear();
         let mut kinds = [false; Kind::COUNT];
         for (robot, report) in reports.iter().enumerate() {
@@ -74,7 +74,7 @@ impl Tracking {
                     value,
                     std: std * noise_scale,
                     std_per_m: std_per_m * noise_scale,
-                    distrusted: distrusted[kind as usize].contains(robot),
+                    distrusted: self.trusts[kind as usize].distrusts(robot),
                 });
             }
         }

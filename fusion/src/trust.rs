@@ -124,6 +124,12 @@ impl Trust {
         self.distrusted
     }
 
+    /// True if a robot is distrusted.
+    #[must_use]
+    pub fn distrusts(&self, id: usize) -> bool {
+        self.distrusted.contains(id)
+    }
+
     /// The size of the team.
     #[must_use]
     pub fn robots(&self) -> usize {

@@ -161,7 +161,7 @@ impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A
                     let driven = self.actuator.carry_out(command);
                     self.machine.carried_out(driven);
                 }
-                Action::SendRange(message) => self.ranges.send_one(&message)?,
+                Action::SendRange => self.machine.range().map_or(Ok(()), |message| self.ranges.send_one(&message))?,
                 Action::SendDrive(message) => self.drives.send_one(&message)?,
                 Action::Notify(notification) => match notification.to {
                     WaitGroup::Fusion => self.fusion.notify(&notification),

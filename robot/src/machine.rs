@@ -29,8 +29,8 @@ pub enum Action {
     },
     /// Have the actuator carry out a command, and answer with [`Machine::carried_out`].
     CarryOut(Command),
-    /// Publish a range.
-    SendRange(Outgoing<Range>),
+    /// Publish [`Machine::range`].
+    SendRange,
     /// Publish a drive.
     SendDrive(Outgoing<Drive>),
     /// Notify another node.
@@ -48,7 +48,7 @@ pub struct Machine {
     controller: Controller,
     is_moving: bool,
     /// The newest world message that has not been processed.
-    world: Option<Received>,
+    world: Option<World>,
     /// The newest heading received: its tick and this robot's command.
     heading: Option<(u64, Command)>,
     present: Option<Present>,
@@ -60,10 +60,12 @@ pub struct Machine {
     actions: VecDeque<Action>,
 }
 
-/// A world message and when it was received.
+/// A world message, as far as it concerns this robot, and when it was received.
 #[derive(Debug, Clone, Copy)]
-struct Received {
-    header: Header,
+struct World {
+    sim_incarnation: u64,
+    tick: u64,
+    time_s: f64,
     entry: WorldEntry,
     at_ns: u64,
 }
@@ -85,15 +87,10 @@ struct Present {
 
 #[derive(Debug, Clone, Copy)]
 enum Asked {
-    Range {
-        header: Header,
-        began_ns: u64,
-    },
+    /// The measurement at a tick, whose world was received at this time.
+    Range { sim_incarnation: u64, tick: u64, time_s: f64, began_ns: u64 },
     /// A command from a heading that was received at this time; 0 without a heading.
-    Drive {
-        heading_held_ns: u64,
-        is_late: bool,
-    },
+    Drive { heading_held_ns: u64, is_late: bool },
     /// A stop, for which no message is published.
     Stop,
 }
@@ -132,7 +129,8 @@ impl Machine {
     /// Takes this robot's part of a message of the topic `world`, received at `now_ns`.
     pub fn on_own_world(&mut self, header: &Header, entry: &WorldEntry, now_ns: u64) {
         if header.tick <= self.last_tick && header.valid_at_s.is_finite() && entry.is_valid() {
-            self.world = Some(Received { header: *header, entry: *entry, at_ns: now_ns });
+            let Header { incarnation: sim_incarnation, tick, valid_at_s: time_s, .. } = *header;
+            self.world = Some(World { sim_incarnation, tick, time_s, entry: *entry, at_ns: now_ns });
         }
     }
 
@@ -164,6 +162,12 @@ impl Machine {
             None if self.asked.is_none() => self.decide(now_ns),
             action => action,
         }
+    }
+
+    /// The message of its last measurement; `None` before the first.
+    #[must_use]
+    pub fn range(&self) -> Option<Outgoing<Range>> {
+        self.present.as_ref().map(|present| present.message(present.range))
     }
 
     /// When it must act even if no message arrives, monotonic ns.
@@ -202,21 +206,23 @@ impl Machine {
     /// Answers [`Action::Measure`]. The measurement is published next.
     pub fn measured(&mut self, measurement: Measurement, now_ns: u64) {
         let is_range = |asked: &mut Asked| matches!(asked, Asked::Range { .. });
-        let Some(Asked::Range { header, began_ns }) = self.asked.take_if(is_range) else { return };
-        let present = self.present.insert(Present {
-            sim_incarnation: header.incarnation,
-            tick: header.tick,
-            time_s: header.valid_at_s,
+        let Some(Asked::Range { sim_incarnation, tick, time_s, began_ns }) = self.asked.take_if(is_range) else {
+            return;
+        };
+        self.present = Some(Present {
+            sim_incarnation,
+            tick,
+            time_s,
             began_ns,
             range: Range { robot: self.id as u64, measurement },
             range_sent_ns: now_ns,
             provided: false,
             drive: None,
         });
-        self.actions.push_back(Action::SendRange(present.message(present.range)));
+        self.actions.push_back(Action::SendRange);
         // In real time the first range starts fusion's deadline.
         let or_first = self.clock == Clock::Realtime;
-        self.notify(Notification::by_last_answer(WaitGroup::Fusion, Event::Range, header.tick, or_first));
+        self.notify(Notification::by_last_answer(WaitGroup::Fusion, Event::Range, tick, or_first));
     }
 
     /// Answers [`Action::CarryOut`] with the driven command.
@@ -260,9 +266,10 @@ impl Machine {
     }
 
     /// Measures a new tick and publishes the range; answers a repeated tick with the same message.
-    fn see_world(&mut self, Received { header, entry, at_ns }: &Received) -> Option<Action> {
+    fn see_world(&mut self, world: &World) -> Option<Action> {
+        let World { sim_incarnation, tick, time_s, entry, at_ns: began_ns } = *world;
         let seen = self.present.as_ref().map(|present| (present.sim_incarnation, present.tick));
-        let news = (header.incarnation, header.tick);
+        let news = (sim_incarnation, tick);
         if seen == Some(news) {
             return self.repeat();
         }
@@ -272,8 +279,8 @@ impl Machine {
             if let Some(reported) = self.present.as_ref().and_then(|present| present.drive.as_ref()) {
                 self.headings_refused -= reported.headings_refused;
             }
-            self.asked = Some(Asked::Range { header: *header, began_ns: *at_ns });
-            Action::Measure { tick: header.tick, time_s: header.valid_at_s, entry: *entry }
+            self.asked = Some(Asked::Range { sim_incarnation, tick, time_s, began_ns });
+            Action::Measure { tick, time_s, entry }
         })
     }
 
@@ -281,7 +288,7 @@ impl Machine {
         let present = self.present.as_ref()?;
         let (action, to, event) = match present.drive {
             Some(drive) => (Action::SendDrive(present.message(drive)), WaitGroup::Sim, Event::Drive),
-            None => (Action::SendRange(present.message(present.range)), WaitGroup::Fusion, Event::Range),
+            None => (Action::SendRange, WaitGroup::Fusion, Event::Range),
         };
         self.notify(Notification::always(to, event));
         Some(action)

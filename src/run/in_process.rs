@@ -32,20 +32,27 @@ const HEADING_HELD_NS: u64 = 1;
 pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow::Result<()> {
     let RunDescription { scenario, out_dir, .. } = description;
     let mut team = Team::of_run(scenario, out_dir)?;
-    let mut estimates = logs::write_estimates(description)?;
-    let mut worlds = logs::write_worlds(description)?;
-    for tick in 0..=scenario.ticks {
-        team.tick()?;
-        let (centre, world) = (team.centre(), team.world());
-        estimates.write(tick, |record| record.set(centre.time_s(), &centre.estimate(), team.leader.exchanges()))?;
-        worlds.write(tick, |record| {
-            let times = (world.time_s(), monotonic_ns());
-            record.set(times, world.truth(), world.poses(), world.entries(), team.drives());
-        })?;
-        team.advance();
-        on_tick(tick);
-    }
-    Ok(())
+    let mut estimates = logs::write_estimates(description)?.in_batches();
+    let mut worlds = logs::write_worlds(description)?.in_batches();
+    let mut run = || -> anyhow::Result<()> {
+        for tick in 0..=scenario.ticks {
+            team.tick()?;
+            let (centre, world) = (team.centre(), team.world());
+            estimates.write(tick, |record| record.set(centre.time_s(), &centre.estimate(), team.leader.exchanges()))?;
+            worlds.write(tick, |record| {
+                let times = (world.time_s(), monotonic_ns());
+                record.set(times, world.truth(), world.poses(), world.entries(), team.drives());
+            })?;
+            team.advance();
+            on_tick(tick);
+        }
+        Ok(())
+    };
+    let ended = run();
+    // Also the ticks before an error.
+    estimates.flush()?;
+    worlds.flush()?;
+    ended
 }
 
 /// A complete team, stepped by the caller.
@@ -171,7 +178,7 @@ impl Team {
                         robot.measured(measurement, RANGE_SENT_NS);
                     }
                     robot::Action::CarryOut(command) => robot.carried_out(command),
-                    robot::Action::SendRange(message) => ranges.push(message),
+                    robot::Action::SendRange => ranges.extend(robot.range()),
                     robot::Action::SendDrive(message) => sim.on_drive(message.tick, &message.entry),
                     robot::Action::Notify(_) => {}
                 }

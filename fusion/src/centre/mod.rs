@@ -349,11 +349,11 @@ impl Centre {
                 self.planned.push(id);
             }
         }
-        let (distrusted, noise_scales) = (self.tracking.distrusted(), self.tracking.noise_scales());
+        let (trusts, noise_scales) = (&self.tracking.trusts, self.tracking.noise_scales());
         let team = self.planned.iter().filter_map(|&id| {
             let (spec, body) = (&self.robots[id], self.bodies[id]?);
             let sensor = sensor_of(&spec.reported, &body, noise_scales);
-            let trusted = trusted_part(sensor, distrusted.map(|robots| robots.contains(id)));
+            let trusted = trusted_part(sensor, Kind::ALL.map(|kind| trusts[kind as usize].distrusts(id)));
             let pose = if self.ignores_nuisances {
                 Pose::default()
             } else {

@@ -249,7 +249,7 @@ impl Part {
                     let driven = actuator.carry_out(command);
                     self.machine.carried_out(driven);
                 }
-                Action::SendRange(message) => self.courier.on_range(&message),
+                Action::SendRange => self.machine.range().iter().for_each(|message| self.courier.on_range(message)),
                 Action::SendDrive(message) => self.courier.on_drive(&message),
                 // The gateway notifies the nodes on its host.
                 Action::Notify(_) => {}

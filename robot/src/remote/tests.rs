@@ -140,7 +140,7 @@ impl Bench {
                     self.machine.measured(measurement_of(tick), local_ns);
                 }
                 Some(Action::CarryOut(command)) => self.machine.carried_out(command),
-                Some(Action::SendRange(message)) => self.courier.on_range(&message),
+                Some(Action::SendRange) => self.courier.on_range(&self.machine.range().unwrap()),
                 Some(Action::SendDrive(message)) => self.courier.on_drive(&message),
                 Some(Action::Notify(_)) => {}
                 None if std::mem::take(&mut provides) => self.machine.before_sleep(),

@@ -30,9 +30,17 @@ pub trait Fields: Sized {
     }
 }
 
-/// Appends a record's words, little-endian.
-pub fn put(record: &mut impl Record, bytes: &mut Vec<u8>) {
-    record.fields(&mut Put(bytes));
+/// Number of a record's words.
+#[must_use]
+pub fn count(record: &mut impl Record) -> usize {
+    let mut count = Count(0);
+    record.fields(&mut count);
+    count.0
+}
+
+/// Writes a record's words, little-endian; those for which there is no room are left out.
+pub fn put(record: &mut impl Record, bytes: &mut [u8]) {
+    record.fields(&mut Put(bytes.as_chunks_mut().0.iter_mut()));
 }
 
 /// Reads a record from the words that [`put`] wrote of one with the same description; missing words are zero.
@@ -47,31 +55,58 @@ pub fn describe(record: &mut impl Record) -> String {
     description.0
 }
 
-struct Put<'a>(&'a mut Vec<u8>);
+struct Count(usize);
 
-impl Fields for Put<'_> {
-    fn whole(&mut self, _name: &str, value: &mut u64) {
-        self.0.extend_from_slice(&value.to_le_bytes());
+impl Fields for Count {
+    fn whole(&mut self, _name: &str, _value: &mut u64) {
+        self.0 += 1;
     }
 
+    fn number(&mut self, _name: &str, _value: &mut f64) {
+        self.0 += 1;
+    }
+}
+
+// A node writes some hundred words in each tick: a call for each would cost more than the words.
+struct Put<'a>(std::slice::IterMut<'a, [u8; 8]>);
+
+impl Put<'_> {
+    #[inline]
+    fn word(&mut self, word: [u8; 8]) {
+        if let Some(place) = self.0.next() {
+            *place = word;
+        }
+    }
+}
+
+impl Fields for Put<'_> {
+    #[inline]
+    fn whole(&mut self, _name: &str, value: &mut u64) {
+        self.word(value.to_le_bytes());
+    }
+
+    #[inline]
     fn number(&mut self, _name: &str, value: &mut f64) {
-        self.0.extend_from_slice(&value.to_le_bytes());
+        self.word(value.to_le_bytes());
     }
 }
 
 struct Take<'a>(std::slice::Iter<'a, [u8; 8]>);
 
 impl Take<'_> {
+    #[inline]
     fn word(&mut self) -> [u8; 8] {
         self.0.next().copied().unwrap_or_default()
     }
 }
 
 impl Fields for Take<'_> {
+    #[inline]
     fn whole(&mut self, _name: &str, value: &mut u64) {
         *value = u64::from_le_bytes(self.word());
     }
 
+    #[inline]
     fn number(&mut self, _name: &str, value: &mut f64) {
         *value = f64::from_le_bytes(self.word());
     }

@@ -9,7 +9,7 @@ use crate::STATE_DIM_MAX;
 use crate::measurement::{Kind, Measurement, Pose};
 use crate::message::{Command, Drive, Estimate, WorldEntry};
 use crate::scenario::{Scenario, Source};
-pub use fields::{Fields, Record, describe, put, take};
+pub use fields::{Fields, Record, count, describe, put, take};
 
 /// Fusion's record of one tick.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -331,7 +331,7 @@ mod tests {
     use crate::message::Stages;
 
     fn through_words<R: Record>(record: &mut R, other: &mut R) {
-        let mut bytes = Vec::new();
+        let mut bytes = vec![0; 8 * count(record)];
         put(record, &mut bytes);
         take(other, &bytes);
     }

@@ -53,9 +53,9 @@ impl RemoteEnd {
     }
 
     /// Takes what the machine sends.
-    pub(in crate::study::explore) fn keep(&mut self, action: &Action) {
+    pub(in crate::study::explore) fn keep(&mut self, machine: &Machine, action: &Action) {
         match action {
-            Action::SendRange(message) => self.courier.on_range(message),
+            Action::SendRange => machine.range().iter().for_each(|message| self.courier.on_range(message)),
             Action::SendDrive(message) => self.courier.on_drive(message),
             Action::Measure { .. } | Action::CarryOut(_) | Action::Notify(_) => {}
         }

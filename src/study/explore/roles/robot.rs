@@ -97,7 +97,7 @@ impl Cluster<'_> {
     fn act_robot(&mut self, node: usize, robot: &mut Robot, action: Action) -> Result<(), Violation> {
         let Robot { machine, sensor, poses, witness, remote } = robot;
         if let Some(end) = remote {
-            end.keep(&action);
+            end.keep(machine, &action);
         }
         let id = node - self.plan.robot_nodes().start;
         let (now_ns, late_ns) = (self.local_ns(node), self.late_ns());
@@ -115,7 +115,8 @@ impl Cluster<'_> {
                 witness.carries_out(command, self.now_ns, late_ns);
                 machine.carried_out(command);
             }
-            Action::SendRange(Outgoing { tick, valid_at_s, entry }) => {
+            Action::SendRange => {
+                let Some(Outgoing { tick, valid_at_s, entry }) = machine.range() else { return Ok(()) };
                 self.witness.range(tick, &entry).map_err(|what| self.violation(Some(node), what))?;
                 if remote.is_some() {
                     self.witness.links.measures(id, tick, self.now_ns);
