@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-use crate::support::Run;
+use crate::support::{Faults, Link, Process, Run};
 
 fn with_keys() -> Run {
     let run = Run::new();
@@ -62,7 +62,22 @@ fn wrong_foreign_and_missing_certificates_are_refused_at_both_ends() {
     run.assert_nothing_left();
 }
 
-/// Random packets, and the packets of a real robot again, cost the run nothing and the gateway no memory.
+/// Between the hosts somebody sends old packets again, and damaged copies, both ways.
+#[test]
+fn replayed_and_damaged_packets_change_nothing() {
+    let run = Run::new();
+    let words = "--clock lockstep --timeout forever --ticks 600 --robots 3 --seed 3";
+    let (supervisor, gateway) = run.run(words);
+    let link = Link::new(gateway, 7, Faults { replayed: 0.5, damaged: 0.5, ..Faults::default() });
+    let robots = [0, 1, 2].map(|id| run.robot(id, link.address));
+    supervisor.succeeds();
+    robots.into_iter().for_each(Process::succeeds);
+    assert!(link.hostile().iter().all(|count| *count >= 1_000), "{:?}", link.hostile());
+    assert_eq!(run.digest(), Run::digest_in_process(words));
+    run.assert_nothing_left();
+}
+
+/// Random packets cost the run nothing and the gateway no memory.
 #[test]
 fn a_strangers_flood_changes_nothing() {
     let run = Run::new();

@@ -235,6 +235,10 @@ pub(crate) struct Faults {
     pub(crate) duplicates: f64,
     pub(crate) delay: Duration,
     pub(crate) jitter: Duration,
+    /// Part of the packets beside which an old one comes again.
+    pub(crate) replayed: f64,
+    /// Part of the packets beside which a damaged copy comes: cut short, or with another byte.
+    pub(crate) damaged: f64,
 }
 
 /// A link between robots and a gateway on loopback: robots connect to its address.
@@ -249,6 +253,8 @@ struct Shared {
     cut_up: AtomicBool,
     cut_down: AtomicBool,
     ended: AtomicBool,
+    replayed: AtomicUsize,
+    damaged: AtomicUsize,
 }
 
 /// A packet that arrives later: the earliest first.
@@ -288,10 +294,17 @@ impl Link {
             cut_up: AtomicBool::new(false),
             cut_down: AtomicBool::new(false),
             ended: AtomicBool::new(false),
+            replayed: AtomicUsize::new(0),
+            damaged: AtomicUsize::new(0),
         });
         let its = Arc::clone(&shared);
         let thread = std::thread::spawn(move || pass(&front, gateway, seed, &its));
         Self { address, shared, thread: Some(thread) }
+    }
+
+    /// Packets that came again, and damaged ones.
+    pub(crate) fn hostile(&self) -> [usize; 2] {
+        [&self.shared.replayed, &self.shared.damaged].map(|count| count.load(Ordering::Relaxed))
     }
 
     /// Cuts packets to the gateway, from it, or both.
@@ -313,6 +326,7 @@ fn pass(front: &UdpSocket, gateway: SocketAddr, seed: u64, shared: &Shared) {
     // One socket for each robot, so that the gateway sees them apart.
     let mut backs: HashMap<SocketAddr, UdpSocket> = HashMap::new();
     let mut later: BinaryHeap<Later> = BinaryHeap::new();
+    let mut past: Vec<(SocketAddr, bool, Vec<u8>)> = Vec::new();
     let mut bytes = [0; 2_048];
     front.set_nonblocking(true).unwrap();
     while !shared.ended.load(Ordering::Relaxed) {
@@ -342,6 +356,25 @@ fn pass(front: &UdpSocket, gateway: SocketAddr, seed: u64, shared: &Shared) {
             for _ in 0..if random.random_bool(faults.duplicates) { 2 } else { 1 } {
                 let at = Instant::now() + faults.delay + faults.jitter.mul_f64(random.random_range(0.0..1.0));
                 later.push(Later { at, to: robot, is_up, bytes: bytes[..len].to_vec() });
+            }
+            if random.random_bool(faults.damaged) {
+                let mut bytes = bytes[..len].to_vec();
+                let at = random.random_range(0..len);
+                if random.random_bool(0.5) {
+                    bytes.truncate(at);
+                } else {
+                    bytes[at] ^= random.random_range(1..=255);
+                }
+                later.push(Later { at: Instant::now(), to: robot, is_up, bytes });
+                shared.damaged.fetch_add(1, Ordering::Relaxed);
+            }
+            if faults.replayed > 0.0 {
+                past.push((robot, is_up, bytes[..len].to_vec()));
+                if random.random_bool(faults.replayed) {
+                    let (to, is_up, bytes) = past[random.random_range(0..past.len())].clone();
+                    later.push(Later { at: Instant::now(), to, is_up, bytes });
+                    shared.replayed.fetch_add(1, Ordering::Relaxed);
+                }
             }
         }
         while later.peek().is_some_and(|first| first.at <= Instant::now()) {
