@@ -201,7 +201,8 @@ impl<'a> Guests<'a> {
         self.take_role(request, host, connection, notices)?;
         let other = |text: String| (RefusalCause::Other, text);
         let description = description.seal().map_err(|error| other(error.to_string()))?;
-        Ok(Answer::Welcome { description, fusion_incarnation: self.rendezvous.roster().starts(Role::Fusion) })
+        let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
+        Ok(Answer::Welcome { description, life: self.rendezvous.life(), fusion_incarnation })
     }
 
     fn take_role(

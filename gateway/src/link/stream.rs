@@ -35,6 +35,8 @@ pub enum Answer {
     Welcome {
         /// The sealed description of the run.
         description: String,
+        /// Which life of the run it is: a resumed run has another one.
+        life: u64,
         /// How often the lead has been taken.
         fusion_incarnation: u64,
     },

@@ -114,6 +114,7 @@ struct Driver<E> {
 /// A robot's part in one run.
 struct Part {
     run_id: u64,
+    life: u64,
     machine: Machine,
     courier: Courier,
     equipment: Equipment,
@@ -177,23 +178,30 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         Ok(())
     }
 
-    /// Takes part in the run that the gateway describes. A run that it knows goes on where it was.
+    /// Takes part in the run that the gateway describes. A run that it knows goes on where it was. After the run was resumed
+    /// the robot starts anew: simulator and fusion have lower incarnations than those that it knew.
     fn join(&mut self, session: &Session) -> Result<(), RobotError> {
-        let RunDescription { run_id, scenario, .. } = &session.description;
+        let Session { description: RunDescription { run_id, scenario, .. }, life, .. } = session;
         self.has_joined = true;
-        if self.part.as_ref().is_some_and(|part| part.run_id == *run_id) {
-            return Ok(());
-        }
-        if let Some(part) = &mut self.part {
-            part.equipment.2.carry_out(Command::default());
-        }
+        let equipment = match self.part.take() {
+            Some(part) if part.run_id == *run_id && part.life == *life => {
+                self.part = Some(part);
+                return Ok(());
+            }
+            Some(mut part) => {
+                part.equipment.2.carry_out(Command::default());
+                (part.run_id == *run_id).then_some(part.equipment)
+            }
+            None => None,
+        };
+        let equipment = equipment.or_else(|| (self.equipment)(scenario));
         let machine = Machine::new(scenario, self.id, session.fusion_incarnation);
-        let equipment = (self.equipment)(scenario);
         let (Some(machine), Some(equipment)) = (machine, equipment) else {
             return Err(RobotError::Refused(format!("robot {} is not in this run", self.id)));
         };
         let courier = Courier::new(*run_id, scenario.clock);
-        self.part = Some(Part { run_id: *run_id, machine, courier, equipment, is_moving: false, malformed: 0 });
+        let (run_id, life) = (*run_id, *life);
+        self.part = Some(Part { run_id, life, machine, courier, equipment, is_moving: false, malformed: 0 });
         Ok(())
     }
 }

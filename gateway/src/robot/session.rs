@@ -68,6 +68,8 @@ pub(super) struct Session {
     pub(super) joined_ns: u64,
     /// The run.
     pub(super) description: RunDescription,
+    /// Its life: a resumed run has another one.
+    pub(super) life: u64,
     /// How often the lead had been taken.
     pub(super) fusion_incarnation: u64,
 }
@@ -189,7 +191,7 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
             connection.close(link::LEFT, b"refused");
             Some(Happened::Refused(Refusal { text, may_change }))
         }
-        Answer::Welcome { description, fusion_incarnation } => {
+        Answer::Welcome { description, life, fusion_incarnation } => {
             let description = match RunDescription::open(description.as_bytes()) {
                 Ok(description) => description,
                 Err(error) => {
@@ -199,7 +201,8 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
             let notice = tokio::task::spawn_local(notice_of(receive));
             let connection = connection.clone();
             let joined_ns = monotonic_ns();
-            let session = Session { endpoint, connection, send, notice, joined_ns, description, fusion_incarnation };
+            let session =
+                Session { endpoint, connection, send, notice, joined_ns, description, life, fusion_incarnation };
             Some(Happened::Joined(Box::new(session)))
         }
     }

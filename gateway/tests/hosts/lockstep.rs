@@ -96,6 +96,33 @@ fn kills_of_gateway_and_robots_change_nothing() {
     assert_eq!(digest, oracle);
 }
 
+/// The run's host loses everything and the run is resumed: the robots of the other hosts live on, and take part.
+#[test]
+fn robots_go_on_with_a_run_that_is_resumed() {
+    let words = "--ticks 1000 --robots 2";
+    let run = Run::new();
+    let (supervisor, gateway) = run.run(&format!("{LOCKSTEP} {words} --remote 1"));
+    let mut robot = run.robot(1, gateway);
+    run.wait_until_tick(20);
+    // More starts than the resumed run will have.
+    for role in ["sim", "fusion"] {
+        let tick = run.tick();
+        let _ = kill_process(run.wait_for("its process", || run.pid_of(role)), Signal::KILL);
+        run.wait_until_tick(tick + 20);
+    }
+    supervisor.signal(Signal::STOP);
+    for role in ["sim", "fusion", "robot-0"] {
+        let _ = kill_process(run.wait_for("its process", || run.pid_of(role)), Signal::KILL);
+    }
+    let _ = kill_process(run.wait_for("the gateway's note", || run.gateway()), Signal::KILL);
+    supervisor.kill();
+    assert!(robot.is_running());
+    run.finish_ok(&format!("resume out --no-record --name {} --listen {gateway} --remote 1", run.name));
+    robot.succeeds();
+    assert_eq!(run.digest(), Run::digest_in_process(&format!("{LOCKSTEP} {words}")));
+    run.assert_nothing_left();
+}
+
 /// Two hosts claim one robot: the one that is heard keeps it. When it is gone, the other takes its place.
 #[test]
 fn of_two_hosts_that_claim_a_robot_one_has_it() {

@@ -29,7 +29,7 @@ pub mod tenure;
 
 use std::fs::{File, TryLockError};
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use rangehound_shared::record::Record;
 use rangehound_shared::run_name::RunName;
@@ -238,6 +238,14 @@ impl Rendezvous {
         let mut observer = self;
         observer.members = None;
         observer
+    }
+
+    /// A number of this life of the run: a run that is resumed has another one, and counts incarnations from the start again.
+    #[must_use]
+    pub fn life(&self) -> u64 {
+        let founded = std::fs::metadata(self.place.path("run")).and_then(|run| run.modified());
+        let since = founded.ok().and_then(|founded| founded.duration_since(UNIX_EPOCH).ok());
+        since.map_or(0, |since| since.as_nanos() as u64)
     }
 
     /// The run.
