@@ -70,6 +70,8 @@ pub(super) enum SimEvent {
     GatewayStarts,
     GatewayWakes { is_timer: bool },
     GatewayKillBegins(usize),
+    GatewayStops,
+    GatewayContinues,
     CutBegins(usize),
     SupervisorLooks,
     SupervisorActs,
@@ -268,6 +270,11 @@ impl<'a> Cluster<'a> {
             SimEvent::ProcessStarts { .. } | SimEvent::ProcessContinues { .. } => Ok(()),
             SimEvent::GatewayStarts => self.start_gateway(),
             SimEvent::GatewayWakes { is_timer } => self.wake_gateway(is_timer),
+            SimEvent::GatewayContinues => self.continue_gateway(),
+            SimEvent::GatewayStops => {
+                self.stop_gateway();
+                Ok(())
+            }
             SimEvent::GatewayKillBegins(kill) => {
                 self.begin_gateway_kill(kill);
                 Ok(())

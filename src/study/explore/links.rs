@@ -23,6 +23,8 @@ pub(super) struct Links {
     pub(super) cuts: Vec<Cut>,
     /// Kills of the gateway, in order of time.
     pub(super) kills: Vec<GatewayKill>,
+    /// Times for which the gateway is stopped, in order.
+    pub(super) stops: Vec<GatewayStop>,
 }
 
 /// What a link does to frames.
@@ -71,6 +73,15 @@ pub(super) struct GatewayKill {
     pub(super) up_ns: u64,
 }
 
+/// The gateway is stopped, and continued later.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct GatewayStop {
+    /// When, ns.
+    pub(super) at_ns: u64,
+    /// Duration, ns.
+    pub(super) for_ns: u64,
+}
+
 impl Quality {
     /// True if each frame arrives once, without a delay.
     pub(super) fn is_good(&self) -> bool {
@@ -108,7 +119,10 @@ impl Links {
         let kills = random.random_range(0..=4_usize).saturating_sub(2);
         let mut kills: Vec<_> = (0..kills).map(|_| GatewayKill::draw(random, span_ns)).collect();
         kills.sort_by_key(|kill| kill.at_ns);
-        Some(Self { robots: remote, quality, cuts, kills })
+        let stops = random.random_range(0..=4_usize).saturating_sub(2);
+        let mut stops: Vec<_> = (0..stops).map(|_| GatewayStop::draw(random, span_ns)).collect();
+        stops.sort_by_key(|stop| stop.at_ns);
+        Some(Self { robots: remote, quality, cuts, kills, stops })
     }
 
     /// True if this robot is on another host.
@@ -129,19 +143,27 @@ impl Links {
     pub(super) fn bad_until_ns(&self, robot: usize, at_ns: u64) -> u64 {
         let has_begun = |cut: &&Cut| cut.at_ns <= at_ns && cut.robots >> robot & 1 == 1;
         let cuts_ns = self.cuts.iter().filter(has_begun).map(|cut| cut.at_ns + cut.for_ns);
-        cuts_ns.max().unwrap_or(0).max(self.quality.bad_until_ns())
+        let stops_ns = self.stops.iter().filter(|stop| stop.at_ns <= at_ns).map(|stop| stop.at_ns + stop.for_ns);
+        cuts_ns.chain(stops_ns).max().unwrap_or(0).max(self.quality.bad_until_ns())
+    }
+
+    /// When the gateway is continued, ns; `None` if it is not stopped at this time.
+    pub(super) fn stopped_until_ns(&self, at_ns: u64) -> Option<u64> {
+        let stops = self.stops.iter().map(|stop| stop.at_ns..stop.at_ns + stop.for_ns);
+        stops.filter(|stop| stop.contains(&at_ns)).map(|stop| stop.end).max()
     }
 
     /// Time at which the last disturbance is over, ns.
     pub(super) fn calm_from_ns(&self) -> u64 {
         let cuts_ns = self.cuts.iter().map(|cut| cut.at_ns + cut.for_ns);
         let kills_ns = self.kills.iter().map(|kill| kill.at_ns + kill.up_ns + REJOINS_NS);
-        cuts_ns.chain(kills_ns).max().unwrap_or(0).max(self.quality.bad_until_ns())
+        let stops_ns = self.stops.iter().map(|stop| stop.at_ns + stop.for_ns + REJOINS_NS);
+        cuts_ns.chain(kills_ns).chain(stops_ns).max().unwrap_or(0).max(self.quality.bad_until_ns())
     }
 
     /// True if nothing disturbs them.
     pub(super) fn is_undisturbed(&self) -> bool {
-        self.quality.is_good() && self.cuts.is_empty() && self.kills.is_empty()
+        self.quality.is_good() && self.cuts.is_empty() && self.kills.is_empty() && self.stops.is_empty()
     }
 
     /// The same with one disturbance less, or with fewer robots behind the gateway.
@@ -150,6 +172,7 @@ impl Links {
         let mut calmer = vec![
             Self { cuts: Vec::new(), ..self.clone() },
             Self { kills: Vec::new(), ..self.clone() },
+            Self { stops: Vec::new(), ..self.clone() },
             quality(Quality { loss: 0.0, ..self.quality }),
             quality(Quality { duplicates: 0.0, ..self.quality }),
             quality(Quality { jitter_ns: 0, ..self.quality }),
@@ -181,6 +204,12 @@ impl Cut {
             robots: if random.random_bool(0.5) { all } else { random.random_range(1..=all) },
             only: [None, None, Some(Way::Down), Some(Way::Up)][random.random_range(0..4)],
         }
+    }
+}
+
+impl GatewayStop {
+    fn draw(random: &mut ChaCha8Rng, span_ns: u64) -> Self {
+        Self { at_ns: random.random_range(0..span_ns), for_ns: random.random_range(10_000_000..4_000_000_000) }
     }
 }
 

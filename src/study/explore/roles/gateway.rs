@@ -29,7 +29,7 @@ const START_NS: u64 = 20_000_000;
 impl Cluster<'_> {
     /// Starts the gateway of a team that has robots on other hosts, and schedules what is planned for it.
     pub(in crate::study::explore) fn start_links(&mut self) {
-        let Some(Links { cuts, kills, .. }) = &self.plan.links else { return };
+        let Some(Links { cuts, kills, stops, .. }) = &self.plan.links else { return };
         let soon_ns = self.random.random_range(0..START_NS);
         self.after(soon_ns, SimEvent::GatewayStarts);
         for (index, cut) in cuts.iter().enumerate() {
@@ -38,6 +38,29 @@ impl Cluster<'_> {
         for (index, kill) in kills.iter().enumerate() {
             self.after(kill.at_ns, SimEvent::GatewayKillBegins(index));
         }
+        for stop in stops {
+            self.after(stop.at_ns, SimEvent::GatewayStops);
+            self.after(stop.at_ns + stop.for_ns, SimEvent::GatewayContinues);
+        }
+    }
+
+    /// It does nothing until it is continued, and then reads whatever has arrived.
+    pub(in crate::study::explore) fn stop_gateway(&mut self) {
+        self.counts.faults += 1;
+        self.trace(Some(self.plan.gateway()), || "is stopped".to_owned());
+    }
+
+    pub(in crate::study::explore) fn continue_gateway(&mut self) -> Result<(), Violation> {
+        if !self.gateway_is_stopped() {
+            self.trace(Some(self.plan.gateway()), || "is continued".to_owned());
+            let now_ns = self.now_ns;
+            self.gateway.guests.values_mut().for_each(|guest| guest.witness.continued(now_ns));
+        }
+        self.run_gateway()
+    }
+
+    fn gateway_is_stopped(&self) -> bool {
+        self.plan.links.as_ref().is_some_and(|links| links.stopped_until_ns(self.since_start_ns()).is_some())
     }
 
     pub(in crate::study::explore) fn start_gateway(&mut self) -> Result<(), Violation> {
@@ -72,7 +95,7 @@ impl Cluster<'_> {
 
     /// Lets it read its messages and frames, and send what is due.
     pub(in crate::study::explore) fn run_gateway(&mut self) -> Result<(), Violation> {
-        if !self.gateway.is_up {
+        if !self.gateway.is_up || self.gateway_is_stopped() {
             return Ok(());
         }
         let index = self.plan.gateway();
@@ -155,7 +178,9 @@ impl Cluster<'_> {
 
     /// A robot's process asks for its role: the number of its link, if it has joined.
     pub(in crate::study::explore) fn join(&mut self, robot: usize, process: u32) -> Option<u64> {
-        let is_open = self.gateway.is_up && ![Way::Down, Way::Up].into_iter().any(|way| self.is_cut(robot, way));
+        let is_open = self.gateway.is_up
+            && !self.gateway_is_stopped()
+            && ![Way::Down, Way::Up].into_iter().any(|way| self.is_cut(robot, way));
         if !is_open {
             return None;
         }

@@ -104,6 +104,11 @@ impl LinkWitness {
         }
     }
 
+    /// The gateway was stopped until now: the times in which it sent nothing do not count.
+    pub(in crate::study::explore) fn continued(&mut self, now_ns: u64) {
+        (self.framed_ns, self.world_ns, self.heading_ns) = (now_ns, now_ns, now_ns);
+    }
+
     /// A world reaches the relay.
     pub(in crate::study::explore) fn world(&mut self, header: &Header, entry: &WorldEntry) {
         let news = (header.incarnation, header.tick);
