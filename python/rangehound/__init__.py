@@ -11,17 +11,20 @@ Robots are numbered from 0; arrays of runs have a row for each tick, from tick 0
 `track`, `calibrate`          recorded ranges and bearings
 `compare`                     planners on the same targets
 `load`                        the folder of a run
+`run`, `attach`               a live run: start it, watch its ticks
+`Robot`, `fusion`             nodes of a live run with functions of your own
 ============================  =========================================================
 """
 
 from ._native import InputError, Plan, RunError, Situation, __version__, plan
 from .filter import Filter
+from .live import LiveRun, Robot, Tick, attach, fusion, run
 from .recordings import Calibration, calibrate, track
-from .run import Run, load, simulate
+from .runs import Run, load, simulate
 from .scenario import Scenario
 from .study import Comparison, compare
 
 __all__ = [
-    "Calibration", "Comparison", "Filter", "InputError", "Plan", "Run", "RunError", "Scenario", "Situation",
-    "__version__", "calibrate", "compare", "load", "plan", "simulate", "track",
+    "Calibration", "Comparison", "Filter", "InputError", "LiveRun", "Plan", "Robot", "Run", "RunError", "Scenario",
+    "Situation", "Tick", "__version__", "attach", "calibrate", "compare", "fusion", "load", "plan", "run", "simulate", "track",
 ]

@@ -11,7 +11,7 @@ from typing import Any, Iterator, Mapping
 
 from . import _native, figures
 from ._progress import progress
-from .run import Run
+from .runs import Run
 from .scenario import Scenario, to_json
 
 #: Keys of the table `[recording]` that say how a file is read.

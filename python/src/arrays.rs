@@ -30,7 +30,7 @@ impl Numbers {
         let made = || {
             let asarray = ASARRAY.import(py, "numpy", "asarray")?;
             let array = asarray.call1((value, intern!(py, "float64")))?;
-            array.extract::<PyReadonlyArrayDyn<'_, f64>>().map_err(PyErr::from).map(|array| Self::copied(&array))
+            array.extract::<PyReadonlyArrayDyn<'_, f64>>().map(|array| Self::copied(&array))
         };
         made().map_err(|error| input(format!("{name} is no array of numbers: expected one: {}", error.value(py))))
     }

@@ -5,9 +5,11 @@ use std::sync::Arc;
 
 use numpy::PyArray1;
 use pyo3::prelude::*;
+use rangehound_robot::drive::Actuator;
+use rangehound_robot::pose::PoseSource;
 use rangehound_robot::sensor::{Sensed, Sensor};
-use rangehound_shared::measurement::Kind;
-use rangehound_shared::message::WorldEntry;
+use rangehound_shared::measurement::{Kind, Pose};
+use rangehound_shared::message::{Command, WorldEntry};
 use rangehound_shared::scenario::{Scenario, SensorSpec};
 use rangehound_sim::simulation::TargetMotion;
 
@@ -42,6 +44,12 @@ pub(crate) struct FunctionSensor {
 }
 
 impl FunctionSensor {
+    /// The sensor of one robot of a scenario; `None` if it has no such robot.
+    pub(crate) fn of_robot(scenario: &Scenario, robot: usize, function: Py<PyAny>, raised: &Raised) -> Option<Self> {
+        let reported = scenario.robots.get(robot)?.reported;
+        Some(Self { function: Function::new(function), robot, reported, raised: raised.clone() })
+    }
+
     /// The sensors of all robots of a scenario.
     pub(crate) fn of_team(scenario: &Scenario, function: Py<PyAny>, raised: &Raised) -> Vec<Box<dyn Sensor>> {
         let function = Function::new(function);
@@ -137,5 +145,89 @@ impl TargetMotion for FunctionTarget {
         if let Err(error) = self.call(tick, state, noise) {
             self.raised.set(error);
         }
+    }
+}
+
+/// `f(time_s, x_m, y_m, heading_rad)`: where a robot says that it is; the arguments are what the world's localiser says.
+#[derive(Debug)]
+pub(crate) struct FunctionPose {
+    function: Function,
+    raised: Raised,
+}
+
+impl FunctionPose {
+    pub(crate) fn new(function: Py<PyAny>, raised: Raised) -> Self {
+        Self { function: Function::new(function), raised }
+    }
+
+    fn call(&self, time_s: f64, pose: Pose) -> PyResult<Pose> {
+        Python::attach(|py| {
+            let answer = self.function.0.bind(py).call1((time_s, pose.x_m, pose.y_m, pose.heading_rad))?;
+            let numbers = Numbers::of(&answer, "the answer of the localiser")?.data;
+            let of = |i: usize, absent: f64| numbers.get(i).copied().unwrap_or(absent);
+            let std_m = of(3, 0.0);
+            let is_valid = (2..=5).contains(&numbers.len()) && numbers.iter().all(|number| number.is_finite());
+            if !is_valid || std_m < 0.0 || of(4, 0.0) < 0.0 {
+                return Err(input(format!(
+                    "the answer of the localiser is {numbers:?}: expected (x_m, y_m), and heading_rad, std_m and \
+                     heading_std_rad if they are known, all finite"
+                )));
+            }
+            let covariance_m2 = [std_m * std_m, 0.0, std_m * std_m];
+            let (x_m, y_m) = (numbers[0], numbers[1]);
+            Ok(Pose {
+                x_m,
+                y_m,
+                heading_rad: of(2, pose.heading_rad),
+                covariance_m2,
+                heading_std_rad: of(4, 0.0),
+                ..pose
+            })
+        })
+    }
+}
+
+impl PoseSource for FunctionPose {
+    fn pose(&mut self, time_s: f64, entry: &WorldEntry) -> Pose {
+        if self.raised.is_set() {
+            return entry.pose;
+        }
+        self.call(time_s, entry.pose).unwrap_or_else(|error| {
+            self.raised.set(error);
+            entry.pose
+        })
+    }
+}
+
+/// `f(heading_rad, speed_mps)`: carries a command out. The answer is what was driven; `None` means as commanded.
+#[derive(Debug)]
+pub(crate) struct FunctionActuator {
+    /// `None`: the simulator moves the robot.
+    pub(crate) function: Option<Function>,
+    pub(crate) raised: Raised,
+}
+
+impl FunctionActuator {
+    fn call(&self, function: &Function, command: Command) -> PyResult<Command> {
+        Python::attach(|py| {
+            let answer = function.0.bind(py).call1((command.heading_rad, command.speed_mps))?;
+            if answer.is_none() {
+                return Ok(command);
+            }
+            let what = "the answer of carry_out";
+            let driven = Numbers::of(&answer, what)?.shaped(what, &[2])?;
+            Ok(Command { heading_rad: driven[0], speed_mps: driven[1] })
+        })
+    }
+}
+
+impl Actuator for FunctionActuator {
+    fn carry_out(&mut self, command: Command) -> Command {
+        let Some(function) = &self.function else { return command };
+        // The last command, to stop, is carried out even after an exception.
+        self.call(function, command).unwrap_or_else(|error| {
+            self.raised.set(error);
+            Command::default()
+        })
     }
 }

@@ -5,9 +5,10 @@
 //! | [`scenario`] | a checked scenario |
 //! | [`plan`] | one step of a planner |
 //! | [`situation`] | what a planner sees, and planners that are Python functions |
-//! | [`callables`] | sensors and target models that are Python functions |
+//! | [`callables`] | sensors, target models, localisers and drives that are Python functions |
 //! | [`filter`] | the fusion centre's filter, tick by tick |
 //! | [`run`] | runs as arrays: simulated, tracked or loaded |
+//! | [`live`] | observers of live runs, and nodes with functions |
 //! | [`studies`] | `compare` and `calibrate` |
 //! | [`arrays`], [`errors`] | conversions; exceptions |
 
@@ -15,6 +16,7 @@ mod arrays;
 mod callables;
 mod errors;
 mod filter;
+mod live;
 mod plan;
 mod run;
 mod scenario;
@@ -32,6 +34,8 @@ mod _native {
     use super::errors::{InputError, RunError};
     #[pymodule_export]
     use super::filter::Filter;
+    #[pymodule_export]
+    use super::live::{Observer, run_fusion, run_robot};
     #[pymodule_export]
     use super::plan::{Plan, plan};
     #[pymodule_export]

@@ -104,7 +104,20 @@ fn solve(problem: &ProblemLine, seed: u64, tick: u64) -> PyResult<Plan> {
     })
 }
 
-/// Plans one step of a team.
+/// Plans one step of a team of M robots: the headings after which their next measurements are most informative.
+///
+/// With the predicted covariance P of the target's position and the line of sight e_i from where robot i measures, the
+/// covariance after ranges is (P^-1 + sum_i e_i e_i^T / sigma_i^2)^-1. Its trace is least where |S|, the difference of the
+/// eigenvalues of its inverse, is least.
+///
+/// `prior_position_covariance` is P, (2, 2), m^2; `target` the predicted position, (2,), m; `time_step_s` how long the robots
+/// move. `positions` is (M, 2), m. Values of robots are (M,), or one number for all: `max_speed`, m/s; `range_std`, m, which
+/// grows by `range_std_per_m` with the distance; `bearing_std_rad`; `max_range_m`; `field_of_view_rad`; `heading_std_rad`.
+/// NaN means that a robot does not have it. `position_covariance` is (M, 2, 2), m^2. `stand_off_m`, `stand_off_sigma` and
+/// `separation_m` keep distances. `planner` is a name ("certified" if it is missing), `criterion` "trace", "eigenvalue" or
+/// "determinant". The random planner depends on `seed` and `tick`.
+///
+/// Raises `InputError` with the argument's name.
 #[pyfunction]
 #[pyo3(signature = (
     *, prior_position_covariance, target, time_step_s, positions, max_speed, range_std=None, range_std_per_m=None,

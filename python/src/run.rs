@@ -31,7 +31,7 @@ const TURN_TICKS: u64 = 32;
 
 /// The arrays of a run, a row for each tick.
 #[derive(Debug, Default)]
-struct History {
+pub(crate) struct History {
     state_dim: usize,
     truth_dim: usize,
     robots: usize,
@@ -43,6 +43,7 @@ struct History {
     nis: Vec<f64>,
     counts: [Vec<u64>; 3],
     worth: [Vec<f64>; 3],
+    sent_ns: Vec<u64>,
     position_m: Vec<f64>,
     believed_m: Vec<f64>,
     measured: [Vec<f64>; 4],
@@ -52,13 +53,13 @@ struct History {
 }
 
 impl History {
-    fn of(scenario: &shared::Scenario) -> Self {
+    pub(crate) fn of(scenario: &shared::Scenario) -> Self {
         let truth_dim = WorldRecord::of(scenario).truth.len();
         Self { state_dim: scenario.motion.state_dim(), truth_dim, robots: scenario.robots.len(), ..Self::default() }
     }
 
     /// Adds a tick. What no node has recorded is NaN, or zero if it is a count.
-    fn add(&mut self, logged: LoggedTick<'_>) {
+    pub(crate) fn add(&mut self, logged: LoggedTick<'_>) {
         let LoggedTick { tick, fusion, world } = logged;
         let n = self.state_dim;
         self.tick.push(tick);
@@ -85,6 +86,7 @@ impl History {
         let worth = estimate.map(|estimate| [estimate.objective, estimate.lower_bound, estimate.least_trace_m2]);
         let worth = worth.unwrap_or([f64::NAN; 3]);
         self.worth.iter_mut().zip(worth).for_each(|(column, value)| column.push(value));
+        self.sent_ns.push(estimate.map_or(0, |estimate| estimate.stages.sent_ns));
         for robot in 0..self.robots {
             let exchange = fusion.and_then(|record| record.exchanges.get(robot));
             let body = world.and_then(|record| record.robots.get(robot));
@@ -120,7 +122,7 @@ impl History {
     }
 
     /// The arrays by name.
-    fn into_dict(self, py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
+    pub(crate) fn into_dict(self, py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
         let dict = PyDict::new(py);
         let (ticks, n, m) = (self.tick.len(), self.state_dim, self.robots);
         dict.set_item("tick", array(py, self.tick, &[ticks])?)?;
@@ -135,6 +137,7 @@ impl History {
         for (name, column) in ["objective", "lower_bound", "least_trace_m2"].into_iter().zip(self.worth) {
             dict.set_item(name, array(py, column, &[ticks])?)?;
         }
+        dict.set_item("sent_ns", array(py, self.sent_ns, &[ticks])?)?;
         dict.set_item("robot_m", array(py, self.position_m, &[ticks, m, 2])?)?;
         dict.set_item("believed_m", array(py, self.believed_m, &[ticks, m, 2])?)?;
         let names = ["range_m", "range_std_m", "bearing_rad", "bearing_std_rad"];
@@ -189,7 +192,7 @@ impl Stepped<'_> {
             }
             self.team.advance();
             self.next += 1;
-            if self.next % TURN_TICKS == 0 && began.elapsed() > TURN {
+            if self.next.is_multiple_of(TURN_TICKS) && began.elapsed() > TURN {
                 return Ok(true);
             }
         }

@@ -149,17 +149,21 @@ impl Situation {
     }
 }
 
-/// A planner that is a Python function. Its first exception is stored in `raised`; from then on the robots stand still.
+/// A planner that is a Python function. Its first exception is stored in `raised`; from then on the robots hold their course.
 pub(crate) fn planner(robots: usize, function: Py<PyAny>, raised: Raised) -> Result<Box<dyn Planner>, PlannerError> {
+    let mut course = vec![Command::default(); robots];
     let choose = move |tick: u64, situation: &Seen, commands: &mut [Command]| {
-        if raised.is_set() {
-            return;
+        if !raised.is_set() {
+            match Python::attach(|py| call(py, &function, tick, situation, commands)) {
+                Ok(()) => {
+                    course.clear();
+                    course.extend_from_slice(commands);
+                    return;
+                }
+                Err(error) => raised.set(error),
+            }
         }
-        let chosen = Python::attach(|py| call(py, &function, tick, situation, commands));
-        if let Err(error) = chosen {
-            commands.fill(Command::default());
-            raised.set(error);
-        }
+        commands.iter_mut().zip(&course).for_each(|(command, held)| *command = *held);
     };
     Ok(Box::new(Custom::new(robots, choose)?))
 }
