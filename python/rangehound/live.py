@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import subprocess
-import tempfile
-from typing import Any, Callable, Iterator
+from typing import TYPE_CHECKING, Any, Callable, Iterator
 
 import numpy as np
 
@@ -15,6 +12,9 @@ from . import _native
 from ._native import InputError, RunError
 from .runs import Run, load
 from .scenario import scenario_of
+
+if TYPE_CHECKING:
+    import subprocess
 
 #: How long a run may take to end after it has been asked to, s.
 _END_S = 30.0
@@ -149,6 +149,8 @@ class LiveRun:
         """Ends the run if it still goes on."""
         if self._process.poll() is None:
             self._process.terminate()
+            import subprocess
+
             try:
                 self._process.communicate(timeout=_END_S)
             except subprocess.TimeoutExpired:
@@ -162,6 +164,8 @@ class LiveRun:
         self.close()
 
     def _command(self, *words: str) -> str:
+        import subprocess
+
         done = subprocess.run([self._program, *words, "--name", self.name], capture_output=True, text=True)
         if done.returncode != 0:
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
@@ -188,6 +192,11 @@ def run(
     ...     run.kill("robot-1")
     ...     print(run.report()["verdict"])
     """
+    # Here, because they would be a tenth of the time of the import.
+    import shutil
+    import subprocess
+    import tempfile
+
     program = os.fspath(program or os.environ.get("RANGEHOUND") or shutil.which("rangehound") or "")
     if not program or not os.access(program, os.X_OK):
         raise InputError(f"no program {program or 'rangehound'}: expected it on the path, in RANGEHOUND, or as program=...")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Iterator, Mapping
@@ -114,6 +113,8 @@ def _file(ranges: Any) -> Iterator[str]:
     if isinstance(ranges, (str, os.PathLike)):
         yield os.fspath(ranges)
         return
+    import tempfile
+
     columns: Mapping[str, Any] = ranges
     names = list(columns)
     with tempfile.TemporaryDirectory(prefix="rangehound-") as folder:

@@ -1,9 +1,10 @@
 //! Numbers between Python and Rust.
 
-use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn};
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
+use pyo3::types::PyFloat;
 
 use crate::errors::input;
 
@@ -19,26 +20,28 @@ pub(crate) struct Numbers {
 impl Numbers {
     /// Reads a number, an array, or whatever numpy makes an array of numbers of. `name` stands in errors.
     pub(crate) fn of(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Self> {
-        if let Ok(number) = value.extract::<f64>() {
-            return Ok(Self { shape: Vec::new(), data: vec![number] });
+        // Checks of types only: a conversion that fails would cost more than a plan.
+        if let Ok(array) = value.cast::<PyArrayDyn<f64>>() {
+            return Ok(Self::copied(array));
         }
-        if let Ok(array) = value.extract::<PyReadonlyArrayDyn<'_, f64>>() {
-            return Ok(Self::copied(&array));
+        if let Ok(number) = value.cast::<PyFloat>() {
+            return Ok(Self { shape: Vec::new(), data: vec![number.value()] });
         }
         static ASARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
         let py = value.py();
         let made = || {
             let asarray = ASARRAY.import(py, "numpy", "asarray")?;
             let array = asarray.call1((value, intern!(py, "float64")))?;
-            array.extract::<PyReadonlyArrayDyn<'_, f64>>().map(|array| Self::copied(&array))
+            Ok::<_, PyErr>(Self::copied(array.cast::<PyArrayDyn<f64>>()?))
         };
         made().map_err(|error| input(format!("{name} is no array of numbers: expected one: {}", error.value(py))))
     }
 
-    fn copied(array: &PyReadonlyArrayDyn<'_, f64>) -> Self {
-        let view = array.as_array();
-        let data = view.as_slice().map_or_else(|| view.iter().copied().collect(), <[f64]>::to_vec);
-        Self { shape: view.shape().to_vec(), data }
+    fn copied(array: &Bound<'_, PyArrayDyn<f64>>) -> Self {
+        // The memory of an array in Fortran's order is contiguous too.
+        let in_c_order = || array.to_owned_array().iter().copied().collect();
+        let data = if array.is_c_contiguous() { array.to_vec().unwrap_or_else(|_| in_c_order()) } else { in_c_order() };
+        Self { shape: array.shape().to_vec(), data }
     }
 
     /// Refuses any other shape.

@@ -26,6 +26,9 @@ use crate::situation;
 /// How long ticks are stepped before Python can act on signals and show progress.
 const TURN: Duration = Duration::from_millis(40);
 
+/// Ticks for which a simulated run has its memory at once.
+const TICKS_AT_ONCE: usize = 100_000;
+
 /// Ticks between two looks at the time.
 const TURN_TICKS: u64 = 32;
 
@@ -56,6 +59,18 @@ impl History {
     pub(crate) fn of(scenario: &shared::Scenario) -> Self {
         let truth_dim = WorldRecord::of(scenario).truth.len();
         Self { state_dim: scenario.motion.state_dim(), truth_dim, robots: scenario.robots.len(), ..Self::default() }
+    }
+
+    /// The same with memory for this many ticks, so that arrays need not move as they grow.
+    fn with_room_for(mut self, ticks: u64) -> Self {
+        let ticks = usize::try_from(ticks).unwrap_or(usize::MAX).min(TICKS_AT_ONCE);
+        let (n, m) = (self.state_dim, self.robots);
+        self.state.reserve(ticks * n);
+        self.covariance.reserve(ticks * n * n);
+        self.truth.reserve(ticks * self.truth_dim);
+        [&mut self.position_m, &mut self.believed_m].into_iter().for_each(|column| column.reserve(2 * m * ticks));
+        self.measured.iter_mut().chain(&mut self.commands).for_each(|column| column.reserve(m * ticks));
+        self
     }
 
     /// Adds a tick. What no node has recorded is NaN, or zero if it is a count.
@@ -244,7 +259,7 @@ pub(crate) fn simulate<'py>(
         next: 0,
         fusion: FusionRecord::of(scenario),
         world: WorldRecord::of(scenario),
-        history: History::of(scenario),
+        history: History::of(scenario).with_room_for(scenario.ticks + 1),
         report: ReportBuilder::new(truth.as_ref()).map_err(failed)?,
         yardstick: gap.then(|| Yardstick::for_robots(robots)).transpose().map_err(input)?,
         raised: raised.clone(),

@@ -1,6 +1,7 @@
 """Runs in this process, with parts that are functions."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -179,7 +180,7 @@ def test_an_interrupt_ends_a_long_call(call, planner):
     child = subprocess.Popen([sys.executable, "-c", script], cwd="/", **pipes)
     try:
         assert child.stdout.readline() == "ready\n"
-        time.sleep(0.5)
+        time.sleep(1.0)
         child.send_signal(signal.SIGINT)
         out, err = child.communicate(timeout=60)
     finally:
@@ -226,3 +227,28 @@ def test_no_output_without_a_terminal(python):
 def test_a_folder_that_is_no_run_is_named(tmp_path):
     with pytest.raises(rh.InputError, match="expected the folder of a run"):
         rh.load(tmp_path)
+
+
+def test_a_terminal_shows_the_progress_of_a_long_call():
+    import fcntl
+    import pty
+    import struct
+    import termios
+
+    parent, child = pty.openpty()
+    fcntl.ioctl(child, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    script = "import rangehound as rh; rh.simulate(ticks=400_000, planner='greedy')"
+    running = subprocess.Popen([sys.executable, "-c", script], cwd="/", stderr=child)
+    os.close(child)
+    shown = b""
+    while True:
+        try:
+            read = os.read(parent, 4096)
+        except OSError:  # The other end is closed.
+            break
+        shown += read
+        if not read:
+            break
+    os.close(parent)
+    assert running.wait(timeout=60) == 0
+    assert b"/400000" in shown and b"tick/s" in shown
