@@ -42,6 +42,8 @@ pub(crate) struct Observer {
     changes: Option<OwnedFd>,
     next: Option<u64>,
     waits_for_truth: bool,
+    /// True if no log has changed for a while: only then it asks whether the run goes on.
+    is_quiet: bool,
     inhabited: Instant,
 }
 
@@ -66,7 +68,7 @@ impl Observer {
             py.detach(|| std::thread::sleep(LOOK));
         };
         let next = from_start.then_some(0);
-        Ok(Self { run, frames: None, changes: None, next, waits_for_truth, inhabited: Instant::now() })
+        Ok(Self { run, frames: None, changes: None, next, waits_for_truth, is_quiet: true, inhabited: Instant::now() })
     }
 
     /// Name of the run.
@@ -88,13 +90,12 @@ impl Observer {
     /// The arrays of the next tick, of one row each; none at the end of the run.
     fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         loop {
-            // Before the look, so that everything up to the end is read.
-            let is_over = self.is_over();
-            if let Some(history) = self.look(is_over).map_err(failed)? {
+            if let Some(history) = self.look(false).map_err(failed)? {
                 return history.into_dict(py).map(Some);
             }
-            if is_over {
-                return Ok(None);
+            if self.is_quiet && self.is_over() {
+                // What was logged just before the end.
+                return self.look(true).map_err(failed)?.map(|history| history.into_dict(py)).transpose();
             }
             py.check_signals()?;
             py.detach(|| self.sleep());
@@ -148,13 +149,16 @@ impl Observer {
     /// Sleeps until a log changes, or for a while.
     fn sleep(&mut self) {
         if self.changes.is_none() && self.frames.is_some() {
-            self.changes = watch(&self.run.description().out_dir);
+            self.changes = watch(&self.run.description().out_dir, self.waits_for_truth);
             // What was written before is read first.
             return;
         }
         let Some(changes) = &self.changes else { return std::thread::sleep(LOOK) };
         let timeout = Timespec { tv_sec: 0, tv_nsec: IDLE.as_nanos() as i64 };
-        let _ = poll(&mut [PollFd::new(changes, PollFlags::IN)], Some(&timeout));
+        self.is_quiet = poll(&mut [PollFd::new(changes, PollFlags::IN)], Some(&timeout)).is_ok_and(|ready| ready == 0);
+        if !self.is_quiet {
+            self.inhabited = Instant::now();
+        }
         // The events say only that something was written.
         let mut events = [0; 4096];
         while rustix::io::read(changes, &mut events).is_ok_and(|read| read == events.len()) {}
@@ -162,10 +166,11 @@ impl Observer {
 }
 
 /// Tells of writes to the logs of a run; `None` on a file system that does not.
-fn watch(folder: &std::path::Path) -> Option<OwnedFd> {
+fn watch(folder: &std::path::Path, also_truth: bool) -> Option<OwnedFd> {
     let changes = inotify::init(inotify::CreateFlags::CLOEXEC | inotify::CreateFlags::NONBLOCK).ok()?;
-    for log in [logs::estimates_path(folder), logs::worlds_path(folder)] {
-        inotify::add_watch(&changes, &log, inotify::WatchFlags::MODIFY).ok()?;
+    let worlds = also_truth.then(|| logs::worlds_path(folder));
+    for log in [logs::estimates_path(folder)].iter().chain(&worlds) {
+        inotify::add_watch(&changes, log, inotify::WatchFlags::MODIFY).ok()?;
     }
     Some(changes)
 }
