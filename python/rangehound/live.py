@@ -97,6 +97,7 @@ def fusion(name: str, planner: Callable[..., Any] | None = None) -> None:
 
     It leads until the run ends. If the planner raises an exception, the robots keep their headings for three ticks and
     then stop, and this call raises it. If it takes longer than a time step, headings come late, and the report counts them.
+    If it takes longer than three steps in real time, or than the time-out in lock step, this call raises `RunError`.
     """
     _native.run_fusion(name, planner=planner)
 

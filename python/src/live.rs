@@ -4,6 +4,7 @@
 
 use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use pyo3::prelude::*;
@@ -11,17 +12,20 @@ use pyo3::types::PyDict;
 use rangehound::failure::Failure;
 use rangehound::results::frame::Frames;
 use rangehound::run::node::{input_or_running, of_fusion, of_robot};
+use rangehound_fusion::planner::{Plan, Planner, Situation};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::system::signal::Termination;
+use rangehound_robot::drive::HOLD_TICKS;
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::sensor::{self, Sensor};
 use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::inotify;
 
 use crate::callables::{Function, FunctionActuator, FunctionPose, FunctionSensor};
-use crate::errors::{Raised, failed, input};
+use crate::errors::{Raised, RunError, failed, input};
 use crate::run::History;
 use crate::situation;
 
@@ -30,6 +34,9 @@ const IDLE: Duration = Duration::from_millis(100);
 
 /// A run without simulator, fusion and supervisor for this long has ended, whatever its state.
 const DESERTED: Duration = Duration::from_secs(3);
+
+/// How long a node may take to end after it has been asked to.
+const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// How often a node's process acts on signals.
 const LOOK: Duration = Duration::from_millis(20);
@@ -183,6 +190,7 @@ fn run_node(
     py: Python<'_>,
     name: &str,
     raised: &Raised,
+    asked_of: &Asked,
     node: impl FnOnce(&Rendezvous, &Termination) -> Result<(), Failure> + Send + 'static,
 ) -> PyResult<()> {
     let name = run_name(name)?;
@@ -197,14 +205,22 @@ fn run_node(
     };
     let worker = std::thread::Builder::new().name("node".to_owned()).spawn(work);
     let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
-    let mut ended = Ok(());
+    let (mut ended, mut asked) = (Ok(()), None);
     while !worker.is_finished() {
         py.detach(|| std::thread::sleep(LOOK));
         if let Err(error) = py.check_signals() {
             ended = Err(error);
         }
+        if let Some(error) = asked_of.overdue() {
+            raised.set(error);
+        }
         if ended.is_err() || raised.is_set() {
             termination.request();
+            if asked.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
+                // A function does not return. Its thread ends with the process.
+                ended?;
+                return raised.check();
+            }
         }
     }
     let outcome = py.detach(|| worker.join());
@@ -226,7 +242,7 @@ pub(crate) fn run_robot(
 ) -> PyResult<()> {
     let raised = Raised::default();
     let of_node = raised.clone();
-    run_node(py, name, &raised, move |rendezvous, termination| {
+    run_node(py, name, &raised, &Asked::default(), move |rendezvous, termination| {
         let scenario = &rendezvous.description().scenario;
         let no_such = || Failure::input(format!("id is {id}: expected 0 to {}", scenario.robots.len() - 1));
         let mut sensor: Box<dyn Sensor> = match measure {
@@ -248,13 +264,71 @@ pub(crate) fn run_robot(
 #[pyfunction]
 #[pyo3(signature = (name, *, planner=None))]
 pub(crate) fn run_fusion(py: Python<'_>, name: &str, planner: Option<Py<PyAny>>) -> PyResult<()> {
-    let raised = Raised::default();
-    let of_node = raised.clone();
-    run_node(py, name, &raised, move |rendezvous, termination| {
-        let robots = rendezvous.description().scenario.robots.len();
-        let planner = planner.map(|function| situation::planner(robots, function, of_node)).transpose();
-        let planner = planner.map_err(Failure::input)?;
+    let (raised, asked) = (Raised::default(), Asked::default());
+    let (of_node, asked_of_node) = (raised.clone(), asked.clone());
+    run_node(py, name, &raised, &asked, move |rendezvous, termination| {
+        let scenario = &rendezvous.description().scenario;
+        let planner = match planner {
+            Some(function) => {
+                let inner = situation::planner(scenario.robots.len(), function, of_node.clone());
+                let limit = patience(scenario);
+                let inner = inner.map_err(Failure::input)?;
+                Some(Box::new(Watched { inner, limit, asked: asked_of_node, raised: of_node }) as Box<dyn Planner>)
+            }
+            None => None,
+        };
         rangehound_node::fusion::run_with(rendezvous, planner, termination)
             .map_err(|error| of_fusion(rendezvous, error))
     })
+}
+
+/// How long a planner may take: in real time until the robots stop, in lock step until they would be left out.
+fn patience(scenario: &Scenario) -> Duration {
+    match (scenario.clock, scenario.timeout) {
+        (Clock::Realtime, _) => Duration::from_secs_f64(HOLD_TICKS as f64 * scenario.dt_s),
+        (Clock::Lockstep, Timeout::After(timeout)) => timeout,
+        (Clock::Lockstep, Timeout::Forever) => Duration::MAX,
+    }
+}
+
+/// The tick that a planner is asked for, since when, and how long it may take.
+#[derive(Debug, Clone, Default)]
+struct Asked(Arc<Mutex<Option<(u64, Instant, Duration)>>>);
+
+impl Asked {
+    fn set(&self, asked: Option<(u64, Instant, Duration)>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = asked;
+    }
+
+    /// The error of a planner that takes too long.
+    fn overdue(&self) -> Option<PyErr> {
+        let (tick, since, limit) = (*self.0.lock().unwrap_or_else(PoisonError::into_inner))?;
+        let (taken_s, limit_s) = (since.elapsed().as_secs_f64(), limit.as_secs_f64());
+        let error = format!("the planner has taken {taken_s:.2} s at tick {tick}: expected at most {limit_s} s");
+        (since.elapsed() > limit).then(|| RunError::new_err(error))
+    }
+}
+
+/// A planner whose time is limited.
+#[derive(Debug)]
+struct Watched {
+    inner: Box<dyn Planner>,
+    limit: Duration,
+    asked: Asked,
+    raised: Raised,
+}
+
+impl Planner for Watched {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn plan(&mut self, tick: u64, situation: &Situation, plan: &mut Plan) {
+        self.asked.set(Some((tick, Instant::now(), self.limit)));
+        self.inner.plan(tick, situation, plan);
+        if let Some(error) = self.asked.overdue() {
+            self.raised.set(error);
+        }
+        self.asked.set(None);
+    }
 }

@@ -124,10 +124,10 @@ def test_a_python_robot_takes_part_with_the_protocol_of_the_others(by_hand, name
 
 
 def test_a_killed_python_robot_is_replaced_and_changes_no_bit(by_hand, name, tmp_path):
-    keys = dict(ticks=4000, clock="lockstep", timeout_s="forever", planner="greedy")
+    keys = dict(ticks=8000, clock="lockstep", timeout_s="forever", planner="greedy")
     script = "rh.Robot(name, 2).run()\nprint('ended')"
     started = by_hand(["sim"], ["fusion"], *robots(0, 1), scripts=[script], **keys)
-    for _ in range(3):
+    for _ in range(10):
         for tick in rh.attach(name):
             break
         started[-1].kill()
@@ -190,6 +190,25 @@ def test_if_a_planner_raises_the_team_holds_its_course_and_another_fusion_takes_
     run = rh.load(tmp_path / "out")
     assert (run.heading_rad[30] == 0).all() and (run.speed_mps[30] == 10).all()
     assert run.report["ticks"] == 90
+
+
+@pytest.mark.parametrize("slow", ["time.sleep(1)", "time.sleep(1e6)"])
+def test_a_planner_that_is_slow_or_hangs_is_one_error(by_hand, name, tmp_path, slow):
+    script = (
+        "import time\n"
+        "def east(situation):\n"
+        f"    if situation.tick == 30: {slow}\n"
+        "    return [0.0] * situation.robots\n"
+        "rh.fusion(name, planner=east)"
+    )
+    keys = dict(ticks=90, dt_s=0.05, clock="realtime")
+    started = by_hand(["sim"], *robots(0, 1, 2), scripts=[script], **keys)
+    _, err = started[-1].communicate()
+    assert "RunError: the planner has taken" in err and "s at tick 30: expected at most 0.15" in err, err
+    by_hand(["fusion"], **keys)
+    assert started[0].wait() == 0
+    started[-1].wait()
+    assert rh.load(tmp_path / "out").report["ticks"] == 90
 
 
 def test_faults_are_one_line(name, program):
