@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import _native
-from .scenario import Scenario, scenario_of
+from .scenario import scenario_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class Filter(_native.Filter):
@@ -22,7 +25,7 @@ class Filter(_native.Filter):
 
     __slots__ = ()
 
-    def __new__(cls, scenario: Any = None, /, **keys: Any) -> "Filter":
+    def __new__(cls, scenario: Any = None, /, **keys: Any) -> Self:
         scenario = scenario_of(scenario)
         return super().__new__(cls, scenario.replace(**keys) if keys else scenario)
 
@@ -30,5 +33,3 @@ class Filter(_native.Filter):
         x_m, y_m = self.state[:2]
         return f"Filter(tick={self.tick}, position_m=[{x_m:.3f}, {y_m:.3f}])"
 
-
-__all__ = ["Filter", "Scenario"]

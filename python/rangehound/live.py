@@ -10,7 +10,6 @@ import numpy as np
 
 from . import _native
 from ._native import InputError, RunError
-from .runs import Run, load
 from .scenario import scenario_of
 
 if TYPE_CHECKING:
@@ -228,5 +227,3 @@ def _wait_until_founded(live: LiveRun) -> None:
             continue
     live.report()
 
-
-__all__ = ["LiveRun", "Robot", "Run", "Tick", "attach", "fusion", "load", "run"]

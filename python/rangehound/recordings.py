@@ -21,12 +21,12 @@ class Calibration:
     """What `calibrate` found. Intervals are of 95 %: `value` plus or minus `half_width`."""
 
     def __init__(self, found: str, toml: str, residuals: list[list[tuple[float, float]]]) -> None:
-        found = json.loads(found)
-        self.is_determined: bool = found["determined"]
-        self.sensor_ids: list[str] = found["sensor_ids"]
-        self.sensors: list[dict[str, Any]] = found["findings"]["sensors"]
-        self.accel_psd: dict[str, float] | None = found["findings"]["accel_psd"]
-        self.undetermined: list[str] = found["findings"]["untold"]
+        keys = json.loads(found)
+        self.is_determined: bool = keys["determined"]
+        self.sensor_ids: list[str] = keys["sensor_ids"]
+        self.sensors: list[dict[str, Any]] = keys["findings"]["sensors"]
+        self.accel_psd: dict[str, float] | None = keys["findings"]["accel_psd"]
+        self.undetermined: list[str] = keys["findings"]["untold"]
         self.residuals = residuals
         self._toml = toml
 

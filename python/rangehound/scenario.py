@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Mapping
+from typing import TYPE_CHECKING, Any, Mapping
 
 from . import _native
 from ._native import InputError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 def to_json(keys: Mapping[str, Any]) -> str:
@@ -48,7 +51,9 @@ class Scenario(_native.Scenario):
 
     __slots__ = ()
 
-    def __new__(cls, source: str | os.PathLike[str] | Mapping[str, Any] | None = None, /, **keys: Any) -> "Scenario":
+    def __new__(
+        cls, source: str | os.PathLike[str] | Mapping[str, Any] | _native.Scenario | None = None, /, **keys: Any
+    ) -> Self:
         over = to_json(_tables(keys)) if keys else None
         if source is None:
             return super().__new__(cls, over=over)

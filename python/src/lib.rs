@@ -2,15 +2,15 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`scenario`] | a checked scenario |
-//! | [`plan`] | one step of a planner |
-//! | [`situation`] | what a planner sees, and planners that are Python functions |
-//! | [`callables`] | sensors, target models, localisers and drives that are Python functions |
-//! | [`filter`] | the fusion centre's filter, tick by tick |
-//! | [`run`] | runs as arrays: simulated, tracked or loaded |
-//! | [`live`] | observers of live runs, and nodes with functions |
-//! | [`studies`] | `compare` and `calibrate` |
-//! | [`arrays`], [`errors`] | conversions; exceptions |
+//! | `scenario` | a checked scenario |
+//! | `plan` | one step of a planner |
+//! | `situation` | what a planner sees, and planners that are Python functions |
+//! | `callables` | sensors, target models, localisers and drives that are Python functions |
+//! | `filter` | the fusion centre's filter, tick by tick |
+//! | `run` | runs as arrays: simulated, tracked or loaded |
+//! | `live` | observers of live runs, and nodes with functions |
+//! | `studies` | `compare` and `calibrate` |
+//! | `arrays`, `errors` | conversions; exceptions |
 
 mod arrays;
 mod callables;

@@ -50,5 +50,9 @@ def test_the_stubs_name_what_the_native_half_has():
             assert members <= set(re.findall(r"    def (\w+)", body)), (name, members)
 
 
-def test_the_package_is_typed():
-    assert os.path.exists(os.path.join(os.path.dirname(rh.__file__), "py.typed"))
+def test_the_package_is_typed_without_a_contradiction(tmp_path):
+    mypy = pytest.importorskip("mypy.api")
+    folder = pathlib.Path(rh.__file__).parent
+    assert (folder / "py.typed").exists()
+    said, problem, code = mypy.run(["--cache-dir", str(tmp_path), "--ignore-missing-imports", "--disable-error-code=import-untyped", str(ROOT / "python/rangehound")])
+    assert code == 0, said + problem
