@@ -52,7 +52,8 @@ fn complain(problem: &str) {
 
 /// An error with its causes, each once: many errors quote their cause themselves. If a limit of the system was reached,
 /// it is named.
-pub(crate) fn with_causes(error: &anyhow::Error) -> String {
+#[must_use]
+pub fn with_causes(error: &anyhow::Error) -> String {
     let mut message = error.to_string();
     for cause in error.chain().skip(1).map(ToString::to_string) {
         if !message.contains(&cause) {

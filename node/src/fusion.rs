@@ -2,9 +2,10 @@
 
 use std::time::Instant;
 
+use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::leader::{Action, Leader, Notice, Saved};
-use rangehound_fusion::planner::PlannerError;
+use rangehound_fusion::planner::{Planner, PlannerError};
 use rangehound_fusion::standby::{LOOK, STANDBYS_MAX, Standby};
 use rangehound_fusion::trust::{FAILURES_MAX, RECENT};
 use rangehound_shared::message::{Command, Estimate, Range};
@@ -51,9 +52,27 @@ pub enum FusionError {
 /// # Errors
 /// [`FusionError`].
 pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), FusionError> {
+    run_with(rendezvous, None, termination)
+}
+
+/// The same with the caller's planner in place of the scenario's.
+///
+/// # Errors
+/// [`FusionError`].
+pub fn run_with(
+    rendezvous: &Rendezvous,
+    planner: Option<Box<dyn Planner>>,
+    termination: &Termination,
+) -> Result<(), FusionError> {
     let lease = rendezvous.roster().take(Role::Fusion)?;
     let bus = Bus::of_role(rendezvous, Role::Fusion, &lease)?;
-    Driver::new(rendezvous, &bus)?.lead(lease, termination)
+    let mut driver = Driver::new(rendezvous, &bus)?;
+    if let Some(planner) = planner {
+        let scenario = &rendezvous.description().scenario;
+        let centre = Centre::new(scenario)?.keeping_the_past().planned_by(planner);
+        driver.leader = Leader::of_centre(scenario, centre);
+    }
+    driver.lead(lease, termination)
 }
 
 /// Runs a standby: a fusion centre that waits until the leader ends or sends no heartbeat, and then

@@ -5,7 +5,7 @@ use rangehound_shared::message::WorldEntry;
 use rangehound_shared::scenario::{NuisanceSpec, RecordedRanges, Scenario, Source};
 
 /// A robot's localiser.
-pub trait PoseSource: std::fmt::Debug {
+pub trait PoseSource: std::fmt::Debug + Send {
     /// Where the robot is at a tick, with the covariance of that; an exact pose has none. `time_s` is the time of the
     /// tick. Called once for each tick; on the control path. `entry` is this robot's entry of the world; a real
     /// localiser ignores its pose.

@@ -32,7 +32,7 @@ use rangehound_shared::scenario::{RecordedRanges, Scenario, Source};
 use rangehound_shared::with_state_dim;
 
 use playback::Playback;
-use simulation::Simulation;
+use simulation::{Simulation, TargetMotion};
 pub use world::World;
 
 /// The world of a scenario at tick 0. A recording that this process has not read comes from `read`.
@@ -52,4 +52,13 @@ pub fn world_of<E>(
             Box::new(Playback::new(recording, ranges.target_height_m))
         }
     })
+}
+
+/// The world of a scenario whose target moves by another motion than its model's; `None` if its target is recorded.
+#[must_use]
+pub fn world_moved_by(scenario: &Scenario, motion: Box<dyn TargetMotion>) -> Option<Box<dyn World>> {
+    let Source::Simulated { target_start } = &scenario.source else { return None };
+    Some(with_state_dim!(target_start.len(), N => {
+        Box::new(Simulation::<N>::new(scenario, target_start).moved_by(motion))
+    }))
 }

@@ -13,11 +13,18 @@ use rangehound_shared::sealed::{self, SealError};
 use crate::errors::{ErrorModel, Errors};
 use crate::world::{World, are_valid};
 
+/// Another motion of the target than by its scenario's model.
+pub trait TargetMotion: std::fmt::Debug + Send {
+    /// Replaces the true state at `tick` by that of the next. `noise` has a standard normal number for each state, drawn from
+    /// (seed, tick) only.
+    fn advance(&mut self, tick: u64, state: &mut [f64], noise: &[f64]);
+}
+
 /// A target with a state of dimension `N`, and the robots.
 ///
 /// The target moves by `x(k+1) = Phi x(k) + w(k)`, `w(k) ~ N(0, G Qd G^T)` (Eq. 1), drawn from (seed,
 /// k) only; the robots move by Eqs. 14 and 15. What a robot believes about its pose is the truth plus its errors.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Simulation<const N: usize> {
     tick: u64,
     dt_s: f64,
@@ -25,6 +32,8 @@ pub struct Simulation<const N: usize> {
     noise_root: SMatrix<f64, N, N>,
     noise: Draws,
     target: SVector<f64, N>,
+    /// `None`: by the scenario's model.
+    motion: Option<Box<dyn TargetMotion>>,
     robots: Vec<Robot>,
     /// True poses.
     poses: Vec<Pose>,
@@ -62,6 +71,7 @@ impl<const N: usize> Simulation<N> {
             noise_root: square_root(&transition.process_noise),
             noise: Draws::new(scenario.seed, Stream::TargetNoise),
             target: SVector::from_fn(|i, _| target_start.get(i).copied().unwrap_or(0.0)),
+            motion: None,
             poses: scenario.robots.iter().map(|robot| Pose::at(robot.start_m)).collect(),
             errors: robots.iter_mut().map(|robot| robot.error_model.start()).collect(),
             robots,
@@ -69,6 +79,12 @@ impl<const N: usize> Simulation<N> {
         };
         simulation.observe();
         simulation
+    }
+
+    /// The same world with another motion of the target.
+    #[must_use]
+    pub fn moved_by(self, motion: Box<dyn TargetMotion>) -> Self {
+        Self { motion: Some(motion), ..self }
     }
 
     /// Fills in what localisers say and what sensors can measure. At tick 0 they measure nothing.
@@ -132,7 +148,10 @@ impl<const N: usize> World for Simulation<N> {
         }
         let mut normal = SVector::<f64, N>::zeros();
         self.noise.standard_normal(self.tick, normal.as_mut_slice());
-        self.target = self.phi * self.target + self.noise_root * normal;
+        match &mut self.motion {
+            Some(motion) => motion.advance(self.tick, self.target.as_mut_slice(), normal.as_slice()),
+            None => self.target = self.phi * self.target + self.noise_root * normal,
+        }
         self.tick += 1;
         for (errors, robot) in self.errors.iter_mut().zip(&mut self.robots) {
             robot.error_model.advance(self.tick, errors);
@@ -234,6 +253,22 @@ mod tests {
         let mut other = Simulation::<4>::new(&scenario, &[0.0; 4]);
         other.restore(&bytes).unwrap();
         assert_eq!(other.entries(), world.entries());
+    }
+
+    #[test]
+    fn a_target_of_another_motion_has_the_same_noise_for_the_same_seed() {
+        #[derive(Debug)]
+        struct Walk;
+        impl TargetMotion for Walk {
+            fn advance(&mut self, tick: u64, state: &mut [f64], noise: &[f64]) {
+                state[0] = tick as f64;
+                state[1] = noise[1];
+            }
+        }
+        let mut worlds = [(); 2].map(|()| Simulation::<4>::new(&paper(), &[0.0; 4]).moved_by(Box::new(Walk)));
+        worlds.iter_mut().for_each(|world| (0..4).for_each(|_| world.advance(&[None; 3])));
+        assert_eq!(worlds[0].truth()[0], 3.0);
+        assert!(worlds[0].truth()[1] != 0.0 && worlds[0].truth() == worlds[1].truth());
     }
 
     #[test]

@@ -37,6 +37,19 @@ struct Kept {
     planner: Box<dyn Planner>,
 }
 
+/// The solution of a problem.
+#[derive(Debug, Clone, Copy)]
+pub struct Solved<'a> {
+    /// The planner's name.
+    pub planner: &'static str,
+    /// Its plan.
+    pub plan: &'a Plan,
+    /// How good other plans can be at best: proven by the planner, or by the hulls.
+    pub certificate: Certificate,
+    /// Time of the planning alone, us.
+    pub plan_us: f64,
+}
+
 /// The answer to a problem.
 #[derive(Debug, Serialize)]
 struct Answer<'a> {
@@ -84,7 +97,28 @@ impl LineSolver {
     }
 
     fn try_answer(&mut self, number: u64, line: &[u8], answer: &mut Vec<u8>) -> Result<(), String> {
-        let spec = self.check(&ProblemLine::parse(line)?)?;
+        let Solved { planner, plan, certificate, plan_us } = self.solve(number, &ProblemLine::parse(line)?)?;
+        let answered = Answer {
+            planner,
+            headings_rad: EachOf(&plan.commands, |command| command.heading_rad),
+            speeds_mps: EachOf(&plan.commands, |command| command.speed_mps),
+            objective: plan.worth.objective,
+            lower_bound: certificate.lower_bound,
+            certified: certificate.is_optimal,
+            position_trace_m2: plan.worth.position_trace_m2,
+            lower_bound_trace_m2: certificate.least_trace_m2,
+            plan_us,
+        };
+        write_line(&answered, answer);
+        Ok(())
+    }
+
+    /// Checks a problem and solves it. Except for `plan_us`, the solution is a function of the arguments.
+    ///
+    /// # Errors
+    /// One line that says which value is wrong and what was expected.
+    pub fn solve(&mut self, number: u64, raw: &ProblemLine) -> Result<Solved<'_>, String> {
+        let spec = self.check(raw)?;
         let Self { kept, situation, plan, .. } = self;
         let kept = kept_planner(kept, spec, situation.team.len(), self.seed)?;
         let began = Instant::now();
@@ -93,25 +127,13 @@ impl LineSolver {
 
         let Worth { objective, position_trace_m2, .. } = plan.worth;
         // Planners that prove no bound get this one.
-        let proven = plan.certificate.unwrap_or_else(|| hull_certificate(situation, plan));
-        let Certificate { lower_bound, is_optimal: certified, least_trace_m2: lower_bound_trace_m2 } = proven;
+        let certificate = plan.certificate.unwrap_or_else(|| hull_certificate(situation, plan));
+        let Certificate { lower_bound, least_trace_m2, .. } = certificate;
         let commanded = plan.commands.iter().flat_map(|command| [command.heading_rad, command.speed_mps]);
-        if !commanded.chain([objective, lower_bound, position_trace_m2, lower_bound_trace_m2]).all(f64::is_finite) {
+        if !commanded.chain([objective, lower_bound, position_trace_m2, least_trace_m2]).all(f64::is_finite) {
             return Err("the answer is not finite: expected numbers whose products are finite".to_owned());
         }
-        let answered = Answer {
-            planner: spec.name(),
-            headings_rad: EachOf(&plan.commands, |command| command.heading_rad),
-            speeds_mps: EachOf(&plan.commands, |command| command.speed_mps),
-            objective,
-            lower_bound,
-            certified,
-            position_trace_m2,
-            lower_bound_trace_m2,
-            plan_us,
-        };
-        write_line(&answered, answer);
-        Ok(())
+        Ok(Solved { planner: spec.name(), plan, certificate, plan_us })
     }
 
     /// Checks every value, and stores them in `self.situation`.

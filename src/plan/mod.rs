@@ -4,7 +4,7 @@
 //! input line that is not blank.
 
 pub mod line;
-mod schema;
+pub mod schema;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, ErrorKind, Read, Write};

@@ -7,49 +7,67 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 /// A line with the right types; its values are not checked yet.
-#[derive(Debug, serde::Deserialize)]
+#[derive(Debug, Default, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct ProblemLine {
+pub struct ProblemLine {
+    /// Covariance of the predicted target position, m^2.
     #[serde(default, deserialize_with = "given")]
     pub prior_position_covariance: Option<Pair<Pair<Number>>>,
+    /// Predicted position of the target, m.
     #[serde(default, deserialize_with = "given")]
     pub target: Option<Pair<Number>>,
+    /// How long the robots move before they measure, s.
     #[serde(default, deserialize_with = "given")]
     pub time_step_s: Option<Number>,
+    /// The team.
     #[serde(default, deserialize_with = "given")]
     pub robots: Option<Vec<Object<RobotLine>>>,
+    /// Least distance of the robots to the predicted target, m.
     #[serde(default, deserialize_with = "given")]
     pub stand_off_m: Option<Number>,
+    /// The same as a multiple of the square root of the position trace; the larger distance counts.
     #[serde(default, deserialize_with = "given")]
     pub stand_off_sigma: Option<Number>,
+    /// Least distance of robots to each other, m.
     #[serde(default, deserialize_with = "given")]
     pub separation_m: Option<Number>,
+    /// Name of the planner.
     #[serde(default, deserialize_with = "given")]
     pub planner: Option<String>,
+    /// Name of what is made small.
     #[serde(default, deserialize_with = "given")]
     pub criterion: Option<String>,
 }
 
 /// One of `robots`.
-#[derive(Debug, serde::Deserialize)]
+#[derive(Debug, Default, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct RobotLine {
+pub struct RobotLine {
+    /// Its position, m.
     #[serde(default, deserialize_with = "given")]
     pub position: Option<Pair<Number>>,
+    /// Its speed limit, m/s.
     #[serde(default, deserialize_with = "given")]
     pub max_speed: Option<Number>,
+    /// Standard deviation of its range, m; none if it measures bearings alone.
     #[serde(default, deserialize_with = "given")]
     pub range_std: Option<Number>,
+    /// Growth of that with the distance.
     #[serde(default, deserialize_with = "given")]
     pub range_std_per_m: Option<Number>,
+    /// Standard deviation of its bearing, rad; none if it measures no bearing.
     #[serde(default, deserialize_with = "given")]
     pub bearing_std_rad: Option<Number>,
+    /// Distance up to which it measures, m.
     #[serde(default, deserialize_with = "given")]
     pub max_range_m: Option<Number>,
+    /// Angle in which it measures, rad.
     #[serde(default, deserialize_with = "given")]
     pub field_of_view_rad: Option<Number>,
+    /// Covariance of its position, m^2.
     #[serde(default, deserialize_with = "given")]
     pub position_covariance: Option<Pair<Pair<Number>>>,
+    /// Standard deviation of its heading, rad.
     #[serde(default, deserialize_with = "given")]
     pub heading_std_rad: Option<Number>,
 }
@@ -61,7 +79,7 @@ fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Res
 
 impl ProblemLine {
     /// Reads a line. The error is one line that says what is wrong and what was expected.
-    pub(super) fn parse(line: &[u8]) -> Result<Self, String> {
+    pub fn parse(line: &[u8]) -> Result<Self, String> {
         let text = std::str::from_utf8(line).map_err(|error| {
             format!("bytes that are not UTF-8 at column {}: expected UTF-8", error.valid_up_to() + 1)
         })?;
@@ -97,7 +115,7 @@ fn complaint(text: &str, error: &serde_json::Error) -> String {
 
 /// A JSON number.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Number(pub f64);
+pub struct Number(pub f64);
 
 impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -122,7 +140,7 @@ impl<'de> Deserialize<'de> for Number {
 }
 
 /// An element of a [`Pair`].
-pub(super) trait Element {
+pub trait Element {
     /// Name of a pair of such elements.
     const PAIR: &'static str;
 }
@@ -137,7 +155,7 @@ impl Element for Pair<Number> {
 
 /// A list of two.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Pair<T>(pub [T; 2]);
+pub struct Pair<T>(pub [T; 2]);
 
 impl<'de, T: Deserialize<'de> + Element> Deserialize<'de> for Pair<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -162,7 +180,7 @@ impl<'de, T: Deserialize<'de> + Element> Deserialize<'de> for Pair<T> {
 
 /// Accepts only JSON objects: the derived structs would also accept a list of their values.
 #[derive(Debug)]
-pub(super) struct Object<T>(pub T);
+pub struct Object<T>(pub T);
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {

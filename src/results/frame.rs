@@ -83,6 +83,14 @@ impl Frames {
         Ok(self.fusion.at(tick)?.map(|record| record.estimate))
     }
 
+    /// What is logged of a tick so far.
+    ///
+    /// # Errors
+    /// If a log cannot be read.
+    pub fn logged(&mut self, tick: u64) -> Result<LoggedTick<'_>, TickLogError> {
+        Ok(LoggedTick { tick, fusion: self.fusion.at(tick)?, world: self.world.at(tick)? })
+    }
+
     /// The frame of a tick; `None` if a node has not logged it.
     ///
     /// # Errors

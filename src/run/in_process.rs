@@ -8,7 +8,7 @@ use std::path::Path;
 use rangehound_fusion::Centre;
 use rangehound_fusion::centre::Diverged;
 use rangehound_fusion::leader::{self, Leader};
-use rangehound_fusion::planner::PlannerError;
+use rangehound_fusion::planner::{Planner, PlannerError};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::system::clock::monotonic_ns;
@@ -17,6 +17,7 @@ use rangehound_robot::machine as robot;
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::{Drive, Header, Outgoing, Range};
+use rangehound_shared::record::{FusionRecord, WorldRecord};
 use rangehound_shared::scenario::{Clock, Scenario, Timeout};
 use rangehound_sim::World;
 use rangehound_sim::machine as sim;
@@ -37,12 +38,8 @@ pub fn run(description: &RunDescription, mut on_tick: impl FnMut(u64)) -> anyhow
     let mut run = || -> anyhow::Result<()> {
         for tick in 0..=scenario.ticks {
             team.tick()?;
-            let (centre, world) = (team.centre(), team.world());
-            estimates.write(tick, |record| record.set(centre.time_s(), &centre.estimate(), team.leader.exchanges()))?;
-            worlds.write(tick, |record| {
-                let times = (world.time_s(), monotonic_ns());
-                record.set(times, world.truth(), world.poses(), world.entries(), team.drives());
-            })?;
+            estimates.write(tick, |record| team.record_estimate(record))?;
+            worlds.write(tick, |record| team.record_world(record))?;
             team.advance();
             on_tick(tick);
         }
@@ -74,10 +71,22 @@ struct Robot {
 }
 
 impl Robot {
-    fn new(scenario: &Scenario, id: usize) -> Option<Self> {
+    fn new(scenario: &Scenario, id: usize, sensor: Option<Box<dyn Sensor>>) -> Option<Self> {
         let machine = robot::Machine::new(scenario, id, 0)?;
-        Some(Self { machine, sensor: sensor::of_scenario(scenario, id)?, poses: pose::of_scenario(scenario, id)? })
+        let sensor = sensor.or_else(|| sensor::of_scenario(scenario, id))?;
+        Some(Self { machine, sensor, poses: pose::of_scenario(scenario, id)? })
     }
+}
+
+/// Parts of a team that replace those of its scenario.
+#[derive(Debug, Default)]
+pub struct Parts {
+    /// The planner.
+    pub planner: Option<Box<dyn Planner>>,
+    /// The sensors, in order of the robots' ids; robots without one here have their scenario's.
+    pub sensors: Vec<Box<dyn Sensor>>,
+    /// Target and robots.
+    pub world: Option<Box<dyn World>>,
 }
 
 /// Why a team cannot be put together.
@@ -105,15 +114,31 @@ impl Team {
     /// # Errors
     /// [`TeamError`].
     pub fn of_run(scenario: &Scenario, run_folder: &Path) -> Result<Self, TeamError> {
+        Self::of_parts(scenario, run_folder, Parts::default())
+    }
+
+    /// As [`Self::of_run`] with other parts than its scenario's.
+    ///
+    /// # Errors
+    /// [`TeamError`].
+    pub fn of_parts(scenario: &Scenario, run_folder: &Path, parts: Parts) -> Result<Self, TeamError> {
+        let Parts { planner, sensors, world } = parts;
         // The caller decides how long the run lasts.
         let ticks = u64::MAX - 1;
         let scenario = &Scenario { clock: Clock::Lockstep, timeout: Timeout::Forever, ticks, ..scenario.clone() };
         let team = 0..scenario.robots.len();
+        let world = world.map_or_else(|| world_of(scenario, run_folder), Ok)?;
+        let centre = Centre::new(scenario)?;
+        let centre = match planner {
+            Some(planner) => centre.planned_by(planner),
+            None => centre,
+        };
+        let mut sensors = sensors.into_iter();
         Ok(Self {
-            sim: sim::Machine::new(scenario, world_of(scenario, run_folder)?),
+            sim: sim::Machine::new(scenario, world),
             // No report is late here: past ticks are not stored.
-            leader: Leader::of_centre(scenario, Centre::new(scenario)?),
-            robots: team.filter_map(|id| Robot::new(scenario, id)).collect(),
+            leader: Leader::of_centre(scenario, centre),
+            robots: team.filter_map(|id| Robot::new(scenario, id, sensors.next())).collect(),
             ranges: Vec::with_capacity(scenario.robots.len()),
         })
     }
@@ -196,6 +221,19 @@ impl Team {
     #[must_use]
     pub fn centre(&self) -> &Centre {
         self.leader.centre()
+    }
+
+    /// Records the present tick as fusion does.
+    pub fn record_estimate(&self, record: &mut FusionRecord) {
+        let centre = self.centre();
+        record.set(centre.time_s(), &centre.estimate(), self.leader.exchanges());
+    }
+
+    /// Records the present tick as the simulator does.
+    pub fn record_world(&self, record: &mut WorldRecord) {
+        let world = self.world();
+        let times = (world.time_s(), monotonic_ns());
+        record.set(times, world.truth(), world.poses(), world.entries(), self.drives());
     }
 
     /// How long [`Centre::plan`] took at the present tick, ns.

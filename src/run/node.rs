@@ -39,12 +39,18 @@ pub fn fusion(name: &RunName, stands_by: bool, parent: Option<u32>) -> Result<()
     let termination = prepare(Role::Fusion, parent)?;
     let rendezvous = join(name, &termination)?;
     let run = if stands_by { rangehound_node::fusion::run_standby } else { rangehound_node::fusion::run };
-    run(&rendezvous, &termination).map_err(|error| match error {
+    run(&rendezvous, &termination).map_err(|error| of_fusion(&rendezvous, error))
+}
+
+/// The failure of a fusion centre that ended early.
+#[must_use]
+pub fn of_fusion(rendezvous: &Rendezvous, error: FusionError) -> Failure {
+    match error {
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         FusionError::Rendezvous(error) => input_or_running(error),
         error @ (FusionError::Checkpoint(_) | FusionError::Sealed(_)) => Failure::input(error),
         other => Failure::from(other),
-    })
+    }
 }
 
 /// Runs a robot of a run, by id, as [`fusion`] does.
@@ -54,13 +60,19 @@ pub fn fusion(name: &RunName, stands_by: bool, parent: Option<u32>) -> Result<()
 pub fn robot(name: &RunName, id: usize, parent: Option<u32>) -> Result<(), Failure> {
     let termination = prepare(Role::Robot(id), parent)?;
     let rendezvous = join(name, &termination)?;
-    rangehound_node::robot::run(&rendezvous, id, &termination).map_err(|error| match error {
+    rangehound_node::robot::run(&rendezvous, id, &termination).map_err(|error| of_robot(&rendezvous, error))
+}
+
+/// The failure of a robot that ended early.
+#[must_use]
+pub fn of_robot(rendezvous: &Rendezvous, error: RobotError) -> Failure {
+    match error {
         // Whatever it came to first.
         _ if rendezvous.is_removed() => input_or_running(rendezvous.removed()),
         RobotError::Rendezvous(error) => input_or_running(error),
         error @ RobotError::NoSuchRobot { .. } => Failure::input(error),
         other => Failure::from(other),
-    })
+    }
 }
 
 /// Joins a run; reports to the user if it must wait.

@@ -9,6 +9,7 @@
 //! a restarted fusion plans as the old one would have.
 
 mod curves;
+mod custom;
 mod horizon;
 pub mod range_only;
 mod situation;
@@ -18,6 +19,7 @@ use rangehound_shared::scenario::PlannerSpec;
 use serde::{Deserialize, Serialize};
 
 use curves::Curves;
+pub use custom::{Choose, Custom};
 use horizon::Horizon;
 use range_only::RangeOnly;
 pub use situation::{Situation, TeamMember};

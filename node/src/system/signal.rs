@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
-/// Set once SIGINT, SIGTERM or SIGHUP has arrived; cheap to copy and to check.
+/// Set once SIGINT, SIGTERM or SIGHUP has arrived, or the end was requested; cheap to copy and to check.
 #[derive(Debug, Clone)]
 pub struct Termination(Arc<AtomicBool>);
 
@@ -26,6 +26,17 @@ impl Termination {
         // A write beyond the user's file size limit must fail, as on a full disk, and not kill the process.
         signal_hook::flag::register(SIGXFSZ, Arc::default())?;
         Ok(Self(flag))
+    }
+
+    /// One that no signal sets: for a node in a process with handlers of its own, which calls [`Self::request`].
+    #[must_use]
+    pub fn by_request() -> Self {
+        Self(Arc::default())
+    }
+
+    /// Asks for the end.
+    pub fn request(&self) {
+        self.0.store(true, Ordering::Relaxed);
     }
 
     /// True once this process has been asked to end.

@@ -11,9 +11,6 @@ use crate::failure::Failure;
 use crate::study::compare;
 use crate::study::compare::monte_carlo::{TREATMENTS, Trials, Variant};
 
-/// Most ticks of all runs together: their samples take two gigabytes.
-const TICKS_MAX: u64 = 30_000_000;
-
 const THREADS_MAX: u64 = 1_024;
 
 /// The planners that are compared by default: those that serve a team of any size.
@@ -100,23 +97,13 @@ impl CompareArgs {
             Some(names) => names.clone(),
         };
         let variants = Variant::all(&planners, &self.sensors, &self.nuisances);
-        let ticks = runs.saturating_mul(ticks_of_run).saturating_mul(variants.len() as u64);
-        if runs == 0 || ticks > TICKS_MAX {
-            let expected = format!("at least one run and at most {TICKS_MAX} ticks of all runs of all planners");
-            return Err(Failure::input(format!("--runs is {runs}: expected {expected}")));
-        }
-        if first_seed.checked_add(runs).is_none() {
-            return Err(Failure::input(format!(
-                "--seed is {first_seed}: expected at most {}, because each of {runs} runs has the next seed",
-                u64::MAX - runs
-            )));
-        }
         let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get() as u64);
         let threads =
             within("--threads", 1..=THREADS_MAX, &format!("1 to {THREADS_MAX}"), self.threads.unwrap_or(cores))?;
         // At most one thread for each run.
         let threads = threads.min(runs.saturating_mul(variants.len() as u64)) as usize;
         let trials = Trials { given, variants, runs, first_seed, threads };
+        trials.check_extent(ticks_of_run).map_err(|problem| Failure::input(format!("--{problem}")))?;
         compare::compare(trials, self.out.as_deref(), self.json)
     }
 }

@@ -55,7 +55,7 @@ pub fn from_logs(
 
 /// Sums up the report of a run tick by tick; `truth` is the target's true track if the run does not know it.
 #[derive(Debug)]
-struct ReportBuilder<'a> {
+pub struct ReportBuilder<'a> {
     totals: Accumulator,
     truth: Option<&'a Truth>,
     overlap: Option<Overlap>,
@@ -66,12 +66,12 @@ impl<'a> ReportBuilder<'a> {
     ///
     /// # Errors
     /// If the histograms cannot be allocated.
-    fn new(truth: Option<&'a Truth>) -> anyhow::Result<Self> {
+    pub fn new(truth: Option<&'a Truth>) -> anyhow::Result<Self> {
         Ok(Self { totals: Accumulator::new()?, truth, overlap: truth.map(Overlap::of) })
     }
 
     /// Adds the next tick.
-    fn add(&mut self, logged: LoggedTick<'_>) {
+    pub fn add(&mut self, logged: LoggedTick<'_>) {
         let Self { totals, truth, overlap } = self;
         let LoggedTick { tick, fusion, world } = logged;
         if let Some(world) = world {
@@ -91,7 +91,8 @@ impl<'a> ReportBuilder<'a> {
     }
 
     /// The report of all ticks that were added.
-    fn finish(self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
+    #[must_use]
+    pub fn finish(self, scenario: &Scenario, nodes: Vec<NodeSummary>) -> Report {
         let recording = match &scenario.source {
             Source::Recorded(ranges) => Some(RecordingEvidence {
                 doubts: ranges.summary.doubts.iter().map(|doubt| doubt.text.clone()).collect(),

@@ -25,6 +25,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector4;
 use rangehound_shared::recording::{RecordedMeasurement, Recording};
 use rangehound_shared::scenario::RecordingTable;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 
 use crate::failure::{self, Failure};
 use crate::files::atomic_file;
@@ -47,7 +49,43 @@ const OUT: &str = "runs/calibrate";
 /// # Errors
 /// [`Failure`]; also if nothing could be determined.
 pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path>, json: bool) -> Result<(), Failure> {
-    let (recording, summary) = input::recording_of(table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+    let read = input::recording_of(table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+    check(table, &read.0)?;
+    read.1.lines().iter().for_each(|line| failure::print_stderr(format_args!("recording: {line}")));
+    let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
+    inputs.extend(truth.map(Path::to_owned));
+    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+    let claim = claim_or_number(out, OUT, Kind::Calibrate, &inputs)?;
+    let out = claim.path();
+    let truth = truth.map(Truth::read).transpose()?;
+    let mut progress = Progress::new("model", Model::ALL.len() as u64);
+    let found = Found::of(&read.0, table.target_height_m, truth.as_ref(), |done| progress.show(done as u64, ""));
+    progress.finish();
+    let Found { names, findings, points, ranges, used } = &found;
+    if used < ranges {
+        failure::print_stderr(format_args!("{used} of {ranges} ranges are used, spread evenly in time"));
+    }
+    if found.is_determined() {
+        atomic_file::write(&out.join(CALIBRATION), found.to_toml())?;
+        picture::draw(points, names, out)?;
+    }
+    if json {
+        failure::print_json(&found)?;
+    } else {
+        let ranges = table.ranges.as_deref().unwrap_or_default();
+        failure::print(report(findings, names, ranges, out, found.is_determined()))?;
+    }
+    if found.is_determined() {
+        return Ok(());
+    }
+    Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot determine {}", found.obstacle())))
+}
+
+/// Checks that a recording can be calibrated.
+///
+/// # Errors
+/// [`Failure::Input`] if it has no ranges, or heights are incomplete.
+pub fn check(table: &RecordingTable, recording: &Recording) -> Result<(), Failure> {
     if table.target_height_m.is_some() && !recording.has_heights() {
         let problem = "expected heights of the sensors too: a column sensor_z_m, or z_m in the anchors' file";
         return Err(Failure::input(format!("--target-height: {problem}")));
@@ -56,38 +94,72 @@ pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path
         let ranges = table.ranges.as_deref().unwrap_or_default();
         return Err(Failure::input(format!("no range in {ranges}: expected ranges: bearings cannot be calibrated")));
     }
-    summary.lines().iter().for_each(|line| failure::print_stderr(format_args!("recording: {line}")));
-    let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
-    inputs.extend(truth.map(Path::to_owned));
-    let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
-    let claim = claim_or_number(out, OUT, Kind::Calibrate, &inputs)?;
-    let out = claim.path();
-    let truth = truth.map(Truth::read).transpose()?;
-    let (names, readings) = readings(&recording, table.target_height_m);
-    let problem = Problem::new(&readings, names.len());
-    if problem.thinned > 0 {
-        let used = problem.observations.len();
-        failure::print_stderr(format_args!("{used} of {} ranges are used, spread evenly in time", readings.len()));
+    Ok(())
+}
+
+/// The result of a calibration.
+#[derive(Debug)]
+pub struct Found {
+    /// Names of the sensors that have ranges.
+    pub names: Vec<String>,
+    /// Their errors, in the same order.
+    pub findings: Findings,
+    /// Range and residual of each reading, m, by sensor.
+    pub points: Points,
+    /// Ranges in the recording.
+    pub ranges: usize,
+    /// Ranges that were used, spread evenly in time.
+    pub used: usize,
+}
+
+impl Found {
+    /// Calibrates the sensors of a recording, against the true track if it is given. `show` receives the number of models
+    /// that have been fitted.
+    #[must_use]
+    pub fn of(
+        recording: &Recording,
+        target_height_m: Option<f64>,
+        truth: Option<&Truth>,
+        show: impl FnMut(usize),
+    ) -> Self {
+        let (names, readings) = readings(recording, target_height_m);
+        let problem = Problem::new(&readings, names.len());
+        let (findings, points) = match truth {
+            Some(truth) => against_truth(&readings, &names, truth),
+            None => from_ranges(&readings, &problem, show),
+        };
+        let used = if problem.thinned > 0 { problem.observations.len() } else { readings.len() };
+        Self { names, findings, points, ranges: readings.len(), used }
     }
-    let (findings, points) = match &truth {
-        Some(truth) => against_truth(&readings, &names, truth),
-        None => from_ranges(&readings, &problem),
-    };
-    let found = findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && findings.accel_psd.is_some();
-    if found {
-        atomic_file::write(&out.join(CALIBRATION), text::text(&findings, &names))?;
-        picture::draw(&points, &names, out)?;
+
+    /// True if the data determine the noise of a sensor and the manoeuvres of the target.
+    #[must_use]
+    pub fn is_determined(&self) -> bool {
+        self.findings.sensors.iter().any(|sensor| sensor.range_std_m.is_some()) && self.findings.accel_psd.is_some()
     }
-    if json {
-        failure::print_json(&serde_json::json!({ "determined": found, "sensor_ids": names, "findings": findings }))?;
-    } else {
-        failure::print(report(&findings, &names, table.ranges.as_deref().unwrap_or_default(), out, found))?;
+
+    /// What the data do not determine, and why.
+    #[must_use]
+    pub fn obstacle(&self) -> &str {
+        self.findings.undetermined.first().map_or("nothing was found", String::as_str)
     }
-    if found {
-        return Ok(());
+
+    /// The text of `calibration.toml`.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        text::text(&self.findings, &self.names)
     }
-    let why = findings.undetermined.first().map_or("nothing was found", String::as_str);
-    Err(Failure::Running(anyhow::anyhow!("no calibration was written: cannot determine {why}")))
+}
+
+impl Serialize for Found {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self { names, findings, .. } = self;
+        let mut map = serializer.serialize_map(Some(3))?;
+        map.serialize_entry("determined", &self.is_determined())?;
+        map.serialize_entry("sensor_ids", names)?;
+        map.serialize_entry("findings", findings)?;
+        map.end()
+    }
 }
 
 /// The ranges, and the names of the sensors that have any.
@@ -114,17 +186,15 @@ fn readings(recording: &Recording, target_height_m: Option<f64>) -> (Vec<String>
 }
 
 /// Range and residual of each reading, by sensor.
-type Points = Vec<Vec<(f64, f64)>>;
+pub type Points = Vec<Vec<(f64, f64)>>;
 
-fn from_ranges(readings: &[Reading], problem: &Problem) -> (Findings, Points) {
+fn from_ranges(readings: &[Reading], problem: &Problem, show: impl FnMut(usize)) -> (Findings, Points) {
     if let Some(why) = verdict::obstacle(readings, problem.sensors) {
         let mut counts = vec![0; problem.sensors];
         readings.iter().for_each(|reading| counts[reading.sensor] += 1);
         return (Findings::nothing(&counts, &why), Vec::new());
     }
-    let mut progress = Progress::new("model", Model::ALL.len() as u64);
-    let fits = search::search(problem, |done| progress.show(done as u64, ""));
-    progress.finish();
+    let fits = search::search(problem, show);
     let (findings, chosen) = verdict::judge(problem, &fits);
     let mut points = vec![Vec::new(); problem.sensors];
     if let Some(fit) = chosen {

@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`monte_carlo`] | the runs, spread over threads |
+//! | [`yardstick`] | the distance of a plan from the certified optimum |
 //! | [`summary`] | the figures: `compare.json` and the table |
 //! | [`planning_time`] | planning time over the size of the team |
 //! | [`pictures`] | the pictures |
@@ -11,10 +12,12 @@ pub mod monte_carlo;
 pub mod pictures;
 pub mod planning_time;
 pub mod summary;
+pub mod yardstick;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use anyhow::Context;
 use rangehound_fusion::planner;
 use rangehound_shared::scenario::Scenario;
 
@@ -41,15 +44,34 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
     let claim = claim_or_number(out, OUT, Kind::Compare, &inputs)?;
     let out = claim.path();
     let began = Instant::now();
-    let results = {
-        let mut progress = Progress::new("run", trials.count());
-        let results = trials.run(|done| progress.show(done, &time_left(began.elapsed(), done, trials.count())));
-        progress.finish();
-        results?
-    };
-    let [first, ..] = scenarios.as_slice() else { return Ok(()) };
-    let summaries = trials.variants.iter().zip(&results);
-    let comparison = Comparison {
+    let mut progress = Progress::new("run", trials.count());
+    let comparison = of_trials(&trials, &scenarios, |done| {
+        progress.show(done, &time_left(began.elapsed(), done, trials.count()));
+        Ok(())
+    })?;
+    progress.finish();
+    atomic_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
+    pictures::draw(&comparison, &scenarios, out)?;
+    if json {
+        return failure::print_json(&comparison);
+    }
+    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
+}
+
+/// Runs the trials and sums them up. `scenarios` are those of [`first_scenarios`]; `on_progress` as for [`Trials::run`].
+///
+/// # Errors
+/// As [`Trials::run`].
+pub fn of_trials(
+    trials: &Trials,
+    scenarios: &[Scenario],
+    on_progress: impl FnMut(u64) -> anyhow::Result<()>,
+) -> anyhow::Result<Comparison> {
+    let first = scenarios.first().context("nothing to compare: expected at least one planner")?;
+    let began = Instant::now();
+    let results = trials.run(on_progress)?;
+    let built_in = trials.variants.iter().zip(scenarios).filter(|(variant, _)| variant.custom.is_none());
+    Ok(Comparison {
         scenario: first.name.clone(),
         seed: first.seed,
         runs: trials.runs,
@@ -60,24 +82,21 @@ pub fn compare(trials: Trials, out: Option<&Path>, json: bool) -> Result<(), Fai
         wall_s: began.elapsed().as_secs_f64(),
         anees_bounds: summary::anees_bounds(trials.runs),
         time_s: (1..=first.ticks).map(|tick| tick as f64 * first.dt_s).collect(),
-        planners: summaries.map(|(variant, trials)| Summary::new(&variant.name, trials, first.ticks)).collect(),
-        planning_time: trials
+        planners: trials
             .variants
             .iter()
-            .zip(&scenarios)
-            .map(|(variant, scenario)| planning_time::measure(&variant.name, scenario))
+            .zip(&results)
+            .map(|(variant, trials)| Summary::new(&variant.name, trials, first.ticks))
             .collect(),
-    };
-    atomic_file::write(&out.join(COMPARISON), serde_json::to_string_pretty(&comparison)? + "\n")?;
-    pictures::draw(&comparison, &scenarios, out)?;
-    if json {
-        return failure::print_json(&comparison);
-    }
-    failure::print(format!("{comparison}\n\nfigures and pictures in {}\n", out.display()))
+        planning_time: built_in.map(|(variant, scenario)| planning_time::measure(&variant.name, scenario)).collect(),
+    })
 }
 
 /// Each variant's first scenario: if it can be set up, so can all other runs of the variant.
-fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
+///
+/// # Errors
+/// [`Failure::Input`] for the first fault.
+pub fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
     let Given { file, file_name, .. } = &trials.given;
     if file.recording.is_some() {
         return Err(Failure::input(format!(

@@ -3,23 +3,32 @@
 //! Run `i` of every variant has the seed `first_seed + i`. Prior mean, target noise, noise of measurements and errors of poses
 //! are functions of seed, tick and robot, so planners differ only in their headings.
 
+use std::fmt;
+use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::Context;
 use nalgebra::Vector2;
-use rangehound_fusion::planner::range_only::Problem;
-use rangehound_fusion::planner::{self, Plan, Planner, PlannerError, hull_certificate};
-use rangehound_shared::scenario::{PlannerSpec, Scenario, ScenarioError, ScenarioFile, defaults};
+use rangehound_fusion::planner::{Planner, PlannerError};
+use rangehound_shared::scenario::{Scenario, ScenarioError, ScenarioFile};
 
+use super::yardstick::{Distance, Yardstick};
 use crate::files::input;
 use crate::results::report::{position_covariance, position_error};
 use crate::run::experiment::Given;
-use crate::run::in_process::Team;
+use crate::run::in_process::{Parts, Team};
 use crate::statistics;
 
 /// How often progress is shown.
 const LOOK: Duration = Duration::from_millis(50);
+
+/// Most ticks of all runs together: their samples take two gigabytes.
+const TICKS_MAX: u64 = 30_000_000;
+
+/// From this index on there are no runs: the threads end.
+const NONE_LEFT: u64 = u64::MAX / 2;
 
 /// The subject of a comparison.
 #[derive(Debug)]
@@ -41,12 +50,27 @@ pub struct Trials {
 pub struct Variant {
     /// Its name in tables and pictures.
     pub name: String,
-    /// The planner.
-    pub planner: String,
+    /// The planner by name; the scenario's own if none.
+    pub planner: Option<String>,
+    /// A planner in its place.
+    pub custom: Option<CustomPlanner>,
     /// The named sensor that all robots have; the scenario's own if none.
     pub sensor: Option<String>,
     /// What the filter does about nuisances; the scenario's own if none.
     pub nuisances: Option<String>,
+}
+
+/// Makes the planner of a run.
+pub type MakePlanner = dyn Fn(&Scenario) -> Result<Box<dyn Planner>, PlannerError> + Send + Sync;
+
+/// A planner that has no name in scenarios. Each run has one of its own, on the thread that steps the run.
+#[derive(Clone)]
+pub struct CustomPlanner(pub Arc<MakePlanner>);
+
+impl fmt::Debug for CustomPlanner {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("CustomPlanner").finish_non_exhaustive()
+    }
 }
 
 /// The treatments of nuisances by name: those of a scenario, and estimation.
@@ -69,7 +93,8 @@ impl Variant {
                     let parts = [of_planner, sensor.as_deref(), treatment.as_deref()];
                     variants.push(Self {
                         name: parts.into_iter().flatten().collect::<Vec<_>>().join(" "),
-                        planner: planner.clone(),
+                        planner: Some(planner.clone()),
+                        custom: None,
                         sensor: sensor.clone(),
                         nuisances: treatment.clone(),
                     });
@@ -80,7 +105,9 @@ impl Variant {
     }
 
     fn apply(&self, file: &mut ScenarioFile) {
-        file.planner.get_or_insert_default().name = Some(self.planner.clone());
+        if let Some(planner) = &self.planner {
+            file.planner.get_or_insert_default().name = Some(planner.clone());
+        }
         if let Some(sensor) = &self.sensor {
             match &mut file.robot {
                 Some(robots) => robots.iter_mut().for_each(|robot| {
@@ -136,6 +163,25 @@ pub struct Sample {
 }
 
 impl Trials {
+    /// Checks the extent of the comparison, before anything is computed; `ticks` are those of a run.
+    ///
+    /// # Errors
+    /// One line that begins with the name of the wrong value.
+    pub fn check_extent(&self, ticks: u64) -> Result<(), String> {
+        let Self { runs, first_seed, .. } = self;
+        if *runs == 0 || self.count().saturating_mul(ticks) > TICKS_MAX {
+            let expected = format!("at least one run and at most {TICKS_MAX} ticks of all runs of all planners");
+            return Err(format!("runs is {runs}: expected {expected}"));
+        }
+        if first_seed.checked_add(*runs).is_none() {
+            return Err(format!(
+                "seed is {first_seed}: expected at most {}, because each of {runs} runs has the next seed",
+                u64::MAX - runs
+            ));
+        }
+        Ok(())
+    }
+
     /// The scenario of one run.
     ///
     /// # Errors
@@ -154,20 +200,21 @@ impl Trials {
         self.runs.saturating_mul(self.variants.len() as u64)
     }
 
-    /// Runs them all: for each variant its trials in order of runs, independent of the threads.
+    /// Runs them all: for each variant its trials in order of runs, independent of the threads. `on_progress` receives the
+    /// number of runs done, several times a second; its error ends all runs at once.
     ///
     /// # Errors
-    /// If a run cannot be set up or a thread cannot be started.
-    pub fn run(&self, mut on_progress: impl FnMut(u64)) -> anyhow::Result<Vec<Vec<Trial>>> {
+    /// If a run cannot be set up or a thread cannot be started; also that of `on_progress`.
+    pub fn run(&self, mut on_progress: impl FnMut(u64) -> anyhow::Result<()>) -> anyhow::Result<Vec<Vec<Trial>>> {
         let (next, done) = (AtomicU64::new(0), AtomicU64::new(0));
         let mut indexed = std::thread::scope(|scope| {
             let start = |_| std::thread::Builder::new().spawn_scoped(scope, || self.work(&next, &done));
             let workers: std::io::Result<Vec<_>> = (0..self.threads).map(start).collect();
             let workers = workers
-                .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))
+                .inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))
                 .with_context(|| format!("cannot start {} threads: choose fewer with --threads", self.threads))?;
             while workers.iter().any(|worker| !worker.is_finished()) {
-                on_progress(done.load(Ordering::Relaxed));
+                on_progress(done.load(Ordering::Relaxed)).inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))?;
                 std::thread::sleep(LOOK);
             }
             let mut indexed = Vec::with_capacity(self.count() as usize);
@@ -198,12 +245,13 @@ impl Trials {
                 return Ok(trials);
             }
             let variants = self.variants.len() as u64;
+            let variant = &self.variants[(index % variants) as usize];
             let trial = self
-                .scenario(&self.variants[(index % variants) as usize], index / variants)
+                .scenario(variant, index / variants)
                 .map_err(anyhow::Error::from)
-                .and_then(|scenario| Trial::run(&scenario))
+                .and_then(|scenario| Trial::run(&scenario, variant, || next.load(Ordering::Relaxed) >= NONE_LEFT))
                 // The other threads need not continue.
-                .inspect_err(|_| next.store(u64::MAX / 2, Ordering::Relaxed))?;
+                .inspect_err(|_| next.store(NONE_LEFT, Ordering::Relaxed))?;
             trials.push((index, trial));
             done.fetch_add(1, Ordering::Relaxed);
         }
@@ -211,11 +259,16 @@ impl Trials {
 }
 
 impl Trial {
-    fn run(scenario: &Scenario) -> anyhow::Result<Self> {
-        let mut team = Team::new(scenario)?;
-        let yardstick = &mut Yardstick::new(scenario)?;
+    /// Runs a scenario to its end, or until `is_stopped`.
+    fn run(scenario: &Scenario, variant: &Variant, is_stopped: impl Fn() -> bool) -> anyhow::Result<Self> {
+        let planner = variant.custom.as_ref().map(|CustomPlanner(make)| make(scenario)).transpose()?;
+        let mut team = Team::of_parts(scenario, Path::new(""), Parts { planner, ..Parts::default() })?;
+        let yardstick = &mut Yardstick::for_robots(scenario.robots.len())?;
         let mut trial = Self { samples: Vec::with_capacity(scenario.ticks as usize), ..Self::default() };
         for tick in 0..=scenario.ticks {
+            if is_stopped() {
+                break;
+            }
             if team.tick().is_err() {
                 trial.out_of_bounds = true;
                 break;
@@ -235,7 +288,8 @@ impl Trial {
         self.fused += estimate.fused;
         let p = position_covariance(&estimate);
         let (squared_error_m2, nees) = position_error(&estimate, Vector2::new(x_m, y_m));
-        let Distance { gap, trace_excess, certified } = yardstick.measure(team);
+        let Distance { gap, trace_excess, certified } =
+            yardstick.measure(team.centre().situation(), team.centre().last_plan());
         self.samples.push(Sample {
             trace_m2: p.trace(),
             max_eigenvalue_m2: 0.5 * p.trace() + (0.5 * (p[(0, 0)] - p[(1, 1)])).hypot(p[(0, 1)]),
@@ -253,48 +307,5 @@ impl Trial {
     pub fn has_diverged(&self, last_ticks: usize, limit_m: f64) -> bool {
         let last = &self.samples[self.samples.len().saturating_sub(last_ticks)..];
         self.out_of_bounds || statistics::mean(last.iter().map(|sample| sample.squared_error_m2.sqrt())) > limit_m
-    }
-}
-
-/// The certified optimum of the same situations that other planners received.
-#[derive(Debug)]
-struct Yardstick {
-    optimiser: Box<dyn Planner>,
-    optimum: Plan,
-    problem: Problem,
-}
-
-/// Distance of a plan from the optimum; as in [`Sample`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Distance {
-    gap: f64,
-    trace_excess: f64,
-    certified: bool,
-}
-
-impl Yardstick {
-    fn new(scenario: &Scenario) -> Result<Self, PlannerError> {
-        let certified = PlannerSpec::Certified { nodes: defaults::NODES as u32 };
-        let optimiser = planner::for_team(certified, scenario.robots.len(), scenario.seed)?;
-        Ok(Self { optimiser, optimum: Plan::default(), problem: Problem::default() })
-    }
-
-    fn measure(&mut self, team: &Team) -> Distance {
-        let (situation, plan) = (team.centre().situation(), team.centre().last_plan());
-        // A plan with its own certificate needs no second one.
-        let own = plan.certificate.filter(|proven| proven.is_optimal);
-        let best = own.or_else(|| {
-            self.optimiser.plan(0, situation, &mut self.optimum);
-            self.optimum.certificate
-        });
-        self.problem.pose(situation);
-        let best = best.unwrap_or_else(|| hull_certificate(situation, plan));
-        // The paper's |S| may be zero, a criterion of other teams is not.
-        let scale = if situation.is_range_only() { self.problem.lambda_sum() } else { best.lower_bound };
-        Distance {
-            gap: ((plan.worth.objective - best.lower_bound) / scale).max(0.0),
-            trace_excess: (plan.worth.position_trace_m2 / best.least_trace_m2 - 1.0).max(0.0),
-            certified: best.is_optimal,
-        }
     }
 }

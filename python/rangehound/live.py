@@ -1,0 +1,229 @@
+"""Live runs: start one, watch its ticks, and take part with functions of your own."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any, Callable, Iterator
+
+import numpy as np
+
+from . import _native
+from ._native import InputError, RunError
+from .scenario import scenario_of
+
+if TYPE_CHECKING:
+    import subprocess
+
+#: How long a run may take to end after it has been asked to, s.
+_END_S = 30.0
+
+
+class Tick:
+    """One tick of a live run. Attributes are those of `Run` without their first axis: `state` is (n,), `robot_m` (M, 2).
+
+    What is not recorded yet is NaN: true positions come at the end of a tick, after its estimate.
+    """
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self.arrays = {name: values[0] for name, values in arrays.items()}
+
+    def __getattr__(self, name: str) -> Any:
+        arrays = self.__dict__.get("arrays", {})
+        if name in arrays:
+            return arrays[name]
+        raise AttributeError(f"a tick has no {name}: expected one of {', '.join(arrays)}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.arrays]
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """Estimated position, (2,), m."""
+        return self.arrays["state"][:2]
+
+    @property
+    def error_m(self) -> float:
+        """Distance of the estimate from the true position, m; NaN if the truth is not known, or not yet."""
+        truth = self.arrays["truth"]
+        return float(np.linalg.norm(self.position_m - truth[:2])) if len(truth) >= 2 else float("nan")
+
+    def __repr__(self) -> str:
+        x_m, y_m = self.position_m
+        return f"Tick({self.tick}, position_m=[{x_m:.3f}, {y_m:.3f}])"
+
+
+def attach(
+    name: str, *, from_start: bool = False, truth: bool = False, timeout_s: float = 10.0
+) -> Iterator[Tick]:
+    """Iterates over the ticks of a live run, from its newest or its first one to its end.
+
+    It waits for the run up to `timeout_s`, and for each tick until fusion has recorded it. `truth=True` waits for the true
+    positions too, which the simulator records at the end of the tick. The run does not wait for an observer.
+    """
+    for arrays in _native.Observer(name, from_start, truth, timeout_s):
+        yield Tick(arrays)
+
+
+class Robot:
+    """A robot of a live run, in this process, with the protocol of `rangehound robot`.
+
+    `measure(robot, tick, range_m, bearing_rad)` is as `sensor` of `simulate`; a real sensor ignores the last two.
+    `pose(time_s, x_m, y_m, heading_rad)` returns `(x_m, y_m)`, and heading_rad, std_m and heading_std_rad if they are
+    known. `carry_out(heading_rad, speed_mps)` drives, and returns `None`, or the heading and the speed that were driven.
+    Functions that are missing are those of the scenario. All are on the control path: fusion waits for them.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        id: int,
+        *,
+        measure: Callable[..., Any] | None = None,
+        pose: Callable[..., Any] | None = None,
+        carry_out: Callable[..., Any] | None = None,
+    ) -> None:
+        self.name, self.id = name, id
+        self._functions = {"measure": measure, "pose": pose, "carry_out": carry_out}
+
+    def run(self) -> None:
+        """Takes part until the run ends. The last command is always to stop. An exception of a function ends the robot."""
+        _native.run_robot(self.name, self.id, **self._functions)
+
+
+def fusion(name: str, planner: Callable[..., Any] | None = None) -> None:
+    """The fusion of a live run, in this process, with a planner of your own: `planner(situation)` as for `simulate`.
+
+    It leads until the run ends. If the planner raises an exception, the robots keep their headings for three ticks and
+    then stop, and this call raises it. If it takes longer than a time step, headings come late, and the report counts them.
+    If it takes longer than three steps in real time, or than the time-out in lock step, this call raises `RunError`.
+    """
+    _native.run_fusion(name, planner=planner)
+
+
+class LiveRun:
+    """A run with a process for each node, started by `run`."""
+
+    def __init__(self, process: subprocess.Popen[str], name: str, program: str, log: Any) -> None:
+        self.name = name
+        self._process, self._program, self._log = process, program, log
+        self._report: dict[str, Any] | None = None
+
+    def kill(self, node: str) -> None:
+        """Kills a node with SIGKILL: "sim", "fusion", "robot-1". Another process takes its place."""
+        self._command("kill", node)
+
+    def restart(self, node: str) -> None:
+        """Asks a node to end; the supervisor starts another."""
+        self._command("restart", node)
+
+    def stop(self) -> None:
+        """Ends the run before its last tick."""
+        self._command("stop")
+
+    def status(self) -> dict[str, Any]:
+        """The nodes and their states."""
+        return json.loads(self._command("status", "--json"))
+
+    def attach(self, **how: Any) -> Iterator[Tick]:
+        """As the function `attach`."""
+        return attach(self.name, **how)
+
+    def wait(self) -> dict[str, Any]:
+        """Waits for the end of the run, and returns its report: the keys of `report.json`."""
+        return self.report()
+
+    def report(self) -> dict[str, Any]:
+        """The report: waits for the end of the run."""
+        if self._report is None:
+            out, _ = self._process.communicate()
+            self._log.seek(0)
+            said = self._log.read().strip().splitlines()
+            if self._process.returncode != 0:
+                line = said[-1].removeprefix("rangehound: ") if said else f"exit code {self._process.returncode}"
+                raise (InputError if self._process.returncode == 2 else RunError)(line)
+            self._report = json.loads(out)
+        return self._report
+
+    def close(self) -> None:
+        """Ends the run if it still goes on."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            import subprocess
+
+            try:
+                self._process.communicate(timeout=_END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.communicate()
+
+    def __enter__(self) -> "LiveRun":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _command(self, *words: str) -> str:
+        import subprocess
+
+        done = subprocess.run([self._program, *words, "--name", self.name], capture_output=True, text=True)
+        if done.returncode != 0:
+            lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+            raise (InputError if done.returncode == 2 else RunError)(lines[-1].removeprefix("rangehound: "))
+        return done.stdout
+
+
+def run(
+    scenario: Any = None,
+    *,
+    name: str,
+    out: str | os.PathLike[str] | None = None,
+    standby: int = 0,
+    record: bool = False,
+    program: str | os.PathLike[str] | None = None,
+    **keys: Any,
+) -> LiveRun:
+    """Starts a run with a process for each node, as `rangehound run` does, and returns at once.
+
+    Keywords are those of `Scenario`, such as `clock="lockstep"`. `out` is the run folder (default: `runs/NAME`). `program`
+    is the program `rangehound` (default: that of the variable `RANGEHOUND`, or on the path).
+
+    >>> with rh.run(name="demo", ticks=300) as run:
+    ...     run.kill("robot-1")
+    ...     print(run.report()["verdict"])
+    """
+    # Here, because they would be a tenth of the time of the import.
+    import shutil
+    import subprocess
+    import tempfile
+
+    program = os.fspath(program or os.environ.get("RANGEHOUND") or shutil.which("rangehound") or "")
+    if not program or not os.access(program, os.X_OK):
+        raise InputError(f"no program {program or 'rangehound'}: expected it on the path, in RANGEHOUND, or as program=...")
+    scenario = scenario_of(scenario)
+    scenario = scenario.replace(**keys) if keys else scenario
+    if scenario.is_recording:
+        raise InputError("the scenario plays a recording: expected a simulated one: `track` plays recordings")
+    words = [program, "run", "--name", name, "--json", "--standby", str(standby), "--end-with", str(os.getpid())]
+    words += ["--record" if record else "--no-record"]
+    words += ["--out", os.fspath(out)] if out is not None else []
+    log = tempfile.TemporaryFile("w+", encoding="utf-8")
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
+        file.write(scenario.to_toml())
+        file.flush()
+        process = subprocess.Popen([*words, file.name], stdout=subprocess.PIPE, stderr=log, text=True)
+        live = LiveRun(process, name, program, log)
+        _wait_until_founded(live)
+    return live
+
+
+def _wait_until_founded(live: LiveRun) -> None:
+    """Waits until the run can be joined: its scenario has been read then."""
+    while live._process.poll() is None:
+        try:
+            _native.Observer(live.name, False, False, 0.05)
+            return
+        except InputError:
+            continue
+    live.report()
+

@@ -1,0 +1,54 @@
+//! Exceptions: the one line that the program would print.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use pyo3::create_exception;
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use rangehound::failure::{Failure, one_short_line, with_causes};
+
+create_exception!(
+    rangehound,
+    InputError,
+    PyValueError,
+    "Input that the user must mend: what is wrong, and what was expected."
+);
+create_exception!(rangehound, RunError, PyRuntimeError, "A failure while running.");
+
+/// The exception for invalid input.
+pub(crate) fn input(problem: impl ToString) -> PyErr {
+    InputError::new_err(one_short_line(&problem.to_string()))
+}
+
+/// The exception for a failure. One that Python raised in the course of it is raised again as it was.
+pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
+    match failure.into() {
+        Failure::Running(error) => match error.downcast::<PyErr>() {
+            Ok(raised) => raised,
+            Err(error) => RunError::new_err(one_short_line(&with_causes(&error))),
+        },
+        Failure::Input(problem) => input(problem),
+        Failure::ReportedInput => input("invalid input"),
+    }
+}
+
+/// The first exception of a Python function that Rust has called where no error can be returned.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Raised(Arc<Mutex<Option<PyErr>>>);
+
+impl Raised {
+    /// Stores an exception, unless there is one.
+    pub(crate) fn set(&self, error: PyErr) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    }
+
+    /// True if a function has raised an exception: it is not called again.
+    pub(crate) fn is_set(&self) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    /// The exception as an error.
+    pub(crate) fn check(&self) -> PyResult<()> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
+    }
+}

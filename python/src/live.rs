@@ -1,0 +1,334 @@
+//! Live runs: an observer that follows a run's logs, and nodes whose sensors, drives or planner are Python functions.
+//!
+//! The observer reads files and takes part in nothing: the run neither waits for it nor notices when it is killed.
+
+use std::os::fd::OwnedFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rangehound::failure::Failure;
+use rangehound::results::frame::Frames;
+use rangehound::run::node::{input_or_running, of_fusion, of_robot};
+use rangehound_fusion::planner::{Plan, Planner, Situation};
+use rangehound_node::logs;
+use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::system::signal::Termination;
+use rangehound_robot::drive::HOLD_TICKS;
+use rangehound_robot::pose::{self, PoseSource};
+use rangehound_robot::sensor::{self, Sensor};
+use rangehound_shared::run_name::RunName;
+use rangehound_shared::scenario::{Clock, Scenario, Timeout};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::inotify;
+
+use crate::callables::{Function, FunctionActuator, FunctionPose, FunctionSensor};
+use crate::errors::{Raised, RunError, failed, input};
+use crate::run::History;
+use crate::situation;
+
+/// How long an observer sleeps without a change of the logs: it then looks whether the run goes on.
+const IDLE: Duration = Duration::from_millis(100);
+
+/// A run without simulator, fusion and supervisor for this long has ended, whatever its state.
+const DESERTED: Duration = Duration::from_secs(3);
+
+/// How long a node may take to end after it has been asked to.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// How often a node's process acts on signals.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Iterates over the ticks of a live run.
+#[pyclass(module = "rangehound._native")]
+pub(crate) struct Observer {
+    run: Rendezvous,
+    frames: Option<Frames>,
+    changes: Option<OwnedFd>,
+    next: Option<u64>,
+    waits_for_truth: bool,
+    /// True if no log has changed for a while: only then it asks whether the run goes on.
+    is_quiet: bool,
+    inhabited: Instant,
+}
+
+fn run_name(name: &str) -> PyResult<RunName> {
+    name.parse().map_err(|error| input(format!("name: {error}")))
+}
+
+#[pymethods]
+impl Observer {
+    /// Waits for the run up to `timeout_s`, and starts with its newest tick, or with its first.
+    #[new]
+    fn new(py: Python<'_>, name: &str, from_start: bool, waits_for_truth: bool, timeout_s: f64) -> PyResult<Self> {
+        let (name, began) = (run_name(name)?, Instant::now());
+        let run = loop {
+            if let Some(run) = Rendezvous::join_if_alive(&name).map_err(|error| failed(input_or_running(error)))? {
+                break run.observe();
+            }
+            if began.elapsed().as_secs_f64() >= timeout_s {
+                return Err(input(format!("no run {name} after {timeout_s} s: expected a run that has been started")));
+            }
+            py.check_signals()?;
+            py.detach(|| std::thread::sleep(LOOK));
+        };
+        let next = from_start.then_some(0);
+        Ok(Self { run, frames: None, changes: None, next, waits_for_truth, is_quiet: true, inhabited: Instant::now() })
+    }
+
+    /// Name of the run.
+    #[getter]
+    fn name(&self) -> String {
+        self.run.name().to_string()
+    }
+
+    /// Its folder.
+    #[getter]
+    fn folder(&self) -> std::path::PathBuf {
+        self.run.description().out_dir.clone()
+    }
+
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    /// The arrays of the next tick, of one row each; none at the end of the run.
+    fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        loop {
+            if let Some(history) = self.look(false).map_err(failed)? {
+                return history.into_dict(py).map(Some);
+            }
+            if self.is_quiet && self.is_over() {
+                // What was logged just before the end.
+                return self.look(true).map_err(failed)?.map(|history| history.into_dict(py)).transpose();
+            }
+            py.check_signals()?;
+            py.detach(|| self.sleep());
+        }
+    }
+}
+
+impl Observer {
+    fn is_over(&mut self) -> bool {
+        let roster = self.run.roster();
+        if [Role::Sim, Role::Fusion, Role::Supervisor].into_iter().any(|role| roster.is_held(role)) {
+            self.inhabited = Instant::now();
+            // Fusion writes its last tick after the simulator has ended the run.
+            return self.run.is_finished() && !roster.is_held(Role::Fusion);
+        }
+        self.run.is_finished() || self.inhabited.elapsed() >= DESERTED
+    }
+
+    /// The next tick, if it is logged.
+    fn look(&mut self, is_over: bool) -> anyhow::Result<Option<History>> {
+        let description = self.run.description();
+        let frames = match &mut self.frames {
+            Some(frames) => frames,
+            None => match Frames::open(description) {
+                Ok(frames) => self.frames.insert(frames),
+                // The nodes have not made their logs yet.
+                Err(_) => return Ok(None),
+            },
+        };
+        let Some(newest) = frames.newest_estimate()? else { return Ok(None) };
+        let next = *self.next.get_or_insert(newest);
+        for tick in next..=newest {
+            let logged = frames.logged(tick)?;
+            // After a kill the record of a tick may be missing: its successor writes it, or the run goes on without it.
+            if logged.fusion.is_none() && tick < newest {
+                continue;
+            }
+            if logged.fusion.is_none()
+                || self.waits_for_truth && logged.world.is_none() && tick + 1 >= newest && !is_over
+            {
+                return Ok(None);
+            }
+            let mut history = History::of(&description.scenario);
+            history.add(logged);
+            self.next = Some(tick + 1);
+            return Ok(Some(history));
+        }
+        Ok(None)
+    }
+
+    /// Sleeps until a log changes, or for a while.
+    fn sleep(&mut self) {
+        if self.changes.is_none() && self.frames.is_some() {
+            self.changes = watch(&self.run.description().out_dir, self.waits_for_truth);
+            // What was written before is read first.
+            return;
+        }
+        let Some(changes) = &self.changes else { return std::thread::sleep(LOOK) };
+        let timeout = Timespec { tv_sec: 0, tv_nsec: IDLE.as_nanos() as i64 };
+        self.is_quiet = poll(&mut [PollFd::new(changes, PollFlags::IN)], Some(&timeout)).is_ok_and(|ready| ready == 0);
+        if !self.is_quiet {
+            self.inhabited = Instant::now();
+        }
+        // The events say only that something was written.
+        let mut events = [0; 4096];
+        while rustix::io::read(changes, &mut events).is_ok_and(|read| read == events.len()) {}
+    }
+}
+
+/// Tells of writes to the logs of a run; `None` on a file system that does not.
+fn watch(folder: &std::path::Path, also_truth: bool) -> Option<OwnedFd> {
+    let changes = inotify::init(inotify::CreateFlags::CLOEXEC | inotify::CreateFlags::NONBLOCK).ok()?;
+    let worlds = also_truth.then(|| logs::worlds_path(folder));
+    for log in [logs::estimates_path(folder)].iter().chain(&worlds) {
+        inotify::add_watch(&changes, log, inotify::WatchFlags::MODIFY).ok()?;
+    }
+    Some(changes)
+}
+
+/// One node in a process: iceoryx2 is set up for one run, once.
+static IS_A_NODE: AtomicBool = AtomicBool::new(false);
+
+/// Runs a node in a thread of its own until the run ends. An exception of one of its functions, or of a signal, ends it.
+fn run_node(
+    py: Python<'_>,
+    name: &str,
+    raised: &Raised,
+    asked_of: &Asked,
+    node: impl FnOnce(&Rendezvous, &Termination) -> Result<(), Failure> + Send + 'static,
+) -> PyResult<()> {
+    let name = run_name(name)?;
+    if IS_A_NODE.swap(true, Ordering::Relaxed) {
+        return Err(input("this process has been a node before: expected a process for each node"));
+    }
+    let termination = Termination::by_request();
+    let of_node = termination.clone();
+    let work = move || {
+        let rendezvous = Rendezvous::join(&name, &of_node, || ()).map_err(input_or_running)?;
+        node(&rendezvous, &of_node)
+    };
+    let worker = std::thread::Builder::new().name("node".to_owned()).spawn(work);
+    let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
+    let (mut ended, mut asked) = (Ok(()), None);
+    while !worker.is_finished() {
+        py.detach(|| std::thread::sleep(LOOK));
+        if let Err(error) = py.check_signals() {
+            ended = Err(error);
+        }
+        if let Some(error) = asked_of.overdue() {
+            raised.set(error);
+        }
+        if ended.is_err() || raised.is_set() {
+            termination.request();
+            if asked.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
+                // A function does not return. Its thread ends with the process.
+                ended?;
+                return raised.check();
+            }
+        }
+    }
+    let outcome = py.detach(|| worker.join());
+    ended?;
+    raised.check()?;
+    outcome.map_err(|_| failed(anyhow::anyhow!("the node panicked: please report this")))?.map_err(failed)
+}
+
+/// Runs a robot of a live run.
+#[pyfunction]
+#[pyo3(signature = (name, id, *, measure=None, pose=None, carry_out=None))]
+pub(crate) fn run_robot(
+    py: Python<'_>,
+    name: &str,
+    id: usize,
+    measure: Option<Py<PyAny>>,
+    pose: Option<Py<PyAny>>,
+    carry_out: Option<Py<PyAny>>,
+) -> PyResult<()> {
+    let raised = Raised::default();
+    let of_node = raised.clone();
+    run_node(py, name, &raised, &Asked::default(), move |rendezvous, termination| {
+        let scenario = &rendezvous.description().scenario;
+        let no_such = || Failure::input(format!("id is {id}: expected 0 to {}", scenario.robots.len() - 1));
+        let mut sensor: Box<dyn Sensor> = match measure {
+            Some(f) => Box::new(FunctionSensor::of_robot(scenario, id, f, &of_node).ok_or_else(no_such)?),
+            None => sensor::of_scenario(scenario, id).ok_or_else(no_such)?,
+        };
+        let mut poses: Box<dyn PoseSource> = match pose {
+            Some(f) => Box::new(FunctionPose::new(f, of_node.clone())),
+            None => pose::of_scenario(scenario, id).ok_or_else(no_such)?,
+        };
+        let mut actuator = FunctionActuator { function: carry_out.map(Function::new), raised: of_node };
+        let parts = (sensor.as_mut(), poses.as_mut(), &mut actuator);
+        rangehound_node::robot::run_with(rendezvous, id, parts, termination)
+            .map_err(|error| of_robot(rendezvous, error))
+    })
+}
+
+/// Runs the fusion of a live run with a planner that is a function, or with the scenario's.
+#[pyfunction]
+#[pyo3(signature = (name, *, planner=None))]
+pub(crate) fn run_fusion(py: Python<'_>, name: &str, planner: Option<Py<PyAny>>) -> PyResult<()> {
+    let (raised, asked) = (Raised::default(), Asked::default());
+    let (of_node, asked_of_node) = (raised.clone(), asked.clone());
+    run_node(py, name, &raised, &asked, move |rendezvous, termination| {
+        let scenario = &rendezvous.description().scenario;
+        let planner = match planner {
+            Some(function) => {
+                let inner = situation::planner(scenario.robots.len(), function, of_node.clone());
+                let limit = patience(scenario);
+                let inner = inner.map_err(Failure::input)?;
+                Some(Box::new(Watched { inner, limit, asked: asked_of_node, raised: of_node }) as Box<dyn Planner>)
+            }
+            None => None,
+        };
+        rangehound_node::fusion::run_with(rendezvous, planner, termination)
+            .map_err(|error| of_fusion(rendezvous, error))
+    })
+}
+
+/// How long a planner may take: in real time until the robots stop, in lock step until they would be left out.
+fn patience(scenario: &Scenario) -> Duration {
+    match (scenario.clock, scenario.timeout) {
+        (Clock::Realtime, _) => Duration::from_secs_f64(HOLD_TICKS as f64 * scenario.dt_s),
+        (Clock::Lockstep, Timeout::After(timeout)) => timeout,
+        (Clock::Lockstep, Timeout::Forever) => Duration::MAX,
+    }
+}
+
+/// The tick that a planner is asked for, since when, and how long it may take.
+#[derive(Debug, Clone, Default)]
+struct Asked(Arc<Mutex<Option<(u64, Instant, Duration)>>>);
+
+impl Asked {
+    fn set(&self, asked: Option<(u64, Instant, Duration)>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = asked;
+    }
+
+    /// The error of a planner that takes too long.
+    fn overdue(&self) -> Option<PyErr> {
+        let (tick, since, limit) = (*self.0.lock().unwrap_or_else(PoisonError::into_inner))?;
+        let (taken_s, limit_s) = (since.elapsed().as_secs_f64(), limit.as_secs_f64());
+        let error = format!("the planner has taken {taken_s:.2} s at tick {tick}: expected at most {limit_s} s");
+        (since.elapsed() > limit).then(|| RunError::new_err(error))
+    }
+}
+
+/// A planner whose time is limited.
+#[derive(Debug)]
+struct Watched {
+    inner: Box<dyn Planner>,
+    limit: Duration,
+    asked: Asked,
+    raised: Raised,
+}
+
+impl Planner for Watched {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn plan(&mut self, tick: u64, situation: &Situation, plan: &mut Plan) {
+        self.asked.set(Some((tick, Instant::now(), self.limit)));
+        self.inner.plan(tick, situation, plan);
+        if let Some(error) = self.asked.overdue() {
+            self.raised.set(error);
+        }
+        self.asked.set(None);
+    }
+}

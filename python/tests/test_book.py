@@ -1,0 +1,58 @@
+"""The Python of the book does what it says, and what is public is documented."""
+
+import inspect
+import os
+import pathlib
+import re
+
+import pytest
+import rangehound as rh
+
+ROOT = pathlib.Path(__file__).parents[2]
+
+
+def blocks():
+    text = (ROOT / "docs/python.md").read_text()
+    return re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(len(blocks())))
+def test_the_python_of_the_book_runs(number, python, program, tmp_path):
+    text = blocks()[number]
+    (tmp_path / "scenarios").symlink_to(ROOT / "scenarios")
+    name = f"book-{os.getpid()}"
+    script = f"import os; os.chdir({str(tmp_path)!r})\n" + text.replace("from-python", name)
+    done = python(script, env={**os.environ, "RANGEHOUND": str(program)})
+    assert done.returncode == 0, done.stderr
+    assert "False" not in done.stdout.replace("'sound': False", "")
+
+
+def test_all_that_is_public_has_a_docstring():
+    for name in rh.__all__:
+        thing = getattr(rh, name)
+        assert name == "__version__" or inspect.getdoc(thing), name
+        members = vars(thing).items() if inspect.isclass(thing) else ()
+        for member, value in members:
+            if not member.startswith("_") and (callable(value) or isinstance(value, property)):
+                assert inspect.getdoc(value), f"{name}.{member}"
+
+
+def test_the_stubs_name_what_the_native_half_has():
+    stub = (ROOT / "python/rangehound/_native.pyi").read_text()
+    known = set(re.findall(r"^(?:class|def) (\w+)", stub, re.MULTILINE))
+    public = {name for name in dir(rh._native) if not name.startswith("_")}
+    assert known == public
+    for name in public:
+        thing = getattr(rh._native, name)
+        if inspect.isclass(thing) and not issubclass(thing, Exception):
+            body = re.search(rf"^class {name}.*?(?=^(?:class|def) |\Z)", stub, re.MULTILINE | re.DOTALL).group()
+            members = {member for member in vars(thing) if not member.startswith("_")}
+            assert members <= set(re.findall(r"    def (\w+)", body)), (name, members)
+
+
+def test_the_package_is_typed_without_a_contradiction(tmp_path):
+    mypy = pytest.importorskip("mypy.api")
+    folder = pathlib.Path(rh.__file__).parent
+    assert (folder / "py.typed").exists()
+    said, problem, code = mypy.run(["--cache-dir", str(tmp_path), "--ignore-missing-imports", "--disable-error-code=import-untyped", str(ROOT / "python/rangehound")])
+    assert code == 0, said + problem

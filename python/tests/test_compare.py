@@ -1,0 +1,67 @@
+"""Many runs."""
+
+import json
+import subprocess
+
+import pytest
+import rangehound as rh
+
+
+def test_the_figures_are_those_of_the_program(program, tmp_path):
+    args = ["compare", "--runs", "4", "--ticks", "60", "--planners", "certified,greedy", "--json", "--out", tmp_path / "out"]
+    done = subprocess.run([program, *args], capture_output=True, text=True, timeout=120)
+    expected = json.loads(done.stdout)
+    compared = rh.compare(planners=["certified", "greedy"], runs=4, ticks=60)
+    for ours, theirs in zip(compared.figures["planners"], expected["planners"], strict=True):
+        for key in ours.keys() - {"planning_us"}:
+            assert ours[key] == theirs[key], key
+
+
+def test_a_function_stands_beside_the_built_in_planners_and_has_its_gap():
+    def own(situation):
+        return situation.plan("greedy")
+
+    compared = rh.compare(planners=["certified", "greedy", own], runs=6, ticks=60, threads=2)
+    assert list(compared.planners) == ["certified", "greedy", "own"]
+    for key in ("position_rmse_m", "gap", "trace_excess_percent", "anees"):
+        expected = compared.planners["greedy"][key]
+        assert compared.planners["own"][key] == pytest.approx(expected, rel=1e-6, abs=1e-12), key
+    assert compared.planners["own"]["gap"]["max"] > compared.planners["certified"]["gap"]["max"]
+    assert "own" in str(compared) and "\x1b" not in str(compared)
+    named = rh.compare(planners={"mine": own}, runs=2, ticks=20)
+    assert list(named.planners) == ["mine"]
+
+
+def test_what_a_function_raises_ends_all_runs():
+    def broken(situation):
+        if situation.tick == 30:
+            raise LookupError("lost")
+        return situation.plan("greedy")
+
+    with pytest.raises(LookupError, match="lost"):
+        rh.compare(planners=["greedy", broken], runs=1_000, ticks=60)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (dict(planners=["best"]), 'planners has "best": expected functions, or names'),
+        (dict(planners=["greedy", "greedy", len]), "built-in|shape|headings|no array|has no len"),
+        (dict(runs=0), "runs is 0: expected at least one run"),
+        (dict(seed=2**64 - 1), "seed is 18446744073709551615: expected at most"),
+        (dict(planners=[]), "nothing to compare"),
+    ],
+)
+def test_faults_are_one_line(given, said):
+    with pytest.raises((rh.InputError, rh.RunError, TypeError), match=said):
+        rh.compare(**{"runs": 2, "ticks": 5, **given})
+
+
+def test_a_comparison_has_a_frame_and_figures():
+    pytest.importorskip("pandas")
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("svg")
+    compared = rh.compare(planners=["certified", "greedy"], runs=3, ticks=20)
+    assert compared.frame().loc["greedy", "gap.max"] == compared.planners["greedy"]["gap"]["max"]
+    for what in ("trace", "rmse", "anees"):
+        assert len(compared.plot(what).get_lines()) == 2

@@ -1,0 +1,71 @@
+"""Recorded ranges: track and calibrate."""
+
+import csv
+import json
+import subprocess
+
+import numpy as np
+import pytest
+import rangehound as rh
+
+
+@pytest.fixture
+def ranges(root):
+    return root / "scenarios/recording/ranges.csv"
+
+
+@pytest.fixture
+def truth(root):
+    return root / "scenarios/recording/truth.csv"
+
+
+def test_a_track_is_that_of_the_program_to_the_bit(program, ranges, truth, tmp_path):
+    args = ["track", ranges, "--truth", truth, "--range-std", "0.15", "--in-process", "--json", "--no-record"]
+    done = subprocess.run([program, *args, "--out", tmp_path / "out"], capture_output=True, text=True, timeout=120)
+    report = json.loads(done.stdout)
+    run = rh.track(ranges, truth=truth, range_std_m=0.15)
+    for key in ("digest", "position_rmse_m", "anees", "nis_mean", "ranges", "sensors", "verdict"):
+        assert run.report[key] == report[key], key
+    assert run.truth.shape == (len(run), 0) and np.isnan(run.error_m).all()
+
+
+def test_columns_and_frames_are_recordings(ranges):
+    expected = rh.track(ranges, range_std_m=0.15)
+    with open(ranges, encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    columns = {name: [float(row[name]) if name != "sensor_id" else row[name] for row in rows] for name in rows[0]}
+    assert rh.track(columns, range_std_m=0.15).digest == expected.digest
+    pandas = pytest.importorskip("pandas")
+    assert rh.track(pandas.DataFrame(columns), range_std_m=0.15).digest == expected.digest
+
+
+def test_a_calibration_is_that_of_the_program_and_is_used_alike(program, ranges, tmp_path):
+    out = tmp_path / "calibration"
+    done = subprocess.run([program, "calibrate", ranges, "--json", "--out", out], capture_output=True, text=True, timeout=120)
+    expected = json.loads(done.stdout)
+    found = rh.calibrate(ranges)
+    assert (found.sensor_ids, found.sensors) == (expected["sensor_ids"], expected["findings"]["sensors"])
+    assert found.to_toml() == (out / "calibration.toml").read_text()
+    args = ["track", ranges, "--calibration", out / "calibration.toml", "--in-process", "--json", "--no-record"]
+    done = subprocess.run([program, *args, "--out", tmp_path / "out"], capture_output=True, text=True, timeout=120)
+    assert rh.track(ranges, calibration=found).digest == json.loads(done.stdout)["digest"]
+    assert rh.track(ranges, calibration=out / "calibration.toml").digest == json.loads(done.stdout)["digest"]
+
+
+def test_a_calibration_against_the_true_track_has_a_row_for_each_sensor(ranges, truth):
+    pytest.importorskip("pandas")
+    found = rh.calibrate(ranges, truth=truth)
+    frame = found.frame()
+    assert found.is_determined and list(frame.index) == found.sensor_ids
+    assert (frame["range_std_m"] > 0).all() and len(found.residuals) == len(found.sensor_ids)
+
+
+def test_faults_name_file_and_keyword(ranges, tmp_path):
+    with pytest.raises(rh.InputError, match="cannot read .*none.csv"):
+        rh.track(tmp_path / "none.csv")
+    with pytest.raises(rh.InputError, match="unknown field `range_sd_m`"):
+        rh.track(ranges, range_sd_m=0.1)
+    with pytest.raises(TypeError, match="no keyword 'range_std_m'"):
+        rh.calibrate(ranges, range_std_m=0.1)
+    with pytest.raises(rh.InputError, match="expected a simulated scenario"):
+        rh.simulate({"recording": {"ranges": str(ranges)}}, planner=lambda s: s)
