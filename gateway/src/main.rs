@@ -120,7 +120,7 @@ fn main() -> ExitCode {
             return ExitCode::from(2);
         }
     };
-    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("rangehound=info,warn"))
+    env_logger::Builder::from_env(env_logger::Env::default().default_filter_or("rangehound=info,error"))
         .format(|out, record| {
             use std::io::Write as _;
             writeln!(out, "rangehound: {}", record.args())
@@ -161,9 +161,11 @@ impl GatewayArgs {
         };
         let ended = gateway::run(&rendezvous, self.listen, self.keys.as_ref(), &termination, listening);
         ended.map_err(|error| match error {
-            GatewayError::Open(_) | GatewayError::Keys(_) | GatewayError::Address { .. } => {
-                Failure::Input(error.to_string())
-            }
+            GatewayError::Open(_)
+            | GatewayError::Keys(_)
+            | GatewayError::Second(_)
+            | GatewayError::NotGateway(_)
+            | GatewayError::Address { .. } => Failure::Input(error.to_string()),
             error => Failure::Running(error.to_string()),
         })
     }
@@ -171,6 +173,13 @@ impl GatewayArgs {
 
 impl RobotArgs {
     fn carry_out(&self) -> Result<(), Failure> {
+        let has_port = self.connect.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
+        if !has_port {
+            return Err(Failure::Input(format!(
+                "--connect is {}: expected HOST:PORT, such as station:7400",
+                self.connect
+            )));
+        }
         let termination = Termination::listen().map_err(|error| Failure::Running(error.to_string()))?;
         Role::Robot(self.id).name_process();
         let target = Target {

@@ -76,7 +76,10 @@ pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failur
         let pid = hit.pid().map(Pid::as_raw_pid);
         return print_json(&json!({ "name": run.name().to_string(), "node": node.to_string(), "pid": pid }));
     }
-    print(format!("killed {node}, {hit}\n"))
+    print(match hit {
+        Hit::Here(_) => format!("killed {node}, {hit}\n"),
+        Hit::On(host) => format!("asked the host {host} to kill {node}\n"),
+    })
 }
 
 /// `rangehound restart`: asks a node to end and waits for its successor.
@@ -251,6 +254,10 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
         )));
     }
     match run.roster().process(role) {
+        // The gateway holds the roles of robots on other hosts. It tells of a new one some time later.
+        Holder::Here(process) if role.robot().is_some() && gateway::is_gateway(process.pid()) => Err(Failure::input(
+            format!("{role} has just joined from another host: see `rangehound status`, and try again"),
+        )),
         Holder::Here(process) => Ok(process),
         Holder::Nobody => Err(gone(run, role)),
         Holder::Elsewhere => Err(elsewhere(run, role)),

@@ -13,13 +13,14 @@ use super::{assert_none, pages};
 use crate::support::{Outcome, PROGRAM, Run, skipped};
 
 /// The reasons that a page may give for a command that the test cannot run.
-const REASONS: [&str; 8] = [
+const REASONS: [&str; 9] = [
     "builds the program",
     "needs a browser",
     "needs a file that a kill has cut short",
     "needs a ROS bag",
     "needs a serial port",
     "needs another machine",
+    "needs root",
     "needs packages of Python",
     "needs a viewer",
 ];

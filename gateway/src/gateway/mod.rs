@@ -12,7 +12,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rangehound_node::bus::{self, BusError, Events, IDLE, WaitGroup};
-use rangehound_node::rendezvous::{Rendezvous, RendezvousError};
+use rangehound_node::gateway_note::GatewayNote;
+use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, RendezvousError};
 use rangehound_node::system::clock::{monotonic_ns, until};
 use rangehound_node::system::signal::Termination;
 use tokio::sync::mpsc::{self, Receiver, Sender};
@@ -47,6 +48,12 @@ pub enum GatewayError {
     /// Without keys it must not be reached from other hosts.
     #[error("--listen {0} can be reached from other hosts: --keys is missing (`rangehound keys` makes them)")]
     Open(SocketAddr),
+    /// Two gateways would each take the roles that the other one lacks.
+    #[error("process {0} is the gateway of this run already: expected one gateway for a run")]
+    Second(u32),
+    /// The gateway's host is named as a robot's.
+    #[error("--keys has the keys of {0}, a host of robots: expected those of a gateway (`rangehound keys --gateway`)")]
+    NotGateway(String),
     /// The system does not give it the address.
     #[error("cannot listen on {address}: {source}")]
     Address {
@@ -87,6 +94,12 @@ pub fn run(
     termination: &Termination,
     listening: impl FnOnce(SocketAddr),
 ) -> Result<(), GatewayError> {
+    if let Some(GatewayNote { pid, .. }) = GatewayNote::read(rendezvous)
+        && pid != std::process::id()
+        && std::fs::read_link(format!("/proc/{pid}/exe")).ok() == std::env::current_exe().ok()
+    {
+        return Err(GatewayError::Second(pid));
+    }
     let (config, socket) = prepared(address, keys)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let is_over = AtomicBool::new(false);
@@ -105,7 +118,8 @@ pub fn run(
                 let served = serve(&mut guests, inputs, rendezvous, termination).await;
                 // The roles are free before the robots know that the gateway ends.
                 drop(guests);
-                if rendezvous.is_finished() {
+                // A run that was stopped is over for the robots too; one that lost its gateway is not.
+                if rendezvous.is_finished() || rendezvous.note(ENDING_NOTE).is_some() {
                     let _ = finished.send(true);
                     let _ = tokio::time::timeout(FAREWELL, finished.closed()).await;
                 }
@@ -131,7 +145,13 @@ pub fn check(address: SocketAddr, keys: Option<&PathBuf>) -> Result<SocketAddr, 
 
 fn prepared(address: SocketAddr, keys: Option<&PathBuf>) -> Result<(quinn::ServerConfig, UdpSocket), GatewayError> {
     let tls = match keys {
-        Some(folder) => Credentials::load(folder)?.server_config()?,
+        Some(folder) => {
+            let credentials = Credentials::load(folder)?;
+            if !credentials.own().is_gateway() {
+                return Err(GatewayError::NotGateway(credentials.own().host.clone()));
+            }
+            credentials.server_config()?
+        }
         None if address.ip().is_loopback() => Credentials::for_loopback_server()?,
         None => return Err(GatewayError::Open(address)),
     };

@@ -20,9 +20,13 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     run.wait_for("the links", || (run.status()?["gateway"]["guests"].as_array()?.len() == 2).then_some(()));
     let name = &run.name;
 
+    // Never the gateway, which holds its role.
+    let holder = run.gateway();
     let (code, text) = run.finish(&format!("kill robot-1 --name {name}"));
     assert!(code == Some(2) && text.contains("--allow-remote-control"), "{code:?}: {text}");
-    assert!(refuses.is_running());
+    assert!(refuses.is_running() && run.gateway() == holder);
+    let (code, text) = run.finish(&format!("gateway --name {name} --listen 127.0.0.1:0"));
+    assert!(code == Some(2) && text.contains("is the gateway of this run already"), "{code:?}: {text}");
 
     run.finish_ok(&format!("kill robot-0 --name {name}"));
     run.wait_for("its successor", || (starts(&run, 0) >= Some(2)).then_some(()));
@@ -44,6 +48,7 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     std::fs::write(run.path("over"), "").unwrap();
     run.finish_ok(&format!("stop --name {name}"));
     drop(supervisor);
-    refuses.signal(rustix::process::Signal::TERM);
+    // It is told that the run was stopped.
+    refuses.succeeds();
     run.assert_nothing_left();
 }

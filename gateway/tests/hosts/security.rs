@@ -24,9 +24,14 @@ fn an_address_that_others_can_reach_demands_keys() {
     assert!(code == Some(2) && text.lines().count() == 1 && text.contains("--keys is missing"), "{text}");
     let (code, text) = run.finish("robot --id 0 --connect 192.0.2.1:7447");
     assert!(code == Some(2) && text.lines().count() == 1 && text.contains("--keys is missing"), "{text}");
+    let (code, text) = run.finish("robot --id 0 --connect 127.0.0.1");
+    assert!(code == Some(2) && text.lines().count() == 1 && text.contains("expected HOST:PORT"), "{text}");
     let (code, text) = run.finish("run --listen 127.0.0.1:0 --keys nowhere --out out");
     assert!(code == Some(2) && text.lines().count() == 1 && text.contains("nowhere"), "{text}");
     assert!(!run.path("out").exists());
+    let run = with_keys();
+    let (code, text) = run.finish("run --listen 127.0.0.1:0 --keys keys/alice --out out");
+    assert!(code == Some(2) && text.lines().count() == 1 && text.contains("a host of robots"), "{text}");
 }
 
 /// Each is refused with one line at both ends, and the run goes on.
