@@ -27,7 +27,7 @@ fn study(run: &Run, words: &str, file: &str) -> Value {
     let left: Vec<String> = names.filter(|name| name.starts_with(&format!("rangehound-{pid}-"))).collect();
     assert!(left.is_empty(), "{left:?}");
     run.assert_nothing_left();
-    assert!(!run.path("out/keys").exists(), "keys of hosts that are no more");
+    assert!(!run.path(&format!("out/keys.{pid}")).exists(), "keys of hosts that are no more");
     serde_json::from_str(&std::fs::read_to_string(run.path(&format!("out/{file}"))).unwrap()).unwrap()
 }
 

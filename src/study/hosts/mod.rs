@@ -37,9 +37,6 @@ const PORT: u16 = 7_400;
 /// A robot that has ended is not started again before this time, as by a service manager.
 const RESTART_AFTER: Duration = Duration::from_millis(20);
 
-/// Folder of the hosts' keys, in the folder of results.
-pub const KEYS: &str = "keys";
-
 /// The hosts of a team.
 #[derive(Debug)]
 pub struct Hosts {
@@ -102,8 +99,8 @@ impl Hosts {
         gateway::program()?;
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let network = Network::new(count).map_err(|error| Failure::input(format!("{error:#} (--hosts)")))?;
-        let keys = folder.join(KEYS);
-        let _ = std::fs::remove_dir_all(&keys);
+        // With the number of this process: no folder that was there before is removed.
+        let keys = folder.join(format!("keys.{}", std::process::id()));
         let hosts = Self {
             program,
             keys,
