@@ -213,11 +213,13 @@ impl<'a> Campaign<'a> {
                 // After a stall, faults that became due meanwhile do not hit the first tick.
                 due = due.max(Instant::now() + self.next.gap);
             }
-            if self.goes_on()
-                && Instant::now() >= due
-                && idle < STILL
-                && live.inject(self.next_number, &self.next, &mut self.injected)
-            {
+            let is_due = self.goes_on() && Instant::now() >= due && idle < STILL;
+            let is_injected = is_due && live.inject(self.next_number, &self.next, &mut self.injected);
+            if is_due && !is_injected && self.next.kind.is_of_hosts() {
+                // The host is cut off or down: the next fault must not hit it at the moment when it comes back.
+                due = Instant::now() + self.next.gap;
+            }
+            if is_injected {
                 let kind = self.next.kind;
                 self.next_number += 1;
                 self.next = self.faults.at(self.next_number);

@@ -209,6 +209,7 @@ impl<'a> Live<'a> {
             Kind::CutOneWay => hosts.cut(host, what.is_up, !what.is_up),
             _ => hosts.cut(host, true, true),
         }
+        self.recovering.retain(|earlier| earlier.target != Target::Host(host));
         self.outages.push(Outage { hit, host, is_down, until: Instant::now() + what.lasts });
         true
     }
