@@ -180,7 +180,7 @@ Examples:
   rangehound chaos --kinds kill,stop --roles sim,fusion --rate 2
   rangehound chaos --clock realtime --faults 50 --chaos-seed 7
   rangehound chaos --standby 1 --roles fusion,standby --kinds kill
-  rangehound chaos --hosts 3 --robots 6 --loss 0.05   robots on other hosts; needs root";
+  rangehound chaos --hosts 3 --loss 0.05   several hosts; needs root";
 
 const EXPLORE: &str = "A whole team (simulator, fusion, standbys, robots) runs in this process on
 simulated time. Its faults, network delays and clocks are drawn from the seed:
@@ -202,7 +202,7 @@ means that the system was faster than the reference.
 Examples:
   rangehound latency --robots 10 --pin one-core  all processes on one processor
   rangehound latency --robots 10 --rate 100      in real time, at 100 Hz
-  rangehound latency --hosts 2 --rate 100        robots on other hosts; needs root";
+  rangehound latency --hosts 2 --rate 100        on several hosts; needs root";
 
 const SCENARIO: &str = "Example:
   rangehound scenario > mine.toml
