@@ -75,7 +75,10 @@ fn invalid_values_are_refused_before_anything_starts() {
         ("chaos --rate -1", "--rate is -1: expected 0.01 to 1000"),
         ("chaos --rate nan", "--rate is NaN: expected 0.01 to 1000"),
         ("chaos --rate inf", "--rate is inf: expected 0.01 to 1000"),
-        ("chaos --kinds flood", "expected one of: kill, stop, crash-loop, several, total-outage, cut, one-way, reboot, all"),
+        (
+            "chaos --kinds flood",
+            "expected one of: kill, stop, crash-loop, several, total-outage, cut, one-way, reboot, all",
+        ),
         ("chaos --longest-stop 0", "--longest-stop is 0: expected 0.01 to 60 s"),
         ("chaos --roles standby", "expected --standby 1 or more"),
         ("chaos --timeout 1", "--timeout is finite: expected forever"),
