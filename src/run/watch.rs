@@ -28,6 +28,10 @@ const LAST_WORDS: Duration = Duration::from_secs(10);
 /// The same if an end is requested before the run's end: the request may concern only this process.
 const EARLY_LAST_WORDS: Duration = Duration::from_secs(1);
 
+/// Time without a supervisor after which a supervised run has ended: one that makes its shared memory again takes its role a
+/// moment after the run is there.
+const UNSUPERVISED: Duration = Duration::from_millis(500);
+
 const LAST_WORDS_POLL: Duration = Duration::from_millis(5);
 
 /// The newest ticks of the two nodes that write logs.
@@ -195,13 +199,16 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
     let roster = rendezvous.roster();
     let is_supervised = roster.is_held(Role::Supervisor);
     let has_lost_its_supervisor = || roster.starts(Role::Supervisor) > 0 && !roster.is_held(Role::Supervisor);
+    let mut supervised = Instant::now();
     while !rendezvous.is_finished() && !termination.requested() {
         if rendezvous.is_removed() {
             watch.finish();
             return if is_supervised { Ok(false) } else { Err(input_or_running(rendezvous.removed())) };
         }
         // A run that is ended before its last tick is not marked as finished.
-        if has_lost_its_supervisor() && !rendezvous.is_finished() {
+        if !has_lost_its_supervisor() {
+            supervised = Instant::now();
+        } else if supervised.elapsed() > UNSUPERVISED && !rendezvous.is_finished() {
             watch.finish();
             return Err(Failure::Running(anyhow::anyhow!(
                 "run {name} was ended before its last tick: `rangehound resume` may continue it"
