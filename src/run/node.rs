@@ -2,8 +2,10 @@
 
 use std::ffi::CStr;
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process;
 
+use anyhow::Context;
 use rangehound_node::fusion::FusionError;
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role};
 use rangehound_node::robot::RobotError;
@@ -13,6 +15,7 @@ use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::failure::{self, Failure};
+use crate::files::out_folder;
 
 /// Priority of observers: the lowest.
 const LEAST_PRIORITY: i32 = 19;
@@ -118,6 +121,24 @@ pub fn this_program() -> process::Command {
     // Its output goes to a log, which errors may quote.
     command.arg0("rangehound").env("NO_COLOR", "1");
     command
+}
+
+/// Starts a process beside this one, with its output in a log of an output folder.
+///
+/// # Errors
+/// If the log cannot be opened, or the process cannot be started.
+pub fn start_logged(command: &mut process::Command, log: &Path) -> anyhow::Result<process::Child> {
+    let output = out_folder::append(log).with_context(|| log.display().to_string())?;
+    command
+        // Errors may quote its last message.
+        .env("NO_COLOR", "1")
+        // Own process group: Ctrl-C reaches this process only, which ends the other in order.
+        .process_group(0)
+        .stdin(process::Stdio::null())
+        .stdout(output.try_clone()?)
+        .stderr(output)
+        .spawn()
+        .with_context(|| format!("cannot start {}", command.get_program().display()))
 }
 
 /// The command line of a node that ends with this process, as a user would type it.

@@ -1,8 +1,7 @@
 //! A run under its own supervisor, a child of this process.
 
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -11,8 +10,8 @@ use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::files::atomic_file;
-use crate::files::out_folder;
 use crate::run::experiment::Experiment;
+use crate::run::node::start_logged;
 use crate::study::hosts::Hosts;
 
 const POLL: Duration = Duration::from_millis(1);
@@ -53,7 +52,7 @@ impl Run {
         }
         let mut run = program(hosts)?;
         run.arg("run").arg(&scenario).args(["--seed", &seed.to_string(), "--out"]).arg(out_dir);
-        let child = spawn(run, &arguments, out_dir)?;
+        let child = start_logged(run.args(&arguments), &log(out_dir))?;
         Ok(Self { child, name, out_dir: out_dir.to_owned(), arguments })
     }
 
@@ -76,7 +75,7 @@ impl Run {
         self.child.wait()?;
         let mut resume = program(hosts)?;
         resume.arg("resume").arg(&self.out_dir);
-        self.child = spawn(resume, &self.arguments, &self.out_dir)?;
+        self.child = start_logged(resume.args(&self.arguments), &log(&self.out_dir))?;
         Ok(())
     }
 
@@ -125,21 +124,6 @@ impl Drop for Run {
 fn program(hosts: Option<&Hosts>) -> anyhow::Result<Command> {
     let own = || std::env::current_exe().context("cannot find this program's own file").map(Command::new);
     hosts.map_or_else(own, |hosts| Ok(hosts.on_run_host()))
-}
-
-fn spawn(mut command: Command, arguments: &[String], out_dir: &Path) -> anyhow::Result<Child> {
-    let output = out_folder::append(&log(out_dir))?;
-    command
-        .args(arguments)
-        // Its last message is quoted in errors.
-        .env("NO_COLOR", "1")
-        // Own process group: Ctrl-C reaches this process only, which ends the run in order.
-        .process_group(0)
-        .stdin(Stdio::null())
-        .stdout(output.try_clone()?)
-        .stderr(output)
-        .spawn()
-        .context("cannot start the run")
 }
 
 /// Living processes of this program in this PID namespace with this run's name, except this process. Another container

@@ -12,7 +12,7 @@ mod network;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -20,8 +20,8 @@ use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::failure::Failure;
-use crate::files::out_folder;
 use crate::run::gateway;
+use crate::run::node::start_logged;
 use link::{Conditions, Link};
 use network::{Network, address};
 
@@ -191,13 +191,12 @@ impl Hosts {
                 continue;
             }
             let gateway = links.get(robot.host - 1).map_or(shortest, Link::address);
-            let log = out_folder::append(log)?;
             let mut command = network.command(robot.host, program);
             command
                 .args(["robot", "--id", &robot.id.to_string(), "--name", &name.to_string()])
                 .args(["--connect", &gateway.to_string(), "--keys"])
                 .arg(keys.join(host_name(robot.host)));
-            robot.child = Some(spawn(command, log)?);
+            robot.child = Some(start_logged(&mut command, log)?);
         }
         Ok(())
     }
@@ -305,17 +304,4 @@ impl Drop for Hosts {
 
 fn host_name(host: usize) -> String {
     format!("host-{host}")
-}
-
-fn spawn(mut command: Command, log: std::fs::File) -> anyhow::Result<Child> {
-    use std::os::unix::process::CommandExt;
-    command
-        .env("NO_COLOR", "1")
-        // Own process group: Ctrl-C reaches this process only, which ends the robots in order.
-        .process_group(0)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone()?)
-        .stderr(log)
-        .spawn()
-        .context("cannot start a robot on its host")
 }

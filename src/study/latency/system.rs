@@ -1,8 +1,6 @@
 //! Runs of the system, started as a user starts them, and their stamps.
 
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -16,11 +14,10 @@ use super::samples::Exchange;
 use crate::failure::Failure;
 use crate::files::atomic_file;
 use crate::files::layout::REPORT;
-use crate::files::out_folder;
 use crate::results::hops::HopSummary;
 use crate::run::experiment::Experiment;
 use crate::run::folder;
-use crate::run::node::this_program;
+use crate::run::node::{start_logged, this_program};
 use crate::study::hosts::Hosts;
 
 /// Interval between checks of the run: long, to disturb the measurement little.
@@ -49,10 +46,9 @@ pub(super) fn run(
 ) -> Result<RunDescription, Failure> {
     let (scenario, log_path) = (folder.with_extension("toml"), folder.with_extension("log"));
     atomic_file::write(&scenario, experiment.scenario_file.to_toml()?)?;
-    let log = out_folder::append(&log_path).with_context(|| log_path.display().to_string())?;
     let robots = experiment.description.scenario.robots.len();
     let mut command = hosts.as_deref().map_or_else(this_program, Hosts::on_run_host);
-    let mut child = command
+    command
         .arg("run")
         .arg(&scenario)
         .args([
@@ -64,15 +60,8 @@ pub(super) fn run(
             "--out",
         ])
         .arg(folder)
-        .args(hosts.as_deref().map(|hosts| hosts.arguments(robots)).unwrap_or_default())
-        .env("NO_COLOR", "1")
-        // Own process group: Ctrl-C reaches this process only, which ends the run in order.
-        .process_group(0)
-        .stdin(Stdio::null())
-        .stdout(log.try_clone()?)
-        .stderr(log)
-        .spawn()
-        .context("cannot start the run")?;
+        .args(hosts.as_deref().map(|hosts| hosts.arguments(robots)).unwrap_or_default());
+    let mut child = start_logged(&mut command, &log_path)?;
     if let Some(hosts) = hosts.as_deref_mut() {
         hosts.start(robots, &folder.with_extension("hosts.log"))?;
     }
