@@ -216,6 +216,8 @@ def compare(
     *,
     sensors: list[str] = ...,
     nuisances: list[str] = ...,
+    sensor: Callable[..., Any] | None = None,
+    target: Callable[..., Any] | None = None,
     runs: int,
     ticks: int,
     seed: int | None = None,

@@ -65,6 +65,8 @@ def compare(
     seed: int | None = None,
     sensors: Sequence[str] = (),
     nuisances: Sequence[str] = (),
+    sensor: Callable[..., Any] | None = None,
+    target: Callable[..., Any] | None = None,
     threads: int | None = None,
     show_progress: bool | None = None,
 ) -> Comparison:
@@ -72,8 +74,9 @@ def compare(
 
     Run i of each planner has the seed `seed + i`, and so the same target, noise and prior. A planner is a name, or a
     function as for `simulate`; a dict gives names to functions. `gap` of a planner's figures is the distance to the
-    certified optimum of the same situations. Functions run on several threads, one at a time; they must not keep state
-    from one run to the next. Ctrl-C ends the call.
+    certified optimum of the same situations. `sensor` and `target` are functions as for `simulate`, the same for all
+    planners. Functions run on several threads, one at a time; they must not keep state from one run to the next. Ctrl-C
+    ends the call.
     """
     if isinstance(planners, (str, bytes)) or callable(planners):
         planners = [planners]  # type: ignore[list-item]
@@ -87,7 +90,7 @@ def compare(
     with progress("run", show_progress) as report:
         return Comparison(
             *_native.compare(
-                scenario_of(scenario), pairs, sensors=list(sensors), nuisances=list(nuisances), runs=runs, ticks=ticks,
-                seed=seed, threads=threads, progress=report,
+                scenario_of(scenario), pairs, sensors=list(sensors), nuisances=list(nuisances), sensor=sensor,
+                target=target, runs=runs, ticks=ticks, seed=seed, threads=threads, progress=report,
             )
         )

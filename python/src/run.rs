@@ -11,6 +11,7 @@ use rangehound::results::report::{ReportBuilder, Truth};
 use rangehound::run::folder::read_description;
 use rangehound::run::in_process::{Parts, Team};
 use rangehound::study::compare::yardstick::{Distance, Yardstick};
+use rangehound_fusion::planner::PlannerError;
 use rangehound_shared::measurement::Kind;
 use rangehound_shared::message::Command;
 use rangehound_shared::record::{FusionRecord, Heard, RobotRecord, WorldRecord};
@@ -215,6 +216,23 @@ impl Stepped<'_> {
     }
 }
 
+/// The parts of a run that are functions; what is missing is the scenario's.
+pub(crate) fn parts(
+    scenario: &shared::Scenario,
+    planner: Option<Py<PyAny>>,
+    sensor: Option<Py<PyAny>>,
+    target: Option<Py<PyAny>>,
+    raised: &Raised,
+) -> Result<Parts, PlannerError> {
+    let planner = planner.map(|function| situation::planner(scenario.robots.len(), function, raised.clone()));
+    let motion = target.map(|function| Box::new(FunctionTarget::new(function, raised.clone())));
+    Ok(Parts {
+        planner: planner.transpose()?,
+        sensors: sensor.map_or_else(Vec::new, |function| FunctionSensor::of_team(scenario, function, raised)),
+        world: motion.and_then(|motion| world_moved_by(scenario, motion)),
+    })
+}
+
 /// Runs a scenario in this process: its arrays, and its report as JSON.
 #[pyfunction]
 #[pyo3(signature = (
@@ -244,15 +262,7 @@ pub(crate) fn simulate<'py>(
         ));
     }
     let (raised, robots) = (Raised::default(), scenario.robots.len());
-    let parts = Parts {
-        planner: planner
-            .map(|function| situation::planner(robots, function, raised.clone()))
-            .transpose()
-            .map_err(input)?,
-        sensors: sensor.map_or_else(Vec::new, |function| FunctionSensor::of_team(scenario, function, &raised)),
-        world: target
-            .and_then(|function| world_moved_by(scenario, Box::new(FunctionTarget::new(function, raised.clone())))),
-    };
+    let parts = parts(scenario, planner, sensor, target, &raised).map_err(input)?;
     let mut run = Stepped {
         team: Team::of_parts(scenario, Path::new(""), parts).map_err(failed)?,
         ticks: scenario.ticks,

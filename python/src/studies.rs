@@ -9,17 +9,20 @@ use pyo3::prelude::*;
 use rangehound::files::{calibration, input as files};
 use rangehound::results::report::Truth;
 use rangehound::study::calibrate::{Found, check};
-use rangehound::study::compare::monte_carlo::{CustomPlanner, Trials, Variant};
+use rangehound::study::compare::monte_carlo::{CustomParts, Trials, Variant};
 use rangehound::study::compare::{first_scenarios, of_trials};
 use rangehound_shared::scenario::PLANNERS;
 
 use crate::errors::{Raised, failed, input};
+use crate::run::parts;
 use crate::scenario::Scenario;
-use crate::situation;
 
 /// Compares planners: `(name, function or None)` for each. Returns the keys of `compare.json` as JSON, and the table.
 #[pyfunction]
-#[pyo3(signature = (scenario, planners, *, sensors=Vec::new(), nuisances=Vec::new(), runs, ticks, seed=None, threads=None, progress=None))]
+#[pyo3(signature = (
+    scenario, planners, *, sensors=Vec::new(), nuisances=Vec::new(), sensor=None, target=None, runs, ticks, seed=None,
+    threads=None, progress=None
+))]
 #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub(crate) fn compare(
     py: Python<'_>,
@@ -27,6 +30,8 @@ pub(crate) fn compare(
     planners: Vec<(String, Option<Py<PyAny>>)>,
     sensors: Vec<String>,
     nuisances: Vec<String>,
+    sensor: Option<Py<PyAny>>,
+    target: Option<Py<PyAny>>,
     runs: u64,
     ticks: u64,
     seed: Option<u64>,
@@ -47,14 +52,20 @@ pub(crate) fn compare(
         }
     }
     let names: Vec<String> = planners.iter().map(|(name, _)| name.clone()).collect();
+    let (sensor, target) = (sensor.map(Arc::new), target.map(Arc::new));
     for mut variant in Variant::all(&names, &sensors, &nuisances) {
         let function = planners.iter().find(|(name, _)| Some(name) == variant.planner.as_ref());
-        if let Some((_, Some(function))) = function {
-            let (function, raised) = (function.clone_ref(py), raised.clone());
+        let planner = function.and_then(|(_, function)| function.as_ref()).map(|f| Arc::new(f.clone_ref(py)));
+        if planner.is_some() {
             variant.planner = None;
-            variant.custom = Some(CustomPlanner(Arc::new(move |scenario| {
-                let function = Python::attach(|py| function.clone_ref(py));
-                situation::planner(scenario.robots.len(), function, raised.clone())
+        }
+        if planner.is_some() || sensor.is_some() || target.is_some() {
+            let (sensor, target, raised) = (sensor.clone(), target.clone(), raised.clone());
+            variant.custom = Some(CustomParts(Arc::new(move |scenario| {
+                let own = |function: &Option<Arc<Py<PyAny>>>| {
+                    function.as_ref().map(|f| Python::attach(|py| f.clone_ref(py)))
+                };
+                parts(scenario, own(&planner), own(&sensor), own(&target), &raised)
             })));
         }
         variants.push(variant);

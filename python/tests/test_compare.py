@@ -32,6 +32,28 @@ def test_a_function_stands_beside_the_built_in_planners_and_has_its_gap():
     assert list(named.planners) == ["mine"]
 
 
+def test_a_sensor_and_a_target_are_functions_of_all_planners_and_those_of_simulate():
+    def straight(tick, state, noise):
+        return [state[0] + 0.3, state[1], 3.0, 0.0]
+
+    def exact(robot, tick, range_m, bearing_rad):
+        return range_m, 0.01
+
+    compared = rh.compare(planners=["certified", "greedy"], runs=3, ticks=40, seed=5, target=straight, sensor=exact, threads=2)
+    for planner in ("certified", "greedy"):
+        runs = [rh.simulate(ticks=40, planner=planner, seed=5 + k, target=straight, sensor=exact) for k in range(3)]
+        errors_m = [run.error_m[1:] for run in runs]
+        expected = sum((error_m**2).mean() for error_m in errors_m) / 3
+        assert compared.planners[planner]["position_rmse_m"]["all"] == pytest.approx(expected**0.5, rel=1e-9)
+    assert [entry["name"] for entry in compared.figures["planning_time"]] == ["certified", "greedy"]
+
+    def lost(tick, state, noise):
+        raise LookupError("no target")
+
+    with pytest.raises(LookupError, match="no target"):
+        rh.compare(planners=["greedy"], runs=50, ticks=40, target=lost)
+
+
 def test_what_a_function_raises_ends_all_runs():
     def broken(situation):
         if situation.tick == 30:

@@ -70,7 +70,7 @@ pub fn of_trials(
     let first = scenarios.first().context("nothing to compare: expected at least one planner")?;
     let began = Instant::now();
     let results = trials.run(on_progress)?;
-    let built_in = trials.variants.iter().zip(scenarios).filter(|(variant, _)| variant.custom.is_none());
+    let built_in = trials.variants.iter().zip(scenarios).filter(|(variant, _)| variant.planner.is_some());
     Ok(Comparison {
         scenario: first.name.clone(),
         seed: first.seed,

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use nalgebra::Vector2;
-use rangehound_fusion::planner::{Planner, PlannerError};
+use rangehound_fusion::planner::PlannerError;
 use rangehound_shared::scenario::{Scenario, ScenarioError, ScenarioFile};
 
 use super::yardstick::{Distance, Yardstick};
@@ -52,24 +52,24 @@ pub struct Variant {
     pub name: String,
     /// The planner by name; the scenario's own if none.
     pub planner: Option<String>,
-    /// A planner in its place.
-    pub custom: Option<CustomPlanner>,
+    /// Parts in the place of the scenario's: then `planner` may be none.
+    pub custom: Option<CustomParts>,
     /// The named sensor that all robots have; the scenario's own if none.
     pub sensor: Option<String>,
     /// What the filter does about nuisances; the scenario's own if none.
     pub nuisances: Option<String>,
 }
 
-/// Makes the planner of a run.
-pub type MakePlanner = dyn Fn(&Scenario) -> Result<Box<dyn Planner>, PlannerError> + Send + Sync;
+/// Makes the parts of a run.
+pub type MakeParts = dyn Fn(&Scenario) -> Result<Parts, PlannerError> + Send + Sync;
 
-/// A planner that has no name in scenarios. Each run has one of its own, on the thread that steps the run.
+/// Planner, sensors or world that have no name in scenarios. Each run has its own, on the thread that steps the run.
 #[derive(Clone)]
-pub struct CustomPlanner(pub Arc<MakePlanner>);
+pub struct CustomParts(pub Arc<MakeParts>);
 
-impl fmt::Debug for CustomPlanner {
+impl fmt::Debug for CustomParts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("CustomPlanner").finish_non_exhaustive()
+        f.debug_struct("CustomParts").finish_non_exhaustive()
     }
 }
 
@@ -261,8 +261,8 @@ impl Trials {
 impl Trial {
     /// Runs a scenario to its end, or until `is_stopped`.
     fn run(scenario: &Scenario, variant: &Variant, is_stopped: impl Fn() -> bool) -> anyhow::Result<Self> {
-        let planner = variant.custom.as_ref().map(|CustomPlanner(make)| make(scenario)).transpose()?;
-        let mut team = Team::of_parts(scenario, Path::new(""), Parts { planner, ..Parts::default() })?;
+        let parts = variant.custom.as_ref().map(|CustomParts(make)| make(scenario)).transpose()?;
+        let mut team = Team::of_parts(scenario, Path::new(""), parts.unwrap_or_default())?;
         let yardstick = &mut Yardstick::for_robots(scenario.robots.len())?;
         let mut trial = Self { samples: Vec::with_capacity(scenario.ticks as usize), ..Self::default() };
         for tick in 0..=scenario.ticks {
