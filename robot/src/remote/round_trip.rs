@@ -7,6 +7,12 @@ const FIRST_NS: u64 = 20_000_000;
 /// one frame, and a wait that was not needed costs the whole team its time.
 const DEVIATIONS: f64 = 2.0;
 
+/// Repeats that follow the first one sooner: what was lost once is often lost in a burst, and a round trip has passed already.
+const PROBES: u32 = 3;
+
+/// Part of the interval between them.
+const PROBE: f64 = 0.25;
+
 /// Bounds of the interval, ns: below, most repeats would cross their answers; above, a tick would wait too long.
 pub(super) const INTERVAL_NS: std::ops::RangeInclusive<u64> = 2_000_000..=200_000_000;
 
@@ -42,14 +48,18 @@ impl RoundTrip {
         self.smoothed.map(|smoothed| smoothed.mean_ns as u64)
     }
 
-    /// How long to wait for an answer before a frame is sent again for the `repeats`-th time, ns: a round trip with some
-    /// deviations, and twice as long each time from the fourth repeat on, because the link may be cut.
+    /// How long to wait for an answer after this many repeats before a frame is sent again, ns: a round trip with some
+    /// deviations, then three times a part of that, and then twice as long each time, because the link may be cut.
     #[must_use]
     pub fn interval_ns(&self, repeats: u32) -> u64 {
         let once_ns =
-            self.smoothed.map_or(FIRST_NS, |smoothed| (smoothed.mean_ns + DEVIATIONS * smoothed.deviation_ns) as u64);
-        let once_ns = once_ns.clamp(*INTERVAL_NS.start(), *INTERVAL_NS.end());
-        (once_ns << repeats.saturating_sub(3).min(8)).min(*INTERVAL_NS.end())
+            self.smoothed.map_or(FIRST_NS as f64, |smoothed| smoothed.mean_ns + DEVIATIONS * smoothed.deviation_ns);
+        let times = match repeats {
+            0 => 1.0,
+            1..=PROBES => PROBE,
+            more => f64::from(1 << (more - PROBES - 1).min(8)),
+        };
+        ((once_ns * times) as u64).clamp(*INTERVAL_NS.start(), *INTERVAL_NS.end())
     }
 }
 
@@ -69,12 +79,16 @@ mod tests {
     }
 
     #[test]
-    fn repeats_become_rarer_and_never_stop() {
+    fn repeats_come_soon_then_become_rarer_and_never_stop() {
         let mut link = RoundTrip::default();
-        link.add(100_000);
-        let intervals: Vec<u64> = (0..40).map(|repeats| link.interval_ns(repeats)).collect();
-        assert_eq!(intervals[..4], [*INTERVAL_NS.start(); 4]);
-        assert!(intervals.is_sorted() && intervals[39] == *INTERVAL_NS.end());
+        (0..100).for_each(|_| link.add(12_000_000));
+        let intervals_ms = |link: &RoundTrip| (0..40).map(|repeats| link.interval_ns(repeats) / 1_000_000).collect();
+        let intervals: Vec<u64> = intervals_ms(&link);
+        assert_eq!(intervals[..8], [12, 3, 3, 3, 12, 24, 48, 96]);
+        assert!(intervals[1..].is_sorted() && intervals[39] == *INTERVAL_NS.end() / 1_000_000);
+        let mut near = RoundTrip::default();
+        near.add(100_000);
+        assert_eq!(intervals_ms(&near)[..5], [*INTERVAL_NS.start() / 1_000_000; 5], "a busy process is not a loss");
         link.add(u64::MAX);
         assert_eq!(link.interval_ns(u32::MAX), *INTERVAL_NS.end());
     }
