@@ -150,7 +150,7 @@ impl GatewayArgs {
         }
         let termination = Termination::listen().map_err(|error| system(&error))?;
         end_with(self.end_with)?;
-        let _ = rustix::thread::set_name(c"rh-gateway");
+        Role::Gateway.name_process();
         let waiting = || eprintln!("rangehound: waiting for run {}", self.name);
         let rendezvous = match Rendezvous::join(&self.name, &termination, waiting) {
             Err(RendezvousError::Terminated) => return Ok(()),
@@ -163,7 +163,7 @@ impl GatewayArgs {
         ended.map_err(|error| match error {
             GatewayError::Open(_)
             | GatewayError::Keys(_)
-            | GatewayError::Second(_)
+            | GatewayError::Rendezvous(RendezvousError::RoleTaken { .. })
             | GatewayError::NotGateway(_)
             | GatewayError::Address { .. } => Failure::Input(error.to_string()),
             error => Failure::Running(error.to_string()),

@@ -57,6 +57,8 @@ impl RobotOrder {
     /// # Errors
     /// If it cannot be written.
     pub fn leave(self, run: &Rendezvous, robot: usize) -> Result<(), RendezvousError> {
+        // What became of an earlier one.
+        let _ = Self::has_arrived(run, robot);
         run.leave_note(&order_of(robot), &serde_json::to_string(&self).unwrap_or_default())
     }
 
@@ -65,6 +67,27 @@ impl RobotOrder {
     pub fn take(run: &Rendezvous, robot: usize) -> Option<Self> {
         serde_json::from_str(&run.take_note(&order_of(robot))?).ok()
     }
+
+    /// The gateway reports whether the robot has confirmed its order.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn report(run: &Rendezvous, robot: usize, has_arrived: bool) -> Result<(), RendezvousError> {
+        run.leave_note(&outcome_of(robot), if has_arrived { ARRIVED } else { "lost" })
+    }
+
+    /// Whether the robot has confirmed its order, which is told once; `None` until it is decided.
+    #[must_use]
+    pub fn has_arrived(run: &Rendezvous, robot: usize) -> Option<bool> {
+        run.take_note(&outcome_of(robot)).map(|outcome| outcome == ARRIVED)
+    }
+}
+
+/// The report of an order that was confirmed.
+const ARRIVED: &str = "arrived";
+
+fn outcome_of(robot: usize) -> String {
+    format!("outcome-robot-{robot}")
 }
 
 fn order_of(robot: usize) -> String {

@@ -62,7 +62,7 @@ pub struct RunArgs {
     #[command(flatten)]
     pub experiment: ExperimentArgs,
     /// Run all nodes in this one process, without shared memory: same estimates, same digest
-    #[arg(long, conflicts_with = "live")]
+    #[arg(long, conflicts_with_all = ["live", "listen"])]
     pub in_process: bool,
     /// The processes, and their restart
     #[command(flatten)]
@@ -127,7 +127,7 @@ pub struct TrackArgs {
     #[arg(long, value_name = "FILE")]
     pub truth: Option<PathBuf>,
     /// Run all nodes in this one process, without shared memory
-    #[arg(long, conflicts_with = "live")]
+    #[arg(long, conflicts_with_all = ["live", "listen"])]
     pub in_process: bool,
     /// The recording
     #[command(flatten)]
@@ -338,7 +338,7 @@ impl SupervisionArgs {
             hosts: self.hosts.listen.map(|listen| Hosts {
                 listen,
                 keys: self.hosts.keys.clone(),
-                remote: self.hosts.remote,
+                remote: self.hosts.remote.map(|remote| remote.iter().collect()),
             }),
             record_limit_mb: (!recording.no_record).then_some(recording.limit.limit_mb),
         }

@@ -12,6 +12,7 @@
 //! | `run.mcap` | the whole run in one file |
 //! | `estimate.ticks`, `world.ticks` | the nodes' records, see `rangehound_node::tick_log` |
 //! | `run.sealed` | the run's description, for `resume`: JSON with a checksum |
+//! | `hosts.json` | where the gateway listens, with which keys, and which robots are on other hosts, for `resume` |
 //! | `sim.checkpoint`, `fusion.checkpoint` | the state from which a killed node's successor continues, see `rangehound_node::checkpoint` |
 //! | `logs/NODE.log` | a node's messages |
 
@@ -27,6 +28,9 @@ pub const SCENARIO: &str = "scenario.toml";
 
 /// The run's description, for `resume`.
 pub const DESCRIPTION: &str = "run.sealed";
+
+/// How robots on other hosts join.
+pub const HOSTS: &str = "hosts.json";
 
 /// The report, for programs.
 pub const REPORT: &str = "report.json";
@@ -112,7 +116,7 @@ impl Kind {
         let numbered = |start: &str, end: &str| is_numbered(name, start, end);
         match self {
             Self::Run => {
-                let made_first = [SCENARIO, DESCRIPTION, COPY, logs::ESTIMATES, logs::WORLDS];
+                let made_first = [SCENARIO, DESCRIPTION, HOSTS, COPY, logs::ESTIMATES, logs::WORLDS];
                 let results = [REPORT, PAGE, PICTURE, ESTIMATES, RANGES, TRUTH, RECORDING];
                 let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
                 made_first.contains(&name) || results.contains(&name) || checkpoints.iter().any(|it| it == name)

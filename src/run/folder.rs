@@ -12,8 +12,12 @@ use super::experiment::Experiment;
 use crate::failure::Failure;
 use crate::files::atomic_file::{self, AtomicFile};
 use crate::files::input::in_utf8;
-use crate::files::layout::{DESCRIPTION, Kind, SCENARIO};
+use crate::files::layout::{DESCRIPTION, HOSTS, Kind, SCENARIO};
 use crate::files::out_folder::{self, Claim};
+use crate::run::supervisor::Hosts;
+
+/// Longest file of hosts, bytes: all robots of the largest team fit in.
+const HOSTS_LEN_MAX: usize = 64 << 10;
 
 /// Prepares and claims the run folder: removes an earlier run's results, writes the scenario.
 ///
@@ -43,6 +47,36 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
         claim.make_growing(log)?;
     }
     Ok(claim)
+}
+
+/// Keeps in the run folder how robots on other hosts join, for `resume`; nothing if none do.
+///
+/// # Errors
+/// [`Failure`] if the file cannot be written.
+pub fn write_hosts(folder: &Path, hosts: Option<Hosts>) -> Result<(), Failure> {
+    let Some(hosts) = hosts else { return Ok(()) };
+    let text = serde_json::to_string_pretty(&hosts).map_err(|error| Failure::Running(error.into()))?;
+    atomic_file::write(&folder.join(HOSTS), text + "\n").map_err(Failure::Running)
+}
+
+/// How robots on other hosts joined the run of this folder; `None` if none did.
+///
+/// # Errors
+/// [`Failure::Input`] if the file cannot be used.
+pub fn read_hosts(folder: &Path) -> Result<Option<Hosts>, Failure> {
+    let path = folder.join(HOSTS);
+    let unusable = |reason: &dyn std::fmt::Display| {
+        let path = path.display();
+        Failure::input(format!(
+            "cannot use {path}: expected how robots on other hosts join, as `run` writes it: {reason}"
+        ))
+    };
+    let text = match bounded::read(&path, HOSTS_LEN_MAX) {
+        Ok(text) => text,
+        Err(_) if !path.exists() => return Ok(None),
+        Err(error) => return Err(unusable(&error)),
+    };
+    serde_json::from_slice(&text).map(Some).map_err(|error| unusable(&error))
 }
 
 /// Reads a run's description from its folder, which may have been moved.

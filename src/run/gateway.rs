@@ -8,7 +8,6 @@ use std::process::Command;
 
 use rangehound_node::gateway_note::{GatewayNote, GuestNote};
 use rangehound_node::rendezvous::{Rendezvous, Role};
-use rustix::process::Pid;
 
 use crate::failure::Failure;
 
@@ -58,21 +57,6 @@ pub fn hand_over(words: impl IntoIterator<Item = OsString>) -> Result<(), Failur
     let program = program()?;
     let error = Command::new(&program).arg0("rangehound").args(words).exec();
     Err(Failure::Running(anyhow::anyhow!("cannot start {}: {error}", program.display())))
-}
-
-/// The process of a run's gateway, if it lives. Its number is only a hint, so the kernel is asked which program it runs.
-#[must_use]
-pub fn process(run: &Rendezvous) -> Option<Pid> {
-    let pid = i32::try_from(GatewayNote::read(run)?.pid).ok().and_then(Pid::from_raw)?;
-    is_gateway(pid).then_some(pid)
-}
-
-/// True if this process runs the program of a gateway.
-#[must_use]
-pub fn is_gateway(pid: Pid) -> bool {
-    let program = std::fs::read_link(format!("/proc/{}/exe", pid.as_raw_pid())).unwrap_or_default();
-    // A program that was built anew meanwhile has a mark behind its name.
-    program.file_name().is_some_and(|name| name.to_string_lossy().trim_end_matches(" (deleted)") == PROGRAM)
 }
 
 /// The link of a robot that takes part in a run from another host.

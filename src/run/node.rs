@@ -149,8 +149,13 @@ pub fn command_line(role: Role, name: &RunName) -> Vec<String> {
         Role::Standby(_) => vec!["fusion".to_owned(), "--standby".to_owned()],
         role => vec![role.to_string()],
     };
-    let run = ["--name".to_owned(), name.to_string(), "--end-with".to_owned(), process::id().to_string()];
-    kind.into_iter().chain(run).collect()
+    kind.into_iter().chain(of_run(name)).collect()
+}
+
+/// The part of it that names the run, and this process as the one to end with.
+#[must_use]
+pub fn of_run(name: &RunName) -> [String; 4] {
+    ["--name".to_owned(), name.to_string(), "--end-with".to_owned(), process::id().to_string()]
 }
 
 /// Asks the kernel to end this process when its parent ends, if the parent is given.

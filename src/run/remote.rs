@@ -4,7 +4,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::anyhow;
 use rangehound_fusion::standby::STANDBYS_MAX;
-use rangehound_node::gateway_note::{GatewayNote, RobotOrder};
+use rangehound_node::gateway_note::{GatewayNote, GuestNote, RobotOrder};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{ENDING_NOTE, Holder, Process, Rendezvous, Role, living_runs};
 use rangehound_shared::run_name::RunName;
@@ -21,6 +21,9 @@ use crate::run::watch;
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
 const POLL: Duration = Duration::from_millis(10);
+
+/// Time in which a gateway tells what has become of an order: longer than it waits for the robot.
+const ORDER_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Time without a heartbeat after which a process that runs is shown as hung.
 const HUNG: Duration = Duration::from_secs(1);
@@ -231,12 +234,31 @@ pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit
                 )));
             }
         };
-        order.leave(run, guest.robot).map_err(input_or_running)?;
-        return Ok(Hit::On(guest.host));
+        return give_order(run, &guest, order).map(|()| Hit::On(guest.host));
     }
     let process = process_in(run, role)?;
     process.signal(signal).map_err(|_| gone(run, role))?;
     Ok(Hit::Here(process.pid()))
+}
+
+/// Gives an order to a robot on another host, and waits until it has arrived.
+fn give_order(run: &Rendezvous, guest: &GuestNote, order: RobotOrder) -> Result<(), Failure> {
+    let robot = guest.robot;
+    order.leave(run, robot).map_err(input_or_running)?;
+    let began = Instant::now();
+    while began.elapsed() < ORDER_TIMEOUT {
+        match RobotOrder::has_arrived(run, robot) {
+            Some(true) => return Ok(()),
+            Some(false) => break,
+            None => std::thread::sleep(POLL),
+        }
+    }
+    // Nor may it arrive later.
+    let _ = RobotOrder::take(run, robot);
+    Err(Failure::Running(anyhow!(
+        "the order did not reach robot-{robot} on the host {}: its link is cut, see `rangehound status`",
+        guest.host
+    )))
 }
 
 /// The process in a role, as the kernel identifies it.
@@ -255,9 +277,13 @@ pub(crate) fn process_in(run: &Rendezvous, role: Role) -> Result<Process, Failur
     }
     match run.roster().process(role) {
         // The gateway holds the roles of robots on other hosts. It tells of a new one some time later.
-        Holder::Here(process) if role.robot().is_some() && gateway::is_gateway(process.pid()) => Err(Failure::input(
-            format!("{role} has just joined from another host: see `rangehound status`, and try again"),
-        )),
+        Holder::Here(process)
+            if role.robot().is_some() && run.roster().holder(Role::Gateway) == Some(process.pid()) =>
+        {
+            Err(Failure::input(format!(
+                "{role} has just joined from another host: see `rangehound status`, and try again"
+            )))
+        }
         Holder::Here(process) => Ok(process),
         Holder::Nobody => Err(gone(run, role)),
         Holder::Elsewhere => Err(elsewhere(run, role)),
@@ -292,7 +318,9 @@ impl Status {
         let is_ending = run.is_finished() || run.note(ENDING_NOTE).is_some();
         // One that leads now stood by before: its place then is not worth a line.
         let standbys: Vec<Role> = (1..=STANDBYS_MAX).map(Role::Standby).filter(|role| roster.is_held(*role)).collect();
-        let roles = watch::roles(scenario.robots.len()).chain(standbys.iter().copied()).chain([Role::Supervisor]);
+        let gateway = Some(Role::Gateway).filter(|role| roster.starts(*role) > 0);
+        let roles = watch::roles(scenario.robots.len()).chain(standbys.iter().copied());
+        let roles = roles.chain(gateway).chain([Role::Supervisor]);
         Self {
             name: run.name().to_string(),
             scenario: scenario.name.clone(),

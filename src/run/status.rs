@@ -105,7 +105,8 @@ impl Status {
             if let Row::Robots(robots) = row
                 && robots.iter().any(|robot| robot.state != "running")
             {
-                let _ = write!(out, "\n{:<13}{}", "", wrapped(&ids(robots), 13));
+                let names = names_of_robots(robots.iter().filter_map(|robot| robot.robot()));
+                let _ = write!(out, "\n{:<13}{}", "", wrapped(&names, 13));
             }
         }
         if rows.iter().any(|(_, row)| matches!(row, Row::Robots(_))) {
@@ -221,10 +222,10 @@ fn shown_sensor(name: &str) -> String {
     name.chars().take(SENSOR_CHARS_MAX - 3).chain("...".chars()).collect()
 }
 
-/// The robots' ids, with ranges of successive ones: `robot-0 to 4, 7`.
-fn ids(robots: &[&NodeStatus]) -> String {
+/// Robots by ascending ids, with ranges of successive ones: `robot-0 to 4, 7`.
+pub(crate) fn names_of_robots(ids: impl Iterator<Item = usize>) -> String {
     let mut runs: Vec<(usize, usize)> = Vec::new();
-    for id in robots.iter().filter_map(|robot| robot.robot()) {
+    for id in ids {
         match runs.last_mut() {
             Some((_, last)) if *last + 1 == id => *last = id,
             _ => runs.push((id, id)),

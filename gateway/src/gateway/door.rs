@@ -59,18 +59,25 @@ pub(super) async fn answer(endpoint: Endpoint, sender: Sender<Input>, has_keys: 
             let joined = tokio::time::timeout(PATIENCE, join(incoming, &sender, has_keys)).await;
             drop(guard);
             match joined {
-                Ok(Ok(Some(guest))) => attend(guest, &sender, finished).await,
-                Ok(Ok(None)) => {}
-                Ok(Err((cause, text))) => refuse(&sender, address, cause, text).await,
-                Err(_) => refuse(&sender, address, RefusalCause::Other, "no request to join".to_owned()).await,
+                Ok(Ok(guest)) => attend(guest, &sender, finished).await,
+                Ok(Err(NotJoined::Refused(cause, text))) => {
+                    let refused = Applicant::Refused { address, cause, text };
+                    let _ = sender.send(Input::Applicant(Box::new(refused))).await;
+                }
+                Ok(Err(NotJoined::Told | NotJoined::Gone)) | Err(_) => {}
             }
         });
     }
 }
 
-async fn refuse(sender: &Sender<Input>, address: SocketAddr, cause: RefusalCause, text: String) {
-    let refused = Applicant::Refused { address, cause, text };
-    let _ = sender.send(Input::Applicant(Box::new(refused))).await;
+/// Why a peer has not joined.
+enum NotJoined {
+    /// It was refused before it asked for a role.
+    Refused(RefusalCause, String),
+    /// It asked for a role, and has been told why it does not get it.
+    Told,
+    /// It went away, or its link was cut: nobody refused it.
+    Gone,
 }
 
 /// A robot that has joined.
@@ -82,44 +89,44 @@ struct Guest {
     notices: Receiver<Notice>,
 }
 
-/// The handshake and the request. `None` if the robot was refused and has been told why.
-async fn join(
-    incoming: Incoming,
-    sender: &Sender<Input>,
-    has_keys: bool,
-) -> Result<Option<Guest>, (RefusalCause, String)> {
-    let failed = |error: quinn::ConnectionError| {
-        let cause = RefusalCause::of_connection_error(&error).unwrap_or(RefusalCause::Other);
-        (cause, if cause == RefusalCause::Other { error.to_string() } else { cause.name().to_owned() })
+/// The handshake and the request.
+async fn join(incoming: Incoming, sender: &Sender<Input>, has_keys: bool) -> Result<Guest, NotJoined> {
+    let failed = |error: quinn::ConnectionError| match RefusalCause::of_connection_error(&error) {
+        Some(RefusalCause::Other) => NotJoined::Refused(RefusalCause::Other, error.to_string()),
+        Some(cause) => NotJoined::Refused(cause, cause.name().to_owned()),
+        None => NotJoined::Gone,
     };
     let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
     let peer = peer_of(&connection);
     if has_keys && peer.is_none() {
         connection.close(link::REFUSED, RefusalCause::BadCertificate.name().as_bytes());
-        return Err((RefusalCause::BadCertificate, RefusalCause::BadCertificate.name().to_owned()));
+        return Err(NotJoined::Refused(RefusalCause::BadCertificate, RefusalCause::BadCertificate.name().to_owned()));
     }
     let (mut send, mut receive) = connection.accept_bi().await.map_err(failed)?;
     let request: Request =
         link::read(&mut receive, Some(link::REQUEST_LEN_MAX)).await.map_err(|error: JoinError| {
             connection.close(link::REFUSED, error.to_string().as_bytes());
-            (RefusalCause::Other, error.to_string())
+            match error {
+                JoinError::Ended => NotJoined::Gone,
+                error => NotJoined::Refused(RefusalCause::Other, error.to_string()),
+            }
         })?;
     let robot = request.robot;
     let (answer, answered) = oneshot::channel();
     let (noticing, notices) = mpsc::channel(1);
     let asks = Applicant::Asks { request, peer, connection: connection.clone(), answer, notices: noticing };
-    let ended = || (RefusalCause::Other, "the gateway ends".to_owned());
-    sender.send(Input::Applicant(Box::new(asks))).await.map_err(|_| ended())?;
-    let answer = answered.await.map_err(|_| ended())?;
+    // An error means that the gateway ends.
+    sender.send(Input::Applicant(Box::new(asks))).await.map_err(|_| NotJoined::Gone)?;
+    let answer = answered.await.map_err(|_| NotJoined::Gone)?;
     let sent = link::write(&mut send, &answer).await;
     if let Answer::Refused { text, .. } = answer {
         let _ = send.finish();
         let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
         connection.close(link::REFUSED, text.as_bytes());
-        return Ok(None);
+        return Err(NotJoined::Told);
     }
-    sent.map_err(|error| (RefusalCause::Other, error.to_string()))?;
-    Ok(Some(Guest { robot, connection, receive, send, notices }))
+    sent.map_err(|_| NotJoined::Gone)?;
+    Ok(Guest { robot, connection, receive, send, notices })
 }
 
 /// The host that the peer's certificate names.
@@ -128,37 +135,45 @@ fn peer_of(connection: &Connection) -> Option<Peer> {
     Peer::of(&identity).ok()
 }
 
-/// Passes on the frames and the farewell of a robot, and tells it when the run is over or its process is to end.
+/// Passes on the frames and the farewell of a robot, and tells it when the run is over or its process is to end. An order
+/// that it does not confirm in time must not reach it later: its link is closed.
 async fn attend(guest: Guest, sender: &Sender<Input>, mut finished: watch::Receiver<bool>) {
     let Guest { robot, connection, mut receive, mut send, mut notices } = guest;
     let id = connection.stable_id();
-    let leaving = async {
-        if link::read::<Notice>(&mut receive, Some(link::REQUEST_LEN_MAX)).await.is_ok() {
-            let _ = sender.send(Input::Leaving { robot, connection: id }).await;
-        }
-        std::future::pending::<()>().await;
-    };
     let frames = async {
         while let Ok(bytes) = connection.read_datagram().await {
             // A full queue drops the frame: the robot sends it again.
             let _ = sender.try_send(Input::Frame { robot, connection: id, bytes: bytes.into() });
         }
     };
-    let notice = async {
-        tokio::select! {
-            Some(notice) = notices.recv() => notice,
-            Ok(_) = finished.wait_for(|finished| *finished) => Notice::Finished,
-            else => std::future::pending().await,
+    let words = async {
+        let mut said = std::pin::pin!(link::read::<Notice>(&mut receive, Some(link::REQUEST_LEN_MAX)));
+        let said = tokio::select! {
+            said = &mut said => said.ok(),
+            Some(order) = notices.recv() => {
+                let sent = link::write(&mut send, &order).await.is_ok();
+                let answer = tokio::time::timeout(FAREWELL, said).await.ok().and_then(Result::ok).filter(|_| sent);
+                let _ = sender.send(Input::Ordered { robot, has_arrived: answer.is_some() }).await;
+                if answer.is_none() {
+                    connection.close(link::SILENT, b"an order was not confirmed");
+                }
+                answer
+            }
+            Ok(_) = finished.wait_for(|finished| *finished) => {
+                if link::write(&mut send, &Notice::Finished).await.is_ok() {
+                    let _ = send.finish();
+                    let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
+                }
+                return;
+            }
+        };
+        if said == Some(Notice::Leaving) {
+            let _ = sender.send(Input::Leaving { robot, connection: id }).await;
         }
+        std::future::pending::<()>().await;
     };
     tokio::select! {
-        () = leaving => {}
+        () = words => {}
         () = frames => {}
-        notice = notice => {
-            if link::write(&mut send, &notice).await.is_ok() {
-                let _ = send.finish();
-                let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
-            }
-        }
     }
 }

@@ -84,6 +84,7 @@ impl<'a> Guests<'a> {
             Input::Bus(events) => self.read_bus(events)?,
             Input::Applicant(applicant) => self.on_applicant(*applicant),
             Input::Frame { robot, connection, bytes } => self.on_frame(robot, connection, &bytes)?,
+            Input::Ordered { robot, has_arrived } => self.report_order(robot, has_arrived),
             Input::Leaving { robot, connection } => {
                 if self.all.get(&robot).is_some_and(|guest| guest.connection.stable_id() == connection) {
                     self.release(robot, "has left");
@@ -91,6 +92,13 @@ impl<'a> Guests<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Tells the tool that gave an order what has become of it.
+    fn report_order(&self, robot: usize, has_arrived: bool) {
+        if let Err(error) = RobotOrder::report(self.rendezvous, robot, has_arrived) {
+            log::debug!("{error}");
+        }
     }
 
     /// Drains the topics whose events came, or all topics after a time-out.
@@ -232,6 +240,8 @@ impl<'a> Guests<'a> {
             error => (RefusalCause::Other, error.to_string()),
         })?;
         let other = |error: BusError| (RefusalCause::Other, error.to_string());
+        // The lease has named the process after the robot.
+        Role::Gateway.name_process();
         self.bus.take_role(self.rendezvous, role, &lease).map_err(other)?;
         let ranges = self.bus.publisher(1).map_err(other)?;
         let drives = self.bus.publisher(1).map_err(other)?;
@@ -240,7 +250,9 @@ impl<'a> Guests<'a> {
         let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
         let relay = Relay::new(description.run_id, robot, &description.scenario, fusion_incarnation);
         // An order is for the process that had the role when it was given.
-        let _ = RobotOrder::take(self.rendezvous, robot);
+        if RobotOrder::take(self.rendezvous, robot).is_some() {
+            self.report_order(robot, false);
+        }
         let guest = Guest {
             lease,
             ranges,
@@ -283,7 +295,9 @@ impl<'a> Guests<'a> {
                         RobotOrder::End => (Notice::End, "is asked to end from the run's host"),
                     };
                     log::info!("robot-{robot} of {} {what}", guest.host);
-                    let _ = guest.notices.try_send(notice);
+                    if guest.notices.try_send(notice).is_err() {
+                        self.report_order(*robot, false);
+                    }
                 }
             }
         }

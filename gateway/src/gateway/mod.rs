@@ -12,8 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rangehound_node::bus::{self, BusError, Events, IDLE, WaitGroup};
-use rangehound_node::gateway_note::GatewayNote;
-use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, RendezvousError};
+use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::{monotonic_ns, until};
 use rangehound_node::system::signal::Termination;
 use tokio::sync::mpsc::{self, Receiver, Sender};
@@ -48,9 +47,6 @@ pub enum GatewayError {
     /// Without keys it must not be reached from other hosts.
     #[error("--listen {0} can be reached from other hosts: --keys is missing (`rangehound keys` makes them)")]
     Open(SocketAddr),
-    /// Two gateways would each take the roles that the other one lacks.
-    #[error("process {0} is the gateway of this run already: expected one gateway for a run")]
-    Second(u32),
     /// The gateway's host is named as a robot's.
     #[error("--keys has the keys of {0}, a host of robots: expected those of a gateway (`rangehound keys --gateway`)")]
     NotGateway(String),
@@ -81,6 +77,8 @@ enum Input {
     Frame { robot: usize, connection: usize, bytes: Vec<u8> },
     /// A robot leaves in order.
     Leaving { robot: usize, connection: usize },
+    /// A robot has confirmed an order, or not in time.
+    Ordered { robot: usize, has_arrived: bool },
 }
 
 /// Runs the gateway of a run until the run ends or until asked to end. `listening` is called with its address.
@@ -94,12 +92,8 @@ pub fn run(
     termination: &Termination,
     listening: impl FnOnce(SocketAddr),
 ) -> Result<(), GatewayError> {
-    if let Some(GatewayNote { pid, .. }) = GatewayNote::read(rendezvous)
-        && pid != std::process::id()
-        && std::fs::read_link(format!("/proc/{pid}/exe")).ok() == std::env::current_exe().ok()
-    {
-        return Err(GatewayError::Second(pid));
-    }
+    // Two gateways would each take the roles that the other one lacks.
+    let lease = rendezvous.roster().take(Role::Gateway)?;
     let (config, socket) = prepared(address, keys)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let is_over = AtomicBool::new(false);
@@ -115,7 +109,7 @@ pub fn run(
             let (finished, when_finished) = watch::channel(false);
             let serve = async {
                 tokio::task::spawn_local(door::answer(endpoint.clone(), sender, keys.is_some(), when_finished));
-                let served = serve(&mut guests, inputs, rendezvous, termination).await;
+                let served = serve(&mut guests, inputs, (rendezvous, &lease), termination).await;
                 // The roles are free before the robots know that the gateway ends.
                 drop(guests);
                 // A run that was stopped is over for the robots too; one that lost its gateway is not.
@@ -178,10 +172,11 @@ fn wait_on_bus(rendezvous: &Rendezvous, sender: Sender<Input>, is_over: &AtomicB
 async fn serve(
     guests: &mut Guests<'_>,
     mut inputs: Receiver<Input>,
-    rendezvous: &Rendezvous,
+    (rendezvous, lease): (&Rendezvous, &RoleLease),
     termination: &Termination,
 ) -> Result<(), GatewayError> {
     while !termination.requested() && !rendezvous.is_finished() {
+        lease.renew();
         rendezvous.look_for_removal()?;
         let wait = until(guests.wakes_at_ns()).min(LOOK);
         if let Ok(Some(input)) = tokio::time::timeout(wait, inputs.recv()).await {

@@ -56,7 +56,7 @@ pub enum Notice {
     Finished,
     /// The robot: it leaves in order.
     Leaving,
-    /// The gateway: the robot's process is to end at once, as in a crash.
+    /// The gateway: the robot's process is to end at once, as in a crash. The robot says the same when it does so.
     Kill,
     /// The gateway: the robot's process is to end in order.
     End,

@@ -11,8 +11,8 @@ use rangehound_node::system::signal::Termination;
 use rangehound_robot::drive::{Actuator, SimulatedActuator};
 use rangehound_robot::machine::{Action, Machine};
 use rangehound_robot::pose::{self, PoseSource};
-use rangehound_robot::remote::Courier;
 use rangehound_robot::remote::wire::Downlink;
+use rangehound_robot::remote::{Courier, Rejoin, RunLife};
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
@@ -113,8 +113,7 @@ struct Driver<E> {
 
 /// A robot's part in one run.
 struct Part {
-    run_id: u64,
-    life: u64,
+    of: RunLife,
     machine: Machine,
     courier: Courier,
     equipment: Equipment,
@@ -148,6 +147,9 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                 Happened::Noticed(Notice::Finished) => return Ok(()),
                 Happened::Noticed(Notice::Kill) if self.allows_control => {
                     log::warn!("killed from the run's host");
+                    if let Some(session) = &mut session {
+                        session.say(Notice::Kill).await;
+                    }
                     kill_process(getpid(), Signal::KILL).map_err(std::io::Error::from)?;
                 }
                 Happened::Noticed(Notice::End) if self.allows_control => {
@@ -178,30 +180,26 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         Ok(())
     }
 
-    /// Takes part in the run that the gateway describes. A run that it knows goes on where it was. After the run was resumed
-    /// the robot starts anew: simulator and fusion have lower incarnations than those that it knew.
+    /// Takes part in the run that the gateway describes.
     fn join(&mut self, session: &Session) -> Result<(), RobotError> {
         let Session { description: RunDescription { run_id, scenario, .. }, life, .. } = session;
         self.has_joined = true;
-        let equipment = match self.part.take() {
-            Some(part) if part.run_id == *run_id && part.life == *life => {
-                self.part = Some(part);
-                return Ok(());
-            }
-            Some(mut part) => {
-                part.equipment.2.carry_out(Command::default());
-                (part.run_id == *run_id).then_some(part.equipment)
-            }
-            None => None,
-        };
+        let of = RunLife { run_id: *run_id, life: *life };
+        let rejoin = of.after(self.part.as_ref().map(|part| part.of));
+        if rejoin == Rejoin::GoesOn {
+            return Ok(());
+        }
+        let equipment = self.part.take().and_then(|mut part| {
+            part.equipment.2.carry_out(Command::default());
+            (rejoin == Rejoin::StartsAnew).then_some(part.equipment)
+        });
         let equipment = equipment.or_else(|| (self.equipment)(scenario));
         let machine = Machine::new(scenario, self.id, session.fusion_incarnation);
         let (Some(machine), Some(equipment)) = (machine, equipment) else {
             return Err(RobotError::Refused(format!("robot {} is not in this run", self.id)));
         };
         let courier = Courier::new(*run_id, scenario.clock);
-        let (run_id, life) = (*run_id, *life);
-        self.part = Some(Part { run_id, life, machine, courier, equipment, is_moving: false, malformed: 0 });
+        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, malformed: 0 });
         Ok(())
     }
 }
@@ -215,7 +213,7 @@ impl Part {
 
     fn on_frame(&mut self, bytes: &[u8]) {
         let now_ns = monotonic_ns();
-        let Ok(frame) = Downlink::from_bytes(bytes, self.run_id) else {
+        let Ok(frame) = Downlink::from_bytes(bytes, self.of.run_id) else {
             self.malformed += 1;
             if self.malformed == 1 {
                 log::warn!("the gateway sends frames that cannot be read");
@@ -224,11 +222,11 @@ impl Part {
         };
         self.courier.on_downlink(&frame, now_ns);
         if let Some(world) = &frame.world {
-            let (header, entry) = world.message(self.run_id);
+            let (header, entry) = world.message(self.of.run_id);
             self.machine.on_own_world(&header, &entry, now_ns);
         }
         if let Some(heading) = &frame.heading {
-            let (header, command) = heading.message(self.run_id);
+            let (header, command) = heading.message(self.of.run_id);
             self.machine.on_own_heading(&header, Some(&command));
         }
     }

@@ -56,6 +56,7 @@ pub(super) struct Connector {
     process: u64,
     attempt: Option<JoinHandle<Happened>>,
     reported: Option<String>,
+    has_joined: bool,
 }
 
 /// An open link of a robot that has joined.
@@ -76,7 +77,7 @@ pub(super) struct Session {
 
 impl Connector {
     pub(super) fn new(target: Target, config: ClientConfig, robot: usize) -> Self {
-        Self { target, config, robot, process: rand::random(), attempt: None, reported: None }
+        Self { target, config, robot, process: rand::random(), attempt: None, reported: None, has_joined: false }
     }
 
     pub(super) fn is_idle(&self) -> bool {
@@ -115,10 +116,11 @@ impl Connector {
             Ok(ended) => {
                 self.attempt = None;
                 let happened = ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()));
+                // A link that is only opened again is not worth a line.
                 if let Happened::Joined(_) = happened
-                    && self.reported.take().is_some()
+                    && (!std::mem::replace(&mut self.has_joined, true) | self.reported.take().is_some())
                 {
-                    log::info!("joined through {}", self.target.gateway);
+                    log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
                 }
                 happened
             }
@@ -243,16 +245,21 @@ impl Session {
         self.connection.close(code, reason.as_bytes());
     }
 
-    /// Leaves in order: the gateway frees the role.
-    pub(super) async fn leave(mut self) {
-        self.notice.abort();
-        let farewell = async {
-            if link::write(&mut self.send, &Notice::Leaving).await.is_ok() {
+    /// Says its last word, and waits for some time until the gateway has it.
+    pub(super) async fn say(&mut self, notice: Notice) {
+        let said = async {
+            if link::write(&mut self.send, &notice).await.is_ok() {
                 let _ = self.send.finish();
                 let _ = self.send.stopped().await;
             }
         };
-        let _ = tokio::time::timeout(FAREWELL, farewell).await;
+        let _ = tokio::time::timeout(FAREWELL, said).await;
+    }
+
+    /// Leaves in order: the gateway frees the role.
+    pub(super) async fn leave(mut self) {
+        self.notice.abort();
+        self.say(Notice::Leaving).await;
         self.connection.close(link::LEFT, b"the robot has left");
         let _ = tokio::time::timeout(FAREWELL, self.endpoint.wait_idle()).await;
     }

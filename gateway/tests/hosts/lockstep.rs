@@ -117,7 +117,8 @@ fn robots_go_on_with_a_run_that_is_resumed() {
     let _ = kill_process(run.wait_for("the gateway's note", || run.gateway()), Signal::KILL);
     supervisor.kill();
     assert!(robot.is_running());
-    run.finish_ok(&format!("resume out --no-record --name {} --listen {gateway} --remote 1", run.name));
+    // It listens again where it did, and does not start the robot of the other host.
+    run.finish_ok(&format!("resume out --no-record --name {}", run.name));
     robot.succeeds();
     assert_eq!(run.digest(), Run::digest_in_process(&format!("{LOCKSTEP} {words}")));
     run.assert_nothing_left();
@@ -146,7 +147,12 @@ fn of_two_hosts_that_claim_a_robot_one_has_it() {
 fn a_role_that_was_left_can_be_taken_by_a_local_process() {
     let run = Run::new();
     let (supervisor, gateway) = run.run(&format!("{LOCKSTEP} --ticks 400 --robots 2 --remote 1"));
+    // Both ends say so.
+    let waits = format!("waits for robot-1 from other hosts: `rangehound robot --id 1 --connect {gateway}`");
+    run.wait_for("its message", || supervisor.stderr().contains(&waits).then_some(()));
     let robot = run.robot(1, gateway);
+    let joined = format!("robot-1 has joined the run through {gateway}");
+    run.wait_for("its message", || robot.stderr().contains(&joined).then_some(()));
     run.wait_until_tick(10);
     robot.signal(Signal::TERM);
     robot.succeeds();
@@ -154,5 +160,29 @@ fn a_role_that_was_left_can_be_taken_by_a_local_process() {
     supervisor.succeeds();
     local.succeeds();
     assert_eq!(run.digest(), Run::digest_in_process(&format!("{LOCKSTEP} --ticks 400 --robots 2")));
+    run.assert_nothing_left();
+}
+
+/// A gateway without heartbeats is replaced, as any other node is.
+#[test]
+fn a_gateway_that_hangs_is_replaced() {
+    let run = Run::new();
+    let (supervisor, gateway) = run.run("--clock lockstep --timeout 1 --ticks 100000 --robots 2");
+    let robots = [0, 1].map(|id| run.robot(id, gateway));
+    run.wait_until_tick(10);
+    let hung = run.wait_for("the gateway", || run.gateway());
+    let _ = kill_process(hung, Signal::STOP);
+    let state = || {
+        let status = run.status()?;
+        let nodes = status["nodes"].as_array()?;
+        nodes.iter().find(|node| node["name"] == "gateway")?["state"].as_str().map(str::to_owned)
+    };
+    run.wait_for("its state", || (state()? == "stopped").then_some(()));
+    run.wait_for("its successor", || run.gateway().filter(|pid| *pid != hung));
+    assert!(supervisor.stderr().contains("gateway sent no heartbeat"), "{}", supervisor.stderr());
+    let tick = run.tick();
+    run.wait_until_tick(tick + 50);
+    run.finish_ok(&format!("stop --name {}", run.name));
+    robots.into_iter().for_each(Process::succeeds);
     run.assert_nothing_left();
 }

@@ -22,6 +22,8 @@ fn an_address_that_others_can_reach_demands_keys() {
     let run = Run::new();
     let (code, text) = run.finish("run --listen 0.0.0.0:0 --out out");
     assert!(code == Some(2) && text.lines().count() == 1 && text.contains("--keys is missing"), "{text}");
+    let (code, text) = run.finish("run --in-process --listen 127.0.0.1:0 --out out");
+    assert!(code == Some(2) && text.lines().count() == 1 && text.contains("--listen"), "{text}");
     let (code, text) = run.finish("robot --id 0 --connect 192.0.2.1:7447");
     assert!(code == Some(2) && text.lines().count() == 1 && text.contains("--keys is missing"), "{text}");
     let (code, text) = run.finish("robot --id 0 --connect 127.0.0.1");
@@ -108,4 +110,22 @@ fn a_strangers_flood_changes_nothing() {
         robot.succeeds();
     }
     assert_eq!(run.digest(), Run::digest_in_process(words));
+}
+
+/// Its link is cut during the handshake: nobody has refused it.
+#[test]
+fn a_peer_that_goes_away_is_no_refusal() {
+    let run = Run::new();
+    let (supervisor, gateway) = run.run("--clock lockstep --timeout forever --robots 1");
+    let link = Link::new(gateway, 3, Faults::default());
+    link.cut(false, true);
+    let robot = run.robot(0, link.address);
+    run.wait_for("its message", || robot.stderr().contains("no answer").then_some(()));
+    robot.kill();
+    // The gateway gives up a handshake after three seconds, and writes its note each half second.
+    std::thread::sleep(Duration::from_millis(4_000));
+    let refusals = run.wait_for("the note", || Some(run.status()?["gateway"]["refusals"].as_object()?.len()));
+    assert_eq!(refusals, 0, "{:?}", run.status());
+    run.finish_ok(&format!("stop --name {}", run.name));
+    drop(supervisor);
 }

@@ -149,9 +149,7 @@ impl Run {
 
     /// The gateway's process.
     pub(crate) fn gateway(&self) -> Option<Pid> {
-        let note = std::fs::read_to_string(self.shared_folder().join("gateway")).ok()?;
-        let note: Value = serde_json::from_str(&note).ok()?;
-        Pid::from_raw(i32::try_from(note["pid"].as_i64()?).ok()?)
+        self.pid_of("gateway")
     }
 
     pub(crate) fn shared_folder(&self) -> PathBuf {

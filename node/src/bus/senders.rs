@@ -48,7 +48,7 @@ impl Senders {
             Role::Sim => 0,
             Role::Fusion => 1,
             Role::Robot(id) => id.saturating_add(2),
-            Role::Standby(_) | Role::Supervisor => return Standing::Impostor,
+            Role::Standby(_) | Role::Gateway | Role::Supervisor => return Standing::Impostor,
         };
         let Known { bound, strangers } = &mut *self.known.borrow_mut();
         let Some(bound) = bound.get_mut(slot) else { return Standing::Impostor };

@@ -13,6 +13,8 @@ pub enum Role {
     Standby(usize),
     /// One robot, by id.
     Robot(usize),
+    /// Speaks for the robots on other hosts.
+    Gateway,
     /// Starts, restarts and ends the nodes.
     Supervisor,
 }
@@ -40,6 +42,7 @@ impl std::fmt::Display for Role {
             Self::Fusion => f.write_str("fusion"),
             Self::Standby(number) => write!(f, "standby-{number}"),
             Self::Robot(id) => write!(f, "robot-{id}"),
+            Self::Gateway => f.write_str("gateway"),
             Self::Supervisor => f.write_str("run"),
         }
     }
@@ -49,13 +52,14 @@ impl std::str::FromStr for Role {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected = |_| format!("unknown role {text:?}: expected sim, fusion, standby-N or robot-N");
+        let expected = || format!("unknown role {text:?}: expected sim, fusion, gateway, standby-N or robot-N");
         match text.split_once('-') {
             None if text == "sim" => Ok(Self::Sim),
             None if text == "fusion" => Ok(Self::Fusion),
-            Some(("standby", number)) => number.parse().map(Self::Standby).map_err(expected),
-            Some(("robot", id)) => id.parse().map(Self::Robot).map_err(expected),
-            _ => Err(format!("unknown role {text:?}: expected sim, fusion, standby-N or robot-N")),
+            None if text == "gateway" => Ok(Self::Gateway),
+            Some(("standby", number)) => number.parse().map(Self::Standby).map_err(|_| expected()),
+            Some(("robot", id)) => id.parse().map(Self::Robot).map_err(|_| expected()),
+            _ => Err(expected()),
         }
     }
 }

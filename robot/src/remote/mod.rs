@@ -8,11 +8,13 @@
 mod courier;
 mod relay;
 mod round_trip;
+mod run_life;
 pub mod wire;
 
 pub use courier::Courier;
 pub use relay::{Publication, Relay};
 pub use round_trip::RoundTrip;
+pub use run_life::{Rejoin, RunLife};
 
 #[cfg(test)]
 mod tests;

@@ -188,6 +188,7 @@ impl<S: PartialEq> Machine<S> {
         let role = self.nodes[index].role;
         match role {
             Role::Robot(_) => Need::Can,
+            Role::Gateway => Need::Spare,
             role if can_lead(role) && self.nodes.iter().any(|node| can_lead(node.role) && node.life.is_some()) => {
                 Need::Spare
             }

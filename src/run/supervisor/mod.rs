@@ -9,16 +9,18 @@ mod removal;
 pub mod restart;
 mod sidecars;
 pub(crate) mod silence;
+mod waiting;
 
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_node::system::signal::Termination;
-use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
+use serde::{Deserialize, Serialize};
 
 use crate::failure::Failure;
 use crate::files::out_folder::{self, Claim};
@@ -36,7 +38,7 @@ use removal::run_to_the_end;
 use restart::Rule;
 
 /// What is started beside the nodes of a run, and what is done when a node ends.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Supervision {
     /// Number of standbys of fusion.
     pub standbys: usize,
@@ -52,18 +54,28 @@ pub struct Supervision {
     pub hosts: Option<Hosts>,
 }
 
-/// The gateway for robots on other hosts.
-#[derive(Debug, Clone)]
+/// The gateway for robots on other hosts; kept in the run folder, for `resume`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Hosts {
     /// Where it listens.
     pub listen: SocketAddr,
     /// Folder with the keys of this host.
     pub keys: Option<PathBuf>,
     /// The robots that join through it; `None` for all.
-    pub remote: Option<RobotSet>,
+    pub remote: Option<BTreeSet<usize>>,
+}
+
+impl Hosts {
+    /// These values where they are given, and those of the run before otherwise.
+    fn or(self, before: Option<Self>) -> Self {
+        let Some(before) = before else { return self };
+        Self { listen: self.listen, keys: self.keys.or(before.keys), remote: self.remote.or(before.remote) }
+    }
 }
 
 /// The program of the gateway, and what it is told.
+#[derive(Debug, Clone)]
 struct Gateway {
     program: PathBuf,
     listen: SocketAddr,
@@ -73,8 +85,8 @@ struct Gateway {
 impl Supervision {
     /// True if a robot joins from another host.
     fn is_remote(&self, robot: usize) -> bool {
-        let remote = self.hosts.as_ref().map(|hosts| &hosts.remote);
-        remote.is_some_and(|remote| remote.is_none_or(|remote| remote.contains(robot)))
+        let remote = self.hosts.as_ref().map(|hosts| hosts.remote.as_ref());
+        remote.is_some_and(|remote| remote.is_none_or(|remote| remote.contains(&robot)))
     }
 
     /// The gateway for robots on other hosts. Robots that the run does not have and a gateway that could not start are
@@ -82,12 +94,19 @@ impl Supervision {
     fn gateway(&self, scenario: &Scenario) -> Result<Option<Gateway>, Failure> {
         let Some(hosts) = &self.hosts else { return Ok(None) };
         let robots = scenario.robots.len();
-        if let Some(id) = hosts.remote.and_then(|remote| remote.iter().find(|id| *id >= robots)) {
+        if let Some(id) = hosts.remote.as_ref().and_then(|remote| remote.range(robots..).next()) {
             let last = robots - 1;
             return Err(Failure::input(format!("robot {id} (--remote) is not in this run: expected 0 to {last}")));
         }
         let listen = gateway::check(hosts.listen, hosts.keys.as_deref())?;
         Ok(Some(Gateway { program: gateway::program()?, listen, keys: hosts.keys.clone() }))
+    }
+
+    /// What the run folder keeps of them: with the port at which the gateway listens, and keys that are found from any folder.
+    fn hosts_at(&self, gateway: Option<&Gateway>) -> Option<Hosts> {
+        let (hosts, gateway) = (self.hosts.clone()?, gateway?);
+        let keys = hosts.keys.map(|keys| std::path::absolute(&keys).unwrap_or(keys));
+        Some(Hosts { listen: gateway.listen, keys, ..hosts })
     }
 }
 
@@ -101,12 +120,21 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
         Some(name) => name.clone(),
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
+    // Robots that were on other hosts wait there, at the address where they had a link.
+    let before = folder::read_hosts(folder)?;
+    let hosts = match supervision.hosts.clone() {
+        Some(given) => Some(given.or(before)),
+        None => before,
+    };
+    let supervision = &Supervision { hosts, ..supervision.clone() };
     let gateway = supervision.gateway(&description.scenario)?;
     let found = || {
         let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
-        Ok((rendezvous, folder::look_for_writable(&description)?))
+        let claim = folder::look_for_writable(&description)?;
+        folder::write_hosts(folder, supervision.hosts_at(gateway.as_ref()))?;
+        Ok((rendezvous, claim))
     };
-    supervise(supervision, gateway, keep, found)
+    supervise(supervision, gateway.as_ref(), keep, found)
 }
 
 /// Runs an experiment with a process for each node.
@@ -115,12 +143,14 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
 /// [`Failure`].
 pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
     let gateway = supervision.gateway(&experiment.description.scenario)?;
+    let hosts = supervision.hosts_at(gateway.as_ref());
     // The experiment is moved in, so that its recording is freed once its copy is written.
-    supervise(supervision, gateway, keep, move || {
+    supervise(supervision, gateway.as_ref(), keep, move || {
         // Only the process that has the run's name may change the folder.
         let rendezvous = experiment.found()?;
-        let folder = folder::prepare_folder(&experiment)?;
-        Ok((rendezvous, folder))
+        let claim = folder::prepare_folder(&experiment)?;
+        folder::write_hosts(&experiment.description.out_dir, hosts)?;
+        Ok((rendezvous, claim))
     })
 }
 
@@ -149,7 +179,7 @@ pub fn run_in_process(experiment: &Experiment, record_limit_mb: Option<u64>, kee
 /// Creates a run in its folder, starts its processes, supervises them until the run ends, and writes the report.
 fn supervise(
     supervision: &Supervision,
-    gateway: Option<Gateway>,
+    gateway: Option<&Gateway>,
     keep: &Keep,
     found: impl FnOnce() -> Result<(Rendezvous, Claim), Failure>,
 ) -> Result<(), Failure> {
@@ -160,7 +190,7 @@ fn supervise(
     }
     let (rendezvous, _folder) = found()?;
     let description = &rendezvous.description().clone();
-    let (summaries, outcome) = run_to_the_end(rendezvous, supervision, gateway.as_ref(), &termination)?;
+    let (summaries, outcome) = run_to_the_end(rendezvous, supervision, gateway, &termination)?;
     let reported = made::report_and_tables(description, keep, summaries);
     out_folder::seal(&description.out_dir);
     // The reason why the run ended early is reported first.

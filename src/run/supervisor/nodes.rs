@@ -1,9 +1,10 @@
 //! The processes of a run: started, watched, started again, ended.
 
+use std::ffi::OsStr;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::PathBuf;
-use std::process::{Child, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context, anyhow};
@@ -15,16 +16,16 @@ use rangehound_shared::scenario::Scenario;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, kill_process, pidfd_open};
 
-use super::Supervision;
 use super::cleaner::Cleaner;
 use super::deaths::End;
 use super::machine::{Action, Machine, Seen};
 use super::restart::Policies;
 use super::silence;
+use super::{Gateway, Supervision};
 use crate::failure::{Failure, with_causes};
 use crate::files::out_folder;
 use crate::results::report::{Incident, NodeSummary};
-use crate::run::node::{command_line, this_program};
+use crate::run::node::{command_line, of_run, this_program};
 use crate::run::watch;
 
 /// Time in which nodes must end by themselves once the run is over, and once they are asked to.
@@ -63,6 +64,8 @@ struct Node {
     /// True if there are standbys. Then fusion is started as a standby too, because another may lead when it comes
     /// back.
     has_standbys: bool,
+    /// How a gateway is started: by a program of its own.
+    gateway: Option<Gateway>,
     running: Option<Running>,
     summary: NodeSummary,
     /// How its last process ended.
@@ -79,7 +82,7 @@ impl<'a> Nodes<'a> {
     pub(super) fn start(
         rendezvous: &'a Rendezvous,
         lease: &'a RoleLease,
-        supervision: &Supervision,
+        (supervision, gateway): (&Supervision, Option<&Gateway>),
         cleaner: Cleaner,
         before: Vec<NodeSummary>,
     ) -> Result<Self, Failure> {
@@ -88,6 +91,9 @@ impl<'a> Nodes<'a> {
         let roles = roles.filter(|role| !role.robot().is_some_and(|robot| supervision.is_remote(robot)));
         let roles = roles.chain((1..=supervision.standbys).map(Role::Standby));
         let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standbys > 0)).collect();
+        nodes.extend(
+            gateway.map(|gateway| Node { gateway: Some(gateway.clone()), ..Node::new(Role::Gateway, scenario, false) }),
+        );
         let machine = Machine::new(nodes.iter().map(|node| node.role), &Policies::new(&supervision.rules));
         // The history of each node continues.
         nodes.iter_mut().zip(before).for_each(|(node, before)| node.summary = before);
@@ -289,7 +295,7 @@ impl Running {
 impl Node {
     fn new(role: Role, scenario: &Scenario, has_standbys: bool) -> Self {
         let summary = NodeSummary::new(role, scenario, 0);
-        Self { role, has_standbys, running: None, summary, last_end: String::new() }
+        Self { role, has_standbys, gateway: None, running: None, summary, last_end: String::new() }
     }
 
     fn log_path(&self, rendezvous: &Rendezvous) -> std::path::PathBuf {
@@ -297,15 +303,21 @@ impl Node {
     }
 
     fn start(&mut self, rendezvous: &Rendezvous) -> anyhow::Result<()> {
-        let log_path = self.log_path(rendezvous);
-        let log = out_folder::append(&log_path);
-        // If its log cannot be written, the user sees the node's messages.
-        let stderr = log.map_or_else(|_| Stdio::inherit(), Stdio::from);
         // If there are standbys, fusion is started as one too: another may lead by then.
         let role = if self.role == Role::Fusion && self.has_standbys { Role::Standby(1) } else { self.role };
         let mut command = this_program();
+        // If its log cannot be written, the user sees the node's messages; those of a gateway always, as hosts come and go.
+        let mut stderr = Stdio::inherit();
+        if let Some(Gateway { program, listen, keys }) = &self.gateway {
+            command = Command::new(program);
+            command.args(["gateway", "--listen", &listen.to_string()]);
+            command.args(keys.iter().flat_map(|keys| [OsStr::new("--keys"), keys.as_os_str()]));
+            command.args(of_run(rendezvous.name()));
+        } else {
+            command.args(command_line(role, rendezvous.name()));
+            stderr = out_folder::append(&self.log_path(rendezvous)).map_or(stderr, Stdio::from);
+        }
         command
-            .args(command_line(role, rendezvous.name()))
             // Its own process group: Ctrl-C reaches the supervisor, which ends the nodes in order.
             .process_group(0)
             .stdin(Stdio::null())

@@ -6,12 +6,12 @@ use rangehound_node::bus::Bus;
 use rangehound_node::rendezvous::{ENDING_NOTE, LIVE_NOTE, Rendezvous, Role};
 use rangehound_node::system::signal::Termination;
 
-use super::Gateway;
-use super::Supervision;
 use super::cleaner::Cleaner;
 use super::losses::Losses;
 use super::nodes::{Ended, Nodes};
 use super::sidecars::Sidecars;
+use super::waiting::Waiting;
+use super::{Gateway, Supervision};
 use crate::failure::Failure;
 use crate::results::report::NodeSummary;
 use crate::run::node::input_or_running;
@@ -87,11 +87,8 @@ fn run_once(
         let bus = Bus::connect(rendezvous, "observer")?;
         let mut watch = Watch::new(&bus, description.scenario.ticks)?;
         let cleaner = Cleaner::start(rendezvous, scope);
-        let mut nodes = Nodes::start(rendezvous, &lease, supervision, cleaner, past.summaries.clone())?;
+        let mut nodes = Nodes::start(rendezvous, &lease, (supervision, gateway), cleaner, past.summaries.clone())?;
         let mut sidecars = Sidecars::of(rendezvous, &lease);
-        if let Some(gateway) = gateway {
-            sidecars.start_gateway(gateway);
-        }
         if let Some(limit_mb) = supervision.record_limit_mb {
             sidecars.start("record", vec!["--record-limit".to_owned(), limit_mb.to_string()]);
         }
@@ -104,6 +101,7 @@ fn run_once(
             sidecars.start("live", port.into_iter().flatten().collect());
         }
         let mut losses = Losses::new(description);
+        let mut waiting = Waiting::new(rendezvous, supervision, gateway);
         let mut has_warned = false;
         let outcome = nodes.supervise(termination, || {
             // A run does not end because its progress cannot be shown.
@@ -113,6 +111,7 @@ fn run_once(
                 log::warn!("progress cannot be shown: {error}");
             }
             losses.look(watch.newest_ticks());
+            waiting.look(watch.newest_ticks());
             sidecars.look();
             if supervision.live.is_some() {
                 past.live_address = rendezvous.note(LIVE_NOTE).or_else(|| past.live_address.take());

@@ -61,13 +61,15 @@ impl Policies {
         Self(rules.to_vec())
     }
 
-    /// The policy for a node of this role.
+    /// The policy for a node of this role. A gateway is always started again: the robots on other hosts need it, and it has no
+    /// state that could be wrong.
     #[must_use]
     pub fn of(&self, role: Role) -> Policy {
         let kind = match role {
             Role::Sim => Kind::Sim,
             Role::Fusion | Role::Standby(_) => Kind::Fusion,
-            Role::Robot(_) | Role::Supervisor => Kind::Robot,
+            Role::Robot(_) => Kind::Robot,
+            Role::Gateway | Role::Supervisor => return Policy::Always,
         };
         let rule = self.0.iter().rev().find(|rule| rule.kind.is_none_or(|of| of == kind));
         rule.map_or(Policy::default(), |rule| rule.policy)
@@ -84,6 +86,7 @@ mod tests {
         let policies = Policies::new(&rules);
         assert_eq!(policies.of(Role::Robot(3)), Policy::Never);
         assert_eq!(policies.of(Role::Fusion), Policy::OnFailure);
+        assert_eq!(policies.of(Role::Gateway), Policy::Always);
         assert_eq!(Policies::default().of(Role::Sim), Policy::Always);
         for text in ["", "sometimes", "robot=", "wheel=never"] {
             assert!(text.parse::<Rule>().unwrap_err().starts_with("expected always"), "{text}");

@@ -1,15 +1,13 @@
 //! Processes beside the nodes of a run that only observe it, such as a recorder. The run does not depend on them.
 
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, RoleLease};
 use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::Gateway;
 use super::nodes::describe;
 use crate::failure::with_causes;
 use crate::run::node::this_program;
@@ -33,8 +31,6 @@ pub(super) struct Sidecars<'a> {
 /// A command of this program that takes `--name`, and ends by itself after the run.
 struct Sidecar {
     command: &'static str,
-    /// Another program than this one.
-    program: Option<PathBuf>,
     args: Vec<String>,
     starts: u32,
     child: Option<Child>,
@@ -47,17 +43,7 @@ impl<'a> Sidecars<'a> {
 
     /// Starts a sidecar. It writes its messages to the standard error of this process.
     pub(super) fn start(&mut self, command: &'static str, args: Vec<String>) {
-        self.add(Sidecar { command, program: None, args, starts: 0, child: None });
-    }
-
-    /// Starts the gateway, which the robots on other hosts need: it is started again however often it is killed.
-    pub(super) fn start_gateway(&mut self, Gateway { program, listen, keys }: &Gateway) {
-        let keys = keys.iter().flat_map(|keys| ["--keys".to_owned(), keys.display().to_string()]);
-        let args = ["--listen".to_owned(), listen.to_string()].into_iter().chain(keys).collect();
-        self.add(Sidecar { command: "gateway", program: Some(program.clone()), args, starts: 0, child: None });
-    }
-
-    fn add(&mut self, mut sidecar: Sidecar) {
+        let mut sidecar = Sidecar { command, args, starts: 0, child: None };
         sidecar.start(self.rendezvous);
         self.all.push(sidecar);
     }
@@ -70,8 +56,7 @@ impl<'a> Sidecars<'a> {
                 && !self.rendezvous.is_finished()
             {
                 let what = format!("{} {}", sidecar.command, describe(status));
-                let is_hopeless = sidecar.program.is_none() && sidecar.starts >= STARTS_MAX;
-                if status.code() == Some(2) || is_hopeless {
+                if status.code() == Some(2) || sidecar.starts >= STARTS_MAX {
                     log::warn!("{what}; the run goes on without it");
                 } else {
                     log::warn!("{what}; it is started again");
@@ -122,10 +107,7 @@ impl<'a> Sidecars<'a> {
 impl Sidecar {
     fn start(&mut self, rendezvous: &Rendezvous) {
         self.starts += 1;
-        let spawned = self
-            .program
-            .as_ref()
-            .map_or_else(this_program, Command::new)
+        let spawned = this_program()
             .arg(self.command)
             .args(["--name", &rendezvous.name().to_string(), "--end-with", &std::process::id().to_string()])
             .args(&self.args)

@@ -58,8 +58,6 @@ impl Kind {
 pub enum Target {
     /// The process in a role.
     Node(Role),
-    /// The gateway to the robots on other hosts.
-    Gateway,
     /// A robots' host, by its number.
     Host(usize),
 }
@@ -68,7 +66,6 @@ impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Node(role) => role.fmt(f),
-            Self::Gateway => f.write_str("gateway"),
             Self::Host(host) => write!(f, "host-{host}"),
         }
     }
@@ -175,7 +172,7 @@ impl Faults {
             Victim::Fusion => vec![Target::Node(Role::Fusion)],
             Victim::Robot => (0..robots).map(|robot| Target::Node(Role::Robot(robot))).collect(),
             Victim::Standby => (1..=asked.standbys).map(|number| Target::Node(Role::Standby(number))).collect(),
-            Victim::Gateway => vec![Target::Gateway],
+            Victim::Gateway => vec![Target::Node(Role::Gateway)],
         };
         Self {
             draws: Draws::new(asked.seed, Stream::Faults),
@@ -320,7 +317,7 @@ mod tests {
         }
         let one_way = || all.iter().filter(|fault| fault.kind == Kind::CutOneWay);
         assert!(one_way().any(|fault| fault.is_up) && one_way().any(|fault| !fault.is_up));
-        assert!(all.iter().any(|fault| fault.kind == Kind::Kill && fault.targets == [Target::Gateway]));
+        assert!(all.iter().any(|fault| fault.kind == Kind::Kill && fault.targets == [Target::Node(Role::Gateway)]));
         let stops = all.iter().filter(|fault| fault.kind == Kind::Stop);
         assert!(stops.clone().count() > 0 && stops.clone().all(|fault| fault.lasts.as_millis() <= 500));
     }

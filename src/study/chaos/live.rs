@@ -10,7 +10,6 @@ use rustix::process::{Pid, Signal, kill_process};
 use super::faults::{Kind, PlannedFault, Target};
 use super::outcome::Injected;
 use super::ticks::Ticks;
-use crate::run::gateway;
 use crate::run::remote::process_in;
 use crate::study::hosts::{Hosts, RUN_HOST};
 
@@ -59,15 +58,15 @@ struct Outage {
 enum Victim {
     /// It holds a role of the run on this host.
     Local(Process),
-    /// The gateway, or a robot that was started here on another host.
-    Other(Pid),
+    /// A robot that was started here on another host.
+    Remote(Pid),
 }
 
 impl Victim {
     fn signal(&self, signal: Signal) -> bool {
         match self {
             Self::Local(process) => process.signal(signal).is_ok(),
-            Self::Other(pid) => kill_process(*pid, signal).is_ok(),
+            Self::Remote(pid) => kill_process(*pid, signal).is_ok(),
         }
     }
 }
@@ -150,10 +149,9 @@ impl<'a> Live<'a> {
     fn victim(&self, target: Target) -> Option<Victim> {
         match (target, &self.hosts) {
             (Target::Node(Role::Robot(robot)), Some(hosts)) if hosts.host_of(robot) != RUN_HOST => {
-                hosts.process(robot).map(Victim::Other)
+                hosts.process(robot).map(Victim::Remote)
             }
             (Target::Node(role), _) => process_in(self.run, role).ok().map(Victim::Local),
-            (Target::Gateway, _) => gateway::process(self.run).map(Victim::Other),
             (Target::Host(_), _) => None,
         }
     }
@@ -177,20 +175,11 @@ impl<'a> Live<'a> {
         true
     }
 
-    /// How often the target has been started; for the gateway its process, which changes with each start.
+    /// How often the target has been started.
     fn starts(&self, target: Target) -> u64 {
         match target {
             Target::Node(role) => self.run.roster().starts(role),
-            Target::Gateway => gateway::process(self.run).map_or(0, |pid| pid.as_raw_pid().cast_unsigned().into()),
             Target::Host(_) => 0,
-        }
-    }
-
-    /// True if a successor of the killed target is there.
-    fn is_started_again(&self, killed: &Recovering) -> bool {
-        match (self.starts(killed.target), killed.target) {
-            (starts, Target::Gateway) => starts != 0 && starts != killed.starts,
-            (starts, _) => starts > killed.starts,
         }
     }
 
@@ -203,7 +192,7 @@ impl<'a> Live<'a> {
         let is_down = what.kind == Kind::Reboot;
         match what.kind {
             Kind::Reboot => {
-                self.stopped.retain(|(_, victim)| !matches!(victim, Victim::Other(pid) if hosts.is_on(host, *pid)));
+                self.stopped.retain(|(_, victim)| !matches!(victim, Victim::Remote(pid) if hosts.is_on(host, *pid)));
                 hosts.switch_off(host);
             }
             Kind::CutOneWay => hosts.cut(host, what.is_up, !what.is_up),
@@ -247,7 +236,7 @@ impl<'a> Live<'a> {
         for mut node in std::mem::take(&mut self.recovering) {
             let heard = self.ticks.heard(node.target, self.hosts.as_deref());
             match node.heard_before {
-                None if self.is_started_again(&node) => {
+                None if self.starts(node.target) > node.starts => {
                     node.heard_before = Some(heard);
                     injected[node.hit].restart_ms = Some(1e3 * node.killed.elapsed().as_secs_f64());
                 }

@@ -84,7 +84,7 @@ impl<'a> Ticks<'a> {
             Target::Node(Role::Robot(id)) => self.heard.get(id).copied().unwrap_or(0),
             Target::Node(Role::Fusion | Role::Standby(_)) => self.newest_estimate,
             Target::Node(Role::Sim | Role::Supervisor) => self.newest,
-            Target::Gateway => led(&|host| host != 0),
+            Target::Node(Role::Gateway) => led(&|host| host != 0),
             Target::Host(number) => led(&|host| host == number),
         }
     }

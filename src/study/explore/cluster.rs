@@ -67,11 +67,9 @@ pub(super) enum SimEvent {
     ProcessStarts { node: usize, life: u32 },
     ProcessContinues { node: usize, life: u32 },
     PartitionEnds(usize),
-    GatewayStarts,
-    GatewayWakes { is_timer: bool },
     GatewayKillBegins(usize),
-    GatewayStops,
-    GatewayContinues,
+    GatewayStops(usize),
+    Reboots(usize),
     CutBegins(usize),
     SupervisorLooks,
     SupervisorActs,
@@ -136,6 +134,8 @@ pub(super) struct Cluster<'a> {
     pub(super) groups: [GroupState; 3],
     pub(super) supervisor: Supervisor,
     pub(super) gateway: Gateway,
+    /// How often the run was resumed.
+    pub(super) run_life: u64,
     pub(super) is_finished: bool,
     pub(super) witness: Witness,
     pub(super) counts: Counts,
@@ -169,7 +169,7 @@ impl<'a> Cluster<'a> {
             order: 0,
             events_at_once: 0,
             due: BinaryHeap::new(),
-            nodes: plan.clocks.iter().map(|clock| Node::new(*clock)).collect(),
+            nodes: plan.all_nodes().map(|node| Node::new(plan.clocks.get(node).copied().unwrap_or_default())).collect(),
             partitions: Vec::new(),
             sim_starts: 0,
             lead: Lead::default(),
@@ -180,6 +180,7 @@ impl<'a> Cluster<'a> {
             groups: [GroupState::default(); 3],
             supervisor: Supervisor::new(plan),
             gateway: Gateway::default(),
+            run_life: 0,
             is_finished: false,
             witness: Witness::new(scenario, undisturbed, plan),
             counts: Counts::default(),
@@ -190,7 +191,7 @@ impl<'a> Cluster<'a> {
     /// Runs the team to its end.
     pub(super) fn explore(mut self) -> Outcome {
         let violation = self.go_on().err();
-        self.counts.node_ticks = (self.witness.last_estimate().unwrap_or(0) + 1) * self.nodes.len() as u64;
+        self.counts.node_ticks = (self.witness.last_estimate().unwrap_or(0) + 1) * self.plan.nodes() as u64;
         Outcome { violation, counts: self.counts, trace: self.trace.unwrap_or_default() }
     }
 
@@ -242,11 +243,10 @@ impl<'a> Cluster<'a> {
     fn handle(&mut self, sim_event: SimEvent) -> Result<(), Violation> {
         match sim_event {
             SimEvent::Arrival { to, message, is_garbled } => {
-                let is_woken = self.arrive(to, message, is_garbled);
-                match is_woken {
-                    true if to == self.plan.gateway() => self.run_gateway(),
-                    true => self.run(to),
-                    false => Ok(()),
+                if self.arrive(to, message, is_garbled) {
+                    self.run(to)
+                } else {
+                    Ok(())
                 }
             }
             SimEvent::Wakes { node, event } => {
@@ -268,15 +268,16 @@ impl<'a> Cluster<'a> {
             SimEvent::ProcessStarts { node, life } if self.nodes[node].life == life => self.start_process(node),
             SimEvent::ProcessContinues { node, life } if self.nodes[node].life == life => self.continue_process(node),
             SimEvent::ProcessStarts { .. } | SimEvent::ProcessContinues { .. } => Ok(()),
-            SimEvent::GatewayStarts => self.start_gateway(),
-            SimEvent::GatewayWakes { is_timer } => self.wake_gateway(is_timer),
-            SimEvent::GatewayContinues => self.continue_gateway(),
-            SimEvent::GatewayStops => {
-                self.stop_gateway();
+            SimEvent::GatewayStops(stop) => {
+                self.stop_gateway(stop);
                 Ok(())
             }
             SimEvent::GatewayKillBegins(kill) => {
                 self.begin_gateway_kill(kill);
+                Ok(())
+            }
+            SimEvent::Reboots(reboot) => {
+                self.reboot(reboot);
                 Ok(())
             }
             SimEvent::CutBegins(cut) => {
@@ -296,6 +297,8 @@ impl<'a> Cluster<'a> {
             self.start_sim()?
         } else if self.plan.fusion_nodes().contains(&node) {
             self.start_fusion(node)
+        } else if node == self.plan.gateway() {
+            Process::Gateway
         } else {
             self.start_robot(node)
         };
@@ -308,6 +311,12 @@ impl<'a> Cluster<'a> {
     pub(super) fn after(&mut self, after_ns: u64, sim_event: SimEvent) {
         self.order += 1;
         self.due.push(Reverse(Due { at_ns: self.now_ns + after_ns, order: self.order, sim_event }));
+    }
+
+    /// Messages on the run's host that are under way are lost.
+    pub(super) fn forget_messages(&mut self) {
+        self.due
+            .retain(|Reverse(due)| !matches!(&due.sim_event, SimEvent::Arrival { message, .. } if !message.is_frame()));
     }
 
     /// Time since the start, ns.

@@ -21,12 +21,9 @@ const GONE_NS: u64 = 3_000_000_000;
 /// The gateway and what the run's roster has about its robots.
 #[derive(Debug, Default)]
 pub(super) struct Gateway {
-    pub(super) is_up: bool,
-    pub(super) up_since_ns: u64,
     /// Messages and frames that have arrived.
     pub(super) inbox: Vec<Message>,
     pub(super) guests: BTreeMap<usize, Guest>,
-    pub(super) wakes_at_ns: u64,
     /// The kill that is due, and the number of actions before it.
     pub(super) pending_kill: Option<(usize, u32)>,
     /// Links that robots have opened so far.
@@ -66,16 +63,16 @@ pub(super) struct Joined {
 }
 
 impl Gateway {
-    /// It starts, and knows no robot.
-    pub(super) fn start(&mut self, now_ns: u64) {
-        (self.is_up, self.up_since_ns, self.wakes_at_ns) = (true, now_ns, u64::MAX);
-    }
-
     /// It is killed: all roles and links are lost.
     pub(super) fn die(&mut self) {
-        (self.is_up, self.pending_kill) = (false, None);
+        self.pending_kill = None;
         self.inbox.clear();
         self.guests.clear();
+    }
+
+    /// The roster of the run is lost.
+    pub(super) fn forget_roles(&mut self) {
+        self.taken.clear();
     }
 
     /// Gives a robot its role, unless another process has it and was heard lately.
@@ -172,7 +169,7 @@ impl Gateway {
     pub(super) fn linked_for_ns(&self, robot: usize, node: &Node, now_ns: u64) -> u64 {
         let Process::Robot(process) = &node.process else { return 0 };
         let connection = process.remote.as_ref().and_then(|remote| remote.connection());
-        let guest = self.guests.get(&robot).filter(|guest| self.is_up && Some(guest.connection) == connection);
+        let guest = self.guests.get(&robot).filter(|guest| Some(guest.connection) == connection);
         guest.map_or(0, |guest| now_ns - guest.joined_ns)
     }
 }

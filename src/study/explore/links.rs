@@ -23,8 +23,10 @@ pub(super) struct Links {
     pub(super) cuts: Vec<Cut>,
     /// Kills of the gateway, in order of time.
     pub(super) kills: Vec<GatewayKill>,
-    /// Times for which the gateway is stopped, in order.
+    /// Times for which the gateway is stopped, unless the supervisor replaces it before; in order.
     pub(super) stops: Vec<GatewayStop>,
+    /// Reboots of the run's host.
+    pub(super) reboots: Vec<Reboot>,
 }
 
 /// What a link does to frames.
@@ -82,6 +84,15 @@ pub(super) struct GatewayStop {
     pub(super) for_ns: u64,
 }
 
+/// The run's host loses all its processes, and the run is resumed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reboot {
+    /// When, ns.
+    pub(super) at_ns: u64,
+    /// Time until the processes are started again, ns.
+    pub(super) for_ns: u64,
+}
+
 impl Quality {
     /// True if each frame arrives once, without a delay.
     pub(super) fn is_good(&self) -> bool {
@@ -122,7 +133,9 @@ impl Links {
         let stops = random.random_range(0..=4_usize).saturating_sub(2);
         let mut stops: Vec<_> = (0..stops).map(|_| GatewayStop::draw(random, span_ns)).collect();
         stops.sort_by_key(|stop| stop.at_ns);
-        Some(Self { robots: remote, quality, cuts, kills, stops })
+        let reboots = random.random_range(0..=4_usize).saturating_sub(2);
+        let reboots = (0..reboots).map(|_| Reboot::draw(random, span_ns)).collect();
+        Some(Self { robots: remote, quality, cuts, kills, stops, reboots })
     }
 
     /// True if this robot is on another host.
@@ -144,13 +157,8 @@ impl Links {
         let has_begun = |cut: &&Cut| cut.at_ns <= at_ns && cut.robots >> robot & 1 == 1;
         let cuts_ns = self.cuts.iter().filter(has_begun).map(|cut| cut.at_ns + cut.for_ns);
         let stops_ns = self.stops.iter().filter(|stop| stop.at_ns <= at_ns).map(|stop| stop.at_ns + stop.for_ns);
-        cuts_ns.chain(stops_ns).max().unwrap_or(0).max(self.quality.bad_until_ns())
-    }
-
-    /// When the gateway is continued, ns; `None` if it is not stopped at this time.
-    pub(super) fn stopped_until_ns(&self, at_ns: u64) -> Option<u64> {
-        let stops = self.stops.iter().map(|stop| stop.at_ns..stop.at_ns + stop.for_ns);
-        stops.filter(|stop| stop.contains(&at_ns)).map(|stop| stop.end).max()
+        let reboots_ns = self.reboots.iter().filter(|reboot| reboot.at_ns <= at_ns).map(Reboot::ends_ns);
+        cuts_ns.chain(stops_ns).chain(reboots_ns).max().unwrap_or(0).max(self.quality.bad_until_ns())
     }
 
     /// Time at which the last disturbance is over, ns.
@@ -158,12 +166,15 @@ impl Links {
         let cuts_ns = self.cuts.iter().map(|cut| cut.at_ns + cut.for_ns);
         let kills_ns = self.kills.iter().map(|kill| kill.at_ns + kill.up_ns + REJOINS_NS);
         let stops_ns = self.stops.iter().map(|stop| stop.at_ns + stop.for_ns + REJOINS_NS);
-        cuts_ns.chain(kills_ns).chain(stops_ns).max().unwrap_or(0).max(self.quality.bad_until_ns())
+        let reboots_ns = self.reboots.iter().map(|reboot| reboot.ends_ns() + REJOINS_NS);
+        let ends_ns = cuts_ns.chain(kills_ns).chain(stops_ns).chain(reboots_ns);
+        ends_ns.max().unwrap_or(0).max(self.quality.bad_until_ns())
     }
 
     /// True if nothing disturbs them.
     pub(super) fn is_undisturbed(&self) -> bool {
-        self.quality.is_good() && self.cuts.is_empty() && self.kills.is_empty() && self.stops.is_empty()
+        let has_faults = !self.kills.is_empty() || !self.stops.is_empty() || !self.reboots.is_empty();
+        self.quality.is_good() && self.cuts.is_empty() && !has_faults
     }
 
     /// The same with one disturbance less, or with fewer robots behind the gateway.
@@ -173,6 +184,7 @@ impl Links {
             Self { cuts: Vec::new(), ..self.clone() },
             Self { kills: Vec::new(), ..self.clone() },
             Self { stops: Vec::new(), ..self.clone() },
+            Self { reboots: Vec::new(), ..self.clone() },
             quality(Quality { loss: 0.0, ..self.quality }),
             quality(Quality { duplicates: 0.0, ..self.quality }),
             quality(Quality { jitter_ns: 0, ..self.quality }),
@@ -210,6 +222,16 @@ impl Cut {
 impl GatewayStop {
     fn draw(random: &mut ChaCha8Rng, span_ns: u64) -> Self {
         Self { at_ns: random.random_range(0..span_ns), for_ns: random.random_range(10_000_000..4_000_000_000) }
+    }
+}
+
+impl Reboot {
+    fn draw(random: &mut ChaCha8Rng, span_ns: u64) -> Self {
+        Self { at_ns: random.random_range(0..span_ns), for_ns: random.random_range(10_000_000..1_000_000_000) }
+    }
+
+    fn ends_ns(&self) -> u64 {
+        self.at_ns + self.for_ns
     }
 }
 

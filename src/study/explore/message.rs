@@ -32,6 +32,11 @@ pub(super) enum Message {
 }
 
 impl Message {
+    /// True for a frame between two hosts.
+    pub(super) fn is_frame(&self) -> bool {
+        matches!(self, Self::Downlink { .. } | Self::Uplink { .. })
+    }
+
     /// An invalid copy, of some kind: its receiver must act as if it had not arrived.
     pub(super) fn garbled(self, kind: u32) -> Self {
         match self {

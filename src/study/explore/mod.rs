@@ -10,6 +10,7 @@
 //! | `network`, `disk`, `lead` | messages that get lost, half-written checkpoints, the lock of the lead |
 //! | `supervisor` | the supervisor's machine, driven in it |
 //! | `gateway` | the gateway of robots on other hosts, and who has joined it |
+//! | `reboot` | the run's host is lost, and the run resumed |
 //! | `witness` | the invariants |
 //! | `trace` | what happened, as a table |
 
@@ -24,6 +25,7 @@ mod network;
 mod node;
 mod plan;
 mod process;
+mod reboot;
 mod roles;
 mod supervisor;
 mod trace;

@@ -52,13 +52,13 @@ impl Cluster<'_> {
     /// A message reaches a node; true if that wakes its process.
     pub(super) fn arrive(&mut self, to: usize, message: Message, is_garbled: bool) -> bool {
         if to == self.plan.gateway() {
-            let is_frame = matches!(message, Message::Uplink { .. });
-            if self.gateway.is_up {
+            let is_frame = message.is_frame();
+            if matches!(self.nodes[to].process, Process::Gateway) {
                 self.gateway.inbox.push(message);
             }
             return is_frame || self.plan.network.wakes_on_arrival;
         }
-        let is_frame = matches!(message, Message::Downlink { .. });
+        let is_frame = message.is_frame();
         let node = &mut self.nodes[to];
         // A starting process may receive messages that were sent before it knew the leader.
         if matches!(node.process, Process::None) {
@@ -116,17 +116,11 @@ impl Cluster<'_> {
         let members = match to {
             WaitGroup::Sim => 0..1,
             WaitGroup::Fusion => self.plan.fusion_nodes(),
-            WaitGroup::Robots => self.plan.robot_nodes(),
+            WaitGroup::Robots => self.plan.robot_nodes().start..self.plan.all_nodes().end,
         };
-        let has_remote = to == WaitGroup::Robots && self.plan.links.is_some();
         // A message that arrives wakes its receiver anyway.
         let is_needed = matches!(event, Event::Hello | Event::Finished) || !self.plan.network.wakes_on_arrival;
-        if has_remote && is_needed {
-            self.after(WAKE_NS, SimEvent::GatewayWakes { is_timer: false });
-        }
-        let robots_from = self.plan.robot_nodes().start;
-        let is_remote = |node: usize| node >= robots_from && self.plan.is_remote(node - robots_from);
-        for node in members.filter(|node| is_needed && *node != from && !is_remote(*node)) {
+        for node in members.filter(|node| is_needed && *node != from && !self.plan.is_remote_node(*node)) {
             if !matches!(self.nodes[node].process, Process::Standby(_)) {
                 self.after(WAKE_NS, SimEvent::Wakes { node, event: Some(event) });
             }

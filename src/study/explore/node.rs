@@ -33,6 +33,7 @@ pub(super) enum Process {
     Successor(Box<Successor>),
     Leader(Box<Leading>),
     Robot(Box<Robot>),
+    Gateway,
 }
 
 impl Process {

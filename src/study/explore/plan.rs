@@ -183,9 +183,15 @@ impl Plan {
         1..2 + self.standbys
     }
 
+    /// All nodes: those that faults hit, and the gateway.
+    pub(super) fn all_nodes(&self) -> Range<usize> {
+        0..self.nodes() + usize::from(self.links.is_some())
+    }
+
     /// A node's role.
     pub(super) fn role_of(&self, node: usize) -> Role {
         match node {
+            node if node == self.gateway() => Role::Gateway,
             0 => Role::Sim,
             1 => Role::Fusion,
             node if node < 2 + self.standbys => Role::Standby(node - 1),
@@ -193,7 +199,7 @@ impl Plan {
         }
     }
 
-    /// The gateway, which follows the nodes: it has no role of its own.
+    /// The gateway, which follows the other nodes, if there are robots on other hosts.
     pub(super) fn gateway(&self) -> usize {
         self.nodes()
     }
@@ -208,9 +214,14 @@ impl Plan {
         self.links.as_ref().is_some_and(|links| links.has(robot))
     }
 
+    /// True if a node is a robot on another host.
+    pub(super) fn is_remote_node(&self, node: usize) -> bool {
+        self.robot_nodes().contains(&node) && self.is_remote(node - self.robot_nodes().start)
+    }
+
     /// The nodes of the robots on the run's host.
     pub(super) fn local_robot_nodes(&self) -> impl Iterator<Item = usize> + use<'_> {
-        self.robot_nodes().zip(self.robot_ids()).filter(|(_, robot)| !self.is_remote(*robot)).map(|(node, _)| node)
+        self.robot_nodes().filter(|node| !self.is_remote_node(*node))
     }
 
     /// Who receives worlds and headings: the robots on the run's host, and the gateway of the others.
@@ -220,7 +231,7 @@ impl Plan {
 
     /// A node's name.
     pub(super) fn name_of(&self, node: usize) -> String {
-        if node == self.gateway() { "gateway".to_owned() } else { self.role_of(node).to_string() }
+        self.role_of(node).to_string()
     }
 
     /// Time at which the last fault is over, ns.

@@ -57,7 +57,7 @@ impl Cluster<'_> {
                 if with_supervisor {
                     self.stop_supervisor(for_ns);
                 }
-                for node in 0..self.nodes.len() {
+                for node in 0..self.plan.nodes() {
                     if !matches!(self.nodes[node].process, Process::None | Process::Starting) {
                         let later_ns = self.random.random_range(0..1_000_000);
                         self.stop(node, for_ns + later_ns);
@@ -133,7 +133,8 @@ impl Cluster<'_> {
         !robots.contains(&node) || node != robots.start && self.witness.newest_world() > 0
     }
 
-    fn stop(&mut self, node: usize, for_ns: u64) {
+    /// Stops a process for a time.
+    pub(super) fn stop(&mut self, node: usize, for_ns: u64) {
         self.trace(Some(node), || "is stopped".to_owned());
         let stopped = &mut self.nodes[node];
         if !std::mem::replace(&mut stopped.is_stopped, true) {
@@ -154,6 +155,10 @@ impl Cluster<'_> {
             stopped.state_since_ns = self.now_ns;
             self.trace(Some(node), || "continues".to_owned());
             self.forget_first_range();
+            if node == self.plan.gateway() {
+                let now_ns = self.now_ns;
+                self.gateway.guests.values_mut().for_each(|guest| guest.witness.continued(now_ns));
+            }
             self.run(node)?;
         }
         Ok(())
@@ -168,6 +173,10 @@ impl Cluster<'_> {
         dead.pending_fault = None;
         dead.inbox.clear();
         dead.wakes_at_ns = u64::MAX;
+        if node == self.plan.gateway() {
+            self.gateway.die();
+        }
+        let dead = &mut self.nodes[node];
         let lock = match std::mem::replace(&mut dead.process, Process::None) {
             Process::Leader(leading) => Some(leading.lease.lock),
             Process::Successor(successor) => Some(successor.lease.lock),
@@ -206,7 +215,7 @@ impl Cluster<'_> {
         let life = running.life;
         running.actions = 0;
         // A leader sends its heartbeats for the lead instead.
-        if matches!(process, Process::Sim(_) | Process::Robot(_) | Process::Standby(_))
+        if !matches!(process, Process::Successor(_) | Process::Leader(_))
             && running.heartbeat_ns.is_none_or(|heartbeat_ns| self.now_ns >= heartbeat_ns + HEARTBEAT_NS)
         {
             running.heartbeat_ns = Some(self.now_ns);
@@ -218,6 +227,7 @@ impl Cluster<'_> {
             Process::Successor(successor) => self.run_successor(node, successor)?,
             Process::Leader(leading) => self.run_leader(node, leading)?,
             Process::Robot(robot) => self.run_robot(node, robot)?,
+            Process::Gateway => self.run_gateway(node)?,
         };
         // Unless it has died meanwhile.
         if self.nodes[node].life == life {

@@ -24,7 +24,7 @@ pub(super) struct Supervisor {
 impl Supervisor {
     pub(super) fn new(plan: &Plan) -> Self {
         let rules: Vec<Rule> = plan.leaves_robots.then(|| "robot=never".parse()).into_iter().flatten().collect();
-        let roles = (0..plan.nodes()).map(|node| plan.role_of(node));
+        let roles = plan.all_nodes().map(|node| plan.role_of(node));
         Self {
             machine: Machine::new(roles, &Policies::new(&rules)),
             is_stopped: false,

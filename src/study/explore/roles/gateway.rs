@@ -6,12 +6,13 @@ use rangehound_robot::remote::wire::Downlink;
 use rangehound_shared::message::{Header, Outgoing};
 use rangehound_shared::protocol::wake::Event;
 
+use crate::run::supervisor::deaths::End;
 use crate::study::explore::cluster::{Cluster, SimEvent, Violation};
 use crate::study::explore::gateway::{Applicant, RUN_ID};
 use crate::study::explore::links::{GatewayKill, LINK_NS, Links, Way};
 use crate::study::explore::message::Message;
 use crate::study::explore::network::WAKE_NS;
-use crate::study::explore::node::Node;
+use crate::study::explore::node::{Node, Process};
 use crate::study::explore::plan::SIM;
 
 /// Longest sleep of a gateway, ns: then it reads everything.
@@ -23,50 +24,39 @@ const SETTLED_NS: u64 = 1_000_000_000;
 /// Longer than any run.
 const UNBOUNDED_NS: u64 = 1_000_000_000_000;
 
-/// Time that the first gateway takes to start at most, ns.
-const START_NS: u64 = 20_000_000;
-
 impl Cluster<'_> {
-    /// Starts the gateway of a team that has robots on other hosts, and schedules what is planned for it.
+    /// Schedules what is planned for the gateway of a team that has robots on other hosts, for its links and its host.
     pub(in crate::study::explore) fn start_links(&mut self) {
-        let Some(Links { cuts, kills, stops, .. }) = &self.plan.links else { return };
-        let soon_ns = self.random.random_range(0..START_NS);
-        self.after(soon_ns, SimEvent::GatewayStarts);
+        let Some(Links { cuts, kills, stops, reboots, .. }) = &self.plan.links else { return };
         for (index, cut) in cuts.iter().enumerate() {
             self.after(cut.at_ns, SimEvent::CutBegins(index));
         }
         for (index, kill) in kills.iter().enumerate() {
             self.after(kill.at_ns, SimEvent::GatewayKillBegins(index));
         }
-        for stop in stops {
-            self.after(stop.at_ns, SimEvent::GatewayStops);
-            self.after(stop.at_ns + stop.for_ns, SimEvent::GatewayContinues);
+        for (index, reboot) in reboots.iter().enumerate() {
+            self.after(reboot.at_ns, SimEvent::Reboots(index));
+        }
+        for (index, stop) in stops.iter().enumerate() {
+            self.after(stop.at_ns, SimEvent::GatewayStops(index));
         }
     }
 
-    /// It does nothing until it is continued, and then reads whatever has arrived.
-    pub(in crate::study::explore) fn stop_gateway(&mut self) {
-        self.counts.faults += 1;
-        self.trace(Some(self.plan.gateway()), || "is stopped".to_owned());
-    }
-
-    pub(in crate::study::explore) fn continue_gateway(&mut self) -> Result<(), Violation> {
-        if !self.gateway_is_stopped() {
-            self.trace(Some(self.plan.gateway()), || "is continued".to_owned());
-            let now_ns = self.now_ns;
-            self.gateway.guests.values_mut().for_each(|guest| guest.witness.continued(now_ns));
+    /// It does nothing until it is continued, and then reads whatever has arrived; or until it is killed as hung.
+    pub(in crate::study::explore) fn stop_gateway(&mut self, index: usize) {
+        let stop = self.plan.links.as_ref().and_then(|links| links.stops.get(index));
+        let node = self.plan.gateway();
+        if let Some(stop) = stop
+            && self.gateway_runs()
+        {
+            self.counts.faults += 1;
+            self.stop(node, stop.for_ns);
         }
-        self.run_gateway()
     }
 
-    fn gateway_is_stopped(&self) -> bool {
-        self.plan.links.as_ref().is_some_and(|links| links.stopped_until_ns(self.since_start_ns()).is_some())
-    }
-
-    pub(in crate::study::explore) fn start_gateway(&mut self) -> Result<(), Violation> {
-        self.trace(Some(self.plan.gateway()), || "starts".to_owned());
-        self.gateway.start(self.now_ns);
-        self.run_gateway()
+    fn gateway_runs(&self) -> bool {
+        let gateway = &self.nodes[self.plan.gateway()];
+        matches!(gateway.process, Process::Gateway) && !gateway.is_stopped
     }
 
     pub(in crate::study::explore) fn begin_gateway_kill(&mut self, index: usize) {
@@ -88,24 +78,15 @@ impl Cluster<'_> {
         });
     }
 
-    /// Its timer, or a notification.
-    pub(in crate::study::explore) fn wake_gateway(&mut self, is_timer: bool) -> Result<(), Violation> {
-        if is_timer && self.gateway.wakes_at_ns != self.now_ns { Ok(()) } else { self.run_gateway() }
-    }
-
     /// Lets it read its messages and frames, and send what is due.
-    pub(in crate::study::explore) fn run_gateway(&mut self) -> Result<(), Violation> {
-        if !self.gateway.is_up || self.gateway_is_stopped() {
-            return Ok(());
-        }
-        let index = self.plan.gateway();
+    pub(in crate::study::explore) fn run_gateway(&mut self, index: usize) -> Result<Process, Violation> {
         for message in std::mem::take(&mut self.gateway.inbox) {
             let taken = self.gateway.take(&message, self.plan.robots, self.now_ns);
             let publications =
                 taken.map_err(|(robot, what)| self.violation(Some(index), format!("for robot-{robot} {what}")))?;
             for (robot, publication) in publications {
                 if !self.publish(robot, publication)? {
-                    return Ok(());
+                    return Ok(Process::None);
                 }
             }
         }
@@ -118,14 +99,12 @@ impl Cluster<'_> {
             let (connection, sent) = (guest.connection, guest.witness.sends(&frame, self.now_ns));
             sent.map_err(|what| self.violation(Some(index), format!("for robot-{robot} {what}")))?;
             if !self.gateway_lives() {
-                return Ok(());
+                return Ok(Process::None);
             }
             self.send_down(robot, connection, frame);
         }
-        let wakes_at_ns = self.gateway.frame_due_ns().min(self.now_ns + LOOK_NS).max(self.now_ns + 1);
-        self.gateway.wakes_at_ns = wakes_at_ns;
-        self.after(wakes_at_ns - self.now_ns, SimEvent::GatewayWakes { is_timer: true });
-        Ok(())
+        self.sleep(index, self.gateway.frame_due_ns().saturating_sub(self.now_ns).clamp(1, LOOK_NS));
+        Ok(Process::Gateway)
     }
 
     /// Publishes a robot's message, and notifies the node that waits for it. False if the gateway dies meanwhile.
@@ -170,17 +149,15 @@ impl Cluster<'_> {
         let kill = self.plan.links.as_ref().and_then(|links| links.kills.get(*index));
         let up_ns = kill.map_or(0, |kill: &GatewayKill| kill.up_ns);
         self.counts.faults += 1;
-        self.trace(Some(self.plan.gateway()), || "is killed".to_owned());
-        self.gateway.die();
-        self.after(up_ns, SimEvent::GatewayStarts);
+        let node = self.plan.gateway();
+        self.nodes[node].up_ns = up_ns;
+        self.die(node, End::Killed);
         false
     }
 
     /// A robot's process asks for its role: the number of its link, if it has joined.
     pub(in crate::study::explore) fn join(&mut self, robot: usize, process: u32) -> Option<u64> {
-        let is_open = self.gateway.is_up
-            && !self.gateway_is_stopped()
-            && ![Way::Down, Way::Up].into_iter().any(|way| self.is_cut(robot, way));
+        let is_open = self.gateway_runs() && ![Way::Down, Way::Up].into_iter().any(|way| self.is_cut(robot, way));
         if !is_open {
             return None;
         }
@@ -191,7 +168,7 @@ impl Cluster<'_> {
         if joined.is_new {
             self.after(WAKE_NS, SimEvent::Wakes { node: SIM, event: Some(Event::Hello) });
         }
-        self.after(0, SimEvent::GatewayWakes { is_timer: false });
+        self.after(0, SimEvent::Wakes { node: self.plan.gateway(), event: Some(Event::Hello) });
         Some(joined.connection)
     }
 

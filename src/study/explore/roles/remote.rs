@@ -1,7 +1,7 @@
 //! A robot on another host in simulated time: its machine, and its end of the link to the gateway.
 
 use rangehound_robot::machine::{Action, Machine};
-use rangehound_robot::remote::Courier;
+use rangehound_robot::remote::{Courier, Rejoin, RunLife};
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::study::explore::cluster::{Cluster, Violation};
@@ -31,7 +31,8 @@ pub(in crate::study::explore) struct RemoteEnd {
     session: Option<Session>,
     /// When it next tries to join, by its own clock, ns.
     attempt_ns: u64,
-    has_joined: bool,
+    /// What it has joined last.
+    of: Option<RunLife>,
 }
 
 /// An open link.
@@ -44,7 +45,7 @@ struct Session {
 
 impl RemoteEnd {
     pub(in crate::study::explore) fn new(scenario: &Scenario) -> Self {
-        Self { courier: Courier::new(RUN_ID, scenario.clock), session: None, attempt_ns: 0, has_joined: false }
+        Self { courier: Courier::new(RUN_ID, scenario.clock), session: None, attempt_ns: 0, of: None }
     }
 
     /// The number of its open link.
@@ -91,7 +92,7 @@ impl Cluster<'_> {
         }
         robot.remote = Some(end);
         self.watch_link(node, &mut robot)?;
-        if robot.remote.as_ref().is_some_and(|end| end.has_joined) {
+        if robot.remote.as_ref().is_some_and(|end| end.of.is_some()) {
             match self.act_all(node, &mut robot)? {
                 Fate::Dies { .. } => return Ok(Process::None),
                 Fate::Stops => return Ok(Process::Robot(robot)),
@@ -170,16 +171,20 @@ impl Cluster<'_> {
         end.attempt_ns = now_ns + BETWEEN_NS;
         if let Some(connection) = self.join(id, self.nodes[node].life) {
             end.session = Some(Session { connection, joined_ns: now_ns });
-            if !std::mem::replace(&mut end.has_joined, true)
+            let of = RunLife { run_id: RUN_ID, life: self.run_life };
+            if of.after(end.of.replace(of)) != Rejoin::GoesOn
                 && let Some(machine) = Machine::new(self.scenario, id, self.lead.starts())
             {
                 robot.machine = machine;
                 robot.witness = RobotWitness::new(self.scenario, self.lead.starts());
+                end.courier = Courier::new(RUN_ID, self.scenario.clock);
+                self.witness.links.forget(id);
+                self.witness.robots[id].starts_anew();
             }
             return Ok(());
         }
         let well_ns = self.nodes[node].well_for_ns(self.now_ns).min(self.now_ns.saturating_sub(self.calm_from_ns));
-        let gateway_ns = if self.gateway.is_up { self.now_ns - self.gateway.up_since_ns } else { 0 };
+        let gateway_ns = self.nodes[self.plan.gateway()].well_for_ns(self.now_ns);
         if well_ns.min(gateway_ns) > JOINS_NS + self.late_ns() {
             return Err(self.violation(Some(node), "it does not join again".to_owned()));
         }
@@ -191,7 +196,7 @@ impl Cluster<'_> {
         let look_ns = self.local_ns(node) + LOOK_NS;
         let Some(end) = &robot.remote else { return look_ns };
         let of_link = if end.session.is_some() { end.courier.wakes_at_ns() } else { Some(end.attempt_ns) };
-        let of_machine = robot.machine.wakes_at_ns().filter(|_| end.has_joined);
+        let of_machine = robot.machine.wakes_at_ns().filter(|_| end.of.is_some());
         of_link.into_iter().chain(of_machine).fold(look_ns, u64::min)
     }
 }

@@ -17,7 +17,7 @@ const START_NS: u64 = 5_000_000;
 impl Cluster<'_> {
     /// Starts the team, each node within some milliseconds.
     pub(in crate::study::explore) fn start_all(&mut self) {
-        for node in 0..self.nodes.len() {
+        for node in self.plan.all_nodes() {
             self.supervisor.machine.on_start(node, self.now_ns);
             let soon_ns = self.random.random_range(0..20_000_000);
             self.spawn(node, soon_ns);

@@ -58,6 +58,13 @@ struct Heading {
     command: Command,
 }
 
+impl RobotHistory {
+    /// The run was resumed: its incarnations count from the beginning.
+    pub(in crate::study::explore) fn starts_anew(&mut self) {
+        self.newest_obeyed = 0;
+    }
+}
+
 impl RobotWitness {
     /// A robot that starts, and knows this incarnation of fusion.
     pub(in crate::study::explore) fn new(scenario: &Scenario, fusion_incarnation: u64) -> Self {

@@ -1,5 +1,7 @@
 //! What the supervisor does to nodes.
 
+use std::ops::Range;
+
 use crate::run::supervisor::deaths::End;
 use crate::study::explore::faults::FaultKind;
 use crate::study::explore::lead::Lead;
@@ -37,7 +39,7 @@ const FAILURES_MAX: u32 = 5;
 pub(in crate::study::explore) struct Supervision {
     is_endless: bool,
     leaves_robots: bool,
-    robots_from: usize,
+    robots: Range<usize>,
     /// True if it is stopped at times: then it may be late.
     is_stopped_at_times: bool,
     /// Nodes of which every process fails.
@@ -69,12 +71,12 @@ impl Supervision {
         Self {
             is_endless: plan.is_endless,
             leaves_robots: plan.leaves_robots,
-            robots_from: plan.robot_nodes().start,
+            robots: plan.robot_nodes(),
             is_stopped_at_times: kinds().any(|kind| is_stop(&kind)),
             broken: kinds()
                 .filter_map(|kind| if let FaultKind::Break { node, .. } = kind { Some(node) } else { None })
                 .collect(),
-            nodes: vec![Record::default(); plan.nodes()],
+            nodes: vec![Record::default(); plan.all_nodes().len()],
         }
     }
 
@@ -111,7 +113,7 @@ impl Supervision {
             let looks = if goes_on { looks } else { 0 } + u64::from(hangs && well > 0);
             record.hung = (node.state_since_ns, is_deposed, looks);
             let looks_max = LOOKS_MAX + if is_starting { nodes.len() as u64 } else { 0 };
-            let may_hang = self.leaves_robots && index >= self.robots_from || self.is_endless && !is_deposed;
+            let may_hang = self.leaves_robots && self.robots.contains(&index) || self.is_endless && !is_deposed;
             if looks > looks_max && !may_hang {
                 return Err((index, "it hangs, and is not killed".to_owned()));
             }
@@ -144,7 +146,7 @@ impl Supervision {
             Err("it was killed as hung, though no other node sent heartbeats".to_owned())
         } else if self.is_endless && !is_deposed {
             Err("it was killed as hung, though there is no time-out".to_owned())
-        } else if self.leaves_robots && index >= self.robots_from {
+        } else if self.leaves_robots && self.robots.contains(&index) {
             Err("it was killed as hung, though it is not started again".to_owned())
         } else {
             Ok(())
@@ -186,7 +188,7 @@ impl Supervision {
 
     /// The supervisor lets the others go on without a node.
     pub(in crate::study::explore) fn loses(&self, node: usize) -> Result<(), String> {
-        let may_leave = self.leaves_robots && node >= self.robots_from;
+        let may_leave = self.leaves_robots && self.robots.contains(&node);
         let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
         if may_leave || is_hopeless { Ok(()) } else { Err("it was not started again".to_owned()) }
     }
@@ -194,7 +196,7 @@ impl Supervision {
     /// The supervisor ends the run because of a node: it must not if another node can take its place.
     pub(in crate::study::explore) fn gives_up(&self, nodes: &[Node], node: usize) -> Result<(), String> {
         let is_hopeless = self.broken.contains(&node) && self.nodes[node].own_failures >= FAILURES_MAX;
-        let can_lead = 1..self.robots_from;
+        let can_lead = 1..self.robots.start;
         let is_spare = can_lead.contains(&node)
             && can_lead.into_iter().any(|other| other != node && !matches!(nodes[other].process, Process::None));
         if is_hopeless && !is_spare { Ok(()) } else { Err("the run was ended for it".to_owned()) }
