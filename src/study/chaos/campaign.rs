@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use super::faults::{Asked, Faults, Kind, OnHosts, PlannedFault, Target};
 use super::live::{Live, Recovering};
 use super::outcome::{Ended, Injected, Round, RunResult, is_repeatable};
-use super::run::{Run, processes_of};
+use super::run::{Programs, Run, processes_of};
 use crate::failure::{self, Failure};
 use crate::files::out_folder;
 use crate::results::report::{self, Report};
@@ -40,6 +40,7 @@ pub(super) struct Campaign<'a> {
     standbys: usize,
     /// The hosts of the team, if there are several.
     hosts: Option<Hosts>,
+    programs: Programs,
     termination: &'a Termination,
     progress: Progress,
     /// The next fault, and the remaining time before it.
@@ -73,6 +74,7 @@ impl<'a> Campaign<'a> {
             count: asked.faults,
             standbys: asked.standbys,
             hosts: asked.hosts.map(hosts).transpose()?,
+            programs: Programs::of_campaign(asked.hosts.is_some())?,
             termination,
             progress: Progress::new("fault", asked.faults),
             wait: next.gap,
@@ -119,6 +121,9 @@ impl<'a> Campaign<'a> {
             ended = Ended::Failed;
         }
         let last_message = if ended == Ended::Done { String::new() } else { run.last_words() };
+        if joined.is_none() && ended == Ended::Interrupted {
+            return Err(Failure::Running(anyhow::anyhow!("interrupted before the first fault of a run")));
+        }
         let Some(joined) = joined else {
             // The run failed before it started: its error is one of the user's input.
             return Err(if code == Some(2) {
@@ -165,6 +170,10 @@ impl<'a> Campaign<'a> {
                 if run.has_ended()? {
                     return Ok((description, Ended::Failed));
                 }
+                if self.termination.requested() {
+                    return Ok((description, Ended::Interrupted));
+                }
+                self.programs.check()?;
                 if let Some(hosts) = hosts.as_deref_mut() {
                     hosts.look()?;
                 }
@@ -207,6 +216,7 @@ impl<'a> Campaign<'a> {
             if self.termination.requested() {
                 break Life::Over(Ended::Interrupted);
             }
+            self.programs.check()?;
             live.update(&mut self.injected)?;
             let idle = live.ticks.since.elapsed();
             if idle >= STILL {

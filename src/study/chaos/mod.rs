@@ -44,7 +44,7 @@ pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), F
         outcome.injected = campaign.injected().to_vec();
         outcome.judge();
         outcome.write(&description.out_dir)?;
-        if !outcome.broken.is_empty() {
+        if !outcome.broken.is_empty() || outcome.is_interrupted() {
             break;
         }
     }
@@ -55,6 +55,11 @@ pub fn chaos(experiment: &Experiment, asked: &Asked, json: bool) -> Result<(), F
         failure::print(format!("{outcome}\n{folder}\n"))?;
     }
     match outcome.broken.as_slice() {
+        [] if outcome.is_interrupted() => Err(Failure::Running(anyhow::anyhow!(
+            "interrupted after {} of {} faults; no promise was broken until then",
+            outcome.faults_done(),
+            asked.faults
+        ))),
         [] => Ok(()),
         broken => Err(Failure::Running(anyhow::anyhow!("{}", broken.join("; ")))),
     }

@@ -242,6 +242,16 @@ impl Outcome {
         self.rounds.push(round);
     }
 
+    /// True if the campaign was asked to end.
+    pub(super) fn is_interrupted(&self) -> bool {
+        self.rounds.iter().any(|round| round.ended == Ended::Interrupted)
+    }
+
+    /// Number of faults that were injected.
+    pub(super) fn faults_done(&self) -> u64 {
+        self.injected.iter().map(|hit| hit.fault + 1).max().unwrap_or(0)
+    }
+
     /// Summarises the faults, and finds broken promises.
     pub(super) fn judge(&mut self) {
         let always = ["sim", "fusion", "robot"].map(|role| self.of_role(role));
@@ -302,7 +312,7 @@ fn kind_of_target(target: Target) -> &'static str {
         Target::Node(Role::Standby(_)) => "standby",
         Target::Node(Role::Robot(_)) => "robot",
         Target::Node(Role::Supervisor) => "run",
-        Target::Gateway => "gateway",
+        Target::Node(Role::Gateway) => "gateway",
         Target::Host(_) => "host",
     }
 }
@@ -316,7 +326,8 @@ impl Round {
             Ended::Done => {}
             Ended::Failed => broken.push(format!("the run failed: {}", self.last_message)),
             Ended::Hung => broken.push(format!("the run hung after tick {}", self.tally.ticks)),
-            Ended::Interrupted => broken.push("asked to end before its last fault".to_owned()),
+            // The user wanted it.
+            Ended::Interrupted => {}
         }
         if let Some(baseline) = self.baseline.as_ref().filter(|_| self.is_repeatable) {
             let (got, expected) = (&self.tally, baseline);
@@ -347,7 +358,7 @@ impl Round {
 impl std::fmt::Display for Outcome {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { scenario, clock, robots, chaos_seed, ticks, ranges, headings, .. } = self;
-        let done = self.injected.iter().map(|hit| hit.fault + 1).max().unwrap_or(0);
+        let done = self.faults_done();
         let wall_s: f64 = self.rounds.iter().map(|round| round.wall_s).sum();
         let asked = self.faults_asked;
         writeln!(f, "{TITLE}chaos{TITLE:#}: {scenario}, {robots} robots, {done} of {asked} faults, seed {chaos_seed}")?;
@@ -379,6 +390,7 @@ impl std::fmt::Display for Outcome {
         let (files, processes) = (self.files_left.len(), self.processes_left.len());
         writeln!(f, "{}", field("left over", format_args!("{files} files, {processes} processes")))?;
         let promises = match self.broken.len() {
+            0 if self.is_interrupted() => "none broken until it was interrupted".to_owned(),
             0 => format!("{GOOD}all kept{GOOD:#}"),
             broken => format!("{BAD}{broken} broken{BAD:#}"),
         };
@@ -454,6 +466,8 @@ mod tests {
             (|round| round.files_left.push("x".to_owned()), "seed 1: left in shared memory: x"),
             (|round| round.processes_left.push(7), "seed 1: left running: processes [7]"),
         ];
+        let interrupted = Round { ended: Ended::Interrupted, baseline: None, ..round() };
+        assert_eq!(interrupted.broken(), [""; 0], "the user's wish breaks no promise");
         for (inject, expected) in faults {
             let mut round = round();
             inject(&mut round);

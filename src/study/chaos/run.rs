@@ -1,16 +1,19 @@
 //! A run under its own supervisor, a child of this process.
 
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use rangehound_node::rendezvous::living_runs;
 use rangehound_shared::run_name::RunName;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::failure::Failure;
 use crate::files::atomic_file;
 use crate::run::experiment::Experiment;
+use crate::run::gateway;
 use crate::run::node::start_logged;
 use crate::study::hosts::Hosts;
 
@@ -22,6 +25,52 @@ const ENDING: Duration = Duration::from_secs(30);
 /// File for a run's output, beside its folder.
 pub(super) fn log(out_dir: &Path) -> PathBuf {
     out_dir.with_extension("log")
+}
+
+/// The program files that a campaign starts. With another build in their place, or without them, it could not go on.
+#[derive(Debug)]
+pub(super) struct Programs(Vec<(PathBuf, Identity)>);
+
+/// What shows that a file is still the same: its device, number, length and time of change.
+type Identity = (u64, u64, u64, i64);
+
+impl Programs {
+    /// Those of a campaign, with or without several hosts.
+    ///
+    /// # Errors
+    /// [`Failure`] if one is missing.
+    pub(super) fn of_campaign(has_hosts: bool) -> Result<Self, Failure> {
+        let own = std::env::current_exe().context("cannot find this program's own file")?;
+        let gateway = has_hosts.then(gateway::program).transpose()?;
+        let programs = std::iter::once(own).chain(gateway);
+        let known = |path: PathBuf| {
+            let found = identity(&path).with_context(|| path.display().to_string())?;
+            anyhow::Ok((path, found))
+        };
+        Ok(Self(programs.map(known).collect::<anyhow::Result<_>>()?))
+    }
+
+    /// Checks that they are still there.
+    ///
+    /// # Errors
+    /// With the first that is not.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        let changed = self.0.iter().find(|(path, known)| identity(path).ok().as_ref() != Some(known));
+        match changed {
+            Some((path, _)) => {
+                bail!(
+                    "{} was replaced or removed meanwhile: start chaos again, and leave the file alone",
+                    path.display()
+                )
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+fn identity(path: &Path) -> std::io::Result<Identity> {
+    let file = std::fs::metadata(path)?;
+    Ok((file.dev(), file.ino(), file.len(), file.mtime()))
 }
 
 /// The child that supervises a run.
@@ -151,4 +200,25 @@ pub(super) fn processes_of(name: &RunName) -> Vec<i32> {
         .filter(|pid| std::fs::read_link(format!("/proc/{pid}/exe")).ok() == program)
         .filter(is_of_run)
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_file_that_is_replaced_or_removed_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("program");
+        std::fs::write(&program, "one").unwrap();
+        let programs = Programs(vec![(program.clone(), identity(&program).unwrap())]);
+        assert!(programs.check().is_ok());
+        let other = folder.path().join("other");
+        std::fs::write(&other, "two").unwrap();
+        std::fs::rename(&other, &program).unwrap();
+        let refused = programs.check().unwrap_err().to_string();
+        assert!(refused.contains("program was replaced or removed"), "{refused}");
+        std::fs::remove_file(&program).unwrap();
+        assert!(programs.check().is_err());
+    }
 }
