@@ -119,7 +119,7 @@ pub struct RemoteArgs {
 /// `kill` and `restart`.
 #[derive(Debug, Args)]
 pub struct RemoteNodeArgs {
-    /// The node: sim, fusion or robot-N
+    /// The node: sim, fusion, robot-N or gateway
     pub node: Role,
     /// The run
     #[command(flatten)]

@@ -411,7 +411,7 @@ fn an_invalid_world_does_not_hide_the_next_one() {
 #[test]
 fn headings_come_soon_over_a_link_that_loses_bursts() {
     let late = Link { loss: 0.05, delay_min_ns: 1_000_000, delay_max_ns: 5_000_000, ..GOOD };
-    for (link, p99_ns_max) in [(Link { burst: 3, ..late }, 36_000_000), (late, 22_000_000)] {
+    for (link, p99_ns_max) in [(Link { burst: 3, ..late }, 28_000_000), (late, 21_000_000)] {
         let mut bench = Bench::new("realtime", 11, link);
         let mut latencies_ns = Vec::new();
         for tick in 0..2_000 {

@@ -5,9 +5,9 @@ use crate::remote::wire::{FRAME_LEN_MAX, MEASUREMENTS_MAX};
 
 const BOOK: &str = include_str!("../../../../docs/machines.md");
 
-/// IPv4; UDP; of QUIC the short header (flags, id of the connection, packet number), an acknowledgement, the head of a datagram
-/// and the tag of the encryption.
-const HEADERS_LEN: usize = 20 + 8 + (1 + 8 + 1) + 9 + 3 + 16;
+/// IPv4, UDP, and of QUIC the short header, an acknowledgement, the head of a datagram and the tag of the encryption: as measured on a
+/// link that has carried 20 000 packets. Before that they are up to 5 bytes shorter, as the numbers in them are.
+const HEADERS_LEN: usize = 71;
 
 /// A packet with an acknowledgement alone.
 const ACKNOWLEDGEMENT_LEN: usize = HEADERS_LEN - 3;
@@ -63,7 +63,7 @@ fn frames_have_the_lengths_that_the_book_says() {
     for (what, len) in [
         ("to the robot | a world", world),
         ("to the robot | a heading", heading),
-        ("to the robot | nothing new, every 100 ms", alive),
+        ("to the robot | nothing new, every 110 ms", alive),
         ("to the gateway | a measurement, and what the robot drives until the heading comes", measured),
         ("to the gateway | what the robot drives", driven),
         ("to the gateway | the answer to a frame with nothing new", answer),
