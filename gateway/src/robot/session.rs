@@ -116,11 +116,12 @@ impl Connector {
             Ok(ended) => {
                 self.attempt = None;
                 let happened = ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()));
-                // A link that is only opened again is not worth a line.
-                if let Happened::Joined(_) = happened
-                    && (!std::mem::replace(&mut self.has_joined, true) | self.reported.take().is_some())
-                {
-                    log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
+                if let Happened::Joined(_) = happened {
+                    let is_first = !std::mem::replace(&mut self.has_joined, true);
+                    // A link that is opened again is worth a line only if there was one about its end.
+                    if self.reported.take().is_some() || is_first {
+                        log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
+                    }
                 }
                 happened
             }

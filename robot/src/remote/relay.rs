@@ -8,7 +8,7 @@ use super::RoundTrip;
 use super::wire::{Downlink, Driven, Heading, Measured, Ticks, Uplink, World};
 
 /// Interval of frames that only show that the link works, ns: longer than a tick of a tenth of a second, which has its own frames.
-const KEEP_ALIVE_NS: u64 = 110_000_000;
+const KEEP_ALIVE_NS: u64 = 120_000_000;
 
 /// A message of the robot for the run's host, and the node that waits for it.
 #[derive(Debug, Clone, Copy, PartialEq)]

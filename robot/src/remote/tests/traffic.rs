@@ -63,7 +63,7 @@ fn frames_have_the_lengths_that_the_book_says() {
     for (what, len) in [
         ("to the robot | a world", world),
         ("to the robot | a heading", heading),
-        ("to the robot | nothing new, every 110 ms", alive),
+        ("to the robot | nothing new, every 120 ms", alive),
         ("to the gateway | a measurement, and what the robot drives until the heading comes", measured),
         ("to the gateway | what the robot drives", driven),
         ("to the gateway | the answer to a frame with nothing new", answer),

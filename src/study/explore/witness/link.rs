@@ -8,7 +8,7 @@ use rangehound_shared::message::{Command, Drive, Header, WorldEntry};
 use rangehound_shared::scenario::Scenario;
 
 /// Longest time between two frames, ns: the interval of those that only keep a link alive, and one look.
-const FRAMES_NS: u64 = 111_000_000;
+const FRAMES_NS: u64 = 121_000_000;
 
 /// Longest time until what a robot has not answered is sent again, ns: the longest interval of repeats, and one look.
 const REPEATS_NS: u64 = 201_000_000;
