@@ -9,7 +9,7 @@ use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
-use rangehound_node::rendezvous::{Rendezvous, living_runs};
+use rangehound_node::rendezvous::{Rendezvous, Role, living_runs};
 use rangehound_node::system::bounded;
 
 use crate::cli::{self, CompletionsArgs, ManArgs, NamesArgs, NamesOf};
@@ -61,9 +61,11 @@ pub fn names(args: &NamesArgs) -> Result<(), Failure> {
         NamesOf::Nodes => {
             // A run of another version is left out; the others are listed.
             let runs = living_runs().into_iter().filter_map(|name| Rendezvous::join_if_alive(&name).ok().flatten());
-            runs.flat_map(|run| watch::roles(run.description().scenario.robots.len()))
-                .map(|role| role.to_string())
-                .collect()
+            let roles = |run: Rendezvous| {
+                let gateway = Some(Role::Gateway).filter(|role| run.roster().starts(*role) > 0);
+                watch::roles(run.description().scenario.robots.len()).chain(gateway)
+            };
+            runs.flat_map(roles).map(|role| role.to_string()).collect()
         }
     };
     failure::print(names.into_iter().map(|name| name + "\n").collect::<String>())

@@ -119,7 +119,7 @@ pub struct RemoteArgs {
 /// `kill` and `restart`.
 #[derive(Debug, Args)]
 pub struct RemoteNodeArgs {
-    /// The node: sim, fusion, robot-N or gateway
+    /// The node: sim, fusion, gateway or robot-N
     pub node: Role,
     /// The run
     #[command(flatten)]
