@@ -123,15 +123,18 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
     // Robots that were on other hosts wait there, at the address where they had a link.
     let before = folder::read_hosts(folder)?;
     let hosts = match supervision.hosts.clone() {
-        Some(given) => Some(given.or(before)),
-        None => before,
+        Some(given) => Some(given.or(before.clone())),
+        None => before.clone(),
     };
     let supervision = &Supervision { hosts, ..supervision.clone() };
     let gateway = supervision.gateway(&description.scenario)?;
     let found = || {
         let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
         let claim = folder::look_for_writable(&description)?;
-        folder::write_hosts(folder, supervision.hosts_at(gateway.as_ref()))?;
+        let hosts = supervision.hosts_at(gateway.as_ref());
+        if hosts != before {
+            folder::write_hosts(folder, hosts)?;
+        }
         Ok((rendezvous, claim))
     };
     supervise(supervision, gateway.as_ref(), keep, found)
