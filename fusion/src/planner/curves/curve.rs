@@ -117,6 +117,7 @@ impl Curve {
     }
 
     /// The same for a place of a piece.
+    #[inline]
     pub(super) fn information_on(&self, piece: usize, u: f64) -> Information {
         let (p, w) = self.pieces[piece].at(u);
         self.noise.information_over(p, w)

@@ -78,6 +78,7 @@ impl Noise {
     }
 
     /// The same with the sight `p / w`: where the position is known, one division is enough.
+    #[inline]
     pub(super) fn information_over(&self, p: Vector, w: f64) -> Information {
         let (x2, y2, xy) = (p.x * p.x, p.y * p.y, p.x * p.y);
         let per_square = 1.0 / (x2 + y2);

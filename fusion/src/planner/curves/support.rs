@@ -31,66 +31,83 @@ impl Curve {
     /// The control points of a part that begins or ends at its maximum bound it exactly, since the next one is on the
     /// tangent: so parts are split where the maximum is.
     pub(super) fn support(&self, (low, high): (f64, f64), m: Vector, slack: f64) -> Support {
-        let mut open: SmallVec<[(usize, Leaf, bool); 8]> = SmallVec::new();
+        let mut open: SmallVec<[Part; 8]> = SmallVec::new();
+        let part = |piece: usize, low: f64, high: f64, is_searched: bool| {
+            let leaf = Leaf::of(&self.noise, &self.pieces[piece], low, high);
+            Part::of(piece, &leaf, m, is_searched)
+        };
         let (first, last) = (self.piece_at(low).0, self.piece_at(high).0);
-        for index in first..=last {
-            let base = Self::base(index);
+        for piece in first..=last {
+            let base = Self::base(piece);
             let (from, to) = ((low - base).clamp(0.0, 1.0), (high - base).clamp(0.0, 1.0));
             if from == 0.0 && to == 1.0 {
-                open.push((index, self.leaves[index], false));
+                open.push(Part::of(piece, &self.leaves[piece], m, false));
             } else if to > from || first == last {
-                open.push((index, Leaf::of(&self.noise, &self.pieces[index], from, to), false));
+                open.push(part(piece, from, to, false));
             }
         }
         let mut best = Support { bound: f64::NEG_INFINITY, at: low, information: Information::default() };
         let mut most = f64::NEG_INFINITY;
+        let mut look_at = |piece: usize, u: f64, most: &mut f64| {
+            let information = self.information_on(piece, u);
+            if information.along(m) > *most {
+                *most = information.along(m);
+                (best.at, best.information) = (Self::base(piece) + u, information);
+            }
+        };
         for _ in 0..SPLITS_MAX {
-            let bounds = open.iter().map(|(_, leaf, _)| leaf.bound(m));
-            let Some((next, (bound, guess))) = bounds.enumerate().max_by(|a, b| a.1.0.total_cmp(&b.1.0)) else { break };
-            if bound <= most + slack {
-                best.bound = bound.max(most);
-                return best;
+            let Some((next, now)) = open.iter().copied().enumerate().max_by(|a, b| a.1.bound.total_cmp(&b.1.bound)) else {
+                break;
+            };
+            if now.bound <= most + slack {
+                break;
             }
-            let (index, leaf, is_searched) = open.swap_remove(next);
-            let (mut cut, mut is_at_maximum) = (0.5 * (leaf.low + leaf.high), false);
             // The first and the last control point are places.
-            if guess == leaf.low || guess == leaf.high {
-                let information = self.information_on(index, guess);
-                if information.along(m) > most {
-                    most = information.along(m);
-                    (best.at, best.information) = (Self::base(index) + guess, information);
-                }
-                if bound <= most + slack {
-                    best.bound = bound.max(most);
-                    return best;
+            if now.guess == now.low || now.guess == now.high {
+                look_at(now.piece, now.guess, &mut most);
+                if now.bound <= most + slack {
+                    break;
                 }
             }
-            if !is_searched {
-                let value = |u: f64| -self.information_on(index, u).along(m);
-                let u = minimum(value, (leaf.low, leaf.high), guess, ACCURACY);
-                let information = self.information_on(index, u);
-                if information.along(m) > most {
-                    most = information.along(m);
-                    (best.at, best.information) = (Self::base(index) + u, information);
-                }
-                let margin = 1e-7 * (leaf.high - leaf.low);
-                if u > leaf.low + margin && u < leaf.high - margin {
+            open.swap_remove(next);
+            let (mut cut, mut is_at_maximum) = (0.5 * (now.low + now.high), false);
+            if !now.is_searched {
+                let value = |u: f64| -self.information_on(now.piece, u).along(m);
+                let u = minimum(value, (now.low, now.high), now.guess, ACCURACY);
+                look_at(now.piece, u, &mut most);
+                let margin = 1e-7 * (now.high - now.low);
+                if u > now.low + margin && u < now.high - margin {
                     (cut, is_at_maximum) = (u, true);
-                } else if bound <= most + slack {
-                    open.push((index, leaf, true));
-                    continue;
                 }
             }
-            if !(cut > leaf.low && cut < leaf.high) {
-                // A single place: its value is its bound.
-                continue;
-            }
-            for (from, to) in [(leaf.low, cut), (cut, leaf.high)] {
-                open.push((index, Leaf::of(&self.noise, &self.pieces[index], from, to), is_at_maximum));
+            // A single place has its value as its bound.
+            if cut > now.low && cut < now.high {
+                open.push(part(now.piece, now.low, cut, is_at_maximum));
+                open.push(part(now.piece, cut, now.high, is_at_maximum));
             }
         }
-        let bounds = open.iter().map(|(_, leaf, _)| leaf.bound(m).0);
-        best.bound = bounds.fold(most, f64::max);
+        best.bound = open.iter().map(|part| part.bound).fold(most, f64::max);
         best
+    }
+}
+
+/// A part of a curve on which the maximum may be.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    piece: usize,
+    low: f64,
+    high: f64,
+    /// None of its places has more.
+    bound: f64,
+    /// Where the maximum may be.
+    guess: f64,
+    /// It begins or ends at the maximum of a greater part.
+    is_searched: bool,
+}
+
+impl Part {
+    fn of(piece: usize, leaf: &Leaf, m: Vector, is_searched: bool) -> Self {
+        let (bound, guess) = leaf.bound(m);
+        Self { piece, low: leaf.low, high: leaf.high, bound, guess, is_searched }
     }
 }
