@@ -91,9 +91,10 @@ pub fn recording_of(
     let columns = if is_bag { &ColumnMap::default() } else { &options.columns };
     options.anchors = table.anchors_path(folder).map(|path| anchors(&path, columns)).transpose()?;
     if is_bag {
-        return Ok(bag_recording(&ranges, table, options)?);
+        return Ok(bag_recording(&ranges, table, folder, options)?);
     }
-    let of_bag = [("topic", table.topic.is_some()), ("position", table.position.is_some()), ("msg", table.msg.is_some())];
+    let of_bag =
+        [("topic", table.topic.is_some()), ("position", table.position.is_some()), ("msg", table.msg.is_some())];
     if let Some((key, _)) = of_bag.iter().find(|(_, is_given)| *is_given) {
         return Err(ScenarioError::WrongValue {
             file: file.to_owned(),
@@ -109,9 +110,10 @@ pub fn recording_of(
 fn bag_recording(
     path: &Path,
     table: &RecordingTable,
+    folder: &Path,
     mut options: ReadOptions,
 ) -> Result<(Recording, ReadSummary), RecordingError> {
-    let definitions = definitions(table.msg.as_deref().unwrap_or_default())?;
+    let definitions = definitions(table.msg.as_deref().unwrap_or_default(), folder)?;
     let refused = |fault: Fault| RecordingError::of_file(path, fault.wrong, fault.hint);
     if table.format.is_some() {
         return Err(refused(Fault::new("a ROS 2 bag", "expected no --format, which is for logs of a radio's port")));
@@ -126,7 +128,9 @@ fn bag_recording(
     let read = BagTable::read(path, &selection).map_err(refused)?;
     options.columns = read.map.clone();
     let (recording, mut summary) = Recording::parse(read.text(), path, &options)?;
-    summary.read_as = format!("a ROS 2 bag, topics {}: {}", read.topics, summary.read_as);
+    // The table's separator is not the user's.
+    let columns = summary.read_as.split_once("; ").map_or("", |(_, columns)| columns);
+    summary.read_as = format!("a ROS 2 bag, topic {}; {columns}", table.topic.as_deref().unwrap_or_default());
     Ok((recording, summary))
 }
 
@@ -136,20 +140,23 @@ fn bag_recording(
 /// # Errors
 /// [`RecordingError`] for the first fault.
 pub fn bag_track(path: &Path, topic: &str, definitions: &[String]) -> Result<Vec<TrackPoint>, RecordingError> {
-    let definitions = self::definitions(definitions)?;
+    let definitions = self::definitions(definitions, Path::new(""))?;
     bag::table::read_track(path, topic, &definitions)
         .map_err(|fault| RecordingError::of_file(path, fault.wrong, fault.hint))
 }
 
 /// The definitions of message types from files, each given as `TYPE=FILE`.
-fn definitions(given: &[String]) -> Result<Vec<(String, String)>, RecordingError> {
+fn definitions(given: &[String], folder: &Path) -> Result<Vec<(String, String)>, RecordingError> {
     let read = |given: &String| {
         let Some((name, file)) = given.split_once('=') else {
             let hint = "expected TYPE=FILE, as in my_msgs/msg/Uwb=Uwb.msg";
             return Err(RecordingError::of_file(Path::new("--msg"), format!("no file, {given:?},"), hint));
         };
-        let path = Path::new(file);
-        let text = bounded::read(path, DEFINITION_LEN_MAX).map_err(|error| RecordingError::unreadable(path, &error))?;
+        let path = folder.join(file);
+        let unreadable = |error: &dyn Display| {
+            RecordingError::of_file(&path, "no definition", format!("expected the fields of a message type: {error}"))
+        };
+        let text = bounded::read(&path, DEFINITION_LEN_MAX).map_err(|error| unreadable(&error))?;
         Ok((name.to_owned(), String::from_utf8_lossy(&text).into_owned()))
     };
     given.iter().map(read).collect()

@@ -195,6 +195,9 @@ impl Parser<'_> {
                 let name = match name.contains('/') {
                     true => short(name),
                     false if name == "Header" => "std_msgs/Header".to_owned(),
+                    // As in ROS 1, whose definitions some tools write.
+                    false if name == "time" => "builtin_interfaces/Time".to_owned(),
+                    false if name == "duration" => "builtin_interfaces/Duration".to_owned(),
                     false => format!("{package}/{name}"),
                 };
                 Kind::Message(self.index_of(&name, depth + 1)?)

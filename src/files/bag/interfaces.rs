@@ -104,10 +104,7 @@ const DEFINITIONS: [(&str, &str); 31] = [
          float32 min_range\nfloat32 max_range\nfloat32 range\nfloat32 variance\n",
     ),
     ("std_msgs/Float32", "float32 data\n"),
-    (
-        "std_msgs/Float32MultiArray",
-        "MultiArrayLayout layout\nfloat32[] data\n",
-    ),
+    ("std_msgs/Float32MultiArray", "MultiArrayLayout layout\nfloat32[] data\n"),
     ("std_msgs/Float64", "float64 data\n"),
     ("std_msgs/Float64MultiArray", "MultiArrayLayout layout\nfloat64[] data\n"),
     ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),

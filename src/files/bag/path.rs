@@ -49,7 +49,11 @@ impl Path {
                 Some((name, "")) => (name, Some(Index::Each)),
                 Some((name, number)) => match number.parse() {
                     Ok(number) => (name, Some(Index::At(number))),
-                    Err(_) => return Err(format!("{text:?} is no field: expected one as in header.stamp or ranges[].distance")),
+                    Err(_) => {
+                        return Err(format!(
+                            "{text:?} is no field: expected one as in header.stamp or ranges[].distance"
+                        ));
+                    }
                 },
             };
             let Kind::Message(of) = path.kind else {
@@ -65,9 +69,13 @@ impl Path {
                 ));
             };
             match (fields[place].count, index) {
-                (Count::One, Some(_)) => return Err(format!("the field {name} is no array: expected {name} without []")),
+                (Count::One, Some(_)) => {
+                    return Err(format!("the field {name} is no array: expected {name} without []"));
+                }
                 (Count::Fixed(_) | Count::Sequence, None) => {
-                    return Err(format!("the field {name} is an array: expected {name}[] for each element, or {name}[0] for one"));
+                    return Err(format!(
+                        "the field {name} is an array: expected {name}[] for each element, or {name}[0] for one"
+                    ));
                 }
                 _ => {}
             }
@@ -115,7 +123,9 @@ impl Listing<'_> {
             let path = format!("{before}{}{array}", field.name);
             match field.kind {
                 Kind::Message(inner) if depth < Self::DEPTH => self.visit(inner, &format!("{path}."), depth + 1),
-                Kind::Unsigned(_) | Kind::Signed(_) | Kind::Real(_) if (self.is_wanted)(&field.name) => self.found.push(path),
+                Kind::Unsigned(_) | Kind::Signed(_) | Kind::Real(_) if (self.is_wanted)(&field.name) => {
+                    self.found.push(path)
+                }
                 _ => {}
             }
         }

@@ -11,14 +11,17 @@ use rangehound_shared::recording::{ColumnMap, TrackPoint};
 
 use super::cdr::CdrError;
 use super::definition::{ROOT, Types, short};
-use super::{Fault, interfaces};
 use super::selection::{Pattern, TopicField, patterns};
 use super::storage::{self, Sink, Topic};
+use super::{Fault, interfaces};
 use fields::{Measures, Place, Stamp};
 use text::Text;
 
 /// Most measurements, and most positions: as in other recordings.
 const ROWS_MAX: usize = 10_000_000;
+
+/// The first bytes of a message that is compressed by itself.
+const ZSTD_MAGIC: &[u8] = &[0x28, 0xB5, 0x2F, 0xFD];
 
 /// A position counts for this time after the last message of its topic, ns.
 const LAST_NS: i64 = 1_000_000_000;
@@ -106,8 +109,6 @@ pub struct BagTable {
     numbers: Vec<(usize, String)>,
     /// How the columns are to be read.
     pub map: ColumnMap,
-    /// The topics that were read, with commas between them.
-    pub topics: String,
 }
 
 impl BagTable {
@@ -211,7 +212,10 @@ impl<'a> Reading<'a> {
     /// The definition of a topic's type.
     fn types(&self, topic: &Topic<'_>) -> Result<Types, Fault> {
         if let Some(obstacle) = topic.obstacle {
-            return Err(Fault::new(format!("the topic {} cannot be read", topic.name), format!("expected CDR and ros2msg, but {obstacle}")));
+            return Err(Fault::new(
+                format!("the topic {} cannot be read", topic.name),
+                format!("expected CDR and ros2msg, but {obstacle}"),
+            ));
         }
         let given = self.definitions.iter().find(|(name, _)| short(name) == short(topic.type_name));
         let given = given.map(|(_, text)| text.as_str());
@@ -220,8 +224,9 @@ impl<'a> Reading<'a> {
             let hint = format!("expected it from you: --msg {}=FILE with the fields of the type", topic.type_name);
             return Err(Fault::new(format!("no definition of {}", topic.type_name), hint));
         };
-        Types::parse(topic.type_name, text)
-            .map_err(|reason| Fault::new(format!("no usable definition of {}", topic.type_name), format!("expected ros2msg: {reason}")))
+        Types::parse(topic.type_name, text).map_err(|reason| {
+            Fault::new(format!("no usable definition of {}", topic.type_name), format!("expected ros2msg: {reason}"))
+        })
     }
 
     fn what(&mut self, topic: &Topic<'_>) -> Result<Option<ReadTopic>, Fault> {
@@ -250,9 +255,15 @@ impl<'a> Reading<'a> {
     fn check_topics(&self) -> Result<(), Fault> {
         let listed = || {
             const SHOWN: usize = 12;
-            let measured: Vec<String> = self.topics.iter().filter(|(_, what)| what.contains(": ")).map(|(name, what)| format!("{name} ({what})")).collect();
+            let measured: Vec<String> = self
+                .topics
+                .iter()
+                .filter(|(_, what)| what.contains(": "))
+                .map(|(name, what)| format!("{name} ({what})"))
+                .collect();
             let all = || self.topics.iter().map(|(name, what)| format!("{name} ({what})")).collect();
-            let list: Vec<String> = if measured.is_empty() || self.wanted.is_empty() && self.position.is_some() { all() } else { measured };
+            let list: Vec<String> =
+                if measured.is_empty() || self.wanted.is_empty() && self.position.is_some() { all() } else { measured };
             let more = list.len().saturating_sub(SHOWN);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             list.into_iter().take(SHOWN).collect::<Vec<_>>().join(", ") + &more
@@ -263,7 +274,10 @@ impl<'a> Reading<'a> {
         let position = self.position.as_ref().map(|position| &position.topic);
         for pattern in self.wanted.iter().chain(position) {
             if !self.topics.keys().any(|name| pattern.part(name).is_some()) {
-                return Err(Fault::new(format!("no topic {}", pattern.text()), format!("expected one of {}", listed())));
+                return Err(Fault::new(
+                    format!("no topic {}", pattern.text()),
+                    format!("expected one of {}", listed()),
+                ));
             }
         }
         Ok(())
@@ -275,20 +289,27 @@ impl<'a> Reading<'a> {
         }
         self.check_topics()?;
         let Self { rows, fixes, read, map, sensors, targets, position, .. } = self;
-        let topics: Vec<&str> = read.iter().filter(|topic| matches!(topic.what, What::Measures(_))).map(|topic| topic.name.as_str()).collect();
-        let topics = topics.join(", ");
+        let topics = || {
+            let measured = read.iter().filter(|topic| matches!(topic.what, What::Measures(_)));
+            measured.map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ")
+        };
         if rows.is_empty() {
-            return Err(Fault::new(format!("no measurement on {topics}"), "expected messages with ranges or bearings"));
+            return Err(Fault::new(
+                format!("no measurement on {}", topics()),
+                "expected messages with ranges or bearings",
+            ));
         }
         if rows.iter().all(|row| row.time_ns == 0) && rows.len() > 1 {
             let hint = "expected stamps: for the time of recording, type --columns time=log";
-            return Err(Fault::new(format!("stamps that are never set on {topics}"), hint));
+            return Err(Fault::new(format!("stamps that are never set on {}", topics()), hint));
         }
         let mut rows = in_order(rows);
         if let Some(position) = &position {
             place(&mut rows, fixes, !position.topic.has_star());
         }
-        let is_used = |index: &usize| map.given(NUMBERS[*index].0).is_some() || rows.iter().any(|row| !row.numbers[*index].is_nan());
+        let is_used = |index: &usize| {
+            map.given(NUMBERS[*index].0).is_some() || rows.iter().any(|row| !row.numbers[*index].is_nan())
+        };
         let mut columns: Vec<usize> = (0..NUMBERS.len()).filter(is_used).collect();
         if position.is_some() {
             columns.extend([X, X + 1].into_iter().filter(|index| !columns.contains(index)).collect::<Vec<_>>());
@@ -296,12 +317,14 @@ impl<'a> Reading<'a> {
         let name = |key: &str, own: &str| map.given(key).map_or(own, |(column, _)| column).to_owned();
         let target = if map.given("target").is_some() { name("target", "") } else { String::new() };
         let names = [name("time", "time_s"), name("sensor", "sensor_id"), target];
-        let numbers: Vec<(usize, String)> = columns.iter().map(|index| (*index, name(NUMBERS[*index].0, NUMBERS[*index].1))).collect();
+        let numbers: Vec<(usize, String)> =
+            columns.iter().map(|index| (*index, name(NUMBERS[*index].0, NUMBERS[*index].1))).collect();
         let are_metres = read.iter().all(|topic| match &topic.what {
             What::Measures(measures) => measures.is_range_in_m,
             What::Place(_) => true,
         });
-        let is_direction = read.iter().any(|topic| matches!(&topic.what, What::Measures(measures) if measures.is_direction));
+        let is_direction =
+            read.iter().any(|topic| matches!(&topic.what, What::Measures(measures) if measures.is_direction));
         let mut words = Vec::new();
         for key in ["time", "sensor", "target"].into_iter().chain(NUMBERS.map(|(key, _)| key)) {
             let Some((column, unit)) = map.given(key) else { continue };
@@ -318,7 +341,7 @@ impl<'a> Reading<'a> {
         }
         let of_map = |error| Fault::new("columns that cannot be read", format!("expected --columns: {error}"));
         let map = if words.is_empty() { ColumnMap::default() } else { words.join(",").parse().map_err(of_map)? };
-        Ok(BagTable { rows, sensors: sensors.texts, targets: targets.texts, names, numbers, map, topics })
+        Ok(BagTable { rows, sensors: sensors.texts, targets: targets.texts, names, numbers, map })
     }
 }
 
@@ -343,6 +366,10 @@ impl Sink for Reading<'_> {
     fn message(&mut self, topic: usize, log_ns: i64, message: &[u8]) -> Result<(), Fault> {
         let Some(ReadTopic { name, types, stamp, part, what }) = self.read.get(topic) else { return Ok(()) };
         let damaged = |error: CdrError| {
+            if message.starts_with(ZSTD_MAGIC) {
+                let hint = "expected a bag without compression of messages, as `ros2 bag convert` makes it";
+                return Fault::new(format!("messages compressed one by one on {name}"), hint);
+            }
             Fault::new(format!("{error} on {name}"), "expected messages that fit the definition of their type")
         };
         let time_ns = stamp.read(types, message, log_ns).map_err(damaged)?;
@@ -359,7 +386,10 @@ impl Sink for Reading<'_> {
             What::Measures(measures) => {
                 let found = measures.read(types, message).map_err(damaged)?;
                 if let Some(problem) = found.problem() {
-                    return Err(Fault::new(format!("{problem} on {name}"), "expected one value for all measurements of a message, or one for each"));
+                    return Err(Fault::new(
+                        format!("{problem} on {name}"),
+                        "expected one value for all measurements of a message, or one for each",
+                    ));
                 }
                 if self.rows.len() + found.count > ROWS_MAX {
                     return Err(too_many("measurements"));
@@ -379,7 +409,8 @@ impl Sink for Reading<'_> {
 fn in_order(mut rows: Vec<Row>) -> Vec<Row> {
     rows.sort_by_key(|row| (row.time_ns, row.sensor, row.target));
     rows.dedup_by(|next, row| {
-        let is_same = (next.time_ns, next.sensor, next.target, next.part) == (row.time_ns, row.sensor, row.target, row.part);
+        let is_same =
+            (next.time_ns, next.sensor, next.target, next.part) == (row.time_ns, row.sensor, row.target, row.part);
         let has = |row: &Row, index: usize| !row.numbers[index].is_nan();
         let is_pair = has(row, RANGE) != has(next, RANGE) && has(row, BEARING) != has(next, BEARING);
         if is_same && is_pair {
@@ -420,7 +451,8 @@ fn at(fixes: &[Fix], time_ns: i64) -> Option<Fix> {
         (_, Some(next)) if next.time_ns == time_ns || fixes.len() == 1 => Some(*next),
         (Some(before), Some(next)) => {
             let share = (time_ns - before.time_ns) as f64 / (next.time_ns - before.time_ns) as f64;
-            let turn_rad = (next.heading_rad - before.heading_rad).sin().atan2((next.heading_rad - before.heading_rad).cos());
+            let turn_rad =
+                (next.heading_rad - before.heading_rad).sin().atan2((next.heading_rad - before.heading_rad).cos());
             let mut fix = *before;
             for (number, next) in fix.position_m.iter_mut().zip(next.position_m) {
                 *number += share * (next - *number);

@@ -46,7 +46,8 @@ pub fn read(mut input: impl Read, len: u64, sink: &mut impl Sink) -> Result<(), 
                 }
             }
             Err(McapError::UnexpectedEof) => {
-                let hint = "expected a complete bag: `mcap recover` and `ros2 bag reindex` repair one that was not closed";
+                let hint =
+                    "expected a complete bag: `mcap recover` and `ros2 bag reindex` repair one that was not closed";
                 return Err(Fault::new("the file is cut short", hint));
             }
             Err(McapError::BadMagic) => {

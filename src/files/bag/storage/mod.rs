@@ -77,8 +77,7 @@ fn files_of(folder: &Path) -> Result<Vec<PathBuf>, Fault> {
     let has_ending = |path: &Path, endings: &[&str]| {
         path.extension().is_some_and(|ending| endings.iter().any(|known| ending == *known))
     };
-    let mut files: Vec<PathBuf> =
-        paths.iter().filter(|path| has_ending(path, &["mcap", "db3"])).cloned().collect();
+    let mut files: Vec<PathBuf> = paths.iter().filter(|path| has_ending(path, &["mcap", "db3"])).cloned().collect();
     if files.is_empty() {
         let hint = if paths.iter().any(|path| has_ending(path, &["zstd"])) {
             "its files are compressed as a whole: expected them decompressed, as by `zstd -d FILE`"

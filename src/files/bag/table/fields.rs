@@ -8,6 +8,9 @@ use crate::files::bag::definition::{Kind, ROOT, Types};
 use crate::files::bag::interfaces;
 use crate::files::bag::path::{Path, fields_named};
 
+/// Largest time, ns: 200 years, of which two can be subtracted.
+const TIME_MAX_NS: i128 = i64::MAX as i128 / 2 - 1;
+
 /// Where a message's time is.
 pub(super) enum Stamp {
     /// Seconds, and nanoseconds of the second.
@@ -35,14 +38,20 @@ impl Stamp {
             return Ok(Self::Time([sec, nanosec]));
         }
         if !is_number(&path) || path.is_of_each() {
-            return Err(format!("{field} is no time: expected a field of builtin_interfaces/Time, a number, or log (--columns time=)"));
+            return Err(format!(
+                "{field} is no time: expected a field of builtin_interfaces/Time, a number, or log (--columns time=)"
+            ));
         }
         let unit_ns = match unit {
             Some("s") => 1e9,
             Some("ms") => 1e6,
             Some("us") => 1e3,
             Some("ns") => 1.0,
-            _ => return Err(format!("{field} has no unit: expected --columns time={field}:s with the right one of s, ms, us, ns")),
+            _ => {
+                return Err(format!(
+                    "{field} has no unit: expected --columns time={field}:s with the right one of s, ms, us, ns"
+                ));
+            }
         };
         Ok(Self::Number(path, unit_ns))
     }
@@ -53,14 +62,15 @@ impl Stamp {
             Value::Whole(whole) => Ok(whole),
             _ => Err(CdrError::Cut),
         };
-        Ok(match self {
-            Self::Log => log_ns,
-            Self::Time([sec, nanosec]) => (whole(sec)? * 1_000_000_000 + whole(nanosec)?) as i64,
+        let time_ns = match self {
+            Self::Log => log_ns.into(),
+            Self::Time([sec, nanosec]) => whole(sec)? * 1_000_000_000 + whole(nanosec)?,
             Self::Number(path, unit_ns) => match one(types, message, path)? {
-                Value::Whole(whole) => (whole * *unit_ns as i128).clamp(i64::MIN.into(), i64::MAX.into()) as i64,
-                value => (value.number() * unit_ns) as i64,
+                Value::Whole(whole) => whole * *unit_ns as i128,
+                value => (value.number() * unit_ns) as i128,
             },
-        })
+        };
+        Ok(time_ns.clamp(-TIME_MAX_NS, TIME_MAX_NS) as i64)
     }
 }
 
@@ -119,7 +129,9 @@ impl Measures {
             let found = match (map.given(key), by_type(key)) {
                 (Some((field, _)), None) if is_known => number_of(types, field).ok(),
                 (Some((field, _)), None) => Some(number_of(types, field)?),
-                (Some((field, _)), Some(known)) => Some(number_of(types, field).or_else(|problem| number_of(types, known).map_err(|_| problem))?),
+                (Some((field, _)), Some(known)) => {
+                    Some(number_of(types, field).or_else(|problem| number_of(types, known).map_err(|_| problem))?)
+                }
                 (None, Some(known)) => Some(number_of(types, known)?),
                 (None, None) => None,
             };
@@ -132,7 +144,8 @@ impl Measures {
             let fields = if fields.is_empty() { String::new() } else { format!(", as {}", fields.join(", ")) };
             return Err(format!("{type_name} has no known field of a range: expected --field with one{fields}"));
         }
-        let is_own_range = is_range && matches!(range, Some(Number::Field(path)) if Some(path) == Path::parse(types, "range").as_ref().ok());
+        let is_own_range = is_range
+            && matches!(range, Some(Number::Field(path)) if Some(path) == Path::parse(types, "range").as_ref().ok());
         let limits = ["min_range", "max_range"].map(|name| Path::parse(types, name).ok());
         let limits = match limits {
             [Some(least), Some(most)] if is_own_range => Some([least, most]),
@@ -248,7 +261,8 @@ impl Number {
             Self::Direction([x, y]) => all(x)?.into_iter().zip(all(y)?).map(|(x, y)| y.atan2(x)).collect(),
             Self::Orientation([x, y, z, w]) => {
                 let (x, y, z, w) = (all(x)?, all(y)?, all(z)?, all(w)?);
-                let turn = |index: usize| Some(yaw_rad([*x.get(index)?, *y.get(index)?, *z.get(index)?, *w.get(index)?]));
+                let turn =
+                    |index: usize| Some(yaw_rad([*x.get(index)?, *y.get(index)?, *z.get(index)?, *w.get(index)?]));
                 (0..x.len()).filter_map(turn).collect()
             }
         })
@@ -303,7 +317,8 @@ fn texts(types: &Types, message: &[u8], path: &Path) -> Result<Vec<String>, CdrE
 pub(super) fn measured(types: &Types) -> Vec<String> {
     fields_named(types, &|name| {
         let name = name.to_ascii_lowercase();
-        let base = ["_m", "_cm", "_mm", "_rad", "_deg"].iter().find_map(|unit| name.strip_suffix(unit)).unwrap_or(&name);
+        let base =
+            ["_m", "_cm", "_mm", "_rad", "_deg"].iter().find_map(|unit| name.strip_suffix(unit)).unwrap_or(&name);
         let base = base.strip_suffix('s').unwrap_or(base);
         let is_limit = ["min_", "max_"].iter().any(|start| name.starts_with(start));
         !is_limit && ["range", "dist", "distance", "ranging", "bearing"].iter().any(|known| base.ends_with(known))
@@ -338,9 +353,10 @@ impl Place {
 
     fn at(types: &Types, path: &Path) -> Option<Self> {
         let then = |field: &str| path.then(types, field).ok().filter(is_number);
-        let (position, orientation) = [("pose.position", "pose.orientation"), ("position", "orientation"), ("translation", "rotation"), ("", "")]
-            .into_iter()
-            .find(|(position, _)| then(&dotted(position, "x")).is_some())?;
+        let (position, orientation) =
+            [("pose.position", "pose.orientation"), ("position", "orientation"), ("translation", "rotation"), ("", "")]
+                .into_iter()
+                .find(|(position, _)| then(&dotted(position, "x")).is_some())?;
         let axis = |name: &str| then(&dotted(position, name));
         let turn = |name: &str| then(&dotted(orientation, name));
         let orientation = match ["x", "y", "z", "w"].map(turn) {
@@ -368,9 +384,11 @@ impl Place {
         }
         let mut stds = [f64::NAN; 2];
         if let Some([xx, yy, turn]) = &self.covariance {
-            let [xx_m2, yy_m2, turn_rad2] = [number(types, message, xx)?, number(types, message, yy)?, number(types, message, turn)?];
+            let [xx_m2, yy_m2, turn_rad2] =
+                [number(types, message, xx)?, number(types, message, yy)?, number(types, message, turn)?];
             // 0 stands for unknown as well as for exact.
-            stds = [0.5 * (xx_m2 + yy_m2), turn_rad2].map(|variance| if variance > 0.0 { variance.sqrt() } else { f64::NAN });
+            stds = [0.5 * (xx_m2 + yy_m2), turn_rad2]
+                .map(|variance| if variance > 0.0 { variance.sqrt() } else { f64::NAN });
         }
         let [position_std_m, heading_std_rad] = stds;
         let fix = Fix { time_ns, position_m: [x_m, y_m, z_m], heading_rad, position_std_m, heading_std_rad };

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::io::Read;
 
-use super::{BagTable, NUMBERS, RANGE, Row};
+use super::{BagTable, Row};
 
 /// Bytes made at once.
 const CHUNK: usize = 1 << 16;
@@ -55,11 +55,9 @@ impl<'a> Text<'a> {
         for (index, _) in numbers {
             let number = row.numbers[*index];
             made.push(',');
-            if number.is_finite() {
+            // An infinite one is a bad field, which is counted.
+            if !number.is_nan() {
                 let _ = write!(made, "{number}");
-            } else if *index != RANGE && number.is_infinite() {
-                // A bad field, which is counted.
-                let _ = write!(made, "{number} is no {}", NUMBERS[*index].0);
             }
         }
         made.push('\n');
