@@ -131,6 +131,10 @@ impl BagTable {
                 return Err(Fault::new("a * in --position", hint));
             }
         }
+        if reading.wanted.is_empty() {
+            // The topics are listed.
+            reading.position = None;
+        }
         storage::read(path, &mut reading)?;
         reading.into_table(selection.has_anchors)
     }
@@ -181,14 +185,10 @@ struct ReadTopic {
     name: String,
     types: Types,
     stamp: Stamp,
-    /// The number of the part of its name for which `*` stands.
-    part: u32,
-    what: What,
-}
-
-enum What {
-    Measures(Box<Measures>),
-    Place(Box<Place>),
+    /// Its measurements, and the number of the part of its name for which `*` stands.
+    measures: Option<(Measures, u32)>,
+    /// Its positions, and the number of their part.
+    place: Option<(Place, u32)>,
 }
 
 impl<'a> Reading<'a> {
@@ -229,26 +229,30 @@ impl<'a> Reading<'a> {
         })
     }
 
-    fn what(&mut self, topic: &Topic<'_>) -> Result<Option<ReadTopic>, Fault> {
+    /// How a topic is read, if it is one of those that were chosen.
+    fn read_topic(&mut self, topic: &Topic<'_>) -> Result<Option<ReadTopic>, Fault> {
         let name = topic.name;
-        let found = |types, stamp, part, what| ReadTopic { name: name.to_owned(), types, stamp, part, what };
-        let of = |problem: String| Fault::new(format!("the topic {name}"), problem);
-        if let Some((pattern, part)) = self.wanted.iter().find_map(|wanted| Some((wanted, wanted.part(name)?))) {
-            let types = self.types(topic)?;
-            let part = pattern.has_star().then_some(part);
-            let stamp = Stamp::of(&types, self.map).map_err(of)?;
-            let measures = Measures::of(&types, name, topic.type_name, part, self.map).map_err(of)?;
-            let part = self.parts.number(part.unwrap_or_default());
-            return Ok(Some(found(types, stamp, part, What::Measures(Box::new(measures)))));
+        let wanted = self.wanted.iter().find_map(|wanted| Some((wanted.has_star(), wanted.part(name)?)));
+        let position = self.position.as_ref();
+        let position = position.and_then(|position| Some((position.field.as_deref(), position.topic.part(name)?)));
+        if wanted.is_none() && position.is_none() {
+            return Ok(None);
         }
-        let Some(TopicField { topic: pattern, field }) = &self.position else { return Ok(None) };
-        let Some(part) = pattern.part(name) else { return Ok(None) };
         let types = self.types(topic)?;
-        let place = Place::of(&types, field.as_deref()).map_err(of)?;
-        // Positions have the stamps of their own type.
-        let stamp = Stamp::of(&types, &ColumnMap::default()).map_err(of)?;
-        let part = self.parts.number(part);
-        Ok(Some(found(types, stamp, part, What::Place(Box::new(place)))))
+        let of = |problem: String| Fault::new(format!("the topic {name}"), problem);
+        // The user's time is that of measurements.
+        let none = ColumnMap::default();
+        let stamp = Stamp::of(&types, if wanted.is_some() { self.map } else { &none }).map_err(of)?;
+        let measures = wanted.map(|(has_star, part)| {
+            Measures::of(&types, topic, has_star.then_some(part), self.map).map(|measures| (measures, part)).map_err(of)
+        });
+        let place = position
+            .map(|(field, part)| Place::of(&types, field).map(|place| (place, part)).map_err(of))
+            .transpose()?;
+        let (measures, parts) = (measures.transpose()?, &mut self.parts);
+        let measures = measures.map(|(measures, part)| (measures, parts.number(part)));
+        let place = place.map(|(place, part)| (place, parts.number(part)));
+        Ok(Some(ReadTopic { name: name.to_owned(), types, stamp, measures, place }))
     }
 
     /// Refuses a bag without the topics that were chosen.
@@ -283,66 +287,71 @@ impl<'a> Reading<'a> {
         Ok(())
     }
 
-    fn into_table(mut self, has_anchors: bool) -> Result<BagTable, Fault> {
-        if self.wanted.is_empty() {
-            self.position = None;
-        }
+    /// The measurements that were read, as a table.
+    fn into_table(self, has_anchors: bool) -> Result<BagTable, Fault> {
         self.check_topics()?;
         let Self { rows, fixes, read, map, sensors, targets, position, .. } = self;
-        let topics = || {
-            let measured = read.iter().filter(|topic| matches!(topic.what, What::Measures(_)));
-            measured.map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ")
-        };
+        let measured: Vec<&ReadTopic> = read.iter().filter(|topic| topic.measures.is_some()).collect();
+        let names = || measured.iter().map(|topic| topic.name.as_str()).collect::<Vec<_>>().join(", ");
         if rows.is_empty() {
-            return Err(Fault::new(
-                format!("no measurement on {}", topics()),
-                "expected messages with ranges or bearings",
-            ));
+            let hint = "expected messages with ranges or bearings";
+            return Err(Fault::new(format!("no measurement on {}", names()), hint));
         }
         if rows.iter().all(|row| row.time_ns == 0) && rows.len() > 1 {
             let hint = "expected stamps: for the time of recording, type --columns time=log";
-            return Err(Fault::new(format!("stamps that are never set on {}", topics()), hint));
+            return Err(Fault::new(format!("stamps that are never set on {}", names()), hint));
         }
         let mut rows = in_order(rows);
         if let Some(position) = &position {
             place(&mut rows, fixes, !position.topic.has_star());
         }
-        let is_used = |index: &usize| {
-            map.given(NUMBERS[*index].0).is_some() || rows.iter().any(|row| !row.numbers[*index].is_nan())
-        };
-        let mut columns: Vec<usize> = (0..NUMBERS.len()).filter(is_used).collect();
-        if position.is_some() {
-            columns.extend([X, X + 1].into_iter().filter(|index| !columns.contains(index)).collect::<Vec<_>>());
-        }
-        let name = |key: &str, own: &str| map.given(key).map_or(own, |(column, _)| column).to_owned();
-        let target = if map.given("target").is_some() { name("target", "") } else { String::new() };
-        let names = [name("time", "time_s"), name("sensor", "sensor_id"), target];
+        let is_place = |index: usize| position.is_some() && (X..X + 2).contains(&index);
+        let has_any = |index: usize| rows.iter().any(|row| !row.numbers[index].is_nan());
+        let is_used = |index: &usize| map.given(NUMBERS[*index].0).is_some() || is_place(*index) || has_any(*index);
+        let name = |(key, own): (&str, &str)| map.given(key).map_or(own, |(column, _)| column).to_owned();
         let numbers: Vec<(usize, String)> =
-            columns.iter().map(|index| (*index, name(NUMBERS[*index].0, NUMBERS[*index].1))).collect();
-        let are_metres = read.iter().all(|topic| match &topic.what {
-            What::Measures(measures) => measures.is_range_in_m,
-            What::Place(_) => true,
-        });
-        let is_direction =
-            read.iter().any(|topic| matches!(&topic.what, What::Measures(measures) if measures.is_direction));
-        let mut words = Vec::new();
-        for key in ["time", "sensor", "target"].into_iter().chain(NUMBERS.map(|(key, _)| key)) {
-            let Some((column, unit)) = map.given(key) else { continue };
-            let unit = match key {
-                "time" => Some("s"),
-                "range" if are_metres => unit.or(Some("m")),
-                "bearing" if is_direction => unit.or(Some("rad")),
-                _ => unit,
-            };
-            words.push(format!("{key}={column}{}", unit.map_or(String::new(), |unit| format!(":{unit}"))));
-        }
-        if has_anchors && map.given("bearing").is_none() && columns.contains(&BEARING) {
-            words.push(format!("bearing={}:rad", NUMBERS[BEARING].1));
-        }
-        let of_map = |error| Fault::new("columns that cannot be read", format!("expected --columns: {error}"));
-        let map = if words.is_empty() { ColumnMap::default() } else { words.join(",").parse().map_err(of_map)? };
+            (0..NUMBERS.len()).filter(is_used).map(|index| (index, name(NUMBERS[index]))).collect();
+        let names = [name(("time", "time_s")), name(("sensor", "sensor_id")), name(("target", ""))];
+        let has_bearing = numbers.iter().any(|(index, _)| *index == BEARING);
+        let measures = measured.iter().filter_map(|topic| topic.measures.as_ref()).map(|(measures, _)| measures);
+        let map = with_units(map, measures, has_anchors && has_bearing)?;
         Ok(BagTable { rows, sensors: sensors.texts, targets: targets.texts, names, numbers, map })
     }
+}
+
+/// The user's columns with the units that the types tell. Beside anchors the bearing is named, so that the table is not taken for
+/// one with a column for each anchor.
+fn with_units<'a>(
+    map: &ColumnMap,
+    measures: impl Iterator<Item = &'a Measures> + Clone,
+    names_bearing: bool,
+) -> Result<ColumnMap, Fault> {
+    let units = |index: usize| {
+        let mut units = measures.clone().filter_map(|measures| measures.unit(index));
+        let first = units.next().flatten();
+        first.filter(|_| units.all(|unit| unit == first))
+    };
+    let with_unit = |key: &str, column: &str, unit: Option<&str>| {
+        format!("{key}={column}{}", unit.map_or(String::new(), |unit| format!(":{unit}")))
+    };
+    let mut words = Vec::new();
+    for (key, known) in [("time", Some("s")), ("sensor", None), ("target", None)] {
+        words.extend(map.given(key).map(|(column, _)| with_unit(key, column, known)));
+    }
+    for (index, (key, own)) in NUMBERS.into_iter().enumerate() {
+        match map.given(key) {
+            Some((column, unit)) => words.push(with_unit(key, column, unit.or_else(|| units(index)))),
+            None if index == BEARING && names_bearing => words.push(with_unit(key, own, Some("rad"))),
+            None => {}
+        }
+    }
+    if words.is_empty() {
+        return Ok(ColumnMap::default());
+    }
+    words
+        .join(",")
+        .parse()
+        .map_err(|error| Fault::new("columns that cannot be read", format!("expected --columns: {error}")))
 }
 
 impl Sink for Reading<'_> {
@@ -358,13 +367,13 @@ impl Sink for Reading<'_> {
         let fields = self.types(&topic).map(|types| fields::measured(&types)).unwrap_or_default();
         let fields = if fields.is_empty() { String::new() } else { format!(": {}", fields.join(", ")) };
         self.topics.insert(topic.name.to_owned(), format!("{}{fields}", topic.type_name));
-        let Some(read) = self.what(&topic)? else { return Ok(None) };
+        let Some(read) = self.read_topic(&topic)? else { return Ok(None) };
         self.read.push(read);
         Ok(Some(self.read.len() - 1))
     }
 
     fn message(&mut self, topic: usize, log_ns: i64, message: &[u8]) -> Result<(), Fault> {
-        let Some(ReadTopic { name, types, stamp, part, what }) = self.read.get(topic) else { return Ok(()) };
+        let Some(ReadTopic { name, types, stamp, measures, place }) = self.read.get(topic) else { return Ok(()) };
         let damaged = |error: CdrError| {
             if message.starts_with(ZSTD_MAGIC) {
                 let hint = "expected a bag without compression of messages, as `ros2 bag convert` makes it";
@@ -374,31 +383,27 @@ impl Sink for Reading<'_> {
         };
         let time_ns = stamp.read(types, message, log_ns).map_err(damaged)?;
         let too_many = |what: &str| Fault::new(format!("too many {what}"), format!("expected at most {ROWS_MAX}"));
-        match what {
-            What::Place(place) => {
-                self.fix_count += 1;
-                if self.fix_count > ROWS_MAX {
-                    return Err(too_many("positions"));
-                }
-                let fix = place.read(types, message, time_ns).map_err(damaged)?;
-                self.fixes.entry(*part).or_default().extend(fix);
+        if let Some((place, part)) = place {
+            self.fix_count += 1;
+            if self.fix_count > ROWS_MAX {
+                return Err(too_many("positions"));
             }
-            What::Measures(measures) => {
-                let found = measures.read(types, message).map_err(damaged)?;
-                if let Some(problem) = found.problem() {
-                    return Err(Fault::new(
-                        format!("{problem} on {name}"),
-                        "expected one value for all measurements of a message, or one for each",
-                    ));
-                }
-                if self.rows.len() + found.count > ROWS_MAX {
-                    return Err(too_many("measurements"));
-                }
-                for index in 0..found.count {
-                    let sensor = self.sensors.number(&found.sensor(index));
-                    let target = self.targets.number(&found.target(index));
-                    self.rows.push(Row { time_ns, sensor, target, part: *part, numbers: found.numbers(index) });
-                }
+            let fix = place.read(types, message, time_ns).map_err(damaged)?;
+            self.fixes.entry(*part).or_default().extend(fix);
+        }
+        if let Some((measures, part)) = measures {
+            let found = measures.read(types, message).map_err(damaged)?;
+            if let Some(problem) = found.problem() {
+                let hint = "expected one value for all measurements of a message, or one for each";
+                return Err(Fault::new(format!("{problem} on {name}"), hint));
+            }
+            if self.rows.len() + found.count > ROWS_MAX {
+                return Err(too_many("measurements"));
+            }
+            for index in 0..found.count {
+                let sensor = self.sensors.number(&found.sensor(index));
+                let target = self.targets.number(&found.target(index));
+                self.rows.push(Row { time_ns, sensor, target, part: *part, numbers: found.numbers(index) });
             }
         }
         Ok(())

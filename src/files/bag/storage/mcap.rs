@@ -13,6 +13,9 @@ use crate::files::bag::Fault;
 use crate::files::records::{Fields, read as read_some};
 use crate::files::zstd::ZstdDecoder;
 
+/// Longest record of a small file.
+const RECORD_LEN_SMALL: u64 = 8 << 20;
+
 /// Longest record: a large image.
 const RECORD_LEN_MAX: u64 = 256 << 20;
 
@@ -27,7 +30,7 @@ const READ_LEN_MAX: usize = 1 << 16;
 /// # Errors
 /// [`Fault`].
 pub fn read(mut input: impl Read, len: u64, sink: &mut impl Sink) -> Result<(), Fault> {
-    let record_len_max = len.saturating_mul(EXPANSION_MAX).min(RECORD_LEN_MAX) as usize;
+    let record_len_max = len.saturating_mul(EXPANSION_MAX).clamp(RECORD_LEN_SMALL, RECORD_LEN_MAX) as usize;
     let options =
         LinearReaderOptions::default().with_validate_chunk_crcs(true).with_record_length_limit(record_len_max);
     let mut reader = LinearReader::new_with_options(options);

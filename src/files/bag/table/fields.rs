@@ -7,6 +7,7 @@ use crate::files::bag::cdr::{self, CdrError, Value};
 use crate::files::bag::definition::{Kind, ROOT, Types};
 use crate::files::bag::interfaces;
 use crate::files::bag::path::{Path, fields_named};
+use crate::files::bag::storage::Topic;
 
 /// Largest time, ns: 200 years, of which two can be subtracted.
 const TIME_MAX_NS: i128 = i64::MAX as i128 / 2 - 1;
@@ -99,18 +100,15 @@ pub(super) struct Measures {
     numbers: [Option<Number>; NUMBERS.len()],
     /// Least and greatest range.
     limits: Option<[Path; 2]>,
-    /// The range is in metres by its type, or there is none.
-    pub(super) is_range_in_m: bool,
-    /// The bearing is the direction of a vector or an orientation.
-    pub(super) is_direction: bool,
+    /// The units of the numbers, if their types tell them.
+    units: [Option<&'static str>; NUMBERS.len()],
 }
 
 impl Measures {
     /// The fields that the user chose, else those that the type is known for.
     pub(super) fn of(
         types: &Types,
-        topic: &str,
-        type_name: &str,
+        &Topic { name: topic, type_name, .. }: &Topic<'_>,
         part: Option<&str>,
         map: &ColumnMap,
     ) -> Result<Self, String> {
@@ -124,10 +122,12 @@ impl Measures {
         // Of several topics, one may have the ranges and another the bearings.
         let is_known = by_type("range").or(by_type("bearing")).is_some();
         let mut numbers = [const { None }; NUMBERS.len()];
-        let mut is_direction = false;
-        for (number, (key, _)) in numbers.iter_mut().zip(NUMBERS) {
+        let mut units = [None; NUMBERS.len()];
+        for ((number, unit), (key, _)) in numbers.iter_mut().zip(&mut units).zip(NUMBERS) {
             let found = match (map.given(key), by_type(key)) {
-                (Some((field, _)), None) if is_known => number_of(types, field).ok(),
+                (Some((field, _)), None) if is_known && ["range", "bearing"].contains(&key) => {
+                    number_of(types, field).ok()
+                }
                 (Some((field, _)), None) => Some(number_of(types, field)?),
                 (Some((field, _)), Some(known)) => {
                     Some(number_of(types, field).or_else(|problem| number_of(types, known).map_err(|_| problem))?)
@@ -135,7 +135,11 @@ impl Measures {
                 (None, Some(known)) => Some(number_of(types, known)?),
                 (None, None) => None,
             };
-            is_direction |= key == "bearing" && matches!(found, Some(Number::Direction(_) | Number::Orientation(_)));
+            *unit = match (&found, map.given(key)) {
+                (Some(Number::Direction(_) | Number::Orientation(_)), _) => Some("rad"),
+                (Some(Number::Field(_)), Some((field, _))) => unit_in_name(field),
+                _ => None,
+            };
             *number = found;
         }
         let [range, bearing, ..] = &numbers;
@@ -166,8 +170,15 @@ impl Measures {
             },
         };
         let target = map.given("target").map(|(field, _)| text_of(types, field)).transpose()?;
-        let is_range_in_m = is_own_range || range.is_none();
-        Ok(Self { sensor, target, numbers, limits, is_range_in_m, is_direction })
+        if is_own_range {
+            units[RANGE] = Some("m");
+        }
+        Ok(Self { sensor, target, numbers, limits, units })
+    }
+
+    /// The unit of a number that its type tells; `None` if there is no such number.
+    pub(super) fn unit(&self, index: usize) -> Option<Option<&'static str>> {
+        self.numbers.get(index)?.as_ref().and(self.units.get(index).copied())
     }
 
     /// The measurements of a message.
@@ -283,6 +294,13 @@ fn number_of(types: &Types, field: &str) -> Result<Number, String> {
         [Some(x), Some(y), ..] => Ok(Number::Direction([x, y])),
         _ => Err(format!("{field} is no number: expected a field of numbers")),
     }
+}
+
+/// The unit at the end of a field's name, as in `distances_m[]`.
+fn unit_in_name(field: &str) -> Option<&'static str> {
+    let last = field.rsplit('.').next()?;
+    let (_, unit) = last.split('[').next()?.rsplit_once('_')?;
+    ["m", "cm", "mm", "rad", "deg"].into_iter().find(|known| unit.eq_ignore_ascii_case(known))
 }
 
 fn text_of(types: &Types, field: &str) -> Result<Path, String> {
