@@ -21,6 +21,7 @@
 //! | `processes::resources` | full disks, lost folders, no shared memory, few open files: a clear line, and the run continues if possible |
 //! | `processes::strangers` | other users and other versions: refused in a clear line |
 //! | `recordings` | recorded ranges, ours and (where they lie beside the project) real ones |
+//! | `recordings::bags` | ROS 2 bags: of our runs and of others, each flag, damaged ones |
 //! | `recordings::believed` | the credibility of a recording: verdicts, and the findings of `calibrate` |
 //! | `recordings::intake` | input of a recording into a run: pipes, the copy in the run folder, names, a known start |
 //! | `results::bearings` | runs with bearings and uncertain robots: their report, and the run as a recording |

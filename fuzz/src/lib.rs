@@ -17,6 +17,9 @@ use std::sync::LazyLock;
 use clap::Parser;
 use rangehound::cli::{Cli, one_line};
 use rangehound::failure::one_short_line;
+use rangehound::files::bag::cdr;
+use rangehound::files::bag::definition::Types;
+use rangehound::files::bag::path::{Path as FieldPath, fields_named};
 use rangehound::files::{calibration, input};
 use rangehound::plan::line::LineSolver;
 use rangehound::results::curves::CurvesBuilder;
@@ -36,7 +39,7 @@ use rangehound_shared::radio::log::{LogOptions, read_log};
 use rangehound_shared::radio::{self, Format, RadioRange, StampUnit};
 use rangehound_shared::recording::{Anchors, ColumnMap, ReadOptions, Recording};
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{PlannerSpec, PlannerTable, Scenario, ScenarioFile};
+use rangehound_shared::scenario::{PlannerSpec, PlannerTable, RecordingTable, Scenario, ScenarioFile};
 use rangehound_shared::sealed;
 use rangehound_sim::World;
 use rangehound_sim::playback::Playback;
@@ -329,6 +332,41 @@ pub fn run_files(bytes: &[u8]) -> Verdict {
         let estimate = steps.step(&frame)?;
         let _ = difference(&frame, &estimate, steps.commands());
         let _ = Scene::default().update(&scenario, &frame, 0);
+    }
+    Ok(())
+}
+
+/// A ROS 2 bag, of which ranges, bearings and positions are read.
+pub fn bags(bytes: &[u8]) -> Verdict {
+    let folder = tempfile::tempdir()?;
+    std::fs::write(folder.path().join("hostile.mcap"), bytes)?;
+    let table = |topic: &str, position: Option<&str>, columns: Option<&str>| RecordingTable {
+        ranges: Some("hostile.mcap".to_owned()),
+        topic: Some(topic.to_owned()),
+        position: position.map(str::to_owned),
+        columns: columns.map(str::to_owned),
+        ..RecordingTable::default()
+    };
+    any([
+        table("/robot_*/range,/robot_*/bearing", Some("/robot_*/pose"), None),
+        table("/tf", None, Some("time=log,sensor=transforms[].child_frame_id,range=transforms[].transform.translation.x:m,bearing=transforms[].transform.rotation,x=transforms[].transform.translation.x:m,y=transforms[].transform.translation.y:m")),
+    ]
+    .map(|table| {
+        let (recording, summary) = input::recording_of(&table, "test", folder.path())?;
+        assert!(summary.lines().iter().all(|line| line.lines().count() == 1));
+        let numbers = (0..recording.len()).filter_map(|index| recording.instant(index)).flat_map(|(_, all)| all);
+        assert!(numbers.flat_map(|one| [one.position_m[0], one.position_m[1], one.range_m.unwrap_or(1.0)]).all(f64::is_finite));
+        Ok(())
+    }))
+}
+
+/// The definition of a message type, up to a zero byte, and a message of that type. All fields are read.
+pub fn bag_messages(bytes: &[u8]) -> Verdict {
+    let (definition, message) = bytes.split_at(bytes.iter().position(|byte| *byte == 0).unwrap_or(bytes.len()));
+    let types = Types::parse("hostile_msgs/msg/Hostile", std::str::from_utf8(definition)?)?;
+    let mut values = Vec::new();
+    for path in fields_named(&types, &|_| true) {
+        cdr::read(&types, message.get(1..).unwrap_or_default(), &FieldPath::parse(&types, &path)?, &mut values)?;
     }
     Ok(())
 }

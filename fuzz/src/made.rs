@@ -8,6 +8,7 @@ use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader};
 use rangehound::files::input;
 use rangehound::results::frame::{Frame, Frames};
+use rangehound::results::ros_bag::write::BagWriter;
 use rangehound::results::run_mcap::write::FrameWriter;
 use rangehound::run::in_process;
 use rangehound_fusion::Centre;
@@ -151,6 +152,19 @@ pub fn run_files() -> Vec<Vec<u8>> {
         [with_chunks(&recorded, <[u8]>::to_vec), with_zstd(&recorded), recorded]
     };
     ["paper.toml", "recording/replay.toml"].iter().flat_map(kinds).collect()
+}
+
+/// Bags of runs with ranges, with bearings and of a recording. The messages are in no chunk, where damage reaches them.
+#[must_use]
+pub fn bags() -> Vec<Vec<u8>> {
+    let bag = |file: &&str| {
+        let (description, frames) = frames(file, 3);
+        let out = std::io::Cursor::new(Vec::new());
+        let mut writer = BagWriter::begin(out, &description.scenario, u64::MAX).unwrap();
+        frames.iter().for_each(|frame| _ = writer.write(frame).unwrap());
+        with_chunks(&writer.finish().unwrap().0.into_inner(), <[u8]>::to_vec)
+    };
+    ["paper.toml", "mixed_sensors.toml", "recording/replay.toml"].iter().map(bag).collect()
 }
 
 /// The frames of a run in one process, and the run's description.

@@ -14,7 +14,7 @@ from .runs import Run
 from .scenario import Scenario, to_json
 
 #: Keys of the table `[recording]` that say how a file is read.
-_READING = ("columns", "anchors", "target", "format", "rate_hz", "stamp_unit", "strict", "target_height_m")
+_READING = ("columns", "topic", "position", "msg", "anchors", "target", "format", "rate_hz", "stamp_unit", "strict", "target_height_m")
 
 
 class Calibration:
@@ -97,7 +97,7 @@ def calibrate(
     """Noise, bias and scale of each sensor of a recording: measured = (1 + scale) true + bias_m.
 
     `ranges` is as for `track`; without `truth` all is estimated from the ranges alone. Keywords say how the file is read:
-    `columns`, `anchors`, `target`, `format`, `rate_hz`, `stamp_unit`, `strict`, `target_height_m`.
+    `columns`, `topic`, `position`, `msg`, `anchors`, `target`, `format`, `rate_hz`, `stamp_unit`, `strict`, `target_height_m`.
     """
     unknown = [key for key in reading if key not in _READING]
     if unknown:

@@ -101,6 +101,7 @@ const WATCH: &str = "Examples:
 const RECORD: &str = "Examples:
   rangehound record --name demo                  a run started by hand
   rangehound record runs/paper                   a run that is over
+  rangehound record runs/paper --ros2 paper-bag  as a ROS 2 bag
 
 Foxglove, Rerun and other readers of MCAP files open the recording.";
 
@@ -210,6 +211,8 @@ const SCENARIO: &str = "Example:
 
 const TRACK: &str = "Examples:
   rangehound track ranges.csv --range-std 0.12
+  rangehound track bag --topic /uwb/range --anchors anchors.csv
+                                                 a ROS 2 bag
   rangehound track ranges.csv --range-bias 0.18 --range-bias 105=0.15
   rangehound track ranges.csv --truth truth.csv --json | jq .position_rmse_m";
 

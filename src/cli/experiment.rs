@@ -101,7 +101,7 @@ impl TrackArgs {
             ..ScenarioFile::default()
         };
         let (name, out) = (self.name.as_ref(), self.out.as_deref());
-        let inputs = self.calibration.iter().chain(&self.truth).cloned();
+        let inputs = self.calibration.iter().chain(&self.truth.truth).cloned();
         let experiment = Experiment::from_recording(file, read, name, out, inputs)?;
         let assumed = [
             (
@@ -135,9 +135,17 @@ impl InputArgs {
     /// [`Failure::Input`] for a path that is not UTF-8.
     pub(super) fn table(&self) -> Result<RecordingTable, Failure> {
         let anchors = self.anchors.as_deref().map(|path| in_utf8("--anchors", path)).transpose()?;
+        let columns = match (&self.field, &self.columns) {
+            (Some(field), Some(columns)) => Some(format!("range={field},{columns}")),
+            (Some(field), None) => Some(format!("range={field}")),
+            (None, columns) => columns.clone(),
+        };
         Ok(RecordingTable {
             ranges: Some(in_utf8("RANGES", &self.ranges)?.to_owned()),
-            columns: self.columns.clone(),
+            columns,
+            topic: self.topic.clone(),
+            position: self.position.clone(),
+            msg: (!self.msg.is_empty()).then(|| self.msg.clone()),
             anchors: anchors.map(str::to_owned),
             target: self.target.clone(),
             format: self.format.clone(),

@@ -9,7 +9,7 @@
 //! | `study` | commands that measure and compare |
 //! | `shell`, [`complete`] | for the shell: completions, names, manual pages |
 //! | `experiment` | from flags to a scenario file |
-//! | `input` | flags for reading a recording |
+//! | `input` | flags for reading a recording and a true track |
 //! | `values` | the values of flags |
 //! | `examples` | the examples in `--help` and the manual |
 
@@ -30,7 +30,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::terminal;
 pub use hosts::{GatewayArgs, KeysArgs};
-pub use input::InputArgs;
+pub use input::{InputArgs, TruthArgs};
 pub use node::{FusionArgs, LatencyNodeArgs, NodeArgs, ParentArgs, RobotArgs, SimArgs};
 pub use observe::{LiveArgs, RecordArgs, RemoteArgs, RemoteNodeArgs, ReplayArgs, StatusArgs, WatchArgs};
 pub use run::{

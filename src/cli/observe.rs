@@ -12,7 +12,8 @@ use super::{GateArgs, NodeArgs, RecordLimitArgs, ShowArgs};
 use crate::failure::Failure;
 use crate::live;
 use crate::run::node::end_with;
-use crate::run::{recorder, remote, status, watch};
+use crate::run::recorder::{self, Out};
+use crate::run::{remote, status, watch};
 use crate::study::replay::{self, Changes, Show, repair};
 
 /// `watch`.
@@ -52,6 +53,9 @@ pub struct RecordArgs {
     /// File to write [default: run.mcap in the run folder]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Write a ROS 2 bag (rosbag2, MCAP) to this new folder instead
+    #[arg(long, value_name = "BAG", conflicts_with = "out")]
+    pub ros2: Option<PathBuf>,
     /// Its largest size
     #[command(flatten)]
     pub limit: RecordLimitArgs,
@@ -154,7 +158,12 @@ impl RecordArgs {
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
         end_with(self.node.parent.end_with)?;
-        let (out, bytes_max) = (self.out.as_deref(), recorder::bytes(self.limit.limit_mb));
+        let bytes_max = recorder::bytes(self.limit.limit_mb);
+        let out = match (&self.out, &self.ros2) {
+            (_, Some(folder)) => Out::Bag(folder),
+            (Some(file), None) => Out::File(file),
+            (None, None) => Out::Default,
+        };
         let recorded = match &self.folder {
             Some(folder) => Some(recorder::record_folder(folder, out, bytes_max)?),
             None => recorder::record_run(&self.node.name, out, bytes_max)?,

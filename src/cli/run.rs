@@ -9,11 +9,10 @@ use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::{Clock, GateKey, TimeoutKey};
 
 use super::ParentArgs;
-use super::input::InputArgs;
+use super::input::{InputArgs, TruthArgs};
 use super::values::{CLOCKS, PerSensor, PlannerName, gate, megabytes, number, place, port, standbys, timeout, whole};
 use crate::failure::Failure;
 use crate::results::made::Keep;
-use crate::results::report::Truth;
 use crate::run::experiment::{Experiment, Naming};
 use crate::run::node::end_with;
 use crate::run::pin::Pin;
@@ -123,9 +122,9 @@ pub struct TrackArgs {
     /// The processes, and their restart
     #[command(flatten)]
     pub supervision: SupervisionArgs,
-    /// True track to compare with: CSV with time_s,x_m,y_m; the tracker never reads it
-    #[arg(long, value_name = "FILE")]
-    pub truth: Option<PathBuf>,
+    /// The true track
+    #[command(flatten)]
+    pub truth: TruthArgs,
     /// Run all nodes in this one process, without shared memory
     #[arg(long, conflicts_with_all = ["live", "listen"])]
     pub in_process: bool,
@@ -304,7 +303,7 @@ impl TrackArgs {
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
         // Before the folder is made.
-        let truth = self.truth.as_deref().map(Truth::read).transpose()?;
+        let truth = self.truth.read(&self.input)?;
         let keep = Keep { ranges: false, truth, json: self.json, strict: self.input.strict };
         execute(self.experiment()?, self.in_process, &self.supervision.with(&self.recording), &keep)
     }

@@ -17,12 +17,17 @@ use rangehound_shared::recording::{
 use rangehound_shared::scenario::{RecordingTable, Scenario, ScenarioError, ScenarioFile};
 
 use crate::failure::Failure;
+use crate::files::bag::table::{BagTable, Selection};
+use crate::files::bag::{self, Fault};
 
 /// Stands in errors about flags for the name of the scenario file.
 pub const COMMAND_LINE: &str = "the command line";
 
 /// Longest scenario file, bytes: several times the length of one that lists 1024 robots.
 const SCENARIO_LEN_MAX: usize = 4 << 20;
+
+/// Longest definition of a message type, bytes.
+const DEFINITION_LEN_MAX: usize = 1 << 20;
 
 /// Standard input, as a path.
 const STANDARD_INPUT: &str = "-";
@@ -81,8 +86,80 @@ pub fn recording_of(
         });
     };
     let mut options = table.read_options(file)?;
-    options.anchors = table.anchors_path(folder).map(|path| anchors(&path, &options.columns)).transpose()?;
+    let is_bag = bag::is_bag(&ranges);
+    // In a bag the user's columns are fields of messages, which the file of the anchors does not have.
+    let columns = if is_bag { &ColumnMap::default() } else { &options.columns };
+    options.anchors = table.anchors_path(folder).map(|path| anchors(&path, columns)).transpose()?;
+    if is_bag {
+        return Ok(bag_recording(&ranges, table, folder, options)?);
+    }
+    let of_bag =
+        [("topic", table.topic.is_some()), ("position", table.position.is_some()), ("msg", table.msg.is_some())];
+    if let Some((key, _)) = of_bag.iter().find(|(_, is_given)| *is_given) {
+        return Err(ScenarioError::WrongValue {
+            file: file.to_owned(),
+            key: format!("recording.{key}"),
+            expected: format!("no such key: {} is no ROS 2 bag", ranges.display()),
+            got: "given".to_owned(),
+        });
+    }
     Ok(recording(&ranges, &options)?)
+}
+
+/// Reads the measurements of a bag.
+fn bag_recording(
+    path: &Path,
+    table: &RecordingTable,
+    folder: &Path,
+    mut options: ReadOptions,
+) -> Result<(Recording, ReadSummary), RecordingError> {
+    let definitions = definitions(table.msg.as_deref().unwrap_or_default(), folder)?;
+    let refused = |fault: Fault| RecordingError::of_file(path, fault.wrong, fault.hint);
+    if table.format.is_some() {
+        return Err(refused(Fault::new("a ROS 2 bag", "expected no --format, which is for logs of a radio's port")));
+    }
+    let selection = Selection {
+        topic: table.topic.as_deref(),
+        position: table.position.as_deref(),
+        columns: Some(&options.columns),
+        definitions: &definitions,
+        has_anchors: options.anchors.is_some(),
+    };
+    let read = BagTable::read(path, &selection).map_err(refused)?;
+    options.columns = read.map.clone();
+    let (recording, mut summary) = Recording::parse(read.text(), path, &options)?;
+    // The table's separator is not the user's.
+    let columns = summary.read_as.split_once("; ").map_or("", |(_, columns)| columns);
+    summary.read_as = format!("a ROS 2 bag, topic {}; {columns}", table.topic.as_deref().unwrap_or_default());
+    Ok((recording, summary))
+}
+
+/// Reads a track from a topic of a bag, in order of time. `definitions` are of types that the bag does not define, as
+/// `TYPE=FILE`.
+///
+/// # Errors
+/// [`RecordingError`] for the first fault.
+pub fn bag_track(path: &Path, topic: &str, definitions: &[String]) -> Result<Vec<TrackPoint>, RecordingError> {
+    let definitions = self::definitions(definitions, Path::new(""))?;
+    bag::table::read_track(path, topic, &definitions)
+        .map_err(|fault| RecordingError::of_file(path, fault.wrong, fault.hint))
+}
+
+/// The definitions of message types from files, each given as `TYPE=FILE`.
+fn definitions(given: &[String], folder: &Path) -> Result<Vec<(String, String)>, RecordingError> {
+    let read = |given: &String| {
+        let Some((name, file)) = given.split_once('=') else {
+            let hint = "expected TYPE=FILE, as in my_msgs/msg/Uwb=Uwb.msg";
+            return Err(RecordingError::of_file(Path::new("--msg"), format!("no file, {given:?},"), hint));
+        };
+        let path = folder.join(file);
+        let unreadable = |error: &dyn Display| {
+            RecordingError::of_file(&path, "no definition", format!("expected the fields of a message type: {error}"))
+        };
+        let text = bounded::read(&path, DEFINITION_LEN_MAX).map_err(|error| unreadable(&error))?;
+        Ok((name.to_owned(), String::from_utf8_lossy(&text).into_owned()))
+    };
+    given.iter().map(read).collect()
 }
 
 /// Reads a recording: a file, a pipe, or standard input if the path is `-`.

@@ -53,6 +53,12 @@ pub const TRUTH: &str = "truth.csv";
 /// The whole run in one file.
 pub const RECORDING: &str = "run.mcap";
 
+/// The file of a ROS 2 bag, by its number as rosbag2 has it.
+pub const BAG_FILE: &str = "bag_0.mcap";
+
+/// What rosbag2 reads of a bag first.
+pub const BAG_METADATA: &str = "metadata.yaml";
+
 /// The folder of the nodes' logs.
 pub const LOGS: &str = "logs";
 
@@ -94,6 +100,8 @@ pub enum Kind {
     Latency,
     /// The outcome of a campaign of faults, and the folders of its runs.
     Chaos,
+    /// A run as a ROS 2 bag.
+    Bag,
 }
 
 impl Kind {
@@ -106,6 +114,7 @@ impl Kind {
             Self::Calibrate => "calibrate",
             Self::Latency => "latency",
             Self::Chaos => "chaos",
+            Self::Bag => "bag",
         }
     }
 
@@ -122,6 +131,7 @@ impl Kind {
                 made_first.contains(&name) || results.contains(&name) || checkpoints.iter().any(|it| it == name)
             }
             Self::Calibrate => name == CALIBRATION || name == RESIDUALS,
+            Self::Bag => name == BAG_FILE || name == BAG_METADATA,
             Self::Compare => name == COMPARISON || COMPARISON_PICTURES.contains(&name),
             Self::Latency => {
                 name == LATENCY

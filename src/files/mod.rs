@@ -3,13 +3,18 @@
 //! | module | what |
 //! |---|---|
 //! | [`input`] | scenarios, recordings, anchors, true tracks |
+//! | [`bag`] | ROS 2 bags as recordings and true tracks |
 //! | [`calibration`] | `calibration.toml` |
 //! | [`layout`] | the files in result folders |
 //! | [`out_folder`] | where results may go, and what may be replaced there |
 //! | [`atomic_file`] | files that are complete or absent |
+//! | [`records`], `zstd` | records and chunks of MCAP files |
 
 pub mod atomic_file;
+pub mod bag;
 pub mod calibration;
 pub mod input;
 pub mod layout;
 pub mod out_folder;
+pub mod records;
+pub(crate) mod zstd;

@@ -8,6 +8,7 @@
 //! | [`tables`] | CSV |
 //! | [`curves`], [`page`], [`picture`] | drawings: `report.html`, a picture |
 //! | [`run_mcap`] | the run in one file that viewers open |
+//! | [`ros_bag`] | the run as a ROS 2 bag |
 
 pub mod curves;
 pub mod frame;
@@ -17,5 +18,6 @@ pub mod page;
 pub mod percentiles;
 pub mod picture;
 pub mod report;
+pub mod ros_bag;
 pub mod run_mcap;
 pub mod tables;

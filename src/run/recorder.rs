@@ -16,8 +16,9 @@ use serde::Serialize;
 use crate::failure::{self, Failure};
 use crate::files::layout::RECORDING;
 use crate::files::out_folder;
-use crate::results::frame::{Frames, UNSETTLED_TICKS};
+use crate::results::frame::{Frame, Frames, UNSETTLED_TICKS};
 use crate::results::made;
+use crate::results::ros_bag::folder::BagFolder;
 use crate::results::run_mcap::file::{Poorer, RunFile, unusable};
 use crate::results::run_mcap::write::Written;
 use crate::run::folder;
@@ -36,15 +37,26 @@ pub fn bytes(megabytes: u64) -> u64 {
     megabytes.saturating_mul(1_000_000)
 }
 
+/// Where a run is recorded.
+#[derive(Debug, Clone, Copy)]
+pub enum Out<'a> {
+    /// In `run.mcap` of the run folder.
+    Default,
+    /// In another file of the same form.
+    File(&'a Path),
+    /// In the folder of a ROS 2 bag.
+    Bag(&'a Path),
+}
+
 /// Records a run that is over, from its folder.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Result<Recorded, Failure> {
+pub fn record_folder(folder: &Path, out: Out<'_>, bytes_max: u64) -> Result<Recorded, Failure> {
     let termination = Termination::listen()?;
     let description = folder::read_description(folder)?;
     // A living run writes this recording itself.
-    let _alone = out.is_none().then(|| out_folder::lock_finished(folder)).transpose()?;
+    let _alone = (!matches!(out, Out::File(_))).then(|| out_folder::lock_finished(folder)).transpose()?;
     record_logs(&description, out, bytes_max, &termination)
 }
 
@@ -52,7 +64,7 @@ pub fn record_folder(folder: &Path, out: Option<&Path>, bytes_max: u64) -> Resul
 ///
 /// # Errors
 /// [`Failure`].
-pub fn record_run(name: &RunName, out: Option<&Path>, bytes_max: u64) -> Result<Option<Recorded>, Failure> {
+pub fn record_run(name: &RunName, out: Out<'_>, bytes_max: u64) -> Result<Option<Recorded>, Failure> {
     let termination = Termination::listen()?;
     let rendezvous = node::observe(c"rh-recorder", name, &termination)?;
     rendezvous.map(|rendezvous| follow(&rendezvous.observe(), out, bytes_max, &termination)).transpose()
@@ -97,7 +109,7 @@ impl Recorded {
 /// [`Failure`] if there are none, or the file cannot be written.
 pub fn record_logs(
     description: &RunDescription,
-    out: Option<&Path>,
+    out: Out<'_>,
     bytes_max: u64,
     termination: &Termination,
 ) -> Result<Recorded, Failure> {
@@ -109,7 +121,7 @@ pub fn record_logs(
 /// Records a run until its end, or until asked to end.
 fn follow(
     rendezvous: &Rendezvous,
-    out: Option<&Path>,
+    out: Out<'_>,
     bytes_max: u64,
     termination: &Termination,
 ) -> Result<Recorded, Failure> {
@@ -140,11 +152,59 @@ fn sleep(time: Duration) {
     let _ = nanosleep(&Timespec { tv_sec: time.as_secs().cast_signed(), tv_nsec: time.subsec_nanos().into() });
 }
 
+/// The file or folder in the making.
+enum Growing {
+    File(RunFile),
+    Bag(Box<BagFolder>),
+}
+
+impl Growing {
+    fn write(&mut self, frame: &Frame) -> anyhow::Result<Written> {
+        match self {
+            Self::File(file) => file.write(frame),
+            Self::Bag(bag) => bag.write(frame),
+        }
+    }
+
+    fn flush_if_due(&mut self) -> anyhow::Result<()> {
+        match self {
+            Self::File(file) => file.flush_if_due(),
+            // Without its metadata a bag is of no use before its end.
+            Self::Bag(_) => Ok(()),
+        }
+    }
+
+    fn finish(self) -> anyhow::Result<()> {
+        match self {
+            Self::File(file) => file.finish(),
+            Self::Bag(bag) => bag.finish(),
+        }
+    }
+
+    /// Makes a failure that a restart would not repair: the run continues without a recording.
+    fn unwritable(&self) -> fn(anyhow::Error) -> Failure {
+        match self {
+            Self::File(_) => |error| {
+                let keeps = "`rangehound replay --repair` keeps what was recorded";
+                Failure::input(format!("the recording ends early: {error:#}: {keeps}"))
+            },
+            Self::Bag(_) => |error| Failure::input(format!("the bag cannot be written: {error:#}")),
+        }
+    }
+
+    fn discard(self) {
+        match self {
+            Self::File(file) => file.discard(),
+            Self::Bag(bag) => bag.discard(),
+        }
+    }
+}
+
 /// A recording in the making.
 struct Recorder<'a> {
     description: &'a RunDescription,
     frames: Option<Frames>,
-    file: RunFile,
+    file: Growing,
     path: PathBuf,
     bytes_max: u64,
     /// The next tick to record.
@@ -157,12 +217,20 @@ struct Recorder<'a> {
 }
 
 impl<'a> Recorder<'a> {
-    fn begin(description: &'a RunDescription, out: Option<&Path>, bytes_max: u64) -> Result<Self, Failure> {
-        let path = out.map_or_else(|| description.out_dir.join(RECORDING), Path::to_owned);
-        if path.is_dir() {
+    fn begin(description: &'a RunDescription, out: Out<'_>, bytes_max: u64) -> Result<Self, Failure> {
+        let (path, is_bag) = match out {
+            Out::Default => (description.out_dir.join(RECORDING), false),
+            Out::File(path) => (path.to_owned(), false),
+            Out::Bag(path) => (path.to_owned(), true),
+        };
+        if !is_bag && path.is_dir() {
             return Err(Failure::input(format!("{} is a folder (--out): expected the name of a file", path.display())));
         }
-        let file = RunFile::begin(&path, description, bytes_max).map_err(unusable)?;
+        let file = if is_bag {
+            Growing::Bag(Box::new(BagFolder::begin(&path, description, bytes_max)?))
+        } else {
+            Growing::File(RunFile::begin(&path, description, bytes_max).map_err(unusable)?)
+        };
         Ok(Self {
             description,
             frames: None,
@@ -195,6 +263,7 @@ impl<'a> Recorder<'a> {
                 self.advance()?;
             }
         }
+        let unwritable = self.file.unwritable();
         self.file.flush_if_due().map_err(unwritable)
     }
 
@@ -229,7 +298,7 @@ impl<'a> Recorder<'a> {
         let tick = self.next;
         let Some(frames) = &mut self.frames else { return Ok(()) };
         match frames.at(tick)? {
-            Some(frame) => match self.file.write(&frame).map_err(unwritable)? {
+            Some(frame) => match self.file.write(&frame).map_err(self.file.unwritable())? {
                 Written::Taken => self.last = Some(tick),
                 Written::Full => {
                     let limit_mb = self.bytes_max / 1_000_000;
@@ -259,6 +328,7 @@ impl<'a> Recorder<'a> {
             file.discard();
             log::warn!("no recording {}: the run has left no logs", path.display());
         } else {
+            let unwritable = file.unwritable();
             file.finish().map_err(|error| match error.downcast::<Poorer>() {
                 Ok(poorer) => Failure::input(poorer),
                 Err(error) => unwritable(error),
@@ -273,9 +343,4 @@ impl<'a> Recorder<'a> {
             is_full,
         })
     }
-}
-
-/// A failure that a restart would not repair: the run continues without a recording.
-fn unwritable(error: anyhow::Error) -> Failure {
-    Failure::input(format!("the recording ends early: {error:#}: `rangehound replay --repair` keeps what was recorded"))
 }

@@ -197,11 +197,10 @@ fn commands(script: &str) -> impl Iterator<Item = Vec<String>> {
     })
 }
 
-/// A flag must belong to the program, the driver or a script.
+/// A flag must belong to the program or the driver.
 #[test]
 fn flags_that_are_named_exist() {
-    let [driver, script] = ["node/examples/serial_range.rs", "tools/bag_to_csv.py"]
-        .map(|path| std::fs::read_to_string(root().join(path)).unwrap());
+    let driver = std::fs::read_to_string(root().join("node/examples/serial_range.rs")).unwrap();
     let command = cli::command();
     let of_command = |command: &clap::Command, flag: &str| {
         flag == "help" || command.get_arguments().any(|argument| argument.get_long() == Some(flag))
@@ -209,7 +208,6 @@ fn flags_that_are_named_exist() {
     let of_any = |flag: &str| {
         command.get_subcommands().any(|command| of_command(command, flag))
             || driver.contains(&format!("    {}: ", flag.replace('-', "_")))
-            || script.contains(&format!("\"--{flag}\""))
     };
     let mut faults = Vec::new();
     for page in pages() {

@@ -61,6 +61,8 @@ attacks! {
     tick_logs: 2_000, made::tick_logs();
     run_files: 4_000, made::run_files();
     radio_logs: 10_000, vec![];
+    bags: 2_000, made::bags();
+    bag_messages: 20_000, vec![];
 }
 
 fn attack(name: &str, cases: u32, mut taken: Vec<Vec<u8>>, target: fn(&[u8]) -> Verdict) {

@@ -110,7 +110,9 @@ impl RecordingError {
         Self::new(file, Problem::Unreadable(error.to_string()))
     }
 
-    pub(super) fn of_file(file: &Path, wrong: impl Into<String>, hint: impl Into<String>) -> Self {
+    /// A fault of the file itself: what is wrong, and what was expected.
+    #[must_use]
+    pub fn of_file(file: &Path, wrong: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::new(file, Problem::File { wrong: wrong.into(), hint: hint.into() })
     }
 }

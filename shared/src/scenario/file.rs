@@ -255,6 +255,12 @@ pub struct RecordingTable {
     pub anchors: Option<String>,
     /// The target to read, if a log has several.
     pub target: Option<String>,
+    /// The topics of a ROS 2 bag that have measurements: `/uwb/range`, `/robot_*/range,/robot_*/bearing`.
+    pub topic: Option<String>,
+    /// The topic of a ROS 2 bag that has the sensors' positions, and their field: `/odom`, `/robot_*/pose:pose.pose`.
+    pub position: Option<String>,
+    /// Message types that a bag does not define, each with the file of its definition: `my_msgs/msg/Uwb=Uwb.msg`.
+    pub msg: Option<Vec<String>>,
     /// The radio's format, if the file is a log of its port.
     pub format: Option<String>,
     /// Reports per second of such a log, if it has no stamps.

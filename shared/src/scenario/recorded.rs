@@ -138,7 +138,8 @@ impl RecordingTable {
     /// Files that are read besides the scenario itself.
     pub fn inputs(&self, folder: &Path) -> impl Iterator<Item = PathBuf> {
         let ranges = self.ranges_path(folder).filter(|path| path != Path::new("-"));
-        ranges.into_iter().chain(self.anchors_path(folder))
+        let definitions = self.msg.iter().flatten().filter_map(|given| Some(folder.join(given.split_once('=')?.1)));
+        ranges.into_iter().chain(self.anchors_path(folder)).chain(definitions.collect::<Vec<_>>())
     }
 
     /// The table for the run folder's copy of the recording, without the options for the original's form.
@@ -149,6 +150,9 @@ impl RecordingTable {
             columns: None,
             anchors: None,
             target: None,
+            topic: None,
+            position: None,
+            msg: None,
             format: None,
             rate_hz: None,
             stamp_unit: None,

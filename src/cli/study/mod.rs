@@ -9,8 +9,8 @@ use std::path::PathBuf;
 use clap::Args;
 use rangehound_shared::scenario::PlannerTable;
 
-use super::InputArgs;
 use super::values::{PlannerName, number, whole};
+use super::{InputArgs, TruthArgs};
 use crate::failure::Failure;
 use crate::plan;
 use crate::study::{calibrate, explore};
@@ -55,9 +55,9 @@ pub struct CalibrateArgs {
     /// The recording to read
     #[command(flatten)]
     pub input: InputArgs,
-    /// True track: CSV with time_s,x_m,y_m [default: estimate from the ranges alone]
-    #[arg(long, value_name = "FILE")]
-    pub truth: Option<PathBuf>,
+    /// The true track
+    #[command(flatten)]
+    pub truth: TruthArgs,
     /// Folder for calibration.toml and residuals.svg [default: runs/calibrate]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -106,7 +106,14 @@ impl CalibrateArgs {
     /// # Errors
     /// [`Failure`].
     pub fn carry_out(&self) -> Result<(), Failure> {
-        calibrate::calibrate(&self.input.table()?, self.truth.as_deref(), self.out.as_deref(), self.json)
+        let truth = self.truth.read(&self.input)?;
+        calibrate::calibrate(
+            &self.input.table()?,
+            truth.as_ref(),
+            self.truth.truth.as_deref(),
+            self.out.as_deref(),
+            self.json,
+        )
     }
 }
 

@@ -16,7 +16,6 @@ pub mod read;
 pub mod scene;
 pub mod topics;
 pub mod write;
-mod zstd;
 
 /// Marks the files of this program: the MCAP profile, and the name of the metadata record.
 pub const PROFILE: &str = "rangehound";

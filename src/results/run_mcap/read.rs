@@ -13,8 +13,9 @@ use serde::Serialize;
 use super::PROFILE;
 use super::messages::{OnTopic, TOPICS};
 use super::topics::{Gathering, Senseless};
-use super::zstd::ZstdDecoder;
 use crate::files::layout::{DESCRIPTION, SCENARIO};
+use crate::files::records::{Fields, read};
+use crate::files::zstd::ZstdDecoder;
 use crate::results::frame::Frame;
 
 /// Longest record, compressed or not: twelve times what the recorder writes, because other tools write longer chunks.
@@ -228,22 +229,13 @@ impl<R: Read> FrameReader<R> {
     }
 }
 
-fn read(input: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
-    loop {
-        match input.read(buffer) {
-            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-            done => return done,
-        }
-    }
-}
-
 impl Run {
     fn damaged(&self, reason: impl ToString) -> ReadError {
         ReadError::Damaged { reason: reason.to_string(), after: self.last }
     }
 
     fn take(&mut self, opcode: u8, data: &[u8]) -> Result<Option<Frame>, ReadError> {
-        let mut record = Fields(data);
+        let mut record = Fields::of(data);
         match opcode {
             op::HEADER if record.string() != Some(PROFILE.as_bytes()) => Err(ReadError::Foreign),
             op::ATTACHMENT => {
@@ -256,7 +248,7 @@ impl Run {
                 Ok(None)
             }
             op::CHANNEL => {
-                let (id, topic) = record.channel().ok_or_else(|| self.damaged("a channel is invalid"))?;
+                let (id, _, topic, _) = record.channel().ok_or_else(|| self.damaged("a channel is invalid"))?;
                 let topic = TOPICS.iter().position(|known| known.as_bytes() == topic);
                 if let Some(topic) = topic.filter(|_| !self.channels.iter().any(|(known, _)| *known == id)) {
                     self.channels.push((id, topic));
@@ -276,7 +268,7 @@ impl Run {
             // The record that ended the data was not valid.
             op::MESSAGE if self.is_data_over => Err(self.damaged("messages come after the end of the data")),
             op::MESSAGE => {
-                let (channel, data) = record.message().ok_or_else(|| self.damaged("a message is invalid"))?;
+                let (channel, _, data) = record.message().ok_or_else(|| self.damaged("a message is invalid"))?;
                 self.hear(channel, data)
             }
             _ => Ok(None),
@@ -335,47 +327,4 @@ fn count_of(channel: u16, statistics: &[u8]) -> Option<u64> {
         let count = [pair[2], pair[3], pair[4], pair[5], pair[6], pair[7], pair[8], pair[9]];
         u64::from_le_bytes(count)
     }))
-}
-
-/// Reads the fields of a record in order. The library's own parser allocates as much memory as a damaged length claims.
-struct Fields<'a>(&'a [u8]);
-
-impl<'a> Fields<'a> {
-    fn take(&mut self, len: usize) -> Option<&'a [u8]> {
-        let (taken, rest) = self.0.split_at_checked(len)?;
-        self.0 = rest;
-        Some(taken)
-    }
-
-    fn u16(&mut self) -> Option<u16> {
-        self.take(2)?.try_into().ok().map(u16::from_le_bytes)
-    }
-
-    fn string(&mut self) -> Option<&'a [u8]> {
-        let len = u32::from_le_bytes(self.take(4)?.try_into().ok()?);
-        self.take(len as usize)
-    }
-
-    /// Name and data.
-    fn attachment(mut self) -> Option<(&'a [u8], &'a [u8])> {
-        self.take(16)?;
-        let name = self.string()?;
-        self.string()?;
-        let len = u64::from_le_bytes(self.take(8)?.try_into().ok()?);
-        Some((name, self.take(usize::try_from(len).ok()?)?))
-    }
-
-    /// Id and topic.
-    fn channel(mut self) -> Option<(u16, &'a [u8])> {
-        let id = self.u16()?;
-        self.u16()?;
-        Some((id, self.string()?))
-    }
-
-    /// Channel id and data.
-    fn message(mut self) -> Option<(u16, &'a [u8])> {
-        let channel = self.u16()?;
-        self.take(4 + 8 + 8)?;
-        Some((channel, self.0))
-    }
 }

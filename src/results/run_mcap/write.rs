@@ -223,10 +223,10 @@ fn words_about(description: &RunDescription) -> BTreeMap<String, String> {
     words.map(|(key, value)| (key.to_owned(), value)).into()
 }
 
-/// Counts the written bytes; other threads may read the count.
-struct Counting<W> {
-    out: W,
-    bytes_written: Rc<Cell<u64>>,
+/// Counts the written bytes.
+pub(in crate::results) struct Counting<W> {
+    pub(in crate::results) out: W,
+    pub(in crate::results) bytes_written: Rc<Cell<u64>>,
 }
 
 impl<W: Write> Write for Counting<W> {

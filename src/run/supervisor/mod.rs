@@ -32,7 +32,7 @@ use crate::run::in_process;
 use crate::run::node::input_or_running;
 use crate::run::pin::Pin;
 use crate::run::port;
-use crate::run::recorder;
+use crate::run::recorder::{self, Out};
 use crate::run::watch::Progress;
 use removal::run_to_the_end;
 use restart::Rule;
@@ -172,7 +172,7 @@ pub fn run_in_process(experiment: &Experiment, record_limit_mb: Option<u64>, kee
     })?;
     progress.finish();
     if let Some(limit_mb) = record_limit_mb {
-        recorder::record_logs(description, None, recorder::bytes(limit_mb), &Termination::listen()?)?;
+        recorder::record_logs(description, Out::Default, recorder::bytes(limit_mb), &Termination::listen()?)?;
     }
     let reported = made::report_and_tables(description, keep, Vec::new());
     out_folder::seal(&description.out_dir);

@@ -44,22 +44,27 @@ use verdict::Findings;
 /// Default output folder.
 const OUT: &str = "runs/calibrate";
 
-/// `rangehound calibrate`.
+/// `rangehound calibrate`, against the true track if it is given; `truth_file` is the file that it was read from, if any.
 ///
 /// # Errors
 /// [`Failure`]; also if nothing could be determined.
-pub fn calibrate(table: &RecordingTable, truth: Option<&Path>, out: Option<&Path>, json: bool) -> Result<(), Failure> {
+pub fn calibrate(
+    table: &RecordingTable,
+    truth: Option<&Truth>,
+    truth_file: Option<&Path>,
+    out: Option<&Path>,
+    json: bool,
+) -> Result<(), Failure> {
     let read = input::recording_of(table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
     check(table, &read.0)?;
     read.1.lines().iter().for_each(|line| failure::print_stderr(format_args!("recording: {line}")));
     let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();
-    inputs.extend(truth.map(Path::to_owned));
+    inputs.extend(truth_file.map(Path::to_owned));
     let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
     let claim = claim_or_number(out, OUT, Kind::Calibrate, &inputs)?;
     let out = claim.path();
-    let truth = truth.map(Truth::read).transpose()?;
     let mut progress = Progress::new("model", Model::ALL.len() as u64);
-    let found = Found::of(&read.0, table.target_height_m, truth.as_ref(), |done| progress.show(done as u64, ""));
+    let found = Found::of(&read.0, table.target_height_m, truth, |done| progress.show(done as u64, ""));
     progress.finish();
     let Found { names, findings, points, ranges, used } = &found;
     if used < ranges {

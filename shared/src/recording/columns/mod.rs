@@ -115,6 +115,13 @@ impl ColumnMap {
         self.options.iter().find(|option| option.role == role)
     }
 
+    /// The column of a key, and its unit if that is given too.
+    #[must_use]
+    pub fn given(&self, key: &str) -> Option<(&str, Option<&'static str>)> {
+        let option = self.options.iter().find(|option| option.role.key() == key)?;
+        Some((&option.column, option.unit.map(Unit::symbol)))
+    }
+
     /// True if all columns are given by number, as for a file without a header.
     pub(super) fn is_by_number(&self) -> bool {
         !self.options.is_empty() && self.options.iter().all(ColumnOption::is_by_number)

@@ -24,7 +24,7 @@ const HAS_CHECKSUM: u8 = 1 << 2;
 const DESCRIPTOR: usize = 4;
 
 /// Decompresses one block at a time, so that a few compressed bytes cannot expand to many at once.
-pub(super) struct ZstdDecoder {
+pub(crate) struct ZstdDecoder {
     frame: FrameDecoder,
     is_in_frame: bool,
     has_checksum: bool,
@@ -33,7 +33,7 @@ pub(super) struct ZstdDecoder {
 }
 
 impl ZstdDecoder {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let mut frame = FrameDecoder::new();
         frame.set_max_window_size(WINDOW_MAX);
         Self { frame, is_in_frame: false, has_checksum: false, to_skip: 0 }

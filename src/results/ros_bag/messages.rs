@@ -1,0 +1,330 @@
+//! The messages of a bag. All positions are in the frame `map`: x and y as in the run, z is the height above the plane in which the target
+//! moves. Covariances of ROS are 6 x 6, row by row over x, y, z, roll, pitch, yaw; a run is planar, and has 0 for z, roll and pitch.
+
+use std::f64::consts::PI;
+
+use rangehound_shared::measurement::Pose;
+use rangehound_shared::message::{Command, Estimate};
+
+use crate::files::bag::cdr::Writer;
+use crate::files::bag::interfaces::{self, Interface};
+
+/// The frame of all positions.
+const MAP: &str = "map";
+
+/// The frame of the target.
+const TARGET: &str = "target";
+
+/// Variance of an angle of which nothing is known: uniform over a turn, rad^2.
+const ANY_ANGLE_RAD2: f64 = PI * PI / 3.0;
+
+/// Variance of what is not estimated, in the square of its unit.
+const UNKNOWN: f64 = 1e6;
+
+/// Slowest target whose velocity has a direction, m^2/s^2.
+const SLOWEST_M2PS2: f64 = 1e-12;
+
+/// A topic of the bag; those of robots with the robot's id.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Topic {
+    /// Where the target is estimated to be.
+    TargetPose,
+    /// The same with its velocity.
+    TargetOdometry,
+    /// Where the target truly is.
+    Truth,
+    /// The frames of target and robots.
+    Frames,
+    /// Where a robot says it is.
+    Pose(usize),
+    /// The range that it measured.
+    Range(usize),
+    /// The bearing that it measured.
+    Bearing(usize),
+    /// Its commanded velocity.
+    Velocity(usize),
+}
+
+impl Topic {
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> String {
+        match self {
+            Self::TargetPose => "/target/pose".to_owned(),
+            Self::TargetOdometry => "/target/odom".to_owned(),
+            Self::Truth => "/target/truth".to_owned(),
+            Self::Frames => "/tf".to_owned(),
+            Self::Pose(robot) => format!("/robot_{robot}/pose"),
+            Self::Range(robot) => format!("/robot_{robot}/range"),
+            Self::Bearing(robot) => format!("/robot_{robot}/bearing"),
+            Self::Velocity(robot) => format!("/robot_{robot}/cmd_vel"),
+        }
+    }
+
+    /// The type of its messages.
+    #[must_use]
+    pub fn interface(self) -> Interface {
+        match self {
+            Self::TargetPose | Self::Pose(_) => interfaces::POSE_WITH_COVARIANCE,
+            Self::TargetOdometry => interfaces::ODOMETRY,
+            Self::Truth => interfaces::POSE,
+            Self::Frames => interfaces::TRANSFORMS,
+            Self::Range(_) => interfaces::RANGE,
+            Self::Bearing(_) => interfaces::VECTOR,
+            Self::Velocity(_) => interfaces::TWIST,
+        }
+    }
+}
+
+/// A pose in the plane, or above it, with its covariance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placed {
+    position_m: [f64; 3],
+    yaw_rad: f64,
+    /// Over x, y, yaw.
+    covariance: [[f64; 3]; 3],
+}
+
+impl Placed {
+    /// A robot's pose as it reported it.
+    #[must_use]
+    pub fn robot(pose: &Pose) -> Self {
+        let Pose { x_m, y_m, height_m, heading_rad, covariance_m2: [xx, xy, yy], heading_std_rad } = *pose;
+        let turn = (heading_std_rad * heading_std_rad).min(ANY_ANGLE_RAD2);
+        let covariance = [[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, turn]];
+        Self { position_m: [x_m, y_m, height_m], yaw_rad: heading_rad, covariance }
+    }
+
+    /// The estimated pose of the target, which faces along its velocity `v`. With `J = (-vy, vx) / |v|^2` the variance of its yaw is `J P_v J^T`, and
+    /// the covariance with its position `P_pv J^T`. Where that variance exceeds the one of any angle, the yaw is not known.
+    #[must_use]
+    pub fn target(estimate: &Estimate) -> Self {
+        let [x_m, y_m, ..] = estimate.state;
+        let p = |row, column| covariance_at(estimate, row, column);
+        let mut covariance = [[p(0, 0), p(0, 1), 0.0], [p(1, 0), p(1, 1), 0.0], [0.0, 0.0, ANY_ANGLE_RAD2]];
+        let [vx_mps, vy_mps] = velocity_mps(estimate);
+        let square = vx_mps * vx_mps + vy_mps * vy_mps;
+        if square > SLOWEST_M2PS2 {
+            let [jx, jy] = [-vy_mps / square, vx_mps / square];
+            let turn = jx * (jx * p(2, 2) + 2.0 * jy * p(2, 3)) + jy * jy * p(3, 3);
+            if turn < ANY_ANGLE_RAD2 {
+                covariance[2][2] = turn;
+                for axis in 0..2 {
+                    let with_turn = p(axis, 2) * jx + p(axis, 3) * jy;
+                    (covariance[axis][2], covariance[2][axis]) = (with_turn, with_turn);
+                }
+            }
+        }
+        Self { position_m: [x_m, y_m, 0.0], yaw_rad: vy_mps.atan2(vx_mps), covariance }
+    }
+}
+
+/// The estimated velocity; zero for models without one.
+fn velocity_mps(estimate: &Estimate) -> [f64; 2] {
+    let [_, _, vx_mps, vy_mps, ..] = estimate.state;
+    [vx_mps, vy_mps]
+}
+
+fn covariance_at(estimate: &Estimate, row: usize, column: usize) -> f64 {
+    let n = estimate.state_dim as usize;
+    if row < n && column < n { estimate.covariance.get(row * n + column).copied().unwrap_or(0.0) } else { 0.0 }
+}
+
+/// The bytes of messages, one at a time.
+#[derive(Debug, Default)]
+pub struct Messages {
+    out: Writer,
+    stamp_ns: i64,
+}
+
+impl Messages {
+    /// The stamp of the next messages, ns.
+    pub fn set_stamp(&mut self, stamp_ns: i64) {
+        self.stamp_ns = stamp_ns;
+    }
+
+    /// The message that was made last.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.out.bytes()
+    }
+
+    /// `geometry_msgs/PoseWithCovarianceStamped`.
+    pub fn pose_with_covariance(&mut self, placed: &Placed) {
+        self.begin(MAP);
+        self.placed(placed);
+    }
+
+    /// `geometry_msgs/PoseStamped` of the true target.
+    pub fn truth(&mut self, state: &[f64]) {
+        let at = |index: usize| state.get(index).copied().unwrap_or(0.0);
+        self.begin(MAP);
+        self.pose([at(0), at(1), 0.0], at(3).atan2(at(2)));
+    }
+
+    /// `nav_msgs/Odometry` of the target: the twist is in its own frame, whose x axis is the direction of the velocity.
+    pub fn odometry(&mut self, estimate: &Estimate) {
+        let placed = Placed::target(estimate);
+        self.begin(MAP);
+        self.out.text(TARGET);
+        self.placed(&placed);
+        let [vx_mps, vy_mps] = velocity_mps(estimate);
+        self.out.f64s(&[vx_mps.hypot(vy_mps), 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let mut covariance = [[UNKNOWN, 0.0, 0.0], [0.0, UNKNOWN, 0.0], [0.0, 0.0, UNKNOWN]];
+        if estimate.state_dim >= 4 {
+            let (sin, cos) = placed.yaw_rad.sin_cos();
+            let p = |row, column| covariance_at(estimate, row, column);
+            let [xx, xy, yy] = [p(2, 2), p(2, 3), p(3, 3)];
+            let along = cos * cos * xx + 2.0 * sin * cos * xy + sin * sin * yy;
+            let across = sin * sin * xx - 2.0 * sin * cos * xy + cos * cos * yy;
+            let both = (cos * cos - sin * sin) * xy + sin * cos * (yy - xx);
+            (covariance[0], covariance[1]) = ([along, both, 0.0], [both, across, 0.0]);
+        }
+        self.covariance(&covariance);
+    }
+
+    /// `sensor_msgs/Range`, in the frame of the robot.
+    pub fn range(&mut self, robot: usize, range_m: f64, std_m: f64) {
+        self.begin(&base(robot));
+        self.out.u8(0);
+        // No cone, and no limits.
+        for number in [0.0, 0.0, f32::INFINITY, range_m as f32, (std_m * std_m) as f32] {
+            self.out.f32(number);
+        }
+    }
+
+    /// `geometry_msgs/Vector3Stamped`: the direction in the frame of the robot, of length 1.
+    pub fn bearing(&mut self, robot: usize, bearing_rad: f64) {
+        self.begin(&base(robot));
+        let (sin, cos) = bearing_rad.sin_cos();
+        self.out.f64s(&[cos, sin, 0.0]);
+    }
+
+    /// `geometry_msgs/TwistStamped`: the commanded velocity over ground, along the axes of `map`.
+    pub fn velocity(&mut self, command: Command) {
+        self.begin(MAP);
+        let Command { heading_rad, speed_mps } = command;
+        let (sin, cos) = heading_rad.sin_cos();
+        self.out.f64s(&[speed_mps * cos, speed_mps * sin, 0.0, 0.0, 0.0, 0.0]);
+    }
+
+    /// `tf2_msgs/TFMessage`: the frames of the target and of robots by id.
+    pub fn frames<'a>(&mut self, target: &Placed, robots: impl ExactSizeIterator<Item = (usize, &'a Placed)>) {
+        self.out.begin();
+        self.out.u32(robots.len() as u32 + 1);
+        self.frame(TARGET, target);
+        for (robot, placed) in robots {
+            self.frame(&base(robot), placed);
+        }
+    }
+
+    fn frame(&mut self, child: &str, placed: &Placed) {
+        self.header(MAP);
+        self.out.text(child);
+        self.pose(placed.position_m, placed.yaw_rad);
+    }
+
+    fn begin(&mut self, frame: &str) {
+        self.out.begin();
+        self.header(frame);
+    }
+
+    fn header(&mut self, frame: &str) {
+        // A stamp has 32 bits of seconds: until 2038.
+        let second = self.stamp_ns.div_euclid(1_000_000_000);
+        self.out.i32(second.clamp(i32::MIN.into(), i32::MAX.into()) as i32);
+        self.out.u32(self.stamp_ns.rem_euclid(1_000_000_000) as u32);
+        self.out.text(frame);
+    }
+
+    fn placed(&mut self, placed: &Placed) {
+        self.pose(placed.position_m, placed.yaw_rad);
+        self.covariance(&placed.covariance);
+    }
+
+    /// A position, and an orientation about the vertical.
+    fn pose(&mut self, position_m: [f64; 3], yaw_rad: f64) {
+        let (sin, cos) = (0.5 * yaw_rad).sin_cos();
+        self.out.f64s(&position_m);
+        self.out.f64s(&[0.0, 0.0, sin, cos]);
+    }
+
+    fn covariance(&mut self, planar: &[[f64; 3]; 3]) {
+        const PLACES: [usize; 3] = [0, 1, 5];
+        let mut full = [0.0; 36];
+        for (row, numbers) in PLACES.into_iter().zip(planar) {
+            for (column, number) in PLACES.into_iter().zip(numbers) {
+                full[6 * row + column] = *number;
+            }
+        }
+        self.out.f64s(&full);
+    }
+}
+
+/// The frame of a robot.
+fn base(robot: usize) -> String {
+    format!("robot_{robot}/base_link")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files::bag::cdr::{Value, read};
+    use crate::files::bag::definition::Types;
+    use crate::files::bag::path::Path;
+
+    fn number(messages: &Messages, topic: Topic, path: &str) -> f64 {
+        let types = Types::parse(topic.interface().name, &topic.interface().text()).unwrap();
+        let mut values = Vec::new();
+        read(&types, messages.bytes(), &Path::parse(&types, path).unwrap(), &mut values).unwrap();
+        match &values[..] {
+            [value @ (Value::Whole(_) | Value::Real(_))] => value.number(),
+            other => panic!("{path}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn an_estimate_has_its_numbers_where_ros_expects_them() {
+        let mut estimate = Estimate { state_dim: 4, ..Estimate::default() };
+        estimate.state[..4].copy_from_slice(&[1.0, 2.0, 3.0, 4.0]);
+        for (place, number) in [(0, 0.5), (1, 0.1), (4, 0.1), (5, 0.6), (10, 2.0), (11, 0.25), (14, 0.25), (15, 1.0)] {
+            estimate.covariance[place] = number;
+        }
+        let mut messages = Messages::default();
+        messages.set_stamp(5_000_000_007);
+        messages.odometry(&estimate);
+        let at = |path: &str| number(&messages, Topic::TargetOdometry, path);
+        assert_eq!((at("header.stamp.sec"), at("header.stamp.nanosec")), (5.0, 7.0));
+        assert_eq!((at("pose.pose.position.x"), at("pose.pose.position.y")), (1.0, 2.0));
+        assert_eq!([0, 1, 6, 7].map(|i| at(&format!("pose.covariance[{i}]"))), [0.5, 0.1, 0.1, 0.6]);
+        // tan(yaw) = 4/3; J = (-0.16, 0.12).
+        let yaw_rad = 2.0 * at("pose.pose.orientation.z").atan2(at("pose.pose.orientation.w"));
+        assert!((yaw_rad - 4.0_f64.atan2(3.0)).abs() < 1e-12);
+        let turn = 0.16 * 0.16 * 2.0 - 2.0 * 0.16 * 0.12 * 0.25 + 0.12 * 0.12;
+        assert!((at("pose.covariance[35]") - turn).abs() < 1e-12);
+        assert_eq!(at("twist.twist.linear.x"), 5.0);
+        let along = 0.36 * 2.0 + 2.0 * 0.48 * 0.25 + 0.64;
+        assert!((at("twist.covariance[0]") - along).abs() < 1e-12);
+        assert!((at("twist.covariance[0]") + at("twist.covariance[7]") - 3.0).abs() < 1e-12, "a turn keeps the trace");
+        assert_eq!(at("twist.covariance[35]"), UNKNOWN);
+    }
+
+    #[test]
+    fn robots_measure_in_their_own_frames() {
+        let mut messages = Messages::default();
+        messages.range(3, 2.5, 0.5);
+        assert_eq!(number(&messages, Topic::Range(3), "range"), 2.5);
+        assert_eq!(number(&messages, Topic::Range(3), "variance"), 0.25);
+        messages.bearing(3, 0.5);
+        assert_eq!(number(&messages, Topic::Bearing(3), "vector.y"), 0.5_f64.sin());
+        messages.velocity(Command { heading_rad: 0.25, speed_mps: 2.0 });
+        assert_eq!(number(&messages, Topic::Velocity(3), "twist.linear.x"), 2.0 * 0.25_f64.cos());
+        messages.pose_with_covariance(&Placed::robot(&Pose { height_m: 1.5, ..Pose::at([1.0, 2.0]) }));
+        assert_eq!(number(&messages, Topic::Pose(3), "pose.pose.position.z"), 1.5);
+        messages.truth(&[7.0, 8.0]);
+        assert_eq!(number(&messages, Topic::Truth, "pose.position.y"), 8.0);
+        let placed = Placed::robot(&Pose::at([1.0, 2.0]));
+        messages.frames(&placed, [(0, &placed), (12, &placed)].into_iter());
+        assert_eq!(number(&messages, Topic::Frames, "transforms[2].transform.translation.y"), 2.0);
+    }
+}

@@ -1,0 +1,11 @@
+//! A run as a ROS 2 bag: a folder with an MCAP file and `metadata.yaml`; `docs/recording.md` lists its topics.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`messages`] | from a frame's data to the bytes of messages |
+//! | [`write`](mod@write) | frames into an MCAP file |
+//! | [`folder`] | the folder, and what `metadata.yaml` says of the file |
+
+pub mod folder;
+pub mod messages;
+pub mod write;
