@@ -1,6 +1,7 @@
 """What the node of ROS 2 computes, without ROS: messages of a tick, measurements of messages, the controller."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -196,3 +197,27 @@ def test_words_after_ros_args_are_for_ros():
     words = ["--name", "a", "--ros-args", "-p", "x:=1", "--", "--from-start"]
     assert session.split_ros_args(words) == (["--name", "a", "--from-start"], ["--ros-args", "-p", "x:=1"])
     assert session.split_ros_args(["--name", "a"]) == (["--name", "a"], [])
+
+
+def test_the_configuration_of_rviz_names_topics_that_the_node_publishes(root):
+    yaml = pytest.importorskip("yaml")
+    text = (root / "docs/ros2.rviz").read_text()
+    manager = yaml.safe_load(text)["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "map"
+    shown = [display["Topic"]["Value"] for display in manager["Displays"] if "Topic" in display]
+    page = (root / "docs/ros2.md").read_text()
+    published = re.findall(r"^\| `(/[\w/]+)` \| \w+_msgs/", page, re.MULTILINE)
+    assert "/rangehound/markers" in shown and "/target/odom" in shown
+    for topic in shown:
+        assert re.sub(r"robot_\d", "robot_N", topic) in published, topic
+
+
+def test_the_page_has_the_topics_and_the_parameters_that_the_nodes_have(root):
+    page = (root / "docs/ros2.md").read_text()
+    for module in ("observer", "robot"):
+        source = (root / f"python/rangehound/ros2/{module}.py").read_text()
+        for parameter in re.findall(r"(?:parameter|_positive)\(\"(\w+)\"", source):
+            assert parameter in source.split("_HELP = ")[1].split('"""')[1], parameter
+            assert f"`{parameter}`" in page, parameter
+        for topic in re.findall(r'f?"((?:target|rangehound|robot_\{robot\})/\w+)"', source):
+            assert f"`/{topic.replace('{robot}', 'N')}`" in page, topic

@@ -67,11 +67,12 @@ class Markers:
             self._show(self._circles[robot], shown and math.isfinite(measured_m))
             if not shown:
                 continue
-            self._place(self._headings[robot], *map(float, position_m), float(tick.heading_rad[robot]))
+            robot_x_m, robot_y_m = map(float, position_m)
+            self._place(self._headings[robot], robot_x_m, robot_y_m, float(tick.heading_rad[robot]))
             arrow = self._headings[robot].scale
             arrow.x, arrow.y, arrow.z = size_m, size_m / 5, size_m / 5
             start, end = self._rays[robot].points
-            start.x, start.y = map(float, position_m)
+            start.x, start.y = robot_x_m, robot_y_m
             end.x, end.y = x_m, y_m
             if math.isfinite(measured_m):
                 self._encircle(self._circles[robot], position_m, measured_m, tick.range_used[robot] > 1)

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 from .._native import InputError, RunError
 
@@ -165,7 +165,7 @@ def run_node(main: Callable[[Sequence[str]], int], words: Sequence[str] | None =
         return 1
 
 
-def diagnostic(types: Any, name: str, level: int, message: str, values: dict[str, object]) -> Any:
+def diagnostic(types: Any, name: str, level: int, message: str, values: Mapping[str, object]) -> Any:
     """A status of diagnostics. `types` are DiagnosticStatus and KeyValue."""
     status_type, pair_type = types
     pairs = [pair_type(key=key, value=str(value)) for key, value in values.items()]
