@@ -276,6 +276,30 @@ def test_in_real_time_a_robot_without_odometry_stops_and_bad_ranges_are_refused(
     assert all(twist == [0.0, 0.0] for twist in twists[-10:]), twists[-20:]
 
 
+def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
+    """tf2_msgs is no wheel: a list in place of its message."""
+    from types import SimpleNamespace
+
+    from builtin_interfaces.msg import Time
+    from geometry_msgs.msg import TransformStamped
+    from rangehound.ros2.observer import Node
+
+    sent = []
+    message = SimpleNamespace(transforms=[])
+    publisher = SimpleNamespace(publish=lambda message: sent.extend(message.transforms))
+    frames = [TransformStamped(child_frame_id=name) for name in ("target", "robot_0/base_link", "robot_2/base_link")]
+    run = rh.simulate(ticks=5)
+    arrays = {name: values[3:4].copy() for name, values in run.arrays.items()}
+    arrays["believed_m"][0, 2] = np.nan
+    node = SimpleNamespace(_frames=(publisher, message, frames), _facts={"has_velocity": True}, _simulated=[0, 2])
+    node._target_pose = lambda tick: Node._target_pose(node, tick)
+    Node._publish_frames(node, rh.Tick(arrays), Time(sec=7))
+    assert [frame.child_frame_id for frame in sent] == ["target", "robot_0/base_link"]
+    moved = sent[1].transform.translation
+    assert [moved.x, moved.y] == list(run.believed_m[3, 0]) and sent[0].header.stamp.sec == 7
+    assert [sent[0].transform.translation.x, sent[0].transform.translation.y] == list(run.position_m[3])
+
+
 @pytest.mark.parametrize(
     "words, cause",
     [

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, Iterator, Sequence
+from typing import Any, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -26,6 +26,9 @@ _RESTART_S = 1.0
 
 #: How long robots' processes may take to end after the run, s.
 _LAST_WORDS_S = 5.0
+
+#: Niceness of the thread that publishes.
+_NICE = 10
 
 _HELP = """
 topics out:  target/pose target/odom robot_N/pose robot_N/cmd_vel rangehound/markers /tf /clock /diagnostics
@@ -58,6 +61,8 @@ def main(words: Sequence[str]) -> int:
         session.start()
         try:
             team.start()
+            # Only this thread: the run's own processes go first.
+            os.nice(_NICE)
             for arrays in run:
                 node.publish(Tick(arrays))
                 team.check()
@@ -107,6 +112,23 @@ def controller_limits(session: Session, max_speed_mps: float) -> unicycle.Limits
     return unicycle.Limits(*values)
 
 
+class Topic(NamedTuple):
+    """A publisher, and the message that is filled in at each tick."""
+
+    publisher: Any
+    message: Any
+
+    @property
+    def is_heard(self) -> bool:
+        """True if anybody subscribes to it: otherwise the message need not be made."""
+        return bool(self.publisher.get_subscription_count() > 0)
+
+    def publish(self, stamp: Any) -> None:
+        """Publishes the message with a stamp."""
+        self.message.header.stamp = stamp
+        self.publisher.publish(self.message)
+
+
 class Node:
     """The publishers of a run. Its messages are made once, and filled in at each tick."""
 
@@ -133,20 +155,21 @@ class Node:
         self._simulated = [robot for robot in range(count) if robot not in robots]
 
         # Every subscription matches a reliable publisher: those that want the newest value are best effort themselves.
-        reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
         pose = message_type("geometry_msgs", "PoseWithCovarianceStamped", "target/pose", needed=True)
         twist = message_type("geometry_msgs", "TwistStamped", "robot_N/cmd_vel", needed=True)
         odometry = message_type("nav_msgs", "Odometry", "target/odom")
-        self._target = (session.publisher(pose, "target/pose", reliable), _framed(pose, map_frame))
-        self._odometry = (session.publisher(odometry, "target/odom", reliable), odometry and _framed(odometry, map_frame))
-        if odometry is not None:
-            self._odometry[1].child_frame_id = target_frame
-        self._poses = [(session.publisher(pose, f"robot_{robot}/pose", reliable), _framed(pose, map_frame)) for robot in range(count)]
-        self._twists = {
-            robot: (session.publisher(twist, f"robot_{robot}/cmd_vel", reliable), _framed(twist, base_frames[robot]))
-            for robot in self._simulated
-        }
+
+        def topic(kind: Any, name: str, frame: str) -> Topic:
+            return Topic(session.publisher(kind, name, reliable), _framed(kind, frame))
+
+        self._target = topic(pose, "target/pose", map_frame)
+        self._odometry = topic(odometry, "target/odom", map_frame) if odometry is not None else None
+        if self._odometry is not None:
+            self._odometry.message.child_frame_id = target_frame
+        self._poses = [topic(pose, f"robot_{robot}/pose", map_frame) for robot in range(count)]
+        self._twists = {robot: topic(twist, f"robot_{robot}/cmd_vel", base_frames[robot]) for robot in self._simulated}
         self._led_by_others: set[int] = set()
         self._frames = self._made_frames(map_frame, target_frame, base_frames) if with_tf else None
         self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame, count), -math.inf, 1.0 / rate_hz
@@ -202,24 +225,17 @@ class Node:
             publisher, message = self._clock
             message.clock = stamp
             publisher.publish(message)
-        has_velocity = self._facts["has_velocity"]
-        target = messages.target_pose(tick.state, tick.covariance, has_velocity)
-        self._publish_pose(self._target, target, stamp)
-        publisher, message = self._odometry
-        if publisher is not None:
-            _fill_pose(message.pose, target)
-            velocity = messages.target_twist(tick.state, tick.covariance, has_velocity)
-            message.twist.twist.linear.x = velocity.x
-            message.twist.covariance = velocity.covariance
-            message.header.stamp = stamp
-            publisher.publish(message)
-        poses = [self._publish_robot(tick, robot, stamp) for robot in range(len(self._poses))]
-        self._publish_frames([target, *(poses[robot] for robot in self._simulated)], stamp)
+        self._publish_target(tick, stamp)
+        # A robot that has not reported is nowhere.
+        for robot in np.flatnonzero(np.isfinite(tick.believed_m).all(axis=1)).tolist():
+            self._publish_robot(tick, robot, stamp)
+        self._publish_frames(tick, stamp)
         now_s = time.monotonic()
         if self._markers is not None and now_s - self._marked_s >= self._marker_interval_s:
             publisher, markers = self._markers
-            publisher.publish(markers.fill(tick, stamp))
-            self._marked_s = now_s
+            if publisher.get_subscription_count() > 0:
+                publisher.publish(markers.fill(tick, stamp))
+                self._marked_s = now_s
         self._rejected += int(tick.rejected)
         self._newest = tick
 
@@ -231,39 +247,49 @@ class Node:
         second, nanosecond = messages.stamp_of(time_s)
         return self._time(sec=second, nanosec=nanosecond)
 
-    def _publish_robot(self, tick: Tick, robot: int, stamp: Any) -> messages.Planar | None:
+    def _target_pose(self, tick: Tick) -> messages.Planar:
+        return messages.target_pose(tick.state, tick.covariance, self._facts["has_velocity"])
+
+    def _publish_target(self, tick: Tick, stamp: Any) -> None:
+        topics = [topic for topic in (self._target, self._odometry) if topic is not None and topic.is_heard]
+        if not topics:
+            return
+        pose = self._target_pose(tick)
+        for topic in topics:
+            _fill_pose(topic.message.pose, pose)
+            if topic is self._odometry:
+                velocity = messages.target_twist(tick.state, tick.covariance, self._facts["has_velocity"])
+                topic.message.twist.twist.linear.x = velocity.x
+                topic.message.twist.covariance = velocity.covariance
+            topic.publish(stamp)
+
+    def _publish_robot(self, tick: Tick, robot: int, stamp: Any) -> None:
         """Pose and twist of a robot that has reported where it is."""
-        if not np.isfinite(tick.believed_m[robot]).all():
-            return None
-        about = tick.believed_covariance_m2[robot], tick.believed_heading_rad[robot], tick.believed_heading_std_rad[robot]
-        pose = messages.robot_pose(tick.believed_m[robot], *about)
-        self._publish_pose(self._poses[robot], pose, stamp)
-        if robot in self._twists and robot not in self._led_by_others:
-            publisher, message = self._twists[robot]
+        topic = self._poses[robot]
+        if topic.is_heard:
+            about = tick.believed_covariance_m2[robot], tick.believed_heading_rad[robot], tick.believed_heading_std_rad[robot]
+            _fill_pose(topic.message.pose, messages.robot_pose(tick.believed_m[robot], *about))
+            topic.publish(stamp)
+        twist = self._twists.get(robot)
+        if twist is not None and robot not in self._led_by_others and twist.is_heard:
             command = float(tick.heading_rad[robot]), float(tick.speed_mps[robot])
-            linear_mps, angular_radps = unicycle.twist(*command, pose.yaw, self._limits)
-            message.twist.linear.x, message.twist.angular.z = linear_mps, angular_radps
-            message.header.stamp = stamp
-            publisher.publish(message)
-        return pose
+            linear_mps, angular_radps = unicycle.twist(*command, float(tick.believed_heading_rad[robot]), self._limits)
+            twist.message.twist.linear.x, twist.message.twist.angular.z = linear_mps, angular_radps
+            twist.publish(stamp)
 
-    def _publish_pose(self, at: tuple[Any, Any], pose: messages.Planar, stamp: Any) -> None:
-        publisher, message = at
-        _fill_pose(message.pose, pose)
-        message.header.stamp = stamp
-        publisher.publish(message)
-
-    def _publish_frames(self, poses: Sequence[messages.Planar | None], stamp: Any) -> None:
+    def _publish_frames(self, tick: Tick, stamp: Any) -> None:
         if self._frames is None:
             return
         publisher, message, transforms = self._frames
+        target = self._target_pose(tick)
+        robots = np.column_stack([tick.believed_m, tick.believed_heading_rad])[self._simulated].tolist()
         message.transforms = []
-        for transform, pose in zip(transforms, poses):
-            if pose is None:
+        for transform, (x_m, y_m, yaw_rad) in zip(transforms, [[target.x, target.y, target.yaw], *robots]):
+            if not math.isfinite(x_m):
                 continue
             moved = transform.transform
-            moved.translation.x, moved.translation.y = pose.x, pose.y
-            moved.rotation.z, moved.rotation.w = messages.quaternion_of(pose.yaw)
+            moved.translation.x, moved.translation.y = x_m, y_m
+            moved.rotation.z, moved.rotation.w = messages.quaternion_of(yaw_rad)
             transform.header.stamp = stamp
             message.transforms.append(transform)
         publisher.publish(message)

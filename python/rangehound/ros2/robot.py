@@ -101,7 +101,7 @@ class Bridge:
         self._used: Counter[str] = Counter()
 
         twist = message_type("geometry_msgs", "TwistStamped", f"robot_{robot}/cmd_vel", needed=True)
-        reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         self._publisher = session.publisher(twist, f"robot_{robot}/cmd_vel", reliable)
         self._twist = twist()
         self._twist.header.frame_id = f"robot_{robot}/base_link"
