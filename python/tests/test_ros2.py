@@ -113,10 +113,10 @@ def children(process):
     return found
 
 
-def play(ros, tmp_path, scenario, oracle):
+def play(ros, tmp_path, scenario, oracle, **more):
     """Starts a player of all robots, for the target and the noise of a simulated run."""
     noise = oracle.range_m - np.linalg.norm(oracle.truth[:, None, :2] - oracle.robot_m, axis=-1)
-    arrays = dict(truth=oracle.truth[:, :2], noise=np.nan_to_num(noise), start=oracle.robot_m[0], dt_s=scenario.dt_s)
+    arrays = dict(truth=oracle.truth[:, :2], noise=np.nan_to_num(noise), start=oracle.robot_m[0], dt_s=scenario.dt_s, **more)
     np.savez(tmp_path / "played.npz", **arrays)
     return ros(HERE / "ros2_player.py", tmp_path / "played.npz", waits=True)
 
@@ -158,6 +158,31 @@ def test_three_robots_of_ros_track_as_well_as_our_own_and_no_message_is_lost(pro
     places = [[pose["pose"]["pose"]["position"][axis] for axis in "xy"] for pose in messages["/robot_1/pose"]]
     np.testing.assert_array_equal(places, live.believed_m[:, 1])
     assert {message["header"]["frame_id"] for message in poses} == {"map"}
+
+
+def test_uncertain_robots_with_cameras_and_frames_of_their_own_say_what_ros_says(program, name, ros, tmp_path):
+    sensor = {"both": {"range_std_m": 1.0, "bearing_std_rad": 0.05}}
+    robots = [{"start_m": [15.0, 0.0], "sensor": "both"}, {"start_m": [0.0, -15.0], "sensor": "both"}]
+    keys = dict(ticks=60, clock="lockstep", timeout_s="forever", planner="certified", sensor=sensor, robot=robots)
+    scenario = rh.Scenario(keys)
+    oracle = rh.simulate(scenario)
+    noise = np.random.default_rng(2).normal(scale=0.05, size=(61, 2))
+    covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0025]])
+    play(ros, tmp_path, scenario, oracle, bearing_noise=noise, covariance=covariance, origin=[3.0, -4.0, np.pi / 2])
+    with rh.run(scenario, name=name, out=tmp_path / "out", program=program, external=[0, 1]) as run:
+        bridge = node(ros, name, "--robots", "all", "--ros-args", "-p", "odom_origin:=[3.0, -4.0, 1.5707963267948966]")
+        report = run.report()
+    ended(bridge)
+    live = rh.load(tmp_path / "out")
+    assert report["ranges"]["fused"] == 2 * 2 * 60 and report["position_rmse_m"] < 2.0
+    sight = live.truth[1:, None, :2] - live.believed_m[1:]
+    bearing = np.arctan2(sight[..., 1], sight[..., 0]) - live.believed_heading_rad[1:] + noise[1:]
+    np.testing.assert_allclose(np.exp(1j * live.bearing_rad[1:]), np.exp(1j * bearing), atol=1e-9)
+    assert (live.bearing_std_rad[1:] == 0.05).all()
+    # Turned by a right angle.
+    np.testing.assert_allclose(live.believed_covariance_m2[1:-1, 0], np.broadcast_to([[0.09, -0.01], [-0.01, 0.04]], (59, 2, 2)), atol=1e-12)
+    np.testing.assert_allclose(live.believed_heading_std_rad[1:], 0.05)
+    np.testing.assert_allclose(live.believed_m[0], [[15.0, 0.0], [0.0, -15.0]], atol=1e-9)
 
 
 def test_a_killed_robots_process_is_started_again_and_the_run_goes_on(program, name, ros, tmp_path):

@@ -328,7 +328,7 @@ impl ResumeArgs {
 fn execute(experiment: Experiment, in_process: bool, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
     if in_process && supervision.external.is_some() {
         return Err(Failure::input(
-            "--external is given with --in-process: expected one of them, because other processes take part",
+            "--external is given: expected it without --in-process, because other processes take part",
         ));
     }
     if in_process {

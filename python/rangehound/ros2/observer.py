@@ -19,7 +19,7 @@ from .._native import InputError
 from ..live import Tick
 from . import messages, unicycle
 from .markers import Markers
-from .session import DIAGNOSTICS_S, Ended, Session, complain, diagnostic, ignore_signals, message_type, parser, split_ros_args
+from .session import DIAGNOSTICS_S, Ended, Parser, Session, complain, diagnostic, ignore_signals, message_type, split_ros_args
 
 #: How long the process of a robot that has failed waits for its successor, s.
 _RESTART_S = 1.0
@@ -31,21 +31,25 @@ _LAST_WORDS_S = 5.0
 _NICE = 10
 
 _HELP = """
-topics out:  target/pose target/odom robot_N/pose robot_N/cmd_vel rangehound/markers /tf /clock /diagnostics
+topics out:  target/pose target/odom robot_N/pose robot_N/cmd_vel
+             rangehound/markers /tf /clock /diagnostics
 topics in:   robot_N/range robot_N/bearing robot_N/odom (with --robots)
-parameters:  map_frame target_frame base_frame publish_tf markers_rate_hz max_speed_mps max_turn_rate_radps
-             heading_gain_per_s
+parameters:  map_frame target_frame base_frame publish_tf markers_rate_hz
+             max_speed_mps max_turn_rate_radps heading_gain_per_s
+             with --robots also those of python -m rangehound.ros2.robot
 
 What follows --ros-args goes to ROS:
   python -m rangehound.ros2 --name demo
-  python -m rangehound.ros2 --name demo --robots 0,1 --ros-args -r __ns:=/team -p map_frame:=world
+  python -m rangehound.ros2 --name demo --robots 0,1 --ros-args -r __ns:=/team
+
+docs/ros2.md has types, frames, quality of service, and the controller.
 """
 
 
 def main(words: Sequence[str]) -> int:
     """Runs the node until the run ends."""
     words, ros_args = split_ros_args(words)
-    arguments = parser("python -m rangehound.ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
+    arguments = Parser("rangehound.ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
     arguments.add_argument("--robots", metavar="IDS", help="robots that are real, as in 0,2-5, or all: a process for each of them takes its role in the run")
     arguments.add_argument("--from-start", action="store_true", help="publish all ticks from the first one, not only new ones")
     arguments.add_argument("--stamps", choices=["run", "ros"], help="time of messages: run: the run's own, from 0, with the topic /clock; ros: the clock of ROS [default: ros with --robots in real time, else run]")

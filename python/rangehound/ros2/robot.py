@@ -15,7 +15,7 @@ from ..live import Robot
 from . import measurements, messages, unicycle
 from .measurements import Newest, Odometry, Refused
 from .observer import controller_limits
-from .session import DIAGNOSTICS_S, Ended, Session, complain, diagnostic, end_with, ignore_signals, message_type, parser, run_node, split_ros_args
+from .session import DIAGNOSTICS_S, Ended, Parser, Session, complain, diagnostic, end_with, ignore_signals, message_type, run_node, split_ros_args
 
 #: Time steps for which an odometry message counts by default: as long as a robot holds a heading.
 _ODOMETRY_TICKS = 3
@@ -27,18 +27,20 @@ _RANGE_STD_MIN_M = 1e-4
 _LAST_COMMAND_S = 1.0
 
 _HELP = """
-topics in:   robot_N/range robot_N/bearing robot_N/odom     topics out:  robot_N/cmd_vel /diagnostics
-parameters:  map_frame odom_origin max_age_s odom_max_age_s lockstep_wait_s max_speed_mps max_turn_rate_radps
-             heading_gain_per_s
+topics in:   robot_N/range robot_N/bearing robot_N/odom
+topics out:  robot_N/cmd_vel /diagnostics
+parameters:  map_frame odom_origin max_age_s odom_max_age_s lockstep_wait_s
+             max_speed_mps max_turn_rate_radps heading_gain_per_s
 
-`python -m rangehound.ros2 --robots` starts this for each real robot. What follows --ros-args goes to ROS.
+`python -m rangehound.ros2 --robots` starts this for each real robot.
+What follows --ros-args goes to ROS.
 """
 
 
 def main(words: Sequence[str]) -> int:
     """Takes part in the run until it ends. The last command is to stop."""
     words, ros_args = split_ros_args(words)
-    arguments = parser("python -m rangehound.ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
+    arguments = Parser("rangehound.ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
     arguments.add_argument("--id", required=True, type=int, metavar="N", help="number of the robot in the team, from 0")
     arguments.add_argument("--end-with", type=int, metavar="PID", help="end when this process ends")
     args = arguments.parse_args(words)

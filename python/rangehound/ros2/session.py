@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from typing import Any, Callable, Mapping, Sequence
+from typing import Any, Callable, Mapping, NoReturn, Sequence
 
 from .._native import InputError, RunError
 
@@ -30,19 +30,25 @@ def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return [*words[:start], *words[end + 1 :]], list(words[start:end])
 
 
-def parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """A parser with what all nodes have."""
-    made = argparse.ArgumentParser(
-        prog=program, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    made.add_argument("--name", required=True, metavar="RUN", help="name of the run")
-    made.add_argument("--wait-s", type=seconds, default=10.0, metavar="S", help="how long to wait for the run, s; inf for ever [default: 10]")
-    return made
+class Parser(argparse.ArgumentParser):
+    """The flags of a node, with those that all nodes have. An error in them is one line."""
+
+    def __init__(self, program: str, description: str, epilog: str) -> None:
+        form = argparse.RawDescriptionHelpFormatter
+        super().__init__(prog=f"python -m {program}", description=description, epilog=epilog, formatter_class=form)
+        self.add_argument("--name", required=True, metavar="RUN", help="name of the run")
+        self.add_argument("--wait-s", type=seconds, default=10.0, metavar="S", help="how long to wait for the run, s; inf for ever [default: 10]")
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}: see {self.prog} --help")
 
 
 def seconds(text: str) -> float:
     """A number of seconds that is not negative."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
     if not value >= 0.0:
         raise argparse.ArgumentTypeError(f"{text} is no time: expected a number of seconds from 0")
     return value
