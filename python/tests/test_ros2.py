@@ -32,6 +32,10 @@ pytestmark = [
 POSE, TWIST = "geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/TwistStamped"
 
 
+#: The player repeats itself: on a busy machine a tick waits until it is heard.
+PATIENT = ["-p", "lockstep_wait_s:=60.0"]
+
+
 @pytest.fixture
 def long_watchdog():
     def hangs(*_):
@@ -128,7 +132,7 @@ def test_three_robots_of_ros_track_as_well_as_our_own_and_no_message_is_lost(pro
     topics = dict(target__pose=POSE, target__odom="nav_msgs/Odometry", robot_1__pose=POSE, robot_1__cmd_vel=TWIST)
     ears = listener(ros, **topics)
     with rh.run(scenario, name=name, out=tmp_path / "out", program=program, external=[0, 1, 2]) as run:
-        bridge = node(ros, name, "--robots", "all", "--from-start", "--ros-args", "-p", "max_turn_rate_radps:=10.0", "-p", "heading_gain_per_s:=10.0")
+        bridge = node(ros, name, "--robots", "all", "--from-start", "--ros-args", "-p", "max_turn_rate_radps:=10.0", "-p", "heading_gain_per_s:=10.0", *PATIENT)
         report = run.report()
     ended(bridge)
     messages = heard(ears)
@@ -170,7 +174,7 @@ def test_uncertain_robots_with_cameras_and_frames_of_their_own_say_what_ros_says
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0025]])
     play(ros, tmp_path, scenario, oracle, bearing_noise=noise, covariance=covariance, origin=[3.0, -4.0, np.pi / 2])
     with rh.run(scenario, name=name, out=tmp_path / "out", program=program, external=[0, 1]) as run:
-        bridge = node(ros, name, "--robots", "all", "--ros-args", "-p", "odom_origin:=[3.0, -4.0, 1.5707963267948966]")
+        bridge = node(ros, name, "--robots", "all", "--ros-args", "-p", "odom_origin:=[3.0, -4.0, 1.5707963267948966]", *PATIENT)
         report = run.report()
     ended(bridge)
     live = rh.load(tmp_path / "out")
@@ -329,7 +333,7 @@ def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
     "words, cause",
     [
         (["--robots", "7"], "expected all, or robots from 0 to 2"),
-        (["--ros-args", "-p", "markers_rate_hz:=-1.0"], "markers_rate_hz is -1.0: expected a positive number"),
+        (["--ros-args", "-p", "markers_rate_hz:=-1.0"], "markers_rate_hz is -1.0: expected a finite number that is not negative"),
         (["--ros-args", "-p", "map_frame:=3"], "parameter map_frame"),
         (["--ros-args", "-r", "nonsense"], "--ros-args"),
     ],

@@ -216,7 +216,7 @@ def test_the_page_has_the_topics_and_the_parameters_that_the_nodes_have(root):
     page = (root / "docs/ros2.md").read_text()
     for module in ("observer", "robot"):
         source = (root / f"python/rangehound/ros2/{module}.py").read_text()
-        for parameter in re.findall(r"(?:parameter|_positive)\(\"(\w+)\"", source):
+        for parameter in re.findall(r"(?:parameter|number)\(\"(\w+)\"", source):
             assert parameter in source.split("_HELP = ")[1].split('"""')[1], parameter
             assert f"`{parameter}`" in page, parameter
         for topic in re.findall(r'f?"((?:target|rangehound|robot_\{robot\})/\w+)"', source):

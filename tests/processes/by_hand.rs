@@ -96,8 +96,6 @@ fn a_role_that_is_taken_or_does_not_exist_is_refused() {
     assert_eq!(refusals.map(|(_, refusal)| refusal.code), [Some(2); 3]);
 }
 
-/// Robots that a supervisor leaves to others are started by hand; it does not start them again, and a resumed run leaves
-/// them to others too.
 #[test]
 fn a_supervised_run_leaves_robots_to_others() {
     let words = "--ticks 60 --robots 3 --seed 4 --planner standard";

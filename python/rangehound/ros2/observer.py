@@ -106,14 +106,11 @@ def robot_ids(text: str | None, count: int) -> list[int]:
 
 def controller_limits(session: Session, max_speed_mps: float) -> unicycle.Limits:
     """The limits of a robot's controller, from the parameters of its node."""
-    values = [
-        session.parameter("max_speed_mps", max_speed_mps, "greatest forward speed, m/s"),
-        session.parameter("max_turn_rate_radps", 2.0, "greatest turn rate, rad/s"),
-        session.parameter("heading_gain_per_s", 3.0, "turn rate for each rad of heading error, 1/s"),
-    ]
-    if not all(math.isfinite(value) and value > 0.0 for value in values):
-        raise InputError(f"max_speed_mps, max_turn_rate_radps, heading_gain_per_s are {values}: expected positive numbers")
-    return unicycle.Limits(*values)
+    return unicycle.Limits(
+        session.number("max_speed_mps", max_speed_mps, "greatest forward speed, m/s"),
+        session.number("max_turn_rate_radps", 2.0, "greatest turn rate, rad/s"),
+        session.number("heading_gain_per_s", 3.0, "turn rate for each rad of heading error, 1/s"),
+    )
 
 
 class Topic(NamedTuple):
@@ -152,10 +149,8 @@ class Node:
             raise InputError(f"base_frame is {base_frame!r}: expected a name with {{}} for the number of the robot")
         base_frames = [base_frame.replace("{}", str(robot)) for robot in range(count)]
         with_tf = session.parameter("publish_tf", True, "publish the frames of the target and of robots that are not real")
-        rate_hz = session.parameter("markers_rate_hz", 10.0, "greatest rate of the markers, 1/s")
-        if not (math.isfinite(rate_hz) and rate_hz > 0.0):
-            raise InputError(f"markers_rate_hz is {rate_hz}: expected a positive number")
-        self._limits = controller_limits(session, math.inf if count == 0 else float(np.max(facts["max_speeds_mps"])))
+        rate_hz = session.number("markers_rate_hz", 10.0, "greatest rate of the markers, 1/s")
+        self._limits = controller_limits(session, float(np.max(facts["max_speeds_mps"])))
         self._simulated = [robot for robot in range(count) if robot not in robots]
 
         # Every subscription matches a reliable publisher: those that want the newest value are best effort themselves.
@@ -176,7 +171,7 @@ class Node:
         self._twists = {robot: topic(twist, f"robot_{robot}/cmd_vel", base_frames[robot]) for robot in self._simulated}
         self._led_by_others: set[int] = set()
         self._frames = self._made_frames(map_frame, target_frame, base_frames) if with_tf else None
-        self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame, count), -math.inf, 1.0 / rate_hz
+        self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame, count), -math.inf, 1.0 / rate_hz if rate_hz > 0.0 else math.inf
         self._clock = None
         if is_simulated_time:
             clock = message_type("rosgraph_msgs", "Clock", "/clock", needed=True)

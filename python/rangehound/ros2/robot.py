@@ -88,9 +88,9 @@ class Bridge:
         self._origin = session.parameter("odom_origin", [math.nan] * 3, "x, m, y, m, and yaw, rad, of the odometry's frame in map_frame")
         if len(self._origin) != 3 or any(map(math.isinf, self._origin)):
             raise InputError(f"odom_origin is {self._origin}: expected x, y and yaw")
-        self._max_age_s = self._positive("max_age_s", self._dt_s, "age up to which a range or a bearing is used, s")
-        self._odom_max_age_s = self._positive("odom_max_age_s", _ODOMETRY_TICKS * self._dt_s, "age up to which odometry is used, s")
-        self._wait_s = self._positive("lockstep_wait_s", 1.0, "how long a tick in lock step waits for this robot's messages, s")
+        self._max_age_s = session.number("max_age_s", self._dt_s, "age up to which a range or a bearing is used, s")
+        self._odom_max_age_s = session.number("odom_max_age_s", _ODOMETRY_TICKS * self._dt_s, "age up to which odometry is used, s")
+        self._wait_s = session.number("lockstep_wait_s", 1.0, "how long a tick in lock step waits for this robot's messages, s")
 
         self._changed = threading.Condition()
         self._odometry, self._range, self._bearing = Newest(), Newest(), Newest()
@@ -127,12 +127,6 @@ class Bridge:
     @property
     def _has_bearing(self) -> bool:
         return math.isfinite(self._bearing_std_rad)
-
-    def _positive(self, name: str, default: float, description: str) -> float:
-        value = float(self._session.parameter(name, default, description))
-        if not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{name} is {value}: expected a positive number")
-        return value
 
     # Called by ROS.
 

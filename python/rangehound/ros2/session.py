@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
 import os
 import signal
 import sys
@@ -100,6 +101,13 @@ class Session:
             return self.node.declare_parameter(name, default, described).value
         except Exception as error:
             raise InputError(f"parameter {name}: {error}") from None
+
+    def number(self, name: str, default: float, description: str) -> float:
+        """As `parameter`: a finite number that is not negative."""
+        value = float(self.parameter(name, default, description))
+        if not 0.0 <= value < math.inf:
+            raise InputError(f"{name} is {value}: expected a finite number that is not negative")
+        return value
 
     def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
         """A publisher whose quality of service may be overridden by parameters `qos_overrides`; `None` without a type."""
