@@ -329,6 +329,18 @@ def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
     assert [sent[0].transform.translation.x, sent[0].transform.translation.y] == list(run.position_m[3])
 
 
+def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
+    script = (
+        "from rangehound.ros2.session import Session\nfrom sensor_msgs.msg import Range\nfrom rclpy.qos import qos_profile_sensor_data\n"
+        "session = Session('one', ['--ros-args', '-p', 'qos_overrides./robot_0/range.subscription.reliability:=reliable'])\n"
+        "for robot in (0, 1): session.subscribe(Range, f'robot_{robot}/range', qos_profile_sensor_data, print)\n"
+        "of = session.node.get_subscriptions_info_by_topic\n"
+        "print([of(f'/robot_{robot}/range')[0].qos_profile.reliability.name for robot in (0, 1)])\nsession.close()"
+    )
+    out, err = ros("-c", script).communicate(timeout=60)
+    assert out == "['RELIABLE', 'BEST_EFFORT']\n", err
+
+
 @pytest.mark.parametrize(
     "words, cause",
     [

@@ -144,10 +144,7 @@ class Node:
         self._is_simulated_time = is_simulated_time
         map_frame = session.parameter("map_frame", "map", "frame of the run")
         target_frame = session.parameter("target_frame", "target", "frame of the target")
-        base_frame = session.parameter("base_frame", "robot_{}/base_link", "frame of a robot; {} is its number")
-        if "{}" not in base_frame:
-            raise InputError(f"base_frame is {base_frame!r}: expected a name with {{}} for the number of the robot")
-        base_frames = [base_frame.replace("{}", str(robot)) for robot in range(count)]
+        base_frames = session.base_frames(range(count))
         with_tf = session.parameter("publish_tf", True, "publish the frames of the target and of robots that are not real")
         rate_hz = session.number("markers_rate_hz", 10.0, "greatest rate of the markers, 1/s")
         self._limits = controller_limits(session, float(np.max(facts["max_speeds_mps"])))

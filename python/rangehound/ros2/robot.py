@@ -29,8 +29,9 @@ _LAST_COMMAND_S = 1.0
 _HELP = """
 topics in:   robot_N/range robot_N/bearing robot_N/odom
 topics out:  robot_N/cmd_vel /diagnostics
-parameters:  map_frame odom_origin max_age_s odom_max_age_s lockstep_wait_s
-             max_speed_mps max_turn_rate_radps heading_gain_per_s
+parameters:  map_frame base_frame odom_origin max_age_s odom_max_age_s
+             lockstep_wait_s max_speed_mps max_turn_rate_radps
+             heading_gain_per_s
 
 `python -m rangehound.ros2 --robots` starts this for each real robot.
 What follows --ros-args goes to ROS.
@@ -106,7 +107,7 @@ class Bridge:
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         self._publisher = session.publisher(twist, f"robot_{robot}/cmd_vel", reliable)
         self._twist = twist()
-        self._twist.header.frame_id = f"robot_{robot}/base_link"
+        [self._twist.header.frame_id] = session.base_frames([robot])
         odometry = message_type("nav_msgs", "Odometry", f"robot_{robot}/odom", needed=True)
         session.subscribe(odometry, f"robot_{robot}/odom", qos_profile_sensor_data, self._on_odometry)
         if self._has_range:

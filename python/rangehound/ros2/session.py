@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import copy
 import importlib
 import math
 import os
 import signal
 import sys
 import threading
-from typing import Any, Callable, Mapping, NoReturn, Sequence
+from typing import Any, Callable, Iterable, Mapping, NoReturn, Sequence
 
 from .._native import InputError, RunError
 
@@ -109,20 +110,28 @@ class Session:
             raise InputError(f"{name} is {value}: expected a finite number that is not negative")
         return value
 
+    def base_frames(self, robots: Iterable[int]) -> list[str]:
+        """The frames of these robots, by the parameter `base_frame`."""
+        pattern = self.parameter("base_frame", "robot_{}/base_link", "frame of a robot; {} is its number")
+        if "{}" not in pattern:
+            raise InputError(f"base_frame is {pattern!r}: expected a name with {{}} for the number of the robot")
+        return [pattern.replace("{}", str(robot)) for robot in robots]
+
     def publisher(self, kind: Any, topic: str, qos: Any) -> Any:
         """A publisher whose quality of service may be overridden by parameters `qos_overrides`; `None` without a type."""
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
         if kind is None:
             return None
-        return self.node.create_publisher(kind, topic, qos, qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        # The overriding changes the profile that it gets.
+        return self.node.create_publisher(kind, topic, copy.copy(qos), qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
     def subscribe(self, kind: Any, topic: str, qos: Any, callback: Callable[[Any], None]) -> None:
         """A subscription whose quality of service may be overridden by parameters `qos_overrides`."""
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
         overriding = QoSOverridingOptions.with_default_policies()
-        self.node.create_subscription(kind, topic, callback, qos, qos_overriding_options=overriding)
+        self.node.create_subscription(kind, topic, callback, copy.copy(qos), qos_overriding_options=overriding)
 
     def now_s(self) -> float:
         """The time of the node's clock, s: the wall clock, or the topic /clock with the parameter use_sim_time."""
