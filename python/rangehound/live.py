@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from typing import TYPE_CHECKING, Any, Callable, Iterator
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -70,7 +70,7 @@ class Robot:
 
     `measure(robot, tick, range_m, bearing_rad)` is as `sensor` of `simulate`; a real sensor ignores the last two.
     `pose(time_s, x_m, y_m, heading_rad)` returns `(x_m, y_m)`, and heading_rad, std_m and heading_std_rad if they are
-    known. `carry_out(heading_rad, speed_mps)` drives, and returns `None`, or the heading and the speed that were driven.
+    known, or `(x_m, y_m, heading_rad, xx_m2, xy_m2, yy_m2, heading_std_rad)` with the covariance of the position. `carry_out(heading_rad, speed_mps)` drives, and returns `None`, or the heading and the speed that were driven.
     Functions that are missing are those of the scenario. All are on the control path: fusion waits for them.
     """
 
@@ -179,13 +179,15 @@ def run(
     name: str,
     out: str | os.PathLike[str] | None = None,
     standby: int = 0,
+    external: Sequence[int] = (),
     record: bool = False,
     program: str | os.PathLike[str] | None = None,
     **keys: Any,
 ) -> LiveRun:
     """Starts a run with a process for each node, as `rangehound run` does, and returns at once.
 
-    Keywords are those of `Scenario`, such as `clock="lockstep"`. `out` is the run folder (default: `runs/NAME`). `program`
+    Keywords are those of `Scenario`, such as `clock="lockstep"`. The robots `external` are not started: they are processes
+    of yours, such as `Robot`, and the run waits for them. `out` is the run folder (default: `runs/NAME`). `program`
     is the program `rangehound` (default: that of the variable `RANGEHOUND`, or on the path).
 
     >>> with rh.run(name="demo", ticks=300) as run:
@@ -206,6 +208,7 @@ def run(
         raise InputError("the scenario plays a recording: expected a simulated one: `track` plays recordings")
     words = [program, "run", "--name", name, "--json", "--standby", str(standby), "--end-with", str(os.getpid())]
     words += ["--record" if record else "--no-record"]
+    words += ["--external", ",".join(map(str, external))] if len(external) > 0 else []
     words += ["--out", os.fspath(out)] if out is not None else []
     log = tempfile.TemporaryFile("w+", encoding="utf-8")
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:

@@ -17,25 +17,28 @@ from .scenario import Scenario, scenario_of
 class Run:
     """The ticks of a run, T of them, M robots, and a state of dimension n. Each array is an attribute.
 
-    =====================  ============  ==================================================================
-    `tick`, `time_s`       (T,)          tick, from 0; time, s
-    `state`                (T, n)        estimate, position first: m, m/s, ...
-    `covariance`           (T, n, n)     its covariance P
-    `truth`                (T, n)        true state; (T, 0) if it is unknown
-    `robot_m`              (T, M, 2)     true position of each robot, m
-    `believed_m`           (T, M, 2)     its position as it reported it, m
-    `range_m`              (T, M)        reported range, m, calibrated; NaN if there is none. `range_std_m`
-    `bearing_rad`          (T, M)        the same from the robot's heading. `bearing_std_rad`
-    `range_used`           (T, M)        0 nothing measured, 1 fused, 2 rejected, 3 distrusted. `bearing_used`
-    `heading_rad`          (T, M)        commanded heading from this tick to the next. `speed_mps`
-    `nis`                  (T,)          normalised innovation squared, `fused` degrees of freedom
-    `fused`, `rejected`    (T,)          numbers of measurements; `missing`: of robots that did not report
-    `objective`            (T,)          what the planner made small; `lower_bound`, -inf without a proof
-    `least_trace_m2`       (T,)          no headings of this tick lead to a lesser position trace at the next; 0 without a proof
-    `sent_ns`              (T,)          monotonic time at which the headings were sent, ns; 0 if it was not taken
-    `gap`                  (T,)          objective above the certified optimum, relative; with `gap=True` alone
-    `trace_excess`         (T,)          planned position trace above the least, relative; with `gap=True` alone
-    =====================  ============  ==================================================================
+    ==========================  ============  ==================================================================
+    `tick`, `time_s`            (T,)          tick, from 0; time, s
+    `state`                     (T, n)        estimate, position first: m, m/s, ...
+    `covariance`                (T, n, n)     its covariance P
+    `truth`                     (T, n)        true state; (T, 0) if it is unknown
+    `robot_m`                   (T, M, 2)     true position of each robot, m
+    `believed_m`                (T, M, 2)     its position as it reported it, m; NaN if it did not report
+    `believed_covariance_m2`    (T, M, 2, 2)  the covariance of that as it reported it, m^2
+    `believed_heading_rad`      (T, M)        its heading as it reported it, rad. `believed_heading_std_rad`
+    `range_m`                   (T, M)        reported range, m, calibrated; NaN if there is none. `range_std_m`
+    `bearing_rad`               (T, M)        the same from the robot's heading. `bearing_std_rad`
+    `range_used`                (T, M)        0 nothing measured, 1 fused, 2 rejected, 3 distrusted. `bearing_used`
+    `heading_rad`               (T, M)        commanded heading from this tick to the next. `speed_mps`
+    `nis`                       (T,)          normalised innovation squared, `fused` degrees of freedom
+    `fused`, `rejected`         (T,)          numbers of measurements; `missing`: of robots that did not report
+    `objective`                 (T,)          what the planner made small; `lower_bound`, -inf without a proof
+    `least_trace_m2`            (T,)          no headings of this tick lead to a lesser position trace at the next; 0 without a proof
+    `sent_ns`                   (T,)          monotonic time at which the headings were sent, ns; 0 if it was not taken.
+                                              `last_range_ns`: at which the tick's last range was sent
+    `gap`                       (T,)          objective above the certified optimum, relative; with `gap=True` alone
+    `trace_excess`              (T,)          planned position trace above the least, relative; with `gap=True` alone
+    ==========================  ============  ==================================================================
 
     `report` has the keys of `report.json`, and `scenario` is the experiment.
     """

@@ -164,27 +164,32 @@ impl FunctionPose {
         Python::attach(|py| {
             let answer = self.function.0.bind(py).call1((time_s, pose.x_m, pose.y_m, pose.heading_rad))?;
             let numbers = Numbers::of(&answer, "the answer of the localiser")?.data;
-            let of = |i: usize, absent: f64| numbers.get(i).copied().unwrap_or(absent);
-            let std_m = of(3, 0.0);
-            let is_valid = (2..=5).contains(&numbers.len()) && numbers.iter().all(|number| number.is_finite());
-            if !is_valid || std_m < 0.0 || of(4, 0.0) < 0.0 {
-                return Err(input(format!(
+            posed(&numbers, pose).ok_or_else(|| {
+                input(format!(
                     "the answer of the localiser is {numbers:?}: expected (x_m, y_m), and heading_rad, std_m and \
-                     heading_std_rad if they are known, all finite"
-                )));
-            }
-            let covariance_m2 = [std_m * std_m, 0.0, std_m * std_m];
-            let (x_m, y_m) = (numbers[0], numbers[1]);
-            Ok(Pose {
-                x_m,
-                y_m,
-                heading_rad: of(2, pose.heading_rad),
-                covariance_m2,
-                heading_std_rad: of(4, 0.0),
-                ..pose
+                     heading_std_rad if they are known, or (x_m, y_m, heading_rad, xx_m2, xy_m2, yy_m2, heading_std_rad), all finite"
+                ))
             })
         })
     }
+}
+
+/// The pose of a localiser's answer; `pose` has what the answer lacks. `None` if it is not one.
+fn posed(numbers: &[f64], pose: Pose) -> Option<Pose> {
+    let of = |i: usize, absent: f64| numbers.get(i).copied().unwrap_or(absent);
+    let (covariance_m2, heading_std_rad) = match *numbers {
+        [_, _, _, xx_m2, xy_m2, yy_m2, heading_std_rad] => ([xx_m2, xy_m2, yy_m2], heading_std_rad),
+        [_, _] | [_, _, _] | [_, _, _, _] | [_, _, _, _, _] => {
+            let std_m = Some(of(3, 0.0)).filter(|std_m| *std_m >= 0.0)?;
+            ([std_m * std_m, 0.0, std_m * std_m], of(4, 0.0))
+        }
+        _ => return None,
+    };
+    let [xx_m2, xy_m2, yy_m2] = covariance_m2;
+    let is_covariance = xx_m2 >= 0.0 && yy_m2 >= 0.0 && xy_m2 * xy_m2 <= xx_m2 * yy_m2 * (1.0 + 1e-9);
+    let is_valid = numbers.iter().all(|number| number.is_finite()) && is_covariance && heading_std_rad >= 0.0;
+    let (x_m, y_m, heading_rad) = (of(0, pose.x_m), of(1, pose.y_m), of(2, pose.heading_rad));
+    is_valid.then_some(Pose { x_m, y_m, heading_rad, covariance_m2, heading_std_rad, ..pose })
 }
 
 impl PoseSource for FunctionPose {

@@ -12,6 +12,7 @@ use pyo3::types::PyDict;
 use rangehound::failure::Failure;
 use rangehound::results::frame::Frames;
 use rangehound::run::node::{input_or_running, of_fusion, of_robot};
+use rangehound::run::remote::Status;
 use rangehound_fusion::planner::{Plan, Planner, Situation};
 use rangehound_node::logs;
 use rangehound_node::rendezvous::{Rendezvous, Role};
@@ -19,11 +20,13 @@ use rangehound_node::system::signal::Termination;
 use rangehound_robot::drive::HOLD_TICKS;
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::sensor::{self, Sensor};
+use rangehound_shared::motion::MotionModel;
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{Clock, Scenario, Timeout};
+use rangehound_shared::scenario::{Clock, RobotSpec, Scenario, Timeout};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::inotify;
 
+use crate::arrays::array;
 use crate::callables::{Function, FunctionActuator, FunctionPose, FunctionSensor};
 use crate::errors::{Raised, RunError, failed, input};
 use crate::run::History;
@@ -88,6 +91,29 @@ impl Observer {
     #[getter]
     fn folder(&self) -> std::path::PathBuf {
         self.run.description().out_dir.clone()
+    }
+
+    /// What its messages do not say of the run: the length of a time step, s, whether its clock is lock step, whether the
+    /// state goes on with the velocity after the position; and for each robot its speed limit, m/s, and the standard
+    /// deviations that the filter assumes for its range at distance 0, m, and its bearing, rad: NaN for what it does not measure.
+    fn describe<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let scenario = &self.run.description().scenario;
+        let has_velocity = matches!(scenario.motion, MotionModel::IntegratorChain { order: 2.., .. });
+        let of_each =
+            |of: fn(&RobotSpec) -> f64| array(py, scenario.robots.iter().map(of).collect(), &[scenario.robots.len()]);
+        let dict = PyDict::new(py);
+        dict.set_item("dt_s", scenario.dt_s)?;
+        dict.set_item("is_lockstep", scenario.clock == Clock::Lockstep)?;
+        dict.set_item("has_velocity", has_velocity)?;
+        dict.set_item("max_speeds_mps", of_each(|robot| robot.speed_mps)?)?;
+        dict.set_item("range_stds_m", of_each(|robot| robot.reported.range.map_or(f64::NAN, |range| range.std_m))?)?;
+        dict.set_item("bearing_stds_rad", of_each(|robot| robot.reported.bearing_std_rad.unwrap_or(f64::NAN))?)?;
+        Ok(dict)
+    }
+
+    /// The nodes and their states, as JSON with the keys of `rangehound status --json`.
+    fn status(&self) -> PyResult<String> {
+        serde_json::to_string(&Status::of(&self.run)).map_err(failed)
     }
 
     fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {

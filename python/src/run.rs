@@ -47,9 +47,11 @@ pub(crate) struct History {
     nis: Vec<f64>,
     counts: [Vec<u64>; 3],
     worth: [Vec<f64>; 3],
-    sent_ns: Vec<u64>,
+    times_ns: [Vec<u64>; 2],
     position_m: Vec<f64>,
     believed_m: Vec<f64>,
+    believed_covariance_m2: Vec<f64>,
+    believed_heading: [Vec<f64>; 2],
     measured: [Vec<f64>; 4],
     used: [Vec<i8>; Kind::COUNT],
     commands: [Vec<f64>; 2],
@@ -70,7 +72,9 @@ impl History {
         self.covariance.reserve(ticks * n * n);
         self.truth.reserve(ticks * self.truth_dim);
         [&mut self.position_m, &mut self.believed_m].into_iter().for_each(|column| column.reserve(2 * m * ticks));
-        self.measured.iter_mut().chain(&mut self.commands).for_each(|column| column.reserve(m * ticks));
+        self.believed_covariance_m2.reserve(4 * m * ticks);
+        let columns = self.measured.iter_mut().chain(&mut self.commands).chain(&mut self.believed_heading);
+        columns.for_each(|column| column.reserve(m * ticks));
         self
     }
 
@@ -102,7 +106,8 @@ impl History {
         let worth = estimate.map(|estimate| [estimate.objective, estimate.lower_bound, estimate.least_trace_m2]);
         let worth = worth.unwrap_or([f64::NAN; 3]);
         self.worth.iter_mut().zip(worth).for_each(|(column, value)| column.push(value));
-        self.sent_ns.push(estimate.map_or(0, |estimate| estimate.stages.sent_ns));
+        let times_ns = estimate.map_or([0; 2], |estimate| [estimate.stages.last_range_ns, estimate.stages.sent_ns]);
+        self.times_ns.iter_mut().zip(times_ns).for_each(|(column, time_ns)| column.push(time_ns));
         for robot in 0..self.robots {
             let exchange = fusion.and_then(|record| record.exchanges.get(robot));
             let body = world.and_then(|record| record.robots.get(robot));
@@ -119,6 +124,10 @@ impl History {
         self.position_m.extend(body.map_or(nowhere, |body| [body.pose.x_m, body.pose.y_m]));
         let pose = heard.map(|heard| heard.measurement.pose);
         self.believed_m.extend(pose.map_or(nowhere, |pose| [pose.x_m, pose.y_m]));
+        let [xx_m2, xy_m2, yy_m2] = pose.map_or([f64::NAN; 3], |pose| pose.covariance_m2);
+        self.believed_covariance_m2.extend([xx_m2, xy_m2, xy_m2, yy_m2]);
+        let heading = pose.map_or(nowhere, |pose| [pose.heading_rad, pose.heading_std_rad]);
+        self.believed_heading.iter_mut().zip(heading).for_each(|(column, value)| column.push(value));
         for (kind, used) in Kind::ALL.into_iter().zip(&mut self.used) {
             let (value, std) = heard.and_then(|heard| heard.measurement.of(kind)).unwrap_or((f64::NAN, f64::NAN));
             self.measured[2 * kind as usize].push(value);
@@ -153,9 +162,17 @@ impl History {
         for (name, column) in ["objective", "lower_bound", "least_trace_m2"].into_iter().zip(self.worth) {
             dict.set_item(name, array(py, column, &[ticks])?)?;
         }
-        dict.set_item("sent_ns", array(py, self.sent_ns, &[ticks])?)?;
+        for (name, column) in ["last_range_ns", "sent_ns"].into_iter().zip(self.times_ns) {
+            dict.set_item(name, array(py, column, &[ticks])?)?;
+        }
         dict.set_item("robot_m", array(py, self.position_m, &[ticks, m, 2])?)?;
         dict.set_item("believed_m", array(py, self.believed_m, &[ticks, m, 2])?)?;
+        dict.set_item("believed_covariance_m2", array(py, self.believed_covariance_m2, &[ticks, m, 2, 2])?)?;
+        for (name, column) in
+            ["believed_heading_rad", "believed_heading_std_rad"].into_iter().zip(self.believed_heading)
+        {
+            dict.set_item(name, array(py, column, &[ticks, m])?)?;
+        }
         let names = ["range_m", "range_std_m", "bearing_rad", "bearing_std_rad"];
         for (name, column) in names.into_iter().zip(self.measured) {
             dict.set_item(name, array(py, column, &[ticks, m])?)?;

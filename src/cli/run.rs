@@ -227,6 +227,10 @@ pub struct SupervisionArgs {
     /// Robots on other hosts
     #[command(flatten)]
     pub hosts: HostsArgs,
+    /// Robots whose processes you start yourself on this host, as in 0,2-5: drivers, or a node of ROS 2; the others are
+    /// started here
+    #[arg(long, value_name = "IDS")]
+    pub external: Option<RobotSet>,
 }
 
 /// Robots on other hosts.
@@ -321,6 +325,11 @@ impl ResumeArgs {
 }
 
 fn execute(experiment: Experiment, in_process: bool, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
+    if in_process && supervision.external.is_some() {
+        return Err(Failure::input(
+            "--external is given: expected it without --in-process, because other processes take part",
+        ));
+    }
     if in_process {
         return supervisor::run_in_process(&experiment, supervision.record_limit_mb, keep);
     }
@@ -339,6 +348,7 @@ impl SupervisionArgs {
                 keys: self.hosts.keys.clone(),
                 remote: self.hosts.remote.map(|remote| remote.iter().collect()),
             }),
+            external: self.external,
             record_limit_mb: (!recording.no_record).then_some(recording.limit.limit_mb),
         }
     }

@@ -33,7 +33,7 @@ pub(crate) const ELSEWHERE: &str = "elsewhere";
 
 /// The present state of a run.
 #[derive(Debug, Serialize)]
-pub(crate) struct Status {
+pub struct Status {
     pub(crate) name: String,
     pub(crate) scenario: String,
     /// `running`, or `finishing`: the nodes are ending or have ended, and the results are being written.
@@ -309,7 +309,9 @@ impl Status {
         self.nodes.iter().any(|node| node.pid.is_some() || node.state == ELSEWHERE)
     }
 
-    pub(crate) fn of(run: &Rendezvous) -> Self {
+    /// Reads it from the files of the run and of the kernel; no node is contacted.
+    #[must_use]
+    pub fn of(run: &Rendezvous) -> Self {
         let description = run.description();
         let scenario = &description.scenario;
         let log = logs::read_worlds(description).ok();

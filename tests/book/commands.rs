@@ -25,6 +25,10 @@ const REASONS: [&str; 9] = [
     "needs a viewer",
 ];
 
+/// The commands of the Python package.
+const PYTHON_COMMANDS: [&str; 3] =
+    ["python/rangehound/ros2/session.py", "python/rangehound/ros2/observer.py", "python/rangehound/ros2/robot.py"];
+
 /// Programs that the pages use and that some machines lack.
 const OTHERS: [&str; 2] = ["jq", "python3"];
 
@@ -197,10 +201,12 @@ fn commands(script: &str) -> impl Iterator<Item = Vec<String>> {
     })
 }
 
-/// A flag must belong to the program or the driver.
+/// A flag must belong to the program, the driver or a command of the Python package.
 #[test]
 fn flags_that_are_named_exist() {
-    let driver = std::fs::read_to_string(root().join("node/examples/serial_range.rs")).unwrap();
+    let text = |path: &str| std::fs::read_to_string(root().join(path)).unwrap();
+    let driver = text("node/examples/serial_range.rs");
+    let scripts = PYTHON_COMMANDS.into_iter().map(text).collect::<String>();
     let command = cli::command();
     let of_command = |command: &clap::Command, flag: &str| {
         flag == "help" || command.get_arguments().any(|argument| argument.get_long() == Some(flag))
@@ -208,6 +214,7 @@ fn flags_that_are_named_exist() {
     let of_any = |flag: &str| {
         command.get_subcommands().any(|command| of_command(command, flag))
             || driver.contains(&format!("    {}: ", flag.replace('-', "_")))
+            || scripts.contains(&format!("\"--{flag}\""))
     };
     let mut faults = Vec::new();
     for page in pages() {

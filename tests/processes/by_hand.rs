@@ -97,6 +97,28 @@ fn a_role_that_is_taken_or_does_not_exist_is_refused() {
 }
 
 #[test]
+fn a_supervised_run_leaves_robots_to_others() {
+    let words = "--ticks 60 --robots 3 --seed 4 --planner standard";
+    let run = Run::new();
+    let supervisor = run.lockstep(&format!("--timeout forever {words} --external 0,2"));
+    let [first, other] = ["robot --id 0", "robot --id 2"].map(|words| run.node(words));
+    for process in [first, other, supervisor] {
+        process.finish().succeeded();
+    }
+    assert_eq!(run.digest(), digest_in_process(words));
+    let nodes = run.report()["nodes"].clone();
+    let names: Vec<&str> = nodes.as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
+    assert!(names.contains(&"robot-1") && !names.contains(&"robot-0"), "{names:?}");
+    run.assert_nothing_left();
+    for (flags, names) in
+        [("--external 3", "robot 3 (--external)"), ("--external 1 --in-process", "without --in-process")]
+    {
+        let refusal = Run::new().command(&format!("run {words} {flags}")).finish();
+        assert!(refusal.code == Some(2) && refusal.stderr.contains(names), "{refusal:#?}");
+    }
+}
+
+#[test]
 fn a_node_that_waits_for_its_run_ends_when_asked() {
     for words in ["fusion", "robot --id 0", "watch"] {
         let run = Run::new();

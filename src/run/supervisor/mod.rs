@@ -52,6 +52,8 @@ pub struct Supervision {
     pub record_limit_mb: Option<u64>,
     /// Robots on other hosts.
     pub hosts: Option<Hosts>,
+    /// Robots of this host whose processes others start.
+    pub external: Option<RobotSet>,
 }
 
 /// The gateway for robots on other hosts; kept in the run folder, for `resume`.
@@ -89,15 +91,23 @@ impl Supervision {
         remote.is_some_and(|remote| remote.is_none_or(|remote| remote.contains(&robot)))
     }
 
+    /// True if others start a robot: on this host, or on another one.
+    fn leaves_to_others(&self, robot: usize) -> bool {
+        self.is_remote(robot) || self.external.is_some_and(|external| external.contains(robot))
+    }
+
     /// The gateway for robots on other hosts. Robots that the run does not have and a gateway that could not start are
     /// refused before anything is made.
     fn gateway(&self, scenario: &Scenario) -> Result<Option<Gateway>, Failure> {
-        let Some(hosts) = &self.hosts else { return Ok(None) };
-        let robots = scenario.robots.len();
-        if let Some(id) = hosts.remote.as_ref().and_then(|remote| remote.range(robots..).next()) {
-            let last = robots - 1;
-            return Err(Failure::input(format!("robot {id} (--remote) is not in this run: expected 0 to {last}")));
+        let last = scenario.robots.len() - 1;
+        let remote = self.hosts.as_ref().and_then(|hosts| hosts.remote.as_ref()?.last().copied());
+        let external = self.external.and_then(|external| external.iter().last());
+        for (flag, id) in [("--remote", remote), ("--external", external)] {
+            if let Some(id) = id.filter(|id| *id > last) {
+                return Err(Failure::input(format!("robot {id} ({flag}) is not in this run: expected 0 to {last}")));
+            }
         }
+        let Some(hosts) = &self.hosts else { return Ok(None) };
         let listen = gateway::check(hosts.listen, hosts.keys.as_deref())?;
         Ok(Some(Gateway { program: gateway::program()?, listen, keys: hosts.keys.clone() }))
     }

@@ -1,0 +1,68 @@
+"""Counts what a node publishes, with ROS 2 alone. Prints a line at the first message, and one of JSON when it is
+asked to end.
+
+The arguments are topics with their types, as in `/target/pose=geometry_msgs/PoseWithCovarianceStamped`.
+"""
+
+import importlib
+import json
+import signal
+import sys
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+
+class Ended(Exception):
+    pass
+
+
+def end(*_):
+    raise Ended
+
+
+def plain(value):
+    """A message as JSON has it."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return list(value)
+    if isinstance(value, (str, int, float)):
+        return value
+    return [plain(one) for one in value]
+
+
+def main():
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("listener")
+    heard = {}
+
+    def hear(topic, message):
+        if not any(heard.values()):
+            print("first", flush=True)
+        heard[topic].append(message)
+
+    for word in sys.argv[1:]:
+        topic, _, kind = word.partition("=")
+        package, _, name = kind.partition("/")
+        heard[topic] = []
+        best_effort = ReliabilityPolicy.BEST_EFFORT if topic == "/clock" else ReliabilityPolicy.RELIABLE
+        qos = QoSProfile(depth=5000, reliability=best_effort)
+        node.create_subscription(getattr(importlib.import_module(f"{package}.msg"), name), topic, lambda message, topic=topic: hear(topic, message), qos)
+    signal.signal(signal.SIGTERM, end)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    print("ready", flush=True)
+    try:
+        # Python acts on signals between two waits.
+        while True:
+            executor.spin_once(timeout_sec=0.1)
+    except Ended:
+        pass
+    print(json.dumps({topic: [plain(message) for message in messages] for topic, messages in heard.items()}), flush=True)
+
+
+main()
