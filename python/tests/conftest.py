@@ -2,13 +2,18 @@
 
 import os
 import pathlib
+import signal
 import subprocess
 import sys
 
 import pytest
+import rangehound as rh
 
 #: The project's folder.
 ROOT = pathlib.Path(__file__).parents[2]
+
+#: Ends a test that hangs, s: far above what it takes.
+WATCHDOG_S = 120
 
 
 @pytest.fixture
@@ -33,3 +38,68 @@ def program():
     if not path.exists():
         pytest.skip(f"{path} has not been built")
     return path
+
+
+@pytest.fixture
+def watchdog():
+    def hangs(*_):
+        raise TimeoutError(f"the test did not end in {WATCHDOG_S} s")
+
+    before = signal.signal(signal.SIGALRM, hangs)
+    signal.alarm(WATCHDOG_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def name(request):
+    """A name of its own for the test's run; nothing of the run may be left."""
+    name = f"py-{os.getpid()}-{abs(hash(request.node.name)) % 10_000}"
+    yield name
+    left = [file for file in os.listdir("/dev/shm") if name in file]
+    assert not left, left
+
+
+@pytest.fixture
+def by_hand(program, name, tmp_path):
+    """Starts nodes of a run by hand, and Python nodes beside them; ends what is left of them."""
+    started = []
+
+    def start(*nodes, scripts=(), scenario=None, **keys):
+        (tmp_path / "scenario.toml").write_text(rh.Scenario(scenario, **keys).to_toml())
+        for words in nodes:
+            first = ["scenario.toml", "--out", "out"] if words[0] == "sim" else []
+            started.append(subprocess.Popen([program, *words, *first, "--name", name], cwd=tmp_path, stderr=subprocess.DEVNULL))
+        for script in scripts:
+            pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            text = f"import rangehound as rh\nname = {name!r}\n{script}"
+            started.append(subprocess.Popen([sys.executable, "-c", text], cwd="/", **pipes))
+        return started
+
+    yield start
+    # The last node to end in order removes what the run has in shared memory.
+    subprocess.run([program, "stop", "--name", name], capture_output=True, timeout=60)
+    for process in started:
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def command():
+    """Starts `python -m rangehound.NAME` with flags; ends what is left of them."""
+    started = []
+
+    def start(name, *words):
+        pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        started.append(subprocess.Popen([sys.executable, "-m", f"rangehound.{name}", *map(str, words)], cwd="/", **pipes))
+        return started[-1]
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()

@@ -1,6 +1,5 @@
 """Live runs: observers, robots and fusions with functions, and the processes of a run."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -10,53 +9,7 @@ import numpy as np
 import pytest
 import rangehound as rh
 
-#: Ends a test that hangs, s: far above what it takes.
-WATCHDOG_S = 120
-
-
-@pytest.fixture(autouse=True)
-def watchdog():
-    def hangs(*_):
-        raise TimeoutError(f"the test did not end in {WATCHDOG_S} s")
-
-    before = signal.signal(signal.SIGALRM, hangs)
-    signal.alarm(WATCHDOG_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
-
-
-@pytest.fixture
-def name(request):
-    """A name of its own for the test's run; nothing of the run may be left."""
-    name = f"py-{os.getpid()}-{abs(hash(request.node.name)) % 10_000}"
-    yield name
-    left = [file for file in os.listdir("/dev/shm") if name in file]
-    assert not left, left
-
-
-@pytest.fixture
-def by_hand(program, name, tmp_path):
-    """Starts nodes of a run by hand, and Python nodes beside them; ends what is left of them."""
-    started = []
-
-    def start(*nodes, scripts=(), **keys):
-        (tmp_path / "scenario.toml").write_text(rh.Scenario(**keys).to_toml())
-        for words in nodes:
-            first = ["scenario.toml", "--out", "out"] if words[0] == "sim" else []
-            started.append(subprocess.Popen([program, *words, *first, "--name", name], cwd=tmp_path, stderr=subprocess.DEVNULL))
-        for script in scripts:
-            pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-            text = f"import rangehound as rh\nname = {name!r}\n{script}"
-            started.append(subprocess.Popen([sys.executable, "-c", text], cwd="/", **pipes))
-        return started
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
-    subprocess.run([program, "stop", "--name", name], capture_output=True, timeout=60)
+pytestmark = pytest.mark.usefixtures("watchdog")
 
 
 def robots(*ids):
