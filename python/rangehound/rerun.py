@@ -94,7 +94,7 @@ def blueprint(rerun: Any) -> Any:
         end=rerun.TimeRangeBoundary.cursor_relative(),
     )
     field = views.Spatial3DView(
-        origin="/field", name="field", overrides={"/field/trail": views.VisibleTimeRanges([past])}
+        origin="/field", name="field", overrides={"/field/trail/lines": views.VisibleTimeRanges([past])}
     )
     curves = [views.TimeSeriesView(origin=f"/{name}", name=name) for name in ("error_m", "position_trace_m2")]
     return views.Blueprint(views.Horizontal(field, views.Vertical(*curves)), views.TimePanel(timeline="run_time"))
@@ -127,49 +127,57 @@ class Picture:
 
     def entity(self, entity: Any) -> None:
         """Logs an object of the scene. Objects with a lifetime are numbered: here all of a kind are one."""
-        rerun = self.rerun
         path = "field/" + (entity.id.split()[0] if entity.HasField("lifetime") else entity.id)
-        parts = {
-            path + "/balls": [ball for ball in entity.spheres if ball.color.a == 1.0],
-            path + "/ellipses": [ball for ball in entity.spheres if ball.color.a < 1.0],
-            path + "/arrows": entity.arrows,
-            path + "/names": entity.texts,
-            path: entity.lines,
-        }
-        for place, primitives in parts.items():
-            # What is empty now replaces what was shown before.
-            if not primitives and place not in self.shown:
-                continue
-            self.shown.add(place)
-            colors = [rgba(primitive.color) for primitive in primitives]
-            if place.endswith("/balls") or place.endswith("/ellipses"):
-                fill = rerun.components.FillMode.Solid if place.endswith("/balls") else rerun.components.FillMode.MajorWireframe
-                drawn = rerun.Ellipsoids3D(
-                    centers=[position(ball.pose) for ball in primitives],
-                    half_sizes=[[ball.size.x / 2, ball.size.y / 2, ball.size.z / 2] for ball in primitives],
-                    quaternions=[rerun.Quaternion(xyzw=quaternion(ball.pose)) for ball in primitives],
-                    colors=colors,
-                    fill_mode=fill,
-                )
-            elif place.endswith("/arrows"):
-                drawn = rerun.Arrows3D(
-                    origins=[position(arrow.pose) for arrow in primitives],
-                    vectors=[vector(arrow) for arrow in primitives],
-                    radii=[arrow.shaft_diameter / 2 for arrow in primitives],
-                    colors=colors,
-                )
-            elif place.endswith("/names"):
-                drawn = rerun.Points3D(
-                    [position(text.pose) for text in primitives], labels=[text.text for text in primitives], colors=colors, radii=0.0
-                )
-            else:
-                strips = [(strip, color) for line, color in zip(primitives, colors) for strip in strips_of(line)]
-                drawn = rerun.LineStrips3D(
-                    [strip for strip, _ in strips],
-                    colors=[color for _, color in strips],
-                    radii=rerun.Radius.ui_points(1.0),
-                )
-            self.recording.log(place, drawn)
+        opaque = [ball for ball in entity.spheres if ball.color.a == 1.0]
+        clear = [ball for ball in entity.spheres if ball.color.a < 1.0]
+        fill = self.rerun.components.FillMode
+        self.part(path + "/balls", opaque, lambda parts: ellipsoids(self.rerun, parts, fill.Solid))
+        # A flat ellipsoid that is drawn as lines is an ellipse.
+        self.part(path + "/ellipses", clear, lambda parts: ellipsoids(self.rerun, parts, fill.MajorWireframe))
+        self.part(path + "/arrows", entity.arrows, lambda parts: arrows(self.rerun, parts))
+        self.part(path + "/names", entity.texts, lambda parts: names(self.rerun, parts))
+        self.part(path + "/lines", entity.lines, lambda parts: lines(self.rerun, parts))
+
+    def part(self, path: str, primitives: Any, drawn: Callable[[Any], Any]) -> None:
+        """Logs primitives of one kind. Where there are none any more, that replaces what was shown before."""
+        if primitives or path in self.shown:
+            self.shown.add(path)
+            self.recording.log(path, drawn(primitives))
+
+
+def ellipsoids(rerun: Any, spheres: Any, fill: Any) -> Any:
+    return rerun.Ellipsoids3D(
+        centers=[position(sphere.pose) for sphere in spheres],
+        half_sizes=[[sphere.size.x / 2, sphere.size.y / 2, sphere.size.z / 2] for sphere in spheres],
+        quaternions=[rerun.Quaternion(xyzw=quaternion(sphere.pose)) for sphere in spheres],
+        colors=[rgba(sphere.color) for sphere in spheres],
+        fill_mode=fill,
+    )
+
+
+def arrows(rerun: Any, primitives: Any) -> Any:
+    return rerun.Arrows3D(
+        origins=[position(arrow.pose) for arrow in primitives],
+        vectors=[vector(arrow) for arrow in primitives],
+        radii=[arrow.shaft_diameter / 2 for arrow in primitives],
+        colors=[rgba(arrow.color) for arrow in primitives],
+    )
+
+
+def names(rerun: Any, texts: Any) -> Any:
+    return rerun.Points3D(
+        [position(text.pose) for text in texts],
+        labels=[text.text for text in texts],
+        colors=[rgba(text.color) for text in texts],
+        radii=0.0,
+    )
+
+
+def lines(rerun: Any, primitives: Any) -> Any:
+    strips = [(strip, rgba(line.color)) for line in primitives for strip in strips_of(line)]
+    return rerun.LineStrips3D(
+        [strip for strip, _ in strips], colors=[color for _, color in strips], radii=rerun.Radius.ui_points(1.0)
+    )
 
 
 def position(pose: Any) -> list[float]:

@@ -1,6 +1,7 @@
 """Live runs in Foxglove and Rerun: the messages of `run.mcap`, and a run that does not notice."""
 
 import base64
+import contextlib
 import csv
 import json
 import re
@@ -34,19 +35,20 @@ def foxglove(command, name):
     return start
 
 
+@contextlib.contextmanager
 def subscribed(address, topics=TOPICS):
     """A client that has subscribed to topics, and the advertised channels by topic."""
     from websockets.sync.client import connect
 
-    client = connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None)
-    channels = {}
-    while set(channels) < topics:
-        said = client.recv(timeout=60)
-        if isinstance(said, str) and json.loads(said)["op"] == "advertise":
-            channels.update({channel["topic"]: channel for channel in json.loads(said)["channels"]})
-    wanted = [{"id": channel["id"], "channelId": channel["id"]} for topic, channel in channels.items() if topic in topics]
-    client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-    return client, channels
+    with connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=1) as client:
+        channels = {}
+        while set(channels) < topics:
+            said = client.recv(timeout=60)
+            if isinstance(said, str) and json.loads(said)["op"] == "advertise":
+                channels.update({channel["topic"]: channel for channel in json.loads(said)["channels"]})
+        wanted = [{"id": channels[topic]["id"], "channelId": channels[topic]["id"]} for topic in topics]
+        client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        yield client, channels
 
 
 def received(client, channels):
@@ -92,8 +94,8 @@ def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglo
     pytest.importorskip("mcap", reason="mcap is not installed")
     with rh.run(name=name, out=tmp_path / "out", program=program, record=True, ticks=100, dt_s=0.05) as run:
         server, address = foxglove()
-        client, channels = subscribed(address)
-        live, times = received(client, channels)
+        with subscribed(address) as (client, channels):
+            live, times = received(client, channels)
         assert server.wait() == 0, server.stderr.read()
         assert run.report()["ticks"] == 100
     in_file, messages = recorded(tmp_path / "out/run.mcap")
@@ -124,20 +126,18 @@ def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglo
 
 
 def test_killed_servers_and_clients_that_do_not_read_change_nothing(foxglove, name, program, tmp_path):
-    keys = dict(ticks=30_000, clock="lockstep", timeout_s="forever", planner="greedy")
+    keys = dict(ticks=15_000, clock="lockstep", timeout_s="forever", planner="greedy")
     with rh.run(name=name, out=tmp_path / "out", program=program, **keys) as run:
         for _ in range(2):
             server, address = foxglove()
-            client, _ = subscribed(address)
-            client.recv(timeout=60)
-            server.kill()
-            server.wait()
-            client.close()
+            with subscribed(address) as (client, _):
+                client.recv(timeout=60)
+                server.kill()
+                server.wait()
         server, address = foxglove()
-        deaf, _ = subscribed(address)
-        digest = run.report()["digest"]
-        assert server.wait() == 0, server.stderr.read()
-        deaf.close()
+        with subscribed(address):
+            digest = run.report()["digest"]
+            assert server.wait() == 0, server.stderr.read()
     assert digest == rh.simulate(rh.Scenario(**keys)).digest
 
 
@@ -146,15 +146,13 @@ def test_a_client_may_come_go_and_come_back(foxglove, name, program, tmp_path):
         server, address = foxglove()
         last_ns = -1
         for _ in range(3):
-            client, channels = subscribed(address, {"/estimate"})
-            while True:
-                said = client.recv(timeout=60)
-                if isinstance(said, bytes) and said[0] == 1:
-                    break
+            with subscribed(address, {"/estimate"}) as (client, _):
+                said = ""
+                while isinstance(said, str) or said[0] != 1:
+                    said = client.recv(timeout=60)
             time_ns = struct.unpack_from("<Q", said, 5)[0]
             assert time_ns > last_ns
             last_ns = time_ns
-            client.close()
             time.sleep(0.3)
         run.stop()
         assert server.wait() == 0, server.stderr.read()
@@ -178,7 +176,7 @@ def test_a_run_in_rerun_has_estimates_field_and_both_timelines(command, root, na
         batch = chunk.to_record_batch().to_pydict()
         columns.setdefault(chunk.entity_path, []).append(batch)
     shown = set(columns)
-    assert {"/field/target/balls", "/field/estimate/balls", "/field/estimate/ellipses", "/field/robots/arrows", "/field/ranges", "/field/bearings", "/field/trail"} <= shown
+    assert {"/field/target/balls", "/field/estimate/balls", "/field/estimate/ellipses", "/field/robots/arrows", "/field/ranges/lines", "/field/bearings/lines", "/field/trail/lines"} <= shown
 
     def series(path):
         points = {}
@@ -187,6 +185,16 @@ def test_a_run_in_rerun_has_estimates_field_and_both_timelines(command, root, na
             value = next(key for key in batch if "scalars" in key.lower())
             points.update({tick: number[0] for tick, number in zip(batch["tick"], batch[value])})
         return points
+
+    def newest(path, component):
+        batch = max(columns[path], key=lambda batch: batch["tick"][-1])
+        return batch["tick"][-1], np.array(batch[component][-1])
+
+    tick, arrows_m = newest("/field/robots/arrows", "Arrows3D:origins")
+    np.testing.assert_allclose(arrows_m[:, :2], finished.robot_m[tick], rtol=1e-6)
+    tick, half_sizes_m = newest("/field/estimate/ellipses", "Ellipsoids3D:half_sizes")
+    variances_m2 = np.linalg.eigvalsh(finished.covariance[tick, :2, :2])
+    np.testing.assert_allclose(np.sort(half_sizes_m[0, :2]), 3 * np.sqrt(variances_m2), rtol=1e-5)
 
     for path, expected in (("/error_m", finished.error_m), ("/position_trace_m2", finished.position_trace_m2)):
         points = series(path)
