@@ -15,7 +15,7 @@ from . import _command, _native
 #: While no client has subscribed to a topic: interval at which it looks whether the run has ended, s.
 LOOK_S = 0.5
 
-#: Time in which the clients get the last messages, s.
+#: Time in which the clients get the last messages, s. One that does not read is left after the same time once more.
 LINGER_S = 0.5
 
 #: The most messages that wait for one client. If it reads too slowly, it misses the oldest.
@@ -69,7 +69,10 @@ def serve(flags: argparse.Namespace) -> None:
                 send(stream, channels, server)
     finally:
         time.sleep(LINGER_S)
-        server.stop()
+        # In a thread, because it waits for clients that do not read.
+        stopping = threading.Thread(target=server.stop, daemon=True)
+        stopping.start()
+        stopping.join(LINGER_S)
 
 
 def send(stream: _native.MessageStream, channels: list[Any], server: Any) -> None:

@@ -125,20 +125,22 @@ def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglo
     assert estimates[-1].tick >= 99
 
 
-def test_killed_servers_and_clients_that_do_not_read_change_nothing(foxglove, name, program, tmp_path):
-    keys = dict(ticks=15_000, clock="lockstep", timeout_s="forever", planner="greedy")
-    with rh.run(name=name, out=tmp_path / "out", program=program, **keys) as run:
-        for _ in range(2):
-            server, address = foxglove()
-            with subscribed(address) as (client, _):
-                client.recv(timeout=60)
-                server.kill()
-                server.wait()
+def test_killed_servers_and_clients_that_do_not_read_change_nothing(foxglove, by_hand, name, tmp_path):
+    keys = dict(ticks=1500, clock="lockstep", timeout_s="forever", planner="greedy")
+    # A robot that takes its time: otherwise the run may be over before the last server has started.
+    script = "import time\nrh.Robot(name, 2, carry_out=lambda heading_rad, speed_mps: time.sleep(0.004)).run()"
+    nodes = by_hand(["sim"], ["fusion"], ["robot", "--id", "0"], ["robot", "--id", "1"], scripts=[script], **keys)
+    for _ in range(2):
         server, address = foxglove()
-        with subscribed(address):
-            digest = run.report()["digest"]
-            assert server.wait() == 0, server.stderr.read()
-    assert digest == rh.simulate(rh.Scenario(**keys)).digest
+        with subscribed(address) as (client, _):
+            client.recv(timeout=60)
+            server.kill()
+            server.wait()
+    server, address = foxglove()
+    with subscribed(address):
+        assert [node.wait() for node in nodes] == [0] * 5
+        assert server.wait() == 0, server.stderr.read()
+    assert rh.load(tmp_path / "out").digest == rh.simulate(rh.Scenario(**keys)).digest
 
 
 def test_a_client_may_come_go_and_come_back(foxglove, name, program, tmp_path):
