@@ -44,16 +44,21 @@ def give_way() -> None:
     os.nice(19)
 
 
+def on_signals(handler: Any) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
 def asked_to_end(*_: object) -> NoReturn:
-    """Ends a command in order, as a signal asks."""
+    """Ends a command in order, as a signal asks. A second signal ends it at once."""
+    on_signals(signal.SIG_DFL)
     sys.exit(0)
 
 
 def run(parser: Parser, command: Callable[[argparse.Namespace], None]) -> NoReturn:
     """Runs a command: exit code 0 at the end of the run or on a signal, 2 for invalid input, 1 for a failure."""
     flags = parser.parse_args()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, asked_to_end)
+    on_signals(asked_to_end)
     try:
         command(flags)
     except (InputError, RunError) as error:

@@ -111,7 +111,7 @@ class Robot:
         if radio is not None and measure is not None:
             raise InputError("radio and measure are given: expected one of them")
         self.name, self.id = name, id
-        self._parts = {"radio": radio, "measure": measure, "pose": pose, "carry_out": carry_out}
+        self._parts: dict[str, Any] = {"radio": radio, "measure": measure, "pose": pose, "carry_out": carry_out}
 
     def run(self) -> None:
         """Takes part until the run ends. The last command is always to stop. An exception of a function ends the robot."""

@@ -91,6 +91,18 @@ impl Observer {
         self.run.name().to_string()
     }
 
+    /// Number of robots.
+    #[getter]
+    fn robots(&self) -> usize {
+        self.scenario().robots.len()
+    }
+
+    /// Its clock: "realtime" or "lockstep".
+    #[getter]
+    fn clock(&self) -> &'static str {
+        self.scenario().clock.name()
+    }
+
     /// Length of a time step, s.
     #[getter]
     fn dt_s(&self) -> f64 {

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import rangehound as rh
 from rangehound.mavlink import frames
-from rangehound.mavlink.vehicle import Settings, Vehicle
+from rangehound.mavlink.vehicle import STOP, Settings, Vehicle
 
 os.environ["MAVLINK20"] = "1"
 pytestmark = pytest.mark.usefixtures("watchdog")
@@ -101,8 +101,11 @@ class Autopilot(threading.Thread):
     def take(self, message, now_s):
         kind = message.get_type()
         if kind == "SET_POSITION_TARGET_LOCAL_NED":
-            assert message.type_mask == 0b1001_1100_0111 and message.coordinate_frame == 1 and message.vz == 0
-            self.velocity, self.yaw, self.given_s = (message.vx, message.vy), message.yaw, now_s
+            has_yaw = message.type_mask == 0b1001_1100_0111
+            assert has_yaw or message.type_mask == 0b1101_1100_0111
+            assert message.coordinate_frame == 1 and message.vz == 0
+            self.velocity, self.given_s = (message.vx, message.vy), now_s
+            self.yaw = message.yaw if has_yaw else self.yaw
             self.setpoints.append((now_s, math.hypot(message.vx, message.vy)))
         elif kind == "COMMAND_LONG" and message.command == self.mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.asked.add(message.param1)
@@ -323,20 +326,22 @@ def vehicle(*messages, now_s=0.0, **settings):
 
 def test_a_setpoint_is_a_velocity_only_while_all_is_well():
     ready = lambda: vehicle(heartbeat(), placed(), hold_s=1.0, silence_s=2.0)  # noqa: E731
-    assert ready().setpoint(0.0).north_mps == 0.0
+    assert ready().setpoint(0.0) == STOP
     driven = ready()
     driven.command(math.pi / 2, 3.0, 0.0)
     setpoint = driven.setpoint(0.5)
     assert (setpoint.north_mps, round(setpoint.east_mps, 12), setpoint.yaw_rad) == (3.0, 0.0, 0.0)
-    assert driven.setpoint(1.1).north_mps == 0.0, "the command is old"
+    assert driven.setpoint(1.1) == STOP, "the command is old"
     driven.command(math.pi / 2, 3.0, 2.0)
-    assert driven.setpoint(1.9).north_mps == 3.0 and driven.setpoint(2.1).north_mps == 0.0, "the link is lost"
+    assert driven.setpoint(1.9).north_mps == 3.0 and driven.setpoint(2.1) == STOP, "the link is lost"
     for other in (heartbeat(base_mode=1), heartbeat(mode="LOITER")):
         driven = ready()
         driven.take(other, 0.0)
         driven.command(0.0, 3.0, 0.0)
-        assert driven.setpoint(0.0).east_mps == 0.0
-    assert driven.setpoint(math.inf).east_mps == 0.0
+        assert driven.setpoint(0.0) == STOP
+    stopped = ready()
+    stopped.command(1.0, 0.0, 0.0)
+    assert stopped.setpoint(0.0) == STOP
 
 
 def test_only_the_vehicle_counts_and_numbers_that_are_finite():
@@ -393,5 +398,14 @@ def test_faults_of_flags_are_one_line(command, name, python):
         ([], f"no run {name} after 10 s"),
     ):
         process = command("mavlink", *address, *words)
+        out, err = process.communicate()
+        assert (process.returncode, out, err.count("\n")) == (2, "", 1) and expected in err, err
+
+
+def test_robots_and_clocks_that_do_not_fit_are_one_line(by_hand, command, name):
+    pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+    by_hand(["sim"], ticks=100_000, clock="lockstep")
+    for id, expected in ((9, "--id is 9: expected 0 to 2"), (2, "is in lock step: expected one in real time")):
+        process = command("mavlink", "--name", name, "--id", id, "--connect", "udpin:127.0.0.1:0")
         out, err = process.communicate()
         assert (process.returncode, out, err.count("\n")) == (2, "", 1) and expected in err, err

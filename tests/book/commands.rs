@@ -25,6 +25,13 @@ const REASONS: [&str; 9] = [
     "needs a viewer",
 ];
 
+/// The commands of the Python package.
+const PYTHON_COMMANDS: [&str; 3] = [
+    "python/rangehound/foxglove.py",
+    "python/rangehound/rerun.py",
+    "python/rangehound/mavlink/__main__.py",
+];
+
 /// Programs that the pages use and that some machines lack.
 const OTHERS: [&str; 2] = ["jq", "python3"];
 
@@ -200,8 +207,9 @@ fn commands(script: &str) -> impl Iterator<Item = Vec<String>> {
 /// A flag must belong to the program, the driver or a script.
 #[test]
 fn flags_that_are_named_exist() {
-    let [driver, script] = ["node/examples/serial_range.rs", "tools/bag_to_csv.py"]
-        .map(|path| std::fs::read_to_string(root().join(path)).unwrap());
+    let text = |path: &str| std::fs::read_to_string(root().join(path)).unwrap();
+    let driver = text("node/examples/serial_range.rs");
+    let scripts = ["tools/bag_to_csv.py"].into_iter().chain(PYTHON_COMMANDS).map(text).collect::<String>();
     let command = cli::command();
     let of_command = |command: &clap::Command, flag: &str| {
         flag == "help" || command.get_arguments().any(|argument| argument.get_long() == Some(flag))
@@ -209,7 +217,7 @@ fn flags_that_are_named_exist() {
     let of_any = |flag: &str| {
         command.get_subcommands().any(|command| of_command(command, flag))
             || driver.contains(&format!("    {}: ", flag.replace('-', "_")))
-            || script.contains(&format!("\"--{flag}\""))
+            || scripts.contains(&format!("\"--{flag}\""))
     };
     let mut faults = Vec::new();
     for page in pages() {

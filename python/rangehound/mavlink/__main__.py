@@ -74,6 +74,10 @@ def drive(flags: argparse.Namespace) -> None:
     if flags.origin and not (abs(flags.origin[0]) < 90 and abs(flags.origin[1]) <= 180):
         raise _native.InputError(f"--origin is {flags.origin}: expected a latitude within 90 degrees and a longitude within 180")
     observer = _native.Observer(flags.name, False, False, _command.WAIT_S)
+    if not 0 <= flags.id < observer.robots:
+        raise _native.InputError(f"--id is {flags.id}: expected 0 to {observer.robots - 1}")
+    if observer.clock != "realtime":
+        raise _native.InputError(f"the run {flags.name} is in lock step: expected one in real time, because vehicles do not wait")
     settings = Settings(
         origin_deg=flags.origin,
         offset_m=flags.offset or (0.0, 0.0),

@@ -7,7 +7,7 @@ import threading
 import time
 from typing import Any
 
-from .vehicle import Vehicle
+from .vehicle import STOP, Setpoint, Vehicle
 
 #: Interval of our heartbeats, s.
 HEARTBEAT_S = 1.0
@@ -17,8 +17,8 @@ WANTED = {
     "LOCAL_POSITION_NED": 20, "GLOBAL_POSITION_INT": 20, "ATTITUDE": 10, "ODOMETRY": 2, "ESTIMATOR_STATUS": 2, "DISTANCE_SENSOR": 20,
 }
 
-#: Which fields of a setpoint count: velocity and yaw, but neither position, acceleration nor yaw rate (POSITION_TARGET_TYPEMASK).
-VELOCITY_AND_YAW = 0b1001_1100_0111
+#: Fields of a setpoint that do not count: position, acceleration and yaw rate, and the yaw where there is none (POSITION_TARGET_TYPEMASK).
+IGNORED, IGNORED_YAW = 0b1001_1100_0111, 0b0100_0000_0000
 
 #: Setpoints to stop at the end: one may be lost.
 STOPS = 5
@@ -72,16 +72,14 @@ class Link(threading.Thread):
             if now_s >= setpoint_s:
                 # A thread that was late does not catch up.
                 setpoint_s = max(setpoint_s + self.period_s, now_s)
-                self._send_setpoint(setpoint.north_mps, setpoint.east_mps, setpoint.yaw_rad)
+                self._send_setpoint(setpoint)
             # Never again after it has followed: the pilot may have taken over.
             self.arms = self.arms and not follows
             if self.arms and is_linked and now_s - began_s >= STREAM_S and now_s - asked_s >= ASK_S and asks < ASKS:
                 asked_s, asks = now_s, asks + 1
                 self._ask_to_arm()
         for _ in range(STOPS):
-            with self.lock:
-                setpoint = self.vehicle.setpoint(float("inf"))
-            self._send_setpoint(0.0, 0.0, setpoint.yaw_rad)
+            self._send_setpoint(STOP)
             time.sleep(0.02)
         self.connection.close()
 
@@ -104,12 +102,13 @@ class Link(threading.Thread):
             mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
         ))
 
-    def _send_setpoint(self, north_mps: float, east_mps: float, yaw_rad: float) -> None:
+    def _send_setpoint(self, setpoint: Setpoint) -> None:
         if self.vehicle.system is None:
             return
+        ignored = IGNORED if setpoint.yaw_rad is not None else IGNORED | IGNORED_YAW
         self._send(self.mavutil.mavlink.MAVLink_set_position_target_local_ned_message(
             int(time.monotonic() * 1e3) & 0xFFFFFFFF, self.vehicle.system, self.vehicle.component, self.mavutil.mavlink.MAV_FRAME_LOCAL_NED,
-            VELOCITY_AND_YAW, 0.0, 0.0, 0.0, north_mps, east_mps, 0.0, 0.0, 0.0, 0.0, yaw_rad, 0.0,
+            ignored, 0.0, 0.0, 0.0, setpoint.north_mps, setpoint.east_mps, 0.0, 0.0, 0.0, 0.0, setpoint.yaw_rad or 0.0, 0.0,
         ))
 
     def _ask_for_messages(self) -> None:

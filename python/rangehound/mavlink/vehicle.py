@@ -27,11 +27,15 @@ INVALID_QUALITY = 1
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A velocity, m/s, and a yaw, rad. The vertical velocity is zero."""
+    """A velocity, m/s, and a yaw, rad; without one the vehicle keeps its own. The vertical velocity is zero."""
 
     north_mps: float
     east_mps: float
-    yaw_rad: float
+    yaw_rad: float | None
+
+
+#: The setpoint to stand still.
+STOP = Setpoint(0.0, 0.0, None)
 
 
 @dataclass(frozen=True)
@@ -151,15 +155,13 @@ class Vehicle:
         return f"vehicle {self.system} follows the run, mode {self.mode}"
 
     def setpoint(self, now_s: float) -> Setpoint:
-        """The setpoint for now: zero velocity unless the vehicle follows, the link stands and the command is fresh."""
-        if self._command is None:
-            return Setpoint(0.0, 0.0, self._yaw_rad)
+        """The setpoint for now: to stand still unless the vehicle follows, the link stands and the command is fresh."""
+        if self._command is None or not self.follows() or not self.is_linked(now_s):
+            return STOP
         given_s, heading_rad, speed_mps = self._command
-        is_fresh = now_s - given_s <= self.settings.hold_s
-        drives = self.follows() and self.is_linked(now_s) and is_fresh
-        velocity_mps = frames.velocity_ned(heading_rad, speed_mps) if drives and speed_mps > 0 else (0.0, 0.0)
-        # A vehicle that does not drive keeps its direction.
-        return Setpoint(*velocity_mps, frames.yaw_of_heading(heading_rad) if any(velocity_mps) else self._yaw_rad)
+        if now_s - given_s > self.settings.hold_s or speed_mps <= 0:
+            return STOP
+        return Setpoint(*frames.velocity_ned(heading_rad, speed_mps), frames.yaw_of_heading(heading_rad))
 
     def pose(self) -> tuple[float, float, float, float]:
         """Its newest position, m, heading, rad, and standard deviation of the position, m."""
