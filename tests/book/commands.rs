@@ -26,11 +26,8 @@ const REASONS: [&str; 9] = [
 ];
 
 /// The commands of the Python package.
-const PYTHON_COMMANDS: [&str; 3] = [
-    "python/rangehound/foxglove.py",
-    "python/rangehound/rerun.py",
-    "python/rangehound/mavlink/__main__.py",
-];
+const PYTHON_COMMANDS: [&str; 3] =
+    ["python/rangehound/foxglove.py", "python/rangehound/rerun.py", "python/rangehound/mavlink/__main__.py"];
 
 /// Programs that the pages use and that some machines lack.
 const OTHERS: [&str; 2] = ["jq", "python3"];

@@ -20,10 +20,10 @@ WANTED = {
 #: Fields of a setpoint that do not count: position, acceleration and yaw rate, and the yaw where there is none (POSITION_TARGET_TYPEMASK).
 IGNORED, IGNORED_YAW = 0b1001_1100_0111, 0b0100_0000_0000
 
-#: Setpoints to stop at the end: one may be lost.
-STOPS = 5
+#: Setpoints to stop at the end, because one may be lost, and the interval between them, s.
+STOPS, STOP_S = 5, 0.02
 
-#: With `--arm`: setpoints stream for this long before it arms, as PX4 demands, and it asks this often at most, s apart.
+#: With `--arm`: it asks after setpoints have streamed for a while, as PX4 demands, then at this interval, s, and so often at most.
 STREAM_S, ASK_S, ASKS = 1.5, 1.0, 20
 
 
@@ -33,12 +33,15 @@ class Link(threading.Thread):
     def __init__(self, mavutil: Any, connection: Any, vehicle: Vehicle, rate_hz: float, arms: bool) -> None:
         super().__init__(name="mavlink", daemon=True)
         self.mavutil, self.connection, self.vehicle = mavutil, connection, vehicle
-        self.period_s, self.arms = 1 / rate_hz, arms
+        self.period_s = 1 / rate_hz
         self.lock = threading.Lock()
         self.error: BaseException | None = None
         self._closing = threading.Event()
         self._said = ""
         self._was_linked = False
+        began_s = time.monotonic()
+        self._setpoint_s = self._heartbeat_s = began_s
+        self._ask_s, self._asks_left = began_s + STREAM_S, ASKS if arms else 0
 
     def run(self) -> None:
         try:
@@ -52,10 +55,8 @@ class Link(threading.Thread):
         self.join(timeout=10.0)
 
     def _exchange(self) -> None:
-        setpoint_s = heartbeat_s = time.monotonic()
-        began_s, asked_s, asks = setpoint_s, setpoint_s, 0
         while not self._closing.is_set():
-            message = self._receive(setpoint_s - time.monotonic())
+            message = self._receive(self._setpoint_s - time.monotonic())
             now_s = time.monotonic()
             with self.lock:
                 if message is not None:
@@ -63,24 +64,22 @@ class Link(threading.Thread):
                 setpoint, condition = self.vehicle.setpoint(now_s), self.vehicle.condition(now_s)
                 is_linked, follows = self.vehicle.is_linked(now_s), self.vehicle.follows()
             self._say(condition)
-            if now_s >= heartbeat_s:
-                heartbeat_s = now_s + HEARTBEAT_S
-                self._send_heartbeat()
-                if self.vehicle.system is not None and not (is_linked and self._was_linked):
-                    self._ask_for_messages()
-                self._was_linked = is_linked
-            if now_s >= setpoint_s:
+            if now_s >= self._heartbeat_s:
+                self._heartbeat_s = now_s + HEARTBEAT_S
+                self._beat(is_linked)
+            if now_s >= self._setpoint_s:
                 # A thread that was late does not catch up.
-                setpoint_s = max(setpoint_s + self.period_s, now_s)
+                self._setpoint_s = max(self._setpoint_s + self.period_s, now_s)
                 self._send_setpoint(setpoint)
-            # Never again after it has followed: the pilot may have taken over.
-            self.arms = self.arms and not follows
-            if self.arms and is_linked and now_s - began_s >= STREAM_S and now_s - asked_s >= ASK_S and asks < ASKS:
-                asked_s, asks = now_s, asks + 1
+            if follows:
+                # It never arms again: the pilot may have taken over.
+                self._asks_left = 0
+            if is_linked and self._asks_left > 0 and now_s >= self._ask_s:
+                self._ask_s, self._asks_left = now_s + ASK_S, self._asks_left - 1
                 self._ask_to_arm()
         for _ in range(STOPS):
             self._send_setpoint(STOP)
-            time.sleep(0.02)
+            time.sleep(STOP_S)
         self.connection.close()
 
     def _receive(self, wait_s: float) -> Any:
@@ -96,7 +95,11 @@ class Link(threading.Thread):
             self._said = condition
             print(f"mavlink: {condition}", file=sys.stderr, flush=True)
 
-    def _send_heartbeat(self) -> None:
+    def _beat(self, is_linked: bool) -> None:
+        """Sends our heartbeat. A vehicle that has just been heard, or is not heard well, is asked for its messages."""
+        if self.vehicle.system is not None and not (is_linked and self._was_linked):
+            self._ask_for_messages()
+        self._was_linked = is_linked
         mavlink = self.mavutil.mavlink
         self._send(mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
@@ -121,7 +124,10 @@ class Link(threading.Thread):
         if vehicle.autopilot == mavlink.MAV_AUTOPILOT_PX4:
             _, main, sub = self.mavutil.px4_map["OFFBOARD"]
         else:
-            main, sub = (self.mavutil.mode_mapping_byname(vehicle.kind) or {}).get("GUIDED", 0), 0
+            main, sub = (self.mavutil.mode_mapping_byname(vehicle.kind) or {}).get("GUIDED"), 0
+        if main is None:
+            # A kind of vehicle without this mode: the line about its condition stays.
+            return
         self._command(mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, main, sub)
         self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
 
