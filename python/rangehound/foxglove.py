@@ -64,7 +64,8 @@ def serve(flags: argparse.Namespace) -> None:
     print(f"run {flags.name}: in Foxglove, open the connection ws://{host}:{server.port}, or {server.app_url()}", flush=True)
     try:
         while not stream.is_over():
-            if subscribed.wait(LOOK_S):
+            # The event may come before the client counts as a sink.
+            if subscribed.wait(LOOK_S) or is_wanted(channels):
                 subscribed.clear()
                 send(stream, channels, server)
     finally:
@@ -75,11 +76,16 @@ def serve(flags: argparse.Namespace) -> None:
         stopping.join(LINGER_S)
 
 
+def is_wanted(channels: list[Any]) -> bool:
+    """True if a client has subscribed to a topic."""
+    return any(channel.has_sinks() for channel in channels)
+
+
 def send(stream: _native.MessageStream, channels: list[Any], server: Any) -> None:
     """Sends tick by tick, from the next one on, until no client has subscribed to a topic or the run ends."""
     stream.skip()
     for time_ns, messages in stream:
-        if not any(channel.has_sinks() for channel in channels):
+        if not is_wanted(channels):
             return
         server.broadcast_time(time_ns)
         for channel, message in messages:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import socket
+import urllib.parse
 from typing import Any, Callable
 
 import numpy as np
@@ -18,6 +20,12 @@ LINE_STRIP, LINE_LOOP, LINE_LIST = range(3)
 
 #: How long the trails stay visible, s.
 TRAIL_S = 5.0
+
+#: The usual port of a viewer, and how long one may take to accept a connection, s.
+VIEWER_PORT, CONNECT_S = 9876, 5.0
+
+#: How long a viewer may take to get the last ticks, s.
+FLUSH_S = 10.0
 
 
 def parser() -> _command.Parser:
@@ -41,7 +49,6 @@ def show(flags: argparse.Namespace) -> None:
     if flags.save and os.path.exists(flags.save):
         raise _native.InputError(f"{flags.save} exists already (--save): expected the name of a new file")
     stream = _native.MessageStream(flags.name, _command.WAIT_S)
-    _command.give_way()
     recording = rerun.RecordingStream(f"rangehound {flags.name}")
     try:
         if flags.save:
@@ -49,6 +56,7 @@ def show(flags: argparse.Namespace) -> None:
             print(f"run {flags.name}: writes {flags.save}: open it with `rerun {flags.save}`", flush=True)
         elif flags.connect:
             recording.connect_grpc(flags.connect)
+            expect_viewer(flags.connect)
             print(f"run {flags.name}: sends to the viewer at {flags.connect}", flush=True)
         else:
             recording.spawn()
@@ -58,12 +66,22 @@ def show(flags: argparse.Namespace) -> None:
         raise _native.InputError(f"Rerun cannot be used: expected a viewer, or a file that can be written: {said}") from error
     recording.send_blueprint(blueprint(rerun))
     picture = Picture(rerun, recording)
+    _command.give_way()
     try:
         for time_ns, messages in stream:
             picture.add(time_ns, [decode(channel, message) for channel, message in messages])
     finally:
-        recording.flush(timeout_sec=10.0)
+        try:
+            recording.flush(timeout_sec=FLUSH_S)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise _native.RunError(f"the viewer has not taken all ticks: {' '.join(str(error).split())}") from error
         recording.disconnect()
+
+
+def expect_viewer(url: str) -> None:
+    """Raises `OSError` if nothing listens at the address of a viewer."""
+    place = urllib.parse.urlsplit(url)
+    socket.create_connection((place.hostname or "127.0.0.1", place.port or VIEWER_PORT), timeout=CONNECT_S).close()
 
 
 def decoder() -> Callable[[int, bytes], tuple[str, Any]]:

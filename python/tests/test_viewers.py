@@ -225,6 +225,16 @@ def test_faults_of_viewers_are_one_line(command, name, python, tmp_path):
     assert "exists already (--save)" in said("rerun", "--name", name, "--save", there)
 
 
+def test_a_viewer_that_is_not_there_is_one_line(command, name, program, tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000):
+        for words in (["--connect", "rerun+http://127.0.0.1:1/proxy"], ["--connect", "nowhere"], ["--save", "/none/x.rrd"]):
+            viewer = command("rerun", "--name", name, *words)
+            _, err = viewer.communicate()
+            lines = [line for line in err.splitlines() if line.startswith("python -m")]
+            assert viewer.returncode == 2 and len(lines) == 1 and "Rerun cannot be used: expected a viewer" in lines[0], err
+
+
 def test_a_port_that_is_taken_is_one_line(foxglove, command, name, program, tmp_path):
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000):
         _, address = foxglove()
