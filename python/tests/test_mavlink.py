@@ -5,6 +5,7 @@ import os
 import random
 import signal
 import socket
+import subprocess
 import threading
 import time
 from types import SimpleNamespace
@@ -278,12 +279,13 @@ def test_a_radio_beside_the_vehicle_measures_the_target(one_vehicle, name, tmp_p
     assert np.hypot(*(tick.believed_m[2] - (3, 4))) < 10
 
 
-def test_the_end_of_the_run_stops_the_vehicle(one_vehicle):
-    autopilot, process, _, _ = one_vehicle(keys=dict(ticks=60))
+def test_the_end_of_the_run_stops_the_vehicle(one_vehicle, name, program):
+    autopilot, process, _, _ = one_vehicle()
+    until(lambda: autopilot.speed_mps > 0)
+    subprocess.run([program, "stop", "--name", name], check=True, capture_output=True, timeout=60)
     _, err = process.communicate()
     assert process.returncode == 0, err
     until(lambda: autopilot.setpoints[-1][1] == 0)
-    assert max(speed for _, speed in autopilot.setpoints) > 0
 
 
 def test_headings_and_yaws_turn_into_each_other():

@@ -51,14 +51,14 @@ def subscribed(address, topics=TOPICS):
         yield client, channels
 
 
-def received(client, channels):
-    """All messages until the server ends: topic, time in ns, bytes. Times that the server tells beside them, too."""
+def received(client, channels, enough=None):
+    """Messages until there are so many, or until the server ends: topic, time in ns, bytes. Times that the server tells, too."""
     from websockets.exceptions import ConnectionClosed
 
     topics = {channel["id"]: topic for topic, channel in channels.items()}
     messages, times = [], []
     try:
-        while True:
+        while enough is None or len(messages) < enough:
             said = client.recv(timeout=60)
             if isinstance(said, bytes) and said[0] == 1:
                 subscription, time_ns = struct.unpack_from("<IQ", said, 1)
@@ -66,7 +66,8 @@ def received(client, channels):
             elif isinstance(said, bytes) and said[0] == 2:
                 times.append(struct.unpack_from("<Q", said, 1)[0])
     except ConnectionClosed:
-        return messages, times
+        pass
+    return messages, times
 
 
 def recorded(path):
@@ -92,12 +93,16 @@ def came_late(message):
 
 def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglove, name, program, tmp_path):
     pytest.importorskip("mcap", reason="mcap is not installed")
-    with rh.run(name=name, out=tmp_path / "out", program=program, record=True, ticks=100, dt_s=0.05) as run:
+    with rh.run(name=name, out=tmp_path / "out", program=program, record=True, ticks=100_000, dt_s=0.05) as run:
         server, address = foxglove()
         with subscribed(address) as (client, channels):
-            live, times = received(client, channels)
+            live, times = received(client, channels, enough=1000)
+            run.stop()
+            rest = received(client, channels)
         assert server.wait() == 0, server.stderr.read()
-        assert run.report()["ticks"] == 100
+        with pytest.raises(rh.RunError, match="as asked"):
+            run.report()
+    live, times = live + rest[0], times + rest[1]
     in_file, messages = recorded(tmp_path / "out/run.mcap")
     assert set(channels) == set(in_file) == TOPICS
     for topic, (channel, schema) in in_file.items():
@@ -106,12 +111,13 @@ def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglo
         assert advertised["schemaEncoding"] == schema.encoding and base64.b64decode(advertised["schema"] + "==") == schema.data
 
     assert {topic for topic, _, _ in live} == TOPICS
-    begins_ns = live[0][1]
-    expected = [message for message in messages if message[1] >= begins_ns and not came_late(message)]
-    late = [message for message in live if message not in expected]
-    assert all(topic == "/range" for topic, _, _ in late)
-    assert sorted(message for message in live if message not in late) == sorted(expected)
-    assert len(expected) > 500 and times == sorted({time_ns for _, time_ns, _ in live})
+    assert times == sorted({time_ns for _, time_ns, _ in live})
+    # The last tick may be missing in the file of a run that has been stopped.
+    first_ns, last_ns = live[0][1], min(live[-1][1], messages[-1][1])
+    expected = {message for message in messages if first_ns <= message[1] <= last_ns and not came_late(message)}
+    shown = {message for message in live if message[1] <= last_ns}
+    assert len(expected) > 900 and not expected - shown
+    assert all(topic == "/range" for topic, _, _ in shown - expected)
 
     from rangehound.rerun import decoder
 
@@ -122,7 +128,7 @@ def test_a_client_gets_what_the_file_has_and_the_server_ends_with_the_run(foxglo
     for estimate in estimates:
         row = rows[estimate.time_s]
         assert list(estimate.state[:2]) == [float(row["x_m"]), float(row["y_m"])]
-    assert estimates[-1].tick >= 99
+    assert len(estimates) > 50
 
 
 def test_killed_servers_and_clients_that_do_not_read_change_nothing(foxglove, by_hand, name, tmp_path):
@@ -164,12 +170,18 @@ def test_a_run_in_rerun_has_estimates_field_and_both_timelines(command, root, na
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     from rerun.chunk import RrdReader
 
-    scenario, file = rh.Scenario(root / "scenarios/mixed_sensors.toml", ticks=60, dt_s=0.05), tmp_path / "run.rrd"
+    scenario, file = rh.Scenario(root / "scenarios/mixed_sensors.toml", ticks=100_000, dt_s=0.05), tmp_path / "run.rrd"
     with rh.run(scenario, name=name, out=tmp_path / "out", program=program) as run:
         viewer = command("rerun", "--name", name, "--save", file)
+        assert viewer.stdout.readline() == f"run {name}: writes {file}: open it with `rerun {file}`\n", viewer.stderr.read()
+        for tick in run.attach(from_start=True):
+            if tick.tick == 60:
+                break
+        run.stop()
         out, err = viewer.communicate()
-        assert (viewer.returncode, out) == (0, f"run {name}: writes {file}: open it with `rerun {file}`\n"), err
-        run.report()
+        assert (viewer.returncode, out) == (0, ""), err
+        with pytest.raises(rh.RunError, match="as asked"):
+            run.report()
     finished = rh.load(tmp_path / "out")
     columns = {}
     for chunk in RrdReader(file).stream().to_chunks():
