@@ -166,6 +166,11 @@ impl Observer {
         &self.run.description().scenario
     }
 
+    /// The newest tick in fusion's log.
+    pub(crate) fn newest_tick(&self) -> Option<u64> {
+        self.frames.as_ref()?.newest_estimate().ok()?
+    }
+
     /// What `take` makes of the next tick, if it is logged.
     pub(crate) fn look<T>(
         &mut self,

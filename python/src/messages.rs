@@ -56,15 +56,20 @@ impl MessageStream {
         self.observer.is_over()
     }
 
-    /// Passes over the ticks that are complete already.
+    /// Passes over the ticks that are logged already.
     fn skip(&mut self, py: Python<'_>) -> PyResult<()> {
-        let mut skipped = 0_u64;
+        let (mut skipped, mut newest) = (0_u64, None);
         while let Some(frame) = self.observer.look(false, frame).map_err(failed)? {
+            // A run in lock step may log as fast as they are read.
+            let newest = *newest.get_or_insert(self.observer.newest_tick());
             if let Some(frame) = frame {
                 // The encoder knows the run from its first tick on, as that of the file does: so the bytes are the same.
                 self.encoder
                     .encode(&frame, |_| Ok::<_, std::io::Error>(()))
                     .map_err(|error| failed(anyhow::Error::from(error)))?;
+                if newest.is_none_or(|newest| frame.tick >= newest) {
+                    break;
+                }
             }
             skipped += 1;
             if skipped.is_multiple_of(TICKS_AT_ONCE) {
