@@ -12,19 +12,19 @@ Robots are numbered from 0; arrays of runs have a row for each tick, from tick 0
 `compare`                     planners on the same targets
 `load`                        the folder of a run
 `run`, `attach`               a live run: start it, watch its ticks
-`Robot`, `fusion`             nodes of a live run with functions of your own
+`Robot`, `Radio`, `fusion`    nodes of a live run with functions of your own
 ============================  =========================================================
 """
 
 from ._native import InputError, Plan, RunError, Situation, __version__, plan
 from .filter import Filter
-from .live import LiveRun, Robot, Tick, attach, fusion, run
+from .live import LiveRun, Radio, Robot, Tick, attach, fusion, run
 from .recordings import Calibration, calibrate, track
 from .runs import Run, load, simulate
 from .scenario import Scenario
 from .study import Comparison, compare
 
 __all__ = [
-    "Calibration", "Comparison", "Filter", "InputError", "LiveRun", "Plan", "Robot", "Run", "RunError", "Scenario",
-    "Situation", "Tick", "__version__", "attach", "calibrate", "compare", "fusion", "load", "plan", "run", "simulate", "track",
+    "Calibration", "Comparison", "Filter", "InputError", "LiveRun", "Plan", "Radio", "Robot", "Run", "RunError",
+    "Scenario", "Situation", "Tick", "__version__", "attach", "calibrate", "compare", "fusion", "load", "plan", "run", "simulate", "track",
 ]

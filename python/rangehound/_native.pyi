@@ -237,13 +237,28 @@ class Observer:
     def folder(self) -> PathLike[str]: ...
     def describe(self) -> dict[str, Any]: ...
     def status(self) -> str: ...
+    def is_over(self) -> bool:
+        """True once the run has ended, or its processes are gone."""
     def __iter__(self) -> Self: ...
     def __next__(self) -> dict[str, NDArray[Any]]: ...
+
+class MessageStream:
+    def __new__(cls, name: str, timeout_s: float) -> Self: ...
+    def is_over(self) -> bool: ...
+    def skip(self) -> None:
+        """Passes over the ticks that are logged already."""
+    def __iter__(self) -> Self: ...
+    def __next__(self) -> tuple[int, list[tuple[int, bytes]]]:
+        """The next complete tick: time of the run, ns, and each message with the number of its channel."""
+
+def channels() -> list[tuple[str, str, str, str, bytes]]:
+    """Topic, message encoding, and name, encoding and data of the schema."""
 
 def run_robot(
     name: str,
     id: int,
     *,
+    radio: Any = None,
     measure: Callable[..., Any] | None = None,
     pose: Callable[..., Any] | None = None,
     carry_out: Callable[..., Any] | None = None,

@@ -65,6 +65,29 @@ def attach(
         yield Tick(arrays)
 
 
+class Radio:
+    """A radio on a serial port, whose ranges are those of a robot: the formats and their limits are in `docs/hardware.md`.
+
+    `port` is a device, a FIFO or a file. `format` is "plain", "dwm1001", "linktrack" or "mauwb"; all but plain need `anchor`,
+    the id of the anchor whose range is the robot's. `bias_m` and `scale` are those of `measured = (1 + scale) true + bias_m`.
+    A range older than `max_age_s` is not used (default: the time step).
+    """
+
+    def __init__(
+        self,
+        port: str | os.PathLike[str],
+        format: str = "plain",
+        *,
+        anchor: str | None = None,
+        tag: str | None = None,
+        bias_m: float = 0.0,
+        scale: float = 0.0,
+        max_age_s: float | None = None,
+    ) -> None:
+        self.port, self.format, self.anchor, self.tag = os.fspath(port), format, anchor, tag
+        self.bias_m, self.scale, self.max_age_s = bias_m, scale, max_age_s
+
+
 class Robot:
     """A robot of a live run, in this process, with the protocol of `rangehound robot`.
 
@@ -72,6 +95,7 @@ class Robot:
     `pose(time_s, x_m, y_m, heading_rad)` returns `(x_m, y_m)`, and heading_rad, std_m and heading_std_rad if they are
     known, or `(x_m, y_m, heading_rad, xx_m2, xy_m2, yy_m2, heading_std_rad)` with the covariance of the position. `carry_out(heading_rad, speed_mps)` drives, and returns `None`, or the heading and the speed that were driven.
     Functions that are missing are those of the scenario. All are on the control path: fusion waits for them.
+    `radio` measures the ranges instead of a function.
     """
 
     def __init__(
@@ -79,16 +103,19 @@ class Robot:
         name: str,
         id: int,
         *,
+        radio: Radio | None = None,
         measure: Callable[..., Any] | None = None,
         pose: Callable[..., Any] | None = None,
         carry_out: Callable[..., Any] | None = None,
     ) -> None:
+        if radio is not None and measure is not None:
+            raise InputError("radio and measure are given: expected one of them")
         self.name, self.id = name, id
-        self._functions = {"measure": measure, "pose": pose, "carry_out": carry_out}
+        self._parts: dict[str, Any] = {"radio": radio, "measure": measure, "pose": pose, "carry_out": carry_out}
 
     def run(self) -> None:
         """Takes part until the run ends. The last command is always to stop. An exception of a function ends the robot."""
-        _native.run_robot(self.name, self.id, **self._functions)
+        _native.run_robot(self.name, self.id, **self._parts)
 
 
 def fusion(name: str, planner: Callable[..., Any] | None = None) -> None:

@@ -9,6 +9,8 @@
 //! | `filter` | the fusion centre's filter, tick by tick |
 //! | `run` | runs as arrays: simulated, tracked or loaded |
 //! | `live` | observers of live runs, and nodes with functions |
+//! | `messages` | the messages of live runs, encoded as in `run.mcap` |
+//! | `radio` | radios on serial ports |
 //! | `studies` | `compare` and `calibrate` |
 //! | `arrays`, `errors` | conversions; exceptions |
 
@@ -17,7 +19,9 @@ mod callables;
 mod errors;
 mod filter;
 mod live;
+mod messages;
 mod plan;
+mod radio;
 mod run;
 mod scenario;
 mod situation;
@@ -36,6 +40,8 @@ mod _native {
     use super::filter::Filter;
     #[pymodule_export]
     use super::live::{Observer, run_fusion, run_robot};
+    #[pymodule_export]
+    use super::messages::{MessageStream, channels};
     #[pymodule_export]
     use super::plan::{Plan, plan};
     #[pymodule_export]

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rangehound::failure::Failure;
-use rangehound::results::frame::Frames;
+use rangehound::results::frame::{Frames, LoggedTick};
 use rangehound::run::node::{input_or_running, of_fusion, of_robot};
 use rangehound::run::remote::Status;
 use rangehound_fusion::planner::{Plan, Planner, Situation};
@@ -29,6 +29,7 @@ use rustix::fs::inotify;
 use crate::arrays::array;
 use crate::callables::{Function, FunctionActuator, FunctionPose, FunctionSensor};
 use crate::errors::{Raised, RunError, failed, input};
+use crate::radio::RadioOnPort;
 use crate::run::History;
 use crate::situation;
 
@@ -65,7 +66,13 @@ fn run_name(name: &str) -> PyResult<RunName> {
 impl Observer {
     /// Waits for the run up to `timeout_s`, and starts with its newest tick, or with its first.
     #[new]
-    fn new(py: Python<'_>, name: &str, from_start: bool, waits_for_truth: bool, timeout_s: f64) -> PyResult<Self> {
+    pub(crate) fn new(
+        py: Python<'_>,
+        name: &str,
+        from_start: bool,
+        waits_for_truth: bool,
+        timeout_s: f64,
+    ) -> PyResult<Self> {
         let (name, began) = (run_name(name)?, Instant::now());
         let run = loop {
             if let Some(run) = Rendezvous::join_if_alive(&name).map_err(|error| failed(input_or_running(error)))? {
@@ -97,7 +104,7 @@ impl Observer {
     /// state goes on with the velocity after the position; and for each robot its speed limit, m/s, and the standard
     /// deviations that the filter assumes for its range at distance 0, m, and its bearing, rad: NaN for what it does not measure.
     fn describe<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let scenario = &self.run.description().scenario;
+        let scenario = self.scenario();
         let has_velocity = matches!(scenario.motion, MotionModel::IntegratorChain { order: 2.., .. });
         let of_each =
             |of: fn(&RobotSpec) -> f64| array(py, scenario.robots.iter().map(of).collect(), &[scenario.robots.len()]);
@@ -116,28 +123,8 @@ impl Observer {
         serde_json::to_string(&Status::of(&self.run)).map_err(failed)
     }
 
-    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
-        this
-    }
-
-    /// The arrays of the next tick, of one row each; none at the end of the run.
-    fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
-        loop {
-            if let Some(history) = self.look(false).map_err(failed)? {
-                return history.into_dict(py).map(Some);
-            }
-            if self.is_quiet && self.is_over() {
-                // What was logged just before the end.
-                return self.look(true).map_err(failed)?.map(|history| history.into_dict(py)).transpose();
-            }
-            py.check_signals()?;
-            py.detach(|| self.sleep());
-        }
-    }
-}
-
-impl Observer {
-    fn is_over(&mut self) -> bool {
+    /// True once the run has ended, or its processes are gone.
+    pub(crate) fn is_over(&mut self) -> bool {
         let roster = self.run.roster();
         if [Role::Sim, Role::Fusion, Role::Supervisor].into_iter().any(|role| roster.is_held(role)) {
             self.inhabited = Instant::now();
@@ -147,8 +134,57 @@ impl Observer {
         self.run.is_finished() || self.inhabited.elapsed() >= DESERTED
     }
 
-    /// The next tick, if it is logged.
-    fn look(&mut self, is_over: bool) -> anyhow::Result<Option<History>> {
+    fn __iter__(this: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        this
+    }
+
+    /// The arrays of the next tick, of one row each; none at the end of the run.
+    fn __next__<'py>(&mut self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let history = self.wait(py, |scenario, logged| {
+            let mut history = History::of(scenario);
+            history.add(logged);
+            history
+        })?;
+        history.map(|history| history.into_dict(py)).transpose()
+    }
+}
+
+impl Observer {
+    /// What `take` makes of the next tick, once it is logged; `None` at the end of the run.
+    pub(crate) fn wait<T>(
+        &mut self,
+        py: Python<'_>,
+        take: impl Fn(&Scenario, LoggedTick<'_>) -> T,
+    ) -> PyResult<Option<T>> {
+        loop {
+            if let Some(taken) = self.look(false, &take).map_err(failed)? {
+                return Ok(Some(taken));
+            }
+            if self.is_quiet && self.is_over() {
+                // What was logged just before the end.
+                return self.look(true, &take).map_err(failed);
+            }
+            py.check_signals()?;
+            py.detach(|| self.sleep());
+        }
+    }
+
+    /// The scenario of the run.
+    pub(crate) fn scenario(&self) -> &Scenario {
+        &self.run.description().scenario
+    }
+
+    /// The newest tick in fusion's log.
+    pub(crate) fn newest_tick(&self) -> Option<u64> {
+        self.frames.as_ref()?.newest_estimate().ok()?
+    }
+
+    /// What `take` makes of the next tick, if it is logged.
+    pub(crate) fn look<T>(
+        &mut self,
+        is_over: bool,
+        take: impl Fn(&Scenario, LoggedTick<'_>) -> T,
+    ) -> anyhow::Result<Option<T>> {
         let description = self.run.description();
         let frames = match &mut self.frames {
             Some(frames) => frames,
@@ -171,10 +207,8 @@ impl Observer {
             {
                 return Ok(None);
             }
-            let mut history = History::of(&description.scenario);
-            history.add(logged);
             self.next = Some(tick + 1);
-            return Ok(Some(history));
+            return Ok(Some(take(&description.scenario, logged)));
         }
         Ok(None)
     }
@@ -257,11 +291,12 @@ fn run_node(
 
 /// Runs a robot of a live run.
 #[pyfunction]
-#[pyo3(signature = (name, id, *, measure=None, pose=None, carry_out=None))]
+#[pyo3(signature = (name, id, *, radio=None, measure=None, pose=None, carry_out=None))]
 pub(crate) fn run_robot(
     py: Python<'_>,
     name: &str,
     id: usize,
+    radio: Option<RadioOnPort>,
     measure: Option<Py<PyAny>>,
     pose: Option<Py<PyAny>>,
     carry_out: Option<Py<PyAny>>,
@@ -271,9 +306,10 @@ pub(crate) fn run_robot(
     run_node(py, name, &raised, &Asked::default(), move |rendezvous, termination| {
         let scenario = &rendezvous.description().scenario;
         let no_such = || Failure::input(format!("id is {id}: expected 0 to {}", scenario.robots.len() - 1));
-        let mut sensor: Box<dyn Sensor> = match measure {
-            Some(f) => Box::new(FunctionSensor::of_robot(scenario, id, f, &of_node).ok_or_else(no_such)?),
-            None => sensor::of_scenario(scenario, id).ok_or_else(no_such)?,
+        let mut sensor: Box<dyn Sensor> = match (measure, radio) {
+            (Some(f), _) => Box::new(FunctionSensor::of_robot(scenario, id, f, &of_node).ok_or_else(no_such)?),
+            (None, Some(radio)) => Box::new(radio.open(scenario, id)?),
+            (None, None) => sensor::of_scenario(scenario, id).ok_or_else(no_such)?,
         };
         let mut poses: Box<dyn PoseSource> = match pose {
             Some(f) => Box::new(FunctionPose::new(f, of_node.clone())),

@@ -62,9 +62,8 @@ pub(crate) fn compare(
         if planner.is_some() || sensor.is_some() || target.is_some() {
             let (sensor, target, raised) = (sensor.clone(), target.clone(), raised.clone());
             variant.custom = Some(CustomParts(Arc::new(move |scenario| {
-                let own = |function: &Option<Arc<Py<PyAny>>>| {
-                    function.as_ref().map(|f| Python::attach(|py| f.clone_ref(py)))
-                };
+                let own =
+                    |function: &Option<Arc<Py<PyAny>>>| function.as_ref().map(|f| Python::attach(|py| f.clone_ref(py)));
                 parts(scenario, own(&planner), own(&sensor), own(&target), &raised)
             })));
         }

@@ -66,8 +66,8 @@ def by_hand(program, name, tmp_path):
     """Starts nodes of a run by hand, and Python nodes beside them; ends what is left of them."""
     started = []
 
-    def start(*nodes, scripts=(), **keys):
-        (tmp_path / "scenario.toml").write_text(rh.Scenario(**keys).to_toml())
+    def start(*nodes, scripts=(), scenario=None, **keys):
+        (tmp_path / "scenario.toml").write_text(rh.Scenario(scenario, **keys).to_toml())
         for words in nodes:
             first = ["scenario.toml", "--out", "out"] if words[0] == "sim" else []
             started.append(subprocess.Popen([program, *words, *first, "--name", name], cwd=tmp_path, stderr=subprocess.DEVNULL))
@@ -78,11 +78,14 @@ def by_hand(program, name, tmp_path):
         return started
 
     yield start
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
+    # The last node to end in order removes what the run has in shared memory.
     subprocess.run([program, "stop", "--name", name], capture_output=True, timeout=60)
+    for process in started:
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """Live runs: observers, robots and fusions with functions, and the processes of a run."""
 
+import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -105,6 +107,38 @@ def test_the_functions_of_a_robot_measure_say_where_it_is_and_drive(by_hand, nam
     assert out == "True 0.0\n", err
     run = rh.load(tmp_path / "out")
     assert (run.range_std_m[5:-1, 2] == 0.25).all() and (run.range_std_m[5:-1, 0] == 1.0).all()
+
+
+def test_a_radio_on_a_port_measures_for_a_robot(by_hand, name, tmp_path):
+    os.mkfifo(tmp_path / "uwb")
+    script = f"rh.Robot(name, 2, radio=rh.Radio({str(tmp_path / 'uwb')!r}, bias_m=0.5)).run()\nprint('ended')"
+    *_, robot = by_hand(["sim"], ["fusion"], *robots(0, 1), scripts=[script], ticks=40, dt_s=0.05, clock="realtime")
+    with open(tmp_path / "uwb", "w") as radio:
+        while robot.poll() is None:
+            with contextlib.suppress(BrokenPipeError):
+                radio.write("nonsense\n17.25\n")
+                radio.flush()
+            time.sleep(0.01)
+    out, err = robot.communicate()
+    assert out == "ended\n", err
+    heard = rh.load(tmp_path / "out").range_m[:, 2]
+    heard = heard[~np.isnan(heard)]
+    assert len(heard) > 10 and (heard == 16.75).all()
+
+
+def test_faults_of_a_radio_are_one_line(by_hand, name, python):
+    by_hand(["sim"], ticks=100)
+    for radio, expected in (
+        ("rh.Radio('/none')", "radio: /none: No such file or directory"),
+        ("rh.Radio('/dev/null', 'morse')", "radio: format: "),
+        ("rh.Radio('/dev/null', 'dwm1001')", "--anchor is missing"),
+        ("rh.Radio('/dev/null', max_age_s=float('nan'))", "max_age_s is NaN"),
+        ("rh.Radio('/dev/null', scale=-1.0)", "expected"),
+    ):
+        err = python(f"import rangehound as rh\nrh.Robot({name!r}, 0, radio={radio}).run()").stderr.splitlines()[-1]
+        assert err.startswith("rangehound.InputError: ") and expected in err, err
+    with pytest.raises(rh.InputError, match="radio and measure are given"):
+        rh.Robot(name, 0, radio=rh.Radio("/dev/null"), measure=print)
 
 
 def test_what_the_function_of_a_robot_raises_ends_it_and_the_run_goes_on_without(by_hand, name, tmp_path):

@@ -26,8 +26,14 @@ const REASONS: [&str; 9] = [
 ];
 
 /// The commands of the Python package.
-const PYTHON_COMMANDS: [&str; 3] =
-    ["python/rangehound/ros2/session.py", "python/rangehound/ros2/observer.py", "python/rangehound/ros2/robot.py"];
+const PYTHON_COMMANDS: [&str; 6] = [
+    "python/rangehound/foxglove.py",
+    "python/rangehound/mavlink/__main__.py",
+    "python/rangehound/rerun.py",
+    "python/rangehound/ros2/observer.py",
+    "python/rangehound/ros2/robot.py",
+    "python/rangehound/ros2/session.py",
+];
 
 /// Programs that the pages use and that some machines lack.
 const OTHERS: [&str; 2] = ["jq", "python3"];

@@ -7,17 +7,13 @@ use std::io::{Seek, SeekFrom, Write};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use foxglove::Encode;
-use foxglove::messages::{PointCloud, PosesInFrame, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::protocol;
 
 use super::PROFILE;
-use super::messages::{Drive, Estimate, Heading, Range, TOPICS, Truth, World, encode};
-use super::scene::{self, Scene};
-use super::topics::messages_of;
+use super::encode::{CHANNELS, Channel, Encoded, Encoder, channels};
 use crate::files::layout::{DESCRIPTION, SCENARIO};
 use crate::results::frame::Frame;
 
@@ -26,9 +22,6 @@ const CHUNK_LEN: u64 = 1 << 19;
 
 /// A chunk is written after this time at the latest: a kill loses no more.
 const FLUSH: Duration = Duration::from_secs(1);
-
-/// The channels that viewers draw.
-const VIEWS: [&str; 4] = ["/scene", "/scene/robots", "/scene/target", "/scene/estimate"];
 
 /// The outcome of writing a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,19 +35,12 @@ pub enum Written {
 /// Writes the frames of a run in order of their ticks.
 pub struct FrameWriter<W: Write + Seek> {
     mcap: mcap::Writer<Counting<W>>,
-    description: RunDescription,
-    topics: [u16; TOPICS.len()],
-    views: [u16; VIEWS.len()],
-    scene: Scene,
+    encoder: Encoder,
+    /// The file's numbers of the channels.
+    channel_ids: [u16; CHANNELS],
     bytes_max: u64,
     bytes_written: Rc<Cell<u64>>,
-    /// Time of the first frame, s; the file's time starts there.
-    first_s: Option<f64>,
-    last_ns: u64,
-    /// The newest stamp of each topic's sender.
-    stamps_ns: [Option<u64>; TOPICS.len()],
     flushed: Instant,
-    bytes: Vec<u8>,
 }
 
 impl<W: Write + Seek> FrameWriter<W> {
@@ -82,34 +68,12 @@ impl<W: Write + Seek> FrameWriter<W> {
         }
         // This record is the last one about the run itself.
         attach(&mut mcap, DESCRIPTION, "application/json", description.seal()?.as_bytes())?;
-        let topics = [
-            channel::<World, _>(&mut mcap, TOPICS[0])?,
-            channel::<Range, _>(&mut mcap, TOPICS[1])?,
-            channel::<Heading, _>(&mut mcap, TOPICS[2])?,
-            channel::<Drive, _>(&mut mcap, TOPICS[3])?,
-            channel::<Estimate, _>(&mut mcap, TOPICS[4])?,
-            channel::<Truth, _>(&mut mcap, TOPICS[5])?,
-        ];
-        let views = [
-            channel::<SceneUpdate, _>(&mut mcap, VIEWS[0])?,
-            channel::<PosesInFrame, _>(&mut mcap, VIEWS[1])?,
-            channel::<PointCloud, _>(&mut mcap, VIEWS[2])?,
-            channel::<PointCloud, _>(&mut mcap, VIEWS[3])?,
-        ];
-        Ok(Self {
-            mcap,
-            description: description.clone(),
-            topics,
-            views,
-            scene: Scene::default(),
-            bytes_max,
-            bytes_written,
-            first_s: None,
-            last_ns: 0,
-            stamps_ns: [None; TOPICS.len()],
-            flushed: Instant::now(),
-            bytes: Vec::new(),
-        })
+        let mut channel_ids = [0; CHANNELS];
+        for (id, channel) in channel_ids.iter_mut().zip(channels()) {
+            *id = add(&mut mcap, &channel)?;
+        }
+        let encoder = Encoder::new(&description.scenario);
+        Ok(Self { mcap, encoder, channel_ids, bytes_max, bytes_written, flushed: Instant::now() })
     }
 
     /// Writes a frame.
@@ -120,28 +84,16 @@ impl<W: Write + Seek> FrameWriter<W> {
         if self.bytes_written.get() >= self.bytes_max {
             return Ok(Written::Full);
         }
-        let time_s = frame.fusion.time_s;
-        let since_first_s = time_s - *self.first_s.get_or_insert(time_s);
-        // Playback uses the run's time, which never decreases.
-        let time_ns = ((since_first_s * 1e9).round() as u64).max(self.last_ns);
-        self.last_ns = time_ns;
-        for message in messages_of(frame) {
-            self.bytes.clear();
-            message.encode(&mut self.bytes)?;
-            // An unknown stamp, as after a kill, is replaced so that the topic stays in its clock.
-            let stamp_ns = &mut self.stamps_ns[message.topic()];
-            *stamp_ns = message.sent_ns().or(*stamp_ns);
-            let (channel, publish_ns) = (self.topics[message.topic()], stamp_ns.unwrap_or(time_ns));
-            self.put(channel, frame.tick, time_ns, publish_ns)?;
-        }
-        if let Some(scene) = self.scene.update(&self.description.scenario, frame, time_ns) {
-            self.view(0, frame.tick, time_ns, &scene)?;
-            self.view(1, frame.tick, time_ns, &scene::robot_poses(frame, time_ns))?;
-            if let Some(target) = scene::target_cloud(frame, time_ns) {
-                self.view(2, frame.tick, time_ns, &target)?;
-            }
-            self.view(3, frame.tick, time_ns, &scene::estimate_cloud(frame, time_ns))?;
-        }
+        let Self { mcap, encoder, channel_ids, .. } = self;
+        encoder.encode(frame, |Encoded { channel, log_time_ns, publish_time_ns, bytes }| {
+            let header = MessageHeader {
+                channel_id: channel_ids[channel],
+                sequence: frame.tick as u32,
+                log_time: log_time_ns,
+                publish_time: publish_time_ns,
+            };
+            mcap.write_to_known_channel(&header, bytes)
+        })?;
         self.flush_if_due()?;
         Ok(Written::Taken)
     }
@@ -166,27 +118,15 @@ impl<W: Write + Seek> FrameWriter<W> {
         self.mcap.finish()?;
         Ok(self.mcap.into_inner().out)
     }
-
-    fn view(&mut self, view: usize, tick: u64, time_ns: u64, message: &impl Encode) -> Result<(), McapError> {
-        self.bytes.clear();
-        encode(message, &mut self.bytes)?;
-        self.put(self.views[view], tick, time_ns, time_ns)
-    }
-
-    /// Writes the current bytes to a channel.
-    fn put(&mut self, channel_id: u16, tick: u64, log_time: u64, publish_time: u64) -> Result<(), McapError> {
-        let header = MessageHeader { channel_id, sequence: tick as u32, log_time, publish_time };
-        self.mcap.write_to_known_channel(&header, &self.bytes)
-    }
 }
 
-fn channel<M: Encode, W: Write + Seek>(mcap: &mut mcap::Writer<W>, topic: &str) -> Result<u16, McapError> {
-    let schema = match M::get_schema() {
+fn add<W: Write + Seek>(mcap: &mut mcap::Writer<W>, channel: &Channel) -> Result<u16, McapError> {
+    let schema = match &channel.schema {
         Some(schema) => mcap.add_schema(&schema.name, &schema.encoding, &schema.data)?,
         // The format's encoding of "no schema".
         None => 0,
     };
-    mcap.add_channel(schema, topic, &M::get_message_encoding(), &BTreeMap::new())
+    mcap.add_channel(schema, channel.topic, &channel.message_encoding, &BTreeMap::new())
 }
 
 fn attach<W: Write + Seek>(

@@ -56,7 +56,8 @@ impl Curve {
             }
         };
         for _ in 0..SPLITS_MAX {
-            let Some((next, now)) = open.iter().copied().enumerate().max_by(|a, b| a.1.bound.total_cmp(&b.1.bound)) else {
+            let Some((next, now)) = open.iter().copied().enumerate().max_by(|a, b| a.1.bound.total_cmp(&b.1.bound))
+            else {
                 break;
             };
             if now.bound <= most + slack {
