@@ -2,6 +2,9 @@
 
 use std::io::Read;
 
+/// Marks the recordings of this program: the MCAP profile, and the name of the metadata record.
+pub const PROFILE: &str = "rangehound";
+
 /// Reads once, whatever signals come.
 ///
 /// # Errors
@@ -13,6 +16,19 @@ pub fn read(input: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> 
             done => return done,
         }
     }
+}
+
+/// A schema: the definition of a type in a language.
+#[derive(Debug, Clone, Copy)]
+pub struct Schema<'a> {
+    /// Its number.
+    pub id: u16,
+    /// The name of the type.
+    pub name: &'a [u8],
+    /// The language.
+    pub language: &'a [u8],
+    /// The definition.
+    pub text: &'a [u8],
 }
 
 /// Reads the fields of a record in order. The library's own parser allocates as much memory as a damaged length claims.
@@ -56,9 +72,9 @@ impl<'a> Fields<'a> {
         Some((self.u16()?, self.u16()?, self.string()?, self.string()?))
     }
 
-    /// Id, name, encoding and text of a schema.
-    pub fn schema(mut self) -> Option<(u16, &'a [u8], &'a [u8], &'a [u8])> {
-        Some((self.u16()?, self.string()?, self.string()?, self.string()?))
+    /// A schema.
+    pub fn schema(mut self) -> Option<Schema<'a>> {
+        Some(Schema { id: self.u16()?, name: self.string()?, language: self.string()?, text: self.string()? })
     }
 
     /// Channel id, time of recording (ns) and data.

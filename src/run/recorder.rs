@@ -154,7 +154,7 @@ fn sleep(time: Duration) {
 
 /// The file or folder in the making.
 enum Growing {
-    File(RunFile),
+    File(Box<RunFile>),
     Bag(Box<BagFolder>),
 }
 
@@ -229,7 +229,7 @@ impl<'a> Recorder<'a> {
         let file = if is_bag {
             Growing::Bag(Box::new(BagFolder::begin(&path, description, bytes_max)?))
         } else {
-            Growing::File(RunFile::begin(&path, description, bytes_max).map_err(unusable)?)
+            Growing::File(Box::new(RunFile::begin(&path, description, bytes_max).map_err(unusable)?))
         };
         Ok(Self {
             description,

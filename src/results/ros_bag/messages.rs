@@ -109,10 +109,9 @@ impl Placed {
             let turn = jx * (jx * p(2, 2) + 2.0 * jy * p(2, 3)) + jy * jy * p(3, 3);
             if turn < ANY_ANGLE_RAD2 {
                 covariance[2][2] = turn;
-                for axis in 0..2 {
-                    let with_turn = p(axis, 2) * jx + p(axis, 3) * jy;
-                    (covariance[axis][2], covariance[2][axis]) = (with_turn, with_turn);
-                }
+                let with_turn = [0, 1].map(|axis| p(axis, 2) * jx + p(axis, 3) * jy);
+                [covariance[0][2], covariance[1][2]] = with_turn;
+                [covariance[2][0], covariance[2][1]] = with_turn;
             }
         }
         Self { position_m: [x_m, y_m, 0.0], yaw_rad: vy_mps.atan2(vx_mps), covariance }

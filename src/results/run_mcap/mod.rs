@@ -19,5 +19,4 @@ pub mod scene;
 pub mod topics;
 pub mod write;
 
-/// Marks the files of this program: the MCAP profile, and the name of the metadata record.
-pub const PROFILE: &str = "rangehound";
+pub use crate::files::records::PROFILE;

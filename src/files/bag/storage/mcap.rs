@@ -6,11 +6,10 @@ use std::io::Read;
 use mcap::McapError;
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use rangehound_shared::protocol;
 
 use super::{Sink, Topic, unreadable};
 use crate::files::bag::Fault;
-use crate::files::records::{Fields, read as read_some};
+use crate::files::records::{Fields, PROFILE, Schema, read as read_some};
 use crate::files::zstd::ZstdDecoder;
 
 /// Longest record of a small file.
@@ -69,7 +68,7 @@ fn damaged(error: &McapError) -> Fault {
 /// What the file has had so far.
 #[derive(Default)]
 struct Contents {
-    /// Name, encoding and text of each schema.
+    /// Name, language and text of each schema.
     schemas: HashMap<u16, (String, Vec<u8>, Vec<u8>)>,
     /// The sink's number of each channel, if it wants it.
     channels: HashMap<u16, Option<usize>>,
@@ -81,14 +80,14 @@ impl Contents {
         let invalid = || Fault::new("a damaged record", "expected an undamaged bag: a length in it is wrong");
         let mut fields = Fields::of(data);
         match opcode {
-            op::HEADER if fields.string() == Some(protocol::PROGRAM.as_bytes()) => {
+            op::HEADER if fields.string() == Some(PROFILE.as_bytes()) => {
                 let hint = "expected a bag of ROS 2: `rangehound replay` reads a run's recording, and `rangehound record --ros2` makes a bag of a run";
                 return Err(Fault::new("a recording of rangehound", hint));
             }
             op::SCHEMA => {
-                let (id, name, encoding, text) = fields.schema().ok_or_else(invalid)?;
+                let Schema { id, name, language, text } = fields.schema().ok_or_else(invalid)?;
                 let name = String::from_utf8_lossy(name).into_owned();
-                self.schemas.entry(id).or_insert_with(|| (name, encoding.to_owned(), text.to_owned()));
+                self.schemas.entry(id).or_insert_with(|| (name, language.to_owned(), text.to_owned()));
             }
             op::CHANNEL => {
                 let (id, schema, topic, encoding) = fields.channel().ok_or_else(invalid)?;
