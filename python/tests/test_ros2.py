@@ -53,9 +53,10 @@ def ros(tmp_path):
     """Starts processes in a ROS of their own on this host; ends what is left of them, and removes what ROS leaves."""
     tracing = lambda: {file for file in os.listdir("/dev/shm") if file.startswith("lttng-ust-wait-")}
     before, started = tracing(), []
-    # Shared memory of a killed process would stay.
-    own = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-           "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4", "ROS_LOG_DIR": str(tmp_path / "log"), "PYTHONUNBUFFERED": "1"}
+    # The range LOCALHOST would bring shared memory back.
+    own = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+           "FASTDDS_DEFAULT_PROFILES_FILE": str(HERE / "ros2_loopback.xml"), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+           "ROS_LOG_DIR": str(tmp_path / "log"), "PYTHONUNBUFFERED": "1"}
 
     def start(*words, waits=False):
         pipes = dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
