@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_node::system::signal::Termination;
+use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use serde::{Deserialize, Serialize};
