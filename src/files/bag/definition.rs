@@ -152,12 +152,12 @@ impl Parser<'_> {
             let rest = rest.trim_start();
             let end = rest.find(|c: char| !c.is_ascii_alphanumeric() && c != '_').unwrap_or(rest.len());
             let (field, after) = rest.split_at(end);
+            if field.is_empty() {
+                return Err(format!("{line:?} is no field of {name}"));
+            }
             if after.trim_start().starts_with('=') {
                 // A constant.
                 continue;
-            }
-            if field.is_empty() {
-                return Err(format!("{line:?} is no field of {name}"));
             }
             let (kind, count) = self.kind(of_type, package, depth)?;
             fields.push(Field { name: field.to_owned(), kind, count });
