@@ -41,12 +41,15 @@ def program():
 
 
 @pytest.fixture
-def watchdog():
+def watchdog(request):
+    """Ends a test that hangs: after `WATCHDOG_S` of its module, if it has one."""
+    limit_s = getattr(request.module, "WATCHDOG_S", WATCHDOG_S)
+
     def hangs(*_):
-        raise TimeoutError(f"the test did not end in {WATCHDOG_S} s")
+        raise TimeoutError(f"the test did not end in {limit_s} s")
 
     before = signal.signal(signal.SIGALRM, hangs)
-    signal.alarm(WATCHDOG_S)
+    signal.alarm(limit_s)
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)

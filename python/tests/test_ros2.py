@@ -26,7 +26,7 @@ MISSING = [package for package in NEEDED if importlib.util.find_spec(package) is
 
 pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"no ROS 2 in this environment: {', '.join(MISSING)} cannot be imported"),
-    pytest.mark.usefixtures("long_watchdog"),
+    pytest.mark.usefixtures("watchdog"),
 ]
 
 POSE, TWIST = "geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/TwistStamped"
@@ -34,18 +34,6 @@ POSE, TWIST = "geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/TwistSta
 
 #: The player repeats itself: on a busy machine a tick waits until it is heard.
 PATIENT = ["-p", "lockstep_wait_s:=60.0"]
-
-
-@pytest.fixture
-def long_watchdog():
-    def hangs(*_):
-        raise TimeoutError(f"the test did not end in {WATCHDOG_S} s")
-
-    before = signal.signal(signal.SIGALRM, hangs)
-    signal.alarm(WATCHDOG_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture

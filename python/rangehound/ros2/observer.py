@@ -49,7 +49,7 @@ docs/ros2.md has types, frames, quality of service, and the controller.
 def main(words: Sequence[str]) -> int:
     """Runs the node until the run ends."""
     words, ros_args = split_ros_args(words)
-    arguments = Parser("rangehound.ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
+    arguments = Parser("ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
     arguments.add_argument("--robots", metavar="IDS", help="robots that are real, as in 0,2-5, or all: a process for each of them takes its role in the run")
     arguments.add_argument("--from-start", action="store_true", help="publish all ticks from the first one, not only new ones")
     arguments.add_argument("--stamps", choices=["run", "ros"], help="time of messages: run: the run's own, from 0, with the topic /clock; ros: the clock of ROS [default: ros with --robots in real time, else run]")

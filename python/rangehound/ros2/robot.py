@@ -41,7 +41,7 @@ What follows --ros-args goes to ROS.
 def main(words: Sequence[str]) -> int:
     """Takes part in the run until it ends. The last command is to stop."""
     words, ros_args = split_ros_args(words)
-    arguments = Parser("rangehound.ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
+    arguments = Parser("ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
     arguments.add_argument("--id", required=True, type=int, metavar="N", help="number of the robot in the team, from 0")
     arguments.add_argument("--end-with", type=int, metavar="PID", help="end when this process ends")
     args = arguments.parse_args(words)

@@ -12,6 +12,7 @@ import sys
 import threading
 from typing import Any, Callable, Iterable, Mapping, NoReturn, Sequence
 
+from .. import _command
 from .._native import InputError, RunError
 
 #: Topics that every node publishes, and how long it is between two of their messages, s.
@@ -32,13 +33,11 @@ def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return [*words[:start], *words[end + 1 :]], list(words[start:end])
 
 
-class Parser(argparse.ArgumentParser):
+class Parser(_command.Parser):
     """The flags of a node, with those that all nodes have. An error in them is one line."""
 
-    def __init__(self, program: str, description: str, epilog: str) -> None:
-        form = argparse.RawDescriptionHelpFormatter
-        super().__init__(prog=f"python -m {program}", description=description, epilog=epilog, formatter_class=form)
-        self.add_argument("--name", required=True, metavar="RUN", help="name of the run")
+    def __init__(self, name: str, description: str, epilog: str) -> None:
+        super().__init__(name, description, epilog)
         self.add_argument("--wait-s", type=seconds, default=10.0, metavar="S", help="how long to wait for the run, s; inf for ever [default: 10]")
 
     def error(self, message: str) -> NoReturn:
@@ -168,14 +167,12 @@ def _end(*_: object) -> None:
 
 def ignore_signals() -> None:
     """From here on the node ends anyway."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    _command.on_signals(signal.SIG_IGN)
 
 
 def run_node(main: Callable[[Sequence[str]], int], words: Sequence[str] | None = None) -> int:
     """Runs a node, and returns its exit code: 0 at the end of the run or when asked to end, 2 for invalid input, 1 otherwise."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
+    _command.on_signals(_end)
     try:
         return main(sys.argv[1:] if words is None else words)
     except Ended:
