@@ -62,6 +62,11 @@ def main():
             executor.spin_once(timeout_sec=0.1)
     except Ended:
         pass
+    # On a busy machine messages wait to be taken.
+    count = -1
+    while count < (count := sum(map(len, heard.values()))):
+        for _ in range(200):
+            executor.spin_once(timeout_sec=0.005)
     print(json.dumps({topic: [plain(message) for message in messages] for topic, messages in heard.items()}), flush=True)
 
 

@@ -216,9 +216,19 @@ def test_the_robots_of_a_killed_node_end_and_stop_and_another_node_goes_on(progr
     assert report["ticks"] == 300 and json.loads(player.communicate(timeout=60)[0])["last"] == [[0.0, 0.0]] * 3
 
 
-def test_a_killed_node_changes_no_bit_of_a_run(program, name, ros, tmp_path):
+def test_a_killed_node_changes_no_bit_of_a_run(program, name, ros, by_hand, tmp_path):
     keys = dict(ticks=20_000, clock="lockstep", timeout_s="forever", planner="greedy")
-    with rh.run(name=name, out=tmp_path / "out", program=program, **keys) as run:
+    # A robot that is slow until the nodes have been killed: the run must not end before.
+    hurry = tmp_path / "hurry"
+    slow_robot = (
+        "import os, time\n"
+        "def slowly(heading_rad, speed_mps):\n"
+        f"    if not os.path.exists({str(hurry)!r}):\n"
+        "        time.sleep(0.02)\n"
+        "rh.Robot(name, 2, carry_out=slowly).run()"
+    )
+    with rh.run(name=name, out=tmp_path / "out", program=program, external=[2], **keys) as run:
+        by_hand(scripts=[slow_robot])
         for _ in range(2):
             ears = listener(ros, target__pose=POSE)
             killed = node(ros, name)
@@ -226,6 +236,7 @@ def test_a_killed_node_changes_no_bit_of_a_run(program, name, ros, tmp_path):
             killed.kill()
             killed.communicate()
             heard(ears)
+        hurry.touch()
         digest = run.report()["digest"]
     assert digest == rh.simulate(rh.Scenario(**keys)).digest
 

@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from typing import Any, Callable, Iterable, Mapping, NoReturn, Sequence
 
 from .. import _command
@@ -17,6 +18,9 @@ from .._native import InputError, RunError
 
 #: Topics that every node publishes, and how long it is between two of their messages, s.
 DIAGNOSTICS_S = 1.0
+
+#: How long a node that ends waits for subscribers that have not acknowledged its last messages, s.
+_LAST_WORDS_S = 2.0
 
 
 def complain(problem: object) -> None:
@@ -149,7 +153,12 @@ class Session:
                 os.kill(os.getpid(), signal.SIGTERM)
 
     def close(self) -> None:
-        """Ends the callbacks and leaves ROS."""
+        """Waits for a moment until subscribers have what was published, ends the callbacks, and leaves ROS."""
+        from rclpy.duration import Duration
+
+        until_s = time.monotonic() + _LAST_WORDS_S
+        for publisher in self.node.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(until_s - time.monotonic(), 0.001)))
         self._executor.shutdown(timeout_sec=2.0)
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
