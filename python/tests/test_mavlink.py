@@ -40,7 +40,7 @@ class Autopilot(threading.Thread):
         self.connection = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=system, source_component=1)
         self.port, self.kind, self.target, self.armed = port, kind, target, armed
         self.mode = (GUIDED if guided else OTHER)[kind]
-        self.east_m, self.north_m = 0.0, 0.0
+        self.east_m, self.north_m, self.driven_m = 0.0, 0.0, 0.0
         self.start_m = place_m
         self.velocity, self.yaw, self.given_s = (0.0, 0.0), 0.0, -math.inf
         self.setpoints, self.timeouts, self.cut, self.asked = [], 0, False, set()
@@ -74,6 +74,7 @@ class Autopilot(threading.Thread):
             if self.drives():
                 self.north_m += (now_s - last_s) * self.velocity[0]
                 self.east_m += (now_s - last_s) * self.velocity[1]
+                self.driven_m += (now_s - last_s) * self.speed_mps
             last_s = now_s
             if not self.cut:
                 if now_s >= heartbeat_s:
@@ -187,7 +188,8 @@ def test_three_vehicles_track_a_target_that_only_they_measure(by_hand, command, 
     # The run believes the vehicles where they are, but for the age of a position.
     assert np.median(deviations_m) < 2.0
     until(lambda: all(autopilot.setpoints[-1][1] == 0 for autopilot in autopilots))
-    assert {math.hypot(a.east_m, a.north_m) > 10 for a in autopilots} == {True}
+    # Its way, not its distance from the start: a planner may lead a vehicle back.
+    assert all(autopilot.driven_m > 10 for autopilot in autopilots), [autopilot.driven_m for autopilot in autopilots]
 
 
 def test_nothing_drives_before_the_vehicle_is_armed_and_in_its_mode(one_vehicle):
