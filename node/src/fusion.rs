@@ -153,8 +153,9 @@ impl<'a> Driver<'a> {
                 }
                 return Ok(Some(lease));
             }
-            own.renew();
-            self.rendezvous.look_for_removal()?;
+            let now_ns = monotonic_ns();
+            own.renew(now_ns);
+            self.rendezvous.look_for_removal(now_ns)?;
             self.ranges.keep_up()?;
             if let Some(silent_since) = standby.look(roster.last_heartbeat(Role::Fusion))
                 && let Some(lease) = roster.depose(Role::Fusion, silent_since)?
@@ -273,8 +274,9 @@ impl<'a> Driver<'a> {
     /// each command. The robots check too: they ignore a deposed leader.
     fn require_lead(&self, lease: &RoleLease) -> Result<(), FusionError> {
         if lease.is_current() {
-            lease.renew();
-            return Ok(self.rendezvous.look_for_removal()?);
+            let now_ns = monotonic_ns();
+            lease.renew(now_ns);
+            return Ok(self.rendezvous.look_for_removal(now_ns)?);
         }
         Err(if self.rendezvous.is_removed() { self.rendezvous.removed().into() } else { FusionError::Deposed })
     }

@@ -109,10 +109,11 @@ impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A
     ) -> Result<(), RobotError> {
         self.act()?;
         while !termination.requested() {
-            lease.renew();
-            rendezvous.look_for_removal()?;
             let events = self.wait()?;
-            self.receive(events)?;
+            let now_ns = monotonic_ns();
+            lease.renew(now_ns);
+            rendezvous.look_for_removal(now_ns)?;
+            self.receive(events, now_ns)?;
             self.act()?;
             let may_have_ended = events.has(Event::Finished) || self.machine.is_new() || events.is_empty();
             if may_have_ended && rendezvous.is_finished() {
@@ -137,10 +138,9 @@ impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A
     }
 
     /// Drains the topics whose events came, or all topics after a time-out.
-    fn receive(&mut self, events: Events) -> Result<(), BusError> {
+    fn receive(&mut self, events: Events, now_ns: u64) -> Result<(), BusError> {
         let Self { machine, worlds, headings, .. } = self;
         if events.has(Event::World) || events.is_empty() {
-            let now_ns = monotonic_ns();
             worlds.drain(|header, entries| machine.on_world(header, entries, now_ns))?;
         }
         if events.has(Event::Heading) || events.is_empty() {
@@ -151,14 +151,18 @@ impl<S: Sensor + ?Sized, P: PoseSource + ?Sized, A: Actuator> Driver<'_, S, P, A
     }
 
     fn act(&mut self) -> Result<(), BusError> {
-        while let Some(action) = self.machine.next_action(monotonic_ns()) {
+        let mut now_ns = monotonic_ns();
+        while let Some(action) = self.machine.next_action(now_ns) {
+            // Only sensor and actuator take their time: a turn that reads the clock less often is shorter.
             match action {
                 Action::Measure { tick, time_s, entry } => {
                     let measurement = measure(self.sensor, self.poses, (tick, time_s), &entry);
-                    self.machine.measured(measurement, monotonic_ns());
+                    now_ns = monotonic_ns();
+                    self.machine.measured(measurement, now_ns);
                 }
                 Action::CarryOut(command) => {
                     let driven = self.actuator.carry_out(command);
+                    now_ns = monotonic_ns();
                     self.machine.carried_out(driven);
                 }
                 Action::SendRange => self.machine.range().map_or(Ok(()), |message| self.ranges.send_one(&message))?,

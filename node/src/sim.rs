@@ -52,8 +52,9 @@ pub fn run(rendezvous: &Rendezvous, termination: &Termination) -> Result<(), Sim
     sim.act()?;
     while !sim.machine.has_ended() && !termination.requested() {
         let events = sim.wait();
-        sim.lease.renew();
-        rendezvous.look_for_removal()?;
+        let now_ns = monotonic_ns();
+        sim.lease.renew(now_ns);
+        rendezvous.look_for_removal(now_ns)?;
         sim.receive(events)?;
         if !termination.requested() {
             sim.act()?;

@@ -44,9 +44,12 @@ const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && s
 /// being woken from another core, because the rest of the team has to be woken too.
 const WATCH_NS: u64 = 200_000;
 
-/// A longer turn means that a large team shares one processor, which ran other processes meanwhile. The kernel
-/// then gives the processor back at once only to a process that it wakes from sleep.
+/// A process that yields the processor for longer than this and [`TURN_NS`] for each robot has not yielded to its team
+/// alone: another program uses this processor. The kernel then gives it back at once only to a process that it wakes from sleep.
 const LONG_TURN_NS: u64 = 1_000_000;
+
+/// What a robot needs for its turn if all share one processor, in a large team, whose data no cache holds; and some more.
+const TURN_NS: u64 = 15_000;
 
 /// After a long turn, waits until the next spin.
 const WAITS_AFTER_LONG_TURN: u32 = 250;
@@ -93,8 +96,10 @@ impl WaitGroups {
 pub struct Waiter {
     wait_groups: WaitGroups,
     group: WaitGroup,
-    /// How long it spins: on one core, where no other process runs meanwhile, it checks once.
-    watch_ns: u64,
+    /// How long it spins: on one core, where no other process runs meanwhile, it checks once; `None`: it sleeps at once.
+    watch_ns: Option<u64>,
+    /// The longest turn of the others that is the team's own.
+    turn_ns: u64,
     /// Waits left without a spin.
     asleep_at_once: Cell<u32>,
     /// Each event's count at the last check.
@@ -102,12 +107,19 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    pub(crate) fn new(wait_groups: WaitGroups, group: WaitGroup) -> Self {
+    pub(crate) fn new(wait_groups: WaitGroups, group: WaitGroup, robots: usize) -> Self {
         let has_cores = rustix::thread::sched_getaffinity(None).is_ok_and(|cores| cores.count() > 1);
         Self {
             wait_groups,
             group,
-            watch_ns: if has_cores { WATCH_NS } else { 0 },
+            watch_ns: match group {
+                _ if has_cores => Some(WATCH_NS),
+                // The answers of a tick come with the second turn of each robot: to check after the first one costs the
+                // robots, which wait for their headings, a turn.
+                WaitGroup::Sim => None,
+                WaitGroup::Fusion | WaitGroup::Robots => Some(0),
+            },
+            turn_ns: LONG_TURN_NS + TURN_NS * robots as u64,
             asleep_at_once: Cell::default(),
             heard: Cell::default(),
         }
@@ -123,18 +135,19 @@ impl Waiter {
     /// sleeping and being woken.
     #[must_use]
     pub fn watch(&self) -> Events {
+        let Some(watch_ns) = self.watch_ns else { return Events::default() };
         if let Some(fewer) = self.asleep_at_once.get().checked_sub(1) {
             self.asleep_at_once.set(fewer);
             return Events::default();
         }
         let words = self.wait_groups.words(self.group);
         let mut now_ns = monotonic_ns();
-        let until_ns = now_ns + self.watch_ns;
+        let until_ns = now_ns + watch_ns;
         loop {
             std::thread::yield_now();
             let events = self.events(words);
             let since_ns = std::mem::replace(&mut now_ns, monotonic_ns());
-            if now_ns - since_ns > LONG_TURN_NS {
+            if now_ns - since_ns > self.turn_ns {
                 self.asleep_at_once.set(WAITS_AFTER_LONG_TURN);
             }
             if !events.is_empty() || now_ns >= until_ns {
@@ -236,7 +249,7 @@ mod tests {
         let rounds = 50_000;
         let play = |prefix: &str, mine: WaitGroup, other: WaitGroup, begins: bool| {
             let wait_groups = WaitGroups::open(prefix).unwrap();
-            let (waiter, notifier) = (Waiter::new(wait_groups.clone(), mine), Notifier::new(wait_groups, other));
+            let (waiter, notifier) = (Waiter::new(wait_groups.clone(), mine, 1), Notifier::new(wait_groups, other));
             if begins {
                 notifier.signal(Event::Range);
             }
@@ -271,7 +284,9 @@ mod tests {
         let prefix = run.shared_memory_prefix();
         std::thread::scope(|scope| {
             let waiters: Vec<_> = (0..5)
-                .map(|_| scope.spawn(|| Waiter::new(WaitGroups::open(prefix).unwrap(), WaitGroup::Robots).sleep(LIMIT)))
+                .map(|_| {
+                    scope.spawn(|| Waiter::new(WaitGroups::open(prefix).unwrap(), WaitGroup::Robots, 5).sleep(LIMIT))
+                })
                 .collect();
             let wait_groups = WaitGroups::open(prefix).unwrap();
             while wait_groups.words(WaitGroup::Robots).asleep.load(SeqCst) < 5 {
@@ -290,7 +305,7 @@ mod tests {
         let run = run("wait-groups-last");
         let wait_groups = WaitGroups::open(run.shared_memory_prefix()).unwrap();
         let (waiter, notifier) =
-            (Waiter::new(wait_groups.clone(), WaitGroup::Fusion), Notifier::new(wait_groups, WaitGroup::Fusion));
+            (Waiter::new(wait_groups.clone(), WaitGroup::Fusion, 3), Notifier::new(wait_groups, WaitGroup::Fusion));
         waiter.expect(3);
         let signals = |tick: u64, or_first: bool| {
             notifier.signal_if_last(Event::Range, tick, or_first);

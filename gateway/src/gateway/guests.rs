@@ -281,7 +281,7 @@ impl<'a> Guests<'a> {
     /// Renews the roles of the robots that are heard, releases those of the others, and passes on orders of this host's tools.
     pub(super) fn look(&mut self, now_ns: u64) {
         let silent_ns = |guest: &Guest| now_ns.saturating_sub(guest.heard_ns);
-        self.all.values().filter(|guest| silent_ns(guest) < CLAIM_NS).for_each(|guest| guest.lease.renew());
+        self.all.values().filter(|guest| silent_ns(guest) < CLAIM_NS).for_each(|guest| guest.lease.renew(now_ns));
         let gone = self.all.iter().filter(|(_, guest)| silent_ns(guest) > GONE_NS).map(|(robot, _)| *robot);
         for robot in gone.collect::<Vec<_>>() {
             self.release(robot, "is silent: its role is free");

@@ -176,8 +176,9 @@ async fn serve(
     termination: &Termination,
 ) -> Result<(), GatewayError> {
     while !termination.requested() && !rendezvous.is_finished() {
-        lease.renew();
-        rendezvous.look_for_removal()?;
+        let now_ns = monotonic_ns();
+        lease.renew(now_ns);
+        rendezvous.look_for_removal(now_ns)?;
         let wait = until(guests.wakes_at_ns()).min(LOOK);
         if let Ok(Some(input)) = tokio::time::timeout(wait, inputs.recv()).await {
             guests.on_input(input)?;

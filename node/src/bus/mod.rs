@@ -240,7 +240,7 @@ impl Bus {
     /// The waiter of one wait group: this process waits on it.
     #[must_use]
     pub fn waiter_of(&self, group: WaitGroup) -> Waiter {
-        Waiter::new(self.wait_groups.clone(), group)
+        Waiter::new(self.wait_groups.clone(), group, self.robots)
     }
 
     /// A notifier, which wakes a wait group.
@@ -255,7 +255,7 @@ impl Bus {
 /// # Errors
 /// [`BusError`] if the run's wait groups are gone.
 pub fn waiter(run: &Rendezvous, group: WaitGroup) -> Result<Waiter, BusError> {
-    Ok(Waiter::new(open_wait_groups(run)?, group))
+    Ok(Waiter::new(open_wait_groups(run)?, group, run.description().scenario.robots.len()))
 }
 
 fn open_wait_groups(run: &Rendezvous) -> Result<WaitGroups, BusError> {

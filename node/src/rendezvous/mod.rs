@@ -205,12 +205,13 @@ impl Rendezvous {
         Ok(again)
     }
 
-    /// Checks at intervals that the run's shared memory still exists; call it in each round of a node's loop.
+    /// Checks at intervals that the run's shared memory still exists; call it in each round of a node's loop, with
+    /// the time, monotonic ns.
     ///
     /// # Errors
     /// [`RendezvousError::Removed`].
-    pub fn look_for_removal(&self) -> Result<(), RendezvousError> {
-        if self.presence.holds() { Ok(()) } else { Err(self.removed()) }
+    pub fn look_for_removal(&self, now_ns: u64) -> Result<(), RendezvousError> {
+        if self.presence.holds(now_ns) { Ok(()) } else { Err(self.removed()) }
     }
 
     /// True if the run's shared memory was removed from outside.

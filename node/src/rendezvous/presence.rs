@@ -63,8 +63,7 @@ impl Presence {
     }
 
     /// False once the run's folder has been removed or replaced, as of the last check.
-    pub(super) fn holds(&self) -> bool {
-        let now_ns = monotonic_ns();
+    pub(super) fn holds(&self, now_ns: u64) -> bool {
         if now_ns.saturating_sub(self.looked_ns.load(Relaxed)) < LOOK.as_nanos() as u64 {
             return true;
         }

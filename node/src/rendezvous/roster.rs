@@ -20,6 +20,7 @@ use super::holder::{Holder, Process};
 use super::place::Place;
 use super::tenure::Tenure;
 use super::{RendezvousError, Role};
+use crate::system::clock::monotonic_ns;
 
 /// Heartbeat interval of a holder that wakes up often enough.
 const SIGN: Duration = Duration::from_millis(50);
@@ -39,7 +40,7 @@ pub struct RoleLease {
     file: File,
     /// Number of this holder among all of the role, from 1: its fencing token.
     pub incarnation: u64,
-    renewed: Cell<Instant>,
+    renewed_ns: Cell<u64>,
 }
 
 /// A wait for a role to become free.
@@ -295,7 +296,7 @@ impl Roster {
 impl RoleLease {
     fn new(role: Role, file: File, incarnation: u64) -> Self {
         role.name_process();
-        Self { file, incarnation, renewed: Cell::new(Instant::now()) }
+        Self { file, incarnation, renewed_ns: Cell::new(monotonic_ns()) }
     }
 
     /// False once another process has taken the role from this one, whose actions then have no effect.
@@ -304,10 +305,10 @@ impl RoleLease {
         is_current(&self.file)
     }
 
-    /// Sends a heartbeat at intervals; call it in each round of a node's loop.
-    pub fn renew(&self) {
-        if self.renewed.get().elapsed() >= SIGN {
-            self.renewed.set(Instant::now());
+    /// Sends a heartbeat at intervals; call it in each round of a node's loop, with the time, monotonic ns.
+    pub fn renew(&self, now_ns: u64) {
+        if now_ns.saturating_sub(self.renewed_ns.get()) >= SIGN.as_nanos() as u64 {
+            self.renewed_ns.set(now_ns);
             // Observers see a failure as a missing heartbeat.
             let _ = self.file.set_modified(SystemTime::now());
         }
@@ -405,7 +406,7 @@ mod tests {
         let old = roster.take(Role::Fusion).unwrap();
         let silence = roster.last_heartbeat(Role::Fusion).unwrap();
         std::thread::sleep(2 * SIGN);
-        old.renew();
+        old.renew(monotonic_ns());
         assert!(roster.depose(Role::Fusion, silence).unwrap().is_none() && old.is_current());
 
         let silence = roster.last_heartbeat(Role::Fusion).unwrap();
@@ -417,7 +418,7 @@ mod tests {
         // Its heartbeats and its end no longer affect the role.
         let silence = roster.last_heartbeat(Role::Fusion);
         std::thread::sleep(2 * SIGN);
-        old.renew();
+        old.renew(monotonic_ns());
         assert_eq!(roster.last_heartbeat(Role::Fusion), silence);
         drop(old);
         assert!(roster.is_held(Role::Fusion));

@@ -118,7 +118,7 @@ impl<'a> Nodes<'a> {
             if termination.requested() {
                 return Err(anyhow!("ended before its last tick, as asked"));
             }
-            self.lease.renew();
+            self.lease.renew(monotonic_ns());
             self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
             if looked.elapsed() >= watch::LOOK {
                 look();
@@ -260,7 +260,7 @@ impl<'a> Nodes<'a> {
     fn wait_for_all(&mut self) {
         let began = Instant::now();
         while self.nodes.iter_mut().any(Node::is_running) && began.elapsed() < GRACE {
-            self.lease.renew();
+            self.lease.renew(monotonic_ns());
             std::thread::sleep(Duration::from_millis(5));
         }
     }

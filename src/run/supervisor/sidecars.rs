@@ -5,6 +5,7 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use rangehound_node::rendezvous::{Rendezvous, RoleLease};
+use rangehound_node::system::clock;
 use rangehound_node::system::signal::Termination;
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -71,7 +72,7 @@ impl<'a> Sidecars<'a> {
         let lease = self.lease;
         let sleep = || {
             // While a long recording is written, the supervisor must not seem to hang.
-            lease.renew();
+            lease.renew(clock::monotonic_ns());
             std::thread::sleep(POLL);
         };
         while self.rendezvous.is_finished() && self.any_is_running() && !termination.requested() {
