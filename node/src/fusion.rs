@@ -265,7 +265,7 @@ impl<'a> Driver<'a> {
             WaitGroup::Robots | WaitGroup::Fusion => {
                 self.robots.notify(notification);
                 // Robots first: on a busy core they would otherwise wait for the log.
-                std::thread::yield_now();
+                rustix::thread::sched_yield();
             }
         }
     }

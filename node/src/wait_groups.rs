@@ -44,12 +44,12 @@ const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && s
 /// being woken from another core, because the rest of the team has to be woken too.
 const WATCH_NS: u64 = 200_000;
 
-/// A process that yields the processor for longer than this and [`TURN_NS`] for each robot has not yielded to its team
-/// alone: another program uses this processor. The kernel then gives it back at once only to a process that it wakes from sleep.
+/// A process that yields for longer has not yielded to its team alone: another program uses this processor. The kernel then
+/// gives the processor back at once only to a process that it wakes from sleep.
 const LONG_TURN_NS: u64 = 1_000_000;
 
-/// What a robot needs for its turn if all share one processor, in a large team, whose data no cache holds; and some more.
-const TURN_NS: u64 = 15_000;
+/// The same for each robot of a large team: twice its turn if all share one processor, whose caches hold no robot's data.
+const LONG_TURN_OF_ROBOT_NS: u64 = 14_000;
 
 /// After a long turn, waits until the next spin.
 const WAITS_AFTER_LONG_TURN: u32 = 250;
@@ -98,8 +98,8 @@ pub struct Waiter {
     group: WaitGroup,
     /// How long it spins: on one core, where no other process runs meanwhile, it checks once; `None`: it sleeps at once.
     watch_ns: Option<u64>,
-    /// The longest turn of the others that is the team's own.
-    turn_ns: u64,
+    /// A longer turn of the others is not the team's own.
+    long_turn_ns: u64,
     /// Waits left without a spin.
     asleep_at_once: Cell<u32>,
     /// Each event's count at the last check.
@@ -119,7 +119,7 @@ impl Waiter {
                 WaitGroup::Sim => None,
                 WaitGroup::Fusion | WaitGroup::Robots => Some(0),
             },
-            turn_ns: LONG_TURN_NS + TURN_NS * robots as u64,
+            long_turn_ns: LONG_TURN_NS.max(LONG_TURN_OF_ROBOT_NS * robots as u64),
             asleep_at_once: Cell::default(),
             heard: Cell::default(),
         }
@@ -144,10 +144,10 @@ impl Waiter {
         let mut now_ns = monotonic_ns();
         let until_ns = now_ns + watch_ns;
         loop {
-            std::thread::yield_now();
+            rustix::thread::sched_yield();
             let events = self.events(words);
             let since_ns = std::mem::replace(&mut now_ns, monotonic_ns());
-            if now_ns - since_ns > self.turn_ns {
+            if now_ns - since_ns > self.long_turn_ns {
                 self.asleep_at_once.set(WAITS_AFTER_LONG_TURN);
             }
             if !events.is_empty() || now_ns >= until_ns {
