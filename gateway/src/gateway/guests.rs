@@ -90,6 +90,8 @@ impl<'a> Guests<'a> {
             Input::Frame { robot, connection, bytes } => self.on_frame(robot, connection, &bytes)?,
             Input::Ordered { robot, has_arrived } => self.report_order(robot, has_arrived),
             Input::Leaving { robot, connection } => {
+                // With its role, what it has driven would be lost.
+                self.publish_drives()?;
                 if self.all.get(&robot).is_some_and(|guest| guest.connection.stable_id() == connection) {
                     self.release(robot, "has left");
                 }

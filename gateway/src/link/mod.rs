@@ -9,7 +9,6 @@ use std::time::Duration;
 
 use quinn::crypto::rustls::{NoInitialCipherSuite, QuicClientConfig, QuicServerConfig};
 use quinn::{ClientConfig, ServerConfig, TransportConfig, VarInt};
-
 use tokio::runtime::{LocalOptions, LocalRuntime};
 
 pub(crate) use stream::REQUEST_LEN_MAX;
