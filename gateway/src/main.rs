@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum as _};
 use rangehound_gateway::gateway::{self, GatewayError};
 use rangehound_gateway::keys::command::KeysArgs;
 use rangehound_gateway::reference::{Exchange, ReferenceError, Transport};
@@ -34,6 +34,9 @@ enum Command {
     /// Be a robot or the centre of a reference run of `rangehound latency --hosts`
     #[command(hide = true)]
     LatencyNode(LatencyNodeArgs),
+    /// List the transports of `latency-node` that this program was built with
+    #[command(hide = true)]
+    LatencyTransports,
 }
 
 #[derive(Debug, Args)]
@@ -131,6 +134,11 @@ fn main() -> ExitCode {
         Command::Robot(args) => args.carry_out(),
         Command::Keys(args) => args.carry_out().map_err(|error| Failure::Input(error.to_string())),
         Command::LatencyNode(args) => args.carry_out().map_err(|error| Failure::Running(error.to_string())),
+        Command::LatencyTransports => {
+            let transports = Transport::value_variants().iter().filter_map(Transport::to_possible_value);
+            transports.for_each(|transport| println!("{}", transport.get_name()));
+            Ok(())
+        }
     };
     match ended {
         Ok(()) => ExitCode::SUCCESS,

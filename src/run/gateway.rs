@@ -49,6 +49,24 @@ pub fn check(listen: SocketAddr, keys: Option<&Path>) -> Result<SocketAddr, Fail
     Err(Failure::input(text.trim().trim_start_matches("rangehound: ").to_owned()))
 }
 
+/// What that program can measure for `latency`: the names of the transports that it was built with.
+///
+/// # Errors
+/// [`Failure`] if it is not installed or does not answer.
+pub fn latency_transports() -> Result<Vec<String>, Failure> {
+    let program = program()?;
+    let output = Command::new(&program).arg("latency-transports").output();
+    match output {
+        Ok(output) if output.status.success() => {
+            Ok(String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect())
+        }
+        Ok(output) => {
+            Err(anyhow::anyhow!("{} does not say what it can measure: {}", program.display(), output.status).into())
+        }
+        Err(error) => Err(anyhow::anyhow!("cannot start {}: {error}", program.display()).into()),
+    }
+}
+
 /// Becomes that program, with these words.
 ///
 /// # Errors

@@ -9,7 +9,8 @@ use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_robot::remote::wire::Uplink;
 use rangehound_robot::remote::{Publication, Relay};
-use rangehound_shared::message::{Command, Drive, Range, WorldEntry};
+use rangehound_shared::message::{Command, Drive, Outgoing, Range, WorldEntry};
+use rangehound_shared::protocol::wake::Notification;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
 use tokio::sync::mpsc::Sender;
 
@@ -40,6 +41,8 @@ pub(super) struct Guests<'a> {
     sim: Notifier,
     fusion: Notifier,
     all: BTreeMap<usize, Guest>,
+    /// To be published after the ranges, for which the whole team waits.
+    drives: Vec<(usize, Outgoing<Drive>, Option<Notification>)>,
     refusals: Refusals,
     noted_ns: u64,
     ordered_ns: u64,
@@ -73,6 +76,7 @@ impl<'a> Guests<'a> {
             fusion: bus.notifier_of(WaitGroup::Fusion),
             bus,
             all: BTreeMap::new(),
+            drives: Vec::new(),
             refusals: Refusals::default(),
             noted_ns: 0,
             ordered_ns: 0,
@@ -86,6 +90,8 @@ impl<'a> Guests<'a> {
             Input::Frame { robot, connection, bytes } => self.on_frame(robot, connection, &bytes)?,
             Input::Ordered { robot, has_arrived } => self.report_order(robot, has_arrived),
             Input::Leaving { robot, connection } => {
+                // With its role, what it has driven would be lost.
+                self.publish_drives()?;
                 if self.all.get(&robot).is_some_and(|guest| guest.connection.stable_id() == connection) {
                     self.release(robot, "has left");
                 }
@@ -144,17 +150,25 @@ impl<'a> Guests<'a> {
     }
 
     fn publish(&mut self, robot: usize, message: Publication) -> Result<(), BusError> {
-        let Some(guest) = self.all.get(&robot) else { return Ok(()) };
-        self.bus.speak_as(guest.lease.incarnation);
         match message {
             Publication::Range(range, notification) => {
+                let Some(guest) = self.all.get(&robot) else { return Ok(()) };
+                self.bus.speak_as(guest.lease.incarnation);
                 guest.ranges.send_one(&range)?;
                 self.fusion.notify(&notification);
             }
-            Publication::Drive(drive, notification) => {
-                guest.drives.send_one(&drive)?;
-                notification.iter().for_each(|notification| self.sim.notify(notification));
-            }
+            Publication::Drive(drive, notification) => self.drives.push((robot, drive, notification)),
+        }
+        Ok(())
+    }
+
+    /// Publishes what the robots drive, after everything that has come is read.
+    pub(super) fn publish_drives(&mut self) -> Result<(), BusError> {
+        for (robot, drive, notification) in self.drives.drain(..) {
+            let Some(guest) = self.all.get(&robot) else { continue };
+            self.bus.speak_as(guest.lease.incarnation);
+            guest.drives.send_one(&drive)?;
+            notification.iter().for_each(|notification| self.sim.notify(notification));
         }
         Ok(())
     }

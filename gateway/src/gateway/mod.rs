@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use rangehound_node::bus::{self, BusError, Events, IDLE, WaitGroup};
+use rangehound_node::bus::{self, BusError, Event, Events, IDLE, WaitGroup};
 use rangehound_node::rendezvous::{ENDING_NOTE, Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::{monotonic_ns, until};
 use rangehound_node::system::signal::Termination;
@@ -95,7 +95,7 @@ pub fn run(
     // Two gateways would each take the roles that the other one lacks.
     let lease = rendezvous.roster().take(Role::Gateway)?;
     let (config, socket) = prepared(address, keys)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let runtime = link::runtime()?;
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let (sender, inputs) = mpsc::channel(INPUTS_MAX);
@@ -107,21 +107,18 @@ pub fn run(
             listening(endpoint.local_addr()?);
             let mut guests = Guests::new(rendezvous)?;
             let (finished, when_finished) = watch::channel(false);
-            let serve = async {
-                tokio::task::spawn_local(door::answer(endpoint.clone(), sender, keys.is_some(), when_finished));
-                let served = serve(&mut guests, inputs, (rendezvous, &lease), termination).await;
-                // The roles are free before the robots know that the gateway ends.
-                drop(guests);
-                // A run that was stopped is over for the robots too; one that lost its gateway is not.
-                if rendezvous.is_finished() || rendezvous.note(ENDING_NOTE).is_some() {
-                    let _ = finished.send(true);
-                    let _ = tokio::time::timeout(FAREWELL, finished.closed()).await;
-                }
-                endpoint.close(link::LEFT, b"the gateway has ended");
-                let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
-                served
-            };
-            tokio::task::LocalSet::new().run_until(serve).await
+            tokio::task::spawn_local(door::answer(endpoint.clone(), sender, keys.is_some(), when_finished));
+            let served = serve(&mut guests, inputs, (rendezvous, &lease), termination).await;
+            // The roles are free before the robots know that the gateway ends.
+            drop(guests);
+            // A run that was stopped is over for the robots too; one that lost its gateway is not.
+            if rendezvous.is_finished() || rendezvous.note(ENDING_NOTE).is_some() {
+                let _ = finished.send(true);
+                let _ = tokio::time::timeout(FAREWELL, finished.closed()).await;
+            }
+            endpoint.close(link::LEFT, b"the gateway has ended");
+            let _ = tokio::time::timeout(FAREWELL, endpoint.wait_idle()).await;
+            served
         });
         is_over.store(true, Ordering::Relaxed);
         ended
@@ -175,19 +172,23 @@ async fn serve(
     (rendezvous, lease): (&Rendezvous, &RoleLease),
     termination: &Termination,
 ) -> Result<(), GatewayError> {
-    while !termination.requested() && !rendezvous.is_finished() {
+    let mut may_have_ended = true;
+    while !(termination.requested() || may_have_ended && rendezvous.is_finished()) {
         let now_ns = monotonic_ns();
         lease.renew(now_ns);
         rendezvous.look_for_removal(now_ns)?;
         let wait = until(guests.wakes_at_ns()).min(LOOK);
-        if let Ok(Some(input)) = tokio::time::timeout(wait, inputs.recv()).await {
+        let mut next = tokio::time::timeout(wait, inputs.recv()).await.ok().flatten();
+        may_have_ended = false;
+        while let Some(input) = next {
+            // To look each time costs more than to relay a frame.
+            may_have_ended |= matches!(input, Input::Bus(events) if events.has(Event::Finished) || events.is_empty());
             guests.on_input(input)?;
-            while let Ok(input) = inputs.try_recv() {
-                guests.on_input(input)?;
-            }
+            next = inputs.try_recv().ok();
         }
-        guests.look(monotonic_ns());
+        guests.publish_drives()?;
         guests.send_frames();
+        guests.look(monotonic_ns());
     }
     Ok(())
 }

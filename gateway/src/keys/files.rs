@@ -10,13 +10,13 @@ use super::KeysError;
 /// The authority's folder, beside those of the hosts.
 pub(super) const AUTHORITY_FOLDER: &str = "authority";
 /// The authority's certificate, in its own folder and in each host's.
-pub(super) const AUTHORITY_CERTIFICATE: &str = "authority.pem";
+pub(crate) const AUTHORITY_CERTIFICATE: &str = "authority.pem";
 /// The authority's key.
 pub(super) const AUTHORITY_KEY: &str = "authority.key";
 /// A host's certificate.
-pub(super) const HOST_CERTIFICATE: &str = "host.pem";
+pub(crate) const HOST_CERTIFICATE: &str = "host.pem";
 /// A host's key.
-pub(super) const HOST_KEY: &str = "host.key";
+pub(crate) const HOST_KEY: &str = "host.key";
 
 const FOLDER_MODE: u32 = 0o700;
 const SECRET_MODE: u32 = 0o600;

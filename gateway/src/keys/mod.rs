@@ -20,6 +20,8 @@ pub use authority::{Authority, HostKeys, Validity, make};
 pub use cause::RefusalCause;
 pub use credentials::{ALPN, Credentials};
 pub use error::KeysError;
+#[cfg(feature = "zenoh")]
+pub(crate) use files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY};
 pub use host::{Host, HostName, HostRole, RobotHost};
 pub use peer::Peer;
 

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use quinn::crypto::rustls::{NoInitialCipherSuite, QuicClientConfig, QuicServerConfig};
 use quinn::{ClientConfig, ServerConfig, TransportConfig, VarInt};
+use tokio::runtime::{LocalOptions, LocalRuntime};
 
 pub(crate) use stream::REQUEST_LEN_MAX;
 pub use stream::{Answer, JoinError, Notice, Request, read, write};
@@ -72,6 +73,14 @@ pub fn client(tls: rustls::ClientConfig) -> Result<ClientConfig, NoInitialCipher
     let mut config = ClientConfig::new(Arc::new(QuicClientConfig::try_from(tls)?));
     config.transport_config(Arc::new(transport()));
     Ok(config)
+}
+
+/// The runtime of one end: all of it in one thread.
+///
+/// # Errors
+/// If the system refuses what it needs.
+pub fn runtime() -> std::io::Result<LocalRuntime> {
+    tokio::runtime::Builder::new_current_thread().enable_all().build_local(LocalOptions::default())
 }
 
 /// The address of a local socket that reaches this one.

@@ -7,12 +7,15 @@
 //! |---|---|
 //! | `udp` | UDP |
 //! | `quic` | datagrams of QUIC, with the keys and settings of the links |
+//! | `zenoh` | zenoh over datagrams of QUIC with the same keys; a feature of the same name, because it takes minutes to build |
 //!
 //! A node says on standard output that it is ready. A robot starts once its standard input has a word, and writes its stamps at
 //! the end. All of these are words of 8 bytes, little-endian.
 
 mod quic;
 mod udp;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 use std::io::{Read, Write};
 use std::net::SocketAddr;
@@ -51,6 +54,9 @@ pub enum Transport {
     Udp,
     /// Datagrams of QUIC.
     Quic,
+    /// Publishers and subscribers of zenoh.
+    #[cfg(feature = "zenoh")]
+    Zenoh,
 }
 
 /// A reference run.
@@ -60,7 +66,7 @@ pub struct Exchange<'a> {
     pub transport: Transport,
     /// The centre's address.
     pub address: SocketAddr,
-    /// Keys of this host, for QUIC.
+    /// Keys of this host; not for UDP.
     pub keys: &'a Path,
     /// Number of ticks.
     pub ticks: u64,
@@ -111,6 +117,8 @@ impl Exchange<'_> {
         match self.transport {
             Transport::Udp => self.collect_and_answer(&mut udp::Centre::open(self, robots)?, robots),
             Transport::Quic => self.collect_and_answer(&mut quic::Centre::open(self)?, robots),
+            #[cfg(feature = "zenoh")]
+            Transport::Zenoh => self.collect_and_answer(&mut zenoh::Centre::open(self, robots)?, robots),
         }
     }
 
@@ -122,6 +130,8 @@ impl Exchange<'_> {
         match self.transport {
             Transport::Udp => self.send_and_wait(&mut udp::Robot::open(self)?, robot),
             Transport::Quic => self.send_and_wait(&mut quic::Robot::open(self)?, robot),
+            #[cfg(feature = "zenoh")]
+            Transport::Zenoh => self.send_and_wait(&mut zenoh::Robot::open(self, robot)?, robot),
         }
     }
 

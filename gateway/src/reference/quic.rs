@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use quinn::{Connection, Endpoint};
-use tokio::runtime::Runtime;
+use tokio::runtime::LocalRuntime;
 use tokio::sync::mpsc::{self, Receiver, Sender};
-use tokio::task::LocalSet;
 
 use super::{DOWN_LEN, Down, Exchange, ReferenceError, UP_LEN, Up, word};
 use crate::keys::{Credentials, GATEWAY_NAME};
@@ -20,24 +19,22 @@ fn failed(error: impl std::fmt::Display) -> ReferenceError {
 }
 
 pub(super) struct Centre {
-    runtime: Runtime,
-    tasks: LocalSet,
+    runtime: LocalRuntime,
     frames: Receiver<(Connection, Up)>,
     robots: BTreeMap<usize, Connection>,
 }
 
 impl Centre {
     pub(super) fn open(exchange: &Exchange<'_>) -> Result<Self, ReferenceError> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let runtime = link::runtime()?;
         let config = link::server(Credentials::load(exchange.keys)?.server_config()?).map_err(failed)?;
         let endpoint = {
             let _inside = runtime.enter();
             Endpoint::server(config, exchange.address)?
         };
         let (sender, frames) = mpsc::channel(FRAMES_MAX);
-        let tasks = LocalSet::new();
-        tasks.spawn_local(accept(endpoint, sender));
-        Ok(Self { runtime, tasks, frames, robots: BTreeMap::new() })
+        runtime.spawn_local(accept(endpoint, sender));
+        Ok(Self { runtime, frames, robots: BTreeMap::new() })
     }
 }
 
@@ -57,8 +54,8 @@ async fn accept(endpoint: Endpoint, sender: Sender<(Connection, Up)>) {
 
 impl super::Centre for Centre {
     fn receive(&mut self) -> Result<Up, ReferenceError> {
-        let Self { runtime, tasks, frames, robots } = self;
-        let next = tasks.block_on(runtime, frames.recv());
+        let Self { runtime, frames, robots } = self;
+        let next = runtime.block_on(frames.recv());
         let (connection, frame) = next.ok_or_else(|| failed("the endpoint has ended"))?;
         robots.insert(word(&frame, 0) as usize, connection);
         Ok(frame)
@@ -73,13 +70,13 @@ impl super::Centre for Centre {
 }
 
 pub(super) struct Robot {
-    runtime: Runtime,
+    runtime: LocalRuntime,
     connection: Connection,
 }
 
 impl Robot {
     pub(super) fn open(exchange: &Exchange<'_>) -> Result<Self, ReferenceError> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let runtime = link::runtime()?;
         let config = link::client(Credentials::load(exchange.keys)?.client_config()?).map_err(failed)?;
         let address = exchange.address;
         let connection = runtime.block_on(async {

@@ -90,9 +90,8 @@ pub fn run_with(
         None => Credentials::for_loopback_client()?,
     };
     let config = link::client(tls).map_err(|error| RobotError::Cryptography(error.to_string()))?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let connector = Connector::new(target.clone(), config, id);
-    tokio::task::LocalSet::new().block_on(&runtime, async {
+    link::runtime()?.block_on(async {
         let allows_control = target.allows_control;
         let mut driver = Driver { id, equipment, part: None, has_joined: false, allows_control };
         let ended = driver.take_part(connector, termination).await;

@@ -65,6 +65,8 @@ pub(super) struct Session {
     connection: Connection,
     send: SendStream,
     notice: JoinHandle<Option<Notice>>,
+    /// The notice was taken: the task must not be asked again.
+    is_noticed: bool,
     /// When it joined, ns.
     pub(super) joined_ns: u64,
     /// The run.
@@ -204,9 +206,17 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
             let notice = tokio::task::spawn_local(notice_of(receive));
             let connection = connection.clone();
             let joined_ns = monotonic_ns();
-            let session =
-                Session { endpoint, connection, send, notice, joined_ns, description, life, fusion_incarnation };
-            Some(Happened::Joined(Box::new(session)))
+            Some(Happened::Joined(Box::new(Session {
+                endpoint,
+                connection,
+                send,
+                notice,
+                is_noticed: false,
+                joined_ns,
+                description,
+                life,
+                fusion_incarnation,
+            })))
         }
     }
 }
@@ -218,21 +228,21 @@ async fn notice_of(mut receive: RecvStream) -> Option<Notice> {
 impl Session {
     /// What happens next, or nothing after this time.
     pub(super) async fn next(&mut self, wait: Duration) -> Happened {
-        let Self { connection, notice, .. } = self;
-        tokio::select! {
+        let Self { connection, notice, is_noticed, .. } = self;
+        let said = tokio::select! {
             frame = connection.read_datagram() => match frame {
-                Ok(bytes) => Happened::Frame(bytes.into()),
+                Ok(bytes) => return Happened::Frame(bytes.into()),
+                Err(_) if *is_noticed => None,
                 // A notice may have come with the end.
-                Err(_) => match tokio::time::timeout(FAREWELL, notice).await {
-                    Ok(Ok(Some(notice))) => Happened::Noticed(notice),
-                    _ => Happened::Ended,
-                },
+                Err(_) => tokio::time::timeout(FAREWELL, notice).await.ok(),
             },
-            notice = &mut *notice, if !notice.is_finished() => match notice {
-                Ok(Some(notice)) => Happened::Noticed(notice),
-                _ => Happened::Ended,
-            },
-            () = tokio::time::sleep(wait) => Happened::Nothing,
+            said = &mut *notice, if !*is_noticed => Some(said),
+            () = tokio::time::sleep(wait) => return Happened::Nothing,
+        };
+        *is_noticed = true;
+        match said {
+            Some(Ok(Some(notice))) => Happened::Noticed(notice),
+            _ => Happened::Ended,
         }
     }
 

@@ -76,7 +76,11 @@ fn latency_over_hosts_is_measured_beside_one_host_and_the_network_alone() {
     let outcome = study(&run, "latency --hosts 2 --robots 2 --rounds 1 --rate 50 --ticks 60", "latency.json");
     assert_eq!(outcome["hosts"], 2);
     let contenders: Vec<&String> = outcome["latency_us"].as_object().unwrap().keys().collect();
-    assert_eq!(contenders, ["local", "quic", "system", "udp"]);
+    let zenoh = cfg!(feature = "zenoh").then_some("zenoh");
+    assert!(
+        contenders.iter().copied().eq(["local", "quic", "system", "udp"].into_iter().chain(zenoh)),
+        "{contenders:?}"
+    );
     for contender in contenders {
         // Two robots, and the first 5 % of the ticks do not count.
         let count = outcome["latency_us"][contender]["count"].as_u64();

@@ -49,7 +49,7 @@ pub struct LatencyArgs {
     #[arg(long, value_name = "CPUS", default_value_t)]
     pub pin: Pin,
     /// Number of hosts: network namespaces of this machine, which need root. All robots are on other hosts than the run, and
-    /// the references are the network, and the system on one host
+    /// the references are the system on one host, and QUIC, UDP and, if the gateway was built with it, zenoh
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub hosts: Option<u64>,
     /// Number of rounds; each measures the system and all references

@@ -27,6 +27,7 @@ use crate::files::out_folder::{self, claim_or_number};
 use crate::results::frame::{Frames, LoggedTick};
 use crate::results::hops::HopSummary;
 use crate::run::experiment::Experiment;
+use crate::run::gateway;
 use crate::run::pin::Pin;
 use crate::run::watch::Progress;
 use crate::statistics::Samples;
@@ -69,8 +70,8 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
     }
     let robots = description.scenario.robots.len();
     let mut hosts = wanted.hosts.map(|count| Hosts::all_remote(count, robots, &experiment.name, folder)).transpose()?;
-    let contenders = Contender::all(hosts.is_some());
-    let mut outcome = Outcome::new(&description.scenario, &wanted.pin, wanted.hosts)?;
+    let contenders = contenders(hosts.is_some())?;
+    let mut outcome = Outcome::new(&description.scenario, &wanted.pin, wanted.hosts, &contenders)?;
     let mut progress = Progress::new("measurement", wanted.rounds * contenders.len() as u64);
     for (number, done) in (1..=wanted.rounds).zip((0..).step_by(contenders.len())) {
         let mut round = Round {
@@ -80,8 +81,8 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
             hosts: hosts.as_mut(),
             hops_us: HopSummary::default(),
         };
-        let mut latencies_us = Each::samples(contenders)?;
-        let order = Contender::in_turns(contenders, number);
+        let mut latencies_us = Each::samples(&contenders)?;
+        let order = Contender::in_turns(&contenders, number);
         for (contender, done) in order.iter().copied().zip(done..) {
             progress.show(done, &format!("round {number}, {contender}"));
             let samples = latencies_us.get_mut(contender).ok_or_else(|| anyhow::anyhow!("no samples"))?;
@@ -104,6 +105,23 @@ pub fn latency(mut experiment: Experiment, wanted: &Wanted, out: Option<&Path>, 
         return failure::print_json(&outcome);
     }
     failure::print(format!("{outcome}\nfigures and picture in {}\n", folder.display()))
+}
+
+/// What is measured.
+///
+/// # Errors
+/// [`Failure`] if the gateway's program, which has the references for several hosts, does not answer.
+fn contenders(on_hosts: bool) -> Result<Vec<Contender>, Failure> {
+    if !on_hosts {
+        return Ok(Contender::on_one_host());
+    }
+    let contenders = Contender::on_hosts(&gateway::latency_transports()?);
+    if !contenders.contains(&Contender::Reference(Reference::Zenoh)) {
+        failure::print_stderr(
+            "zenoh is not measured: `cargo build --release -p rangehound-gateway --features zenoh` makes a gateway that can",
+        );
+    }
+    Ok(contenders)
 }
 
 /// Ticks of a round that are not counted: caches are cold, memory is touched for the first time.

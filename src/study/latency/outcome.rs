@@ -28,13 +28,16 @@ pub(super) enum Contender {
 }
 
 impl Contender {
-    /// The contenders on one host, or on several.
-    pub(super) fn all(on_hosts: bool) -> &'static [Self] {
-        if on_hosts {
-            &[Self::System, Self::Local, Self::Reference(Reference::Quic), Self::Reference(Reference::Udp)]
-        } else {
-            &[Self::System, Self::Reference(Reference::Iceoryx2), Self::Reference(Reference::Futex)]
-        }
+    /// The contenders on one host.
+    pub(super) fn on_one_host() -> Vec<Self> {
+        vec![Self::System, Self::Reference(Reference::Iceoryx2), Self::Reference(Reference::Futex)]
+    }
+
+    /// The contenders on several hosts, where the gateway's program has these transports.
+    pub(super) fn on_hosts(transports: &[String]) -> Vec<Self> {
+        let references = [Reference::Quic, Reference::Udp, Reference::Zenoh];
+        let has = |reference: &Reference| transports.iter().any(|transport| transport == reference.name());
+        [Self::System, Self::Local].into_iter().chain(references.into_iter().filter(has).map(Self::Reference)).collect()
     }
 
     /// All of them, starting with a different one in each round, so that a machine that slows down favours none.
@@ -164,7 +167,12 @@ impl Outcome {
     ///
     /// # Errors
     /// If the histograms cannot be created.
-    pub(super) fn new(scenario: &Scenario, pin: &Pin, hosts: Option<usize>) -> anyhow::Result<Self> {
+    pub(super) fn new(
+        scenario: &Scenario,
+        pin: &Pin,
+        hosts: Option<usize>,
+        contenders: &[Contender],
+    ) -> anyhow::Result<Self> {
         Ok(Self {
             scenario: scenario.name.clone(),
             planner: scenario.planner.name(),
@@ -180,7 +188,7 @@ impl Outcome {
             hops_us: HopSummary::default(),
             rounds: Vec::new(),
             percentiles: Each::default(),
-            latencies_us: Each::samples(Contender::all(hosts.is_some()))?,
+            latencies_us: Each::samples(contenders)?,
         })
     }
 
@@ -266,12 +274,12 @@ mod tests {
     fn outcome() -> Outcome {
         let file = ScenarioFile { clock: Some("lockstep".to_owned()), ..ScenarioFile::default() };
         let scenario = Scenario::from_file(&file, "test").unwrap();
-        Outcome::new(&scenario, &Pin::None, None).unwrap()
+        Outcome::new(&scenario, &Pin::None, None, &Contender::on_one_host()).unwrap()
     }
 
     /// Latencies of one value each, ns.
     fn latencies_us(system: u64, iceoryx2: u64, futex: u64) -> Each<Samples> {
-        let mut latencies_us = Each::samples(Contender::all(false)).unwrap();
+        let mut latencies_us = Each::samples(&Contender::on_one_host()).unwrap();
         for ((_, samples), value) in latencies_us.0.iter_mut().zip([system, iceoryx2, futex]) {
             samples.add(value);
         }
@@ -282,7 +290,7 @@ mod tests {
     fn ratios_are_the_median_of_the_rounds() {
         let mut outcome = outcome();
         for system in [1_000, 4_000, 2_000] {
-            outcome.add(Contender::all(false).to_vec(), &latencies_us(system, 2_000, 1_000), HopSummary::default());
+            outcome.add(Contender::on_one_host(), &latencies_us(system, 2_000, 1_000), HopSummary::default());
         }
         let of = |reference| *outcome.p50_ratios.get(Contender::Reference(reference)).unwrap();
         assert_eq!([Reference::Iceoryx2, Reference::Futex].map(of), [1.0, 2.0]);
@@ -292,9 +300,18 @@ mod tests {
 
     #[test]
     fn each_contender_comes_first_in_turn() {
-        for all in [false, true].map(Contender::all) {
-            let firsts: Vec<Contender> = (1..=4).map(|round| Contender::in_turns(all, round)[0]).collect();
-            assert!(all.iter().all(|contender| firsts.contains(contender)), "{firsts:?}");
-        }
+        let all = Contender::on_one_host();
+        let firsts: Vec<Contender> = (1..=3).map(|round| Contender::in_turns(&all, round)[0]).collect();
+        assert!(all.iter().all(|contender| firsts.contains(contender)), "{firsts:?}");
+    }
+
+    #[test]
+    fn only_what_the_gateways_program_has_is_measured() {
+        let names = |transports: &[&str]| {
+            let transports: Vec<String> = transports.iter().map(|name| (*name).to_owned()).collect();
+            Contender::on_hosts(&transports).iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        assert_eq!(names(&["udp", "quic"]), ["system", "local", "quic", "udp"]);
+        assert_eq!(names(&["zenoh", "udp", "quic", "other"]), ["system", "local", "quic", "udp", "zenoh"]);
     }
 }

@@ -29,6 +29,7 @@ fn colour(contender: Contender) -> RGBColor {
         Contender::Local => 4,
         Contender::Reference(Reference::Iceoryx2 | Reference::Quic) => 0,
         Contender::Reference(Reference::Futex | Reference::Udp) => 2,
+        Contender::Reference(Reference::Zenoh) => 1,
     }]
 }
 

@@ -10,8 +10,8 @@
 //!
 //! A reference runs like the system: with a name, in its own folder, and with the same cleanup.
 //!
-//! Across hosts the exchange goes over UDP, and over datagrams of QUIC with the keys of the hosts. The program of the gateway does
-//! it, because it has the libraries.
+//! Across hosts the exchange goes over UDP, over datagrams of QUIC with the keys of the hosts, and over zenoh. The program of the
+//! gateway does it, because it has the libraries.
 
 mod futex;
 mod iceoryx2;
@@ -34,6 +34,8 @@ pub enum Reference {
     Udp,
     /// Datagrams of QUIC between hosts: what the links to other hosts use.
     Quic,
+    /// zenoh between hosts, over datagrams of QUIC; only if the gateway's program was built with it.
+    Zenoh,
 }
 
 impl Reference {
@@ -45,6 +47,7 @@ impl Reference {
             Self::Futex => "futex",
             Self::Udp => "udp",
             Self::Quic => "quic",
+            Self::Zenoh => "zenoh",
         }
     }
 }

@@ -46,7 +46,7 @@ pub fn latency_node(
         }
         (Reference::Futex, None) => be_centre(futex::Centre::open(&run, &termination, silence)?, scenario)?,
         (Reference::Futex, Some(id)) => be_robot(futex::Robot::open(&run, &termination, silence)?, id, scenario)?,
-        (Reference::Udp | Reference::Quic, _) => {
+        (Reference::Udp | Reference::Quic | Reference::Zenoh, _) => {
             return Err(Failure::input("--reference: expected iceoryx2 or futex; rangehound-gateway does the others"));
         }
     }
