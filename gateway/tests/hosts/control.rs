@@ -36,17 +36,21 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     run.wait_for("its successor", || (starts(&run, 0) >= Some(2)).then_some(()));
     assert!(obeys.stderr().contains("killed from the run's host"), "{}", obeys.stderr());
 
-    run.wait_for("its link", || {
-        let status = run.status()?;
-        let guests = status["gateway"]["guests"].as_array()?;
-        guests.iter().any(|guest| guest["robot"] == 0 && guest["allows_control"] == true).then_some(())
-    });
+    let wait_for_its_link = || {
+        run.wait_for("its link", || {
+            let status = run.status()?;
+            let guests = status["gateway"]["guests"].as_array()?;
+            guests.iter().any(|guest| guest["robot"] == 0 && guest["allows_control"] == true).then_some(())
+        });
+    };
+    wait_for_its_link();
     let before = starts(&run, 0);
     run.finish_ok(&format!("restart robot-0 --name {name}"));
     assert!(starts(&run, 0) > before);
     assert!(obeys.stderr().contains("asked to end from the run's host"), "{}", obeys.stderr());
 
     // An order over a link that is cut does not arrive, and not later either.
+    wait_for_its_link();
     let starts_before = starts(&run, 0);
     link.cut(true, true);
     let (code, text) = run.finish(&format!("kill robot-0 --name {name}"));
