@@ -44,12 +44,12 @@ const _: () = assert!(size_of::<Words>() == 64 && align_of::<Words>() == 64 && s
 /// being woken from another core, because the rest of the team has to be woken too.
 const WATCH_NS: u64 = 200_000;
 
-/// A process that yields for longer has not yielded to its team alone: another program uses this processor. The kernel then
-/// gives the processor back at once only to a process that it wakes from sleep.
+/// A process that yields for longer than this, and [`TURN_NS`] for each robot, has not yielded to its team alone: another
+/// program uses this processor. The kernel then gives the processor back at once only to a process that it wakes from sleep.
 const LONG_TURN_NS: u64 = 1_000_000;
 
-/// The same for each robot of a large team: twice its turn if all share one processor, whose caches hold no robot's data.
-const LONG_TURN_OF_ROBOT_NS: u64 = 14_000;
+/// A robot's share of a tick if all share one processor, whose caches hold no robot's data, and all are woken from sleep.
+const TURN_NS: u64 = 15_000;
 
 /// After a long turn, waits until the next spin.
 const WAITS_AFTER_LONG_TURN: u32 = 250;
@@ -119,7 +119,7 @@ impl Waiter {
                 WaitGroup::Sim => None,
                 WaitGroup::Fusion | WaitGroup::Robots => Some(0),
             },
-            long_turn_ns: LONG_TURN_NS.max(LONG_TURN_OF_ROBOT_NS * robots as u64),
+            long_turn_ns: LONG_TURN_NS + TURN_NS * robots as u64,
             asleep_at_once: Cell::default(),
             heard: Cell::default(),
         }
