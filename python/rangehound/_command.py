@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import signal
 import sys
-from typing import Any, Callable, NoReturn
+import threading
+from typing import Any, Callable, Iterable, NoReturn
 
 from ._native import InputError, RunError
 
@@ -39,9 +41,15 @@ def needed(module: str, extra: str) -> Any:
     return importlib.import_module(module)
 
 
-def give_way() -> None:
-    """The lowest priority: an observer must not disturb the run."""
-    os.nice(19)
+def give_way(by: int = 19, keep: Iterable[threading.Thread] = ()) -> None:
+    """A lower priority, by default the lowest, for all threads, those of libraries too: an observer must not disturb the run.
+
+    The threads `keep` keep theirs: processes that they start inherit it.
+    """
+    kept = {str(thread.native_id) for thread in keep}
+    for number in set(os.listdir("/proc/self/task")) - kept:
+        with contextlib.suppress(ProcessLookupError):
+            os.setpriority(os.PRIO_PROCESS, int(number), os.getpriority(os.PRIO_PROCESS, int(number)) + by)
 
 
 def on_signals(handler: Any) -> None:

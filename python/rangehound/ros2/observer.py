@@ -14,7 +14,7 @@ from typing import Any, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
-from .. import _native
+from .. import _command, _native
 from .._native import InputError
 from ..live import Tick
 from . import messages, unicycle
@@ -27,7 +27,7 @@ _RESTART_S = 1.0
 #: How long robots' processes may take to end after the run, s.
 _LAST_WORDS_S = 5.0
 
-#: Niceness of the thread that publishes.
+#: How much nicer this process is: the run's own go first, and what subscribes still gets its messages on a busy machine.
 _NICE = 10
 
 _HELP = """
@@ -65,8 +65,8 @@ def main(words: Sequence[str]) -> int:
         session.start()
         try:
             team.start()
-            # Only this thread: the run's own processes go first.
-            os.nice(_NICE)
+            # A real robot is in the control loop.
+            _command.give_way(_NICE, keep=team.threads)
             for arrays in run:
                 node.publish(Tick(arrays))
                 team.check()
@@ -334,14 +334,14 @@ class Team:
     def __init__(self, name: str, robots: Sequence[int], ros_args: Sequence[str]) -> None:
         self._name, self._ros_args = name, ros_args
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
-        self._threads = [threading.Thread(target=self._keep, args=(robot,), daemon=True) for robot in robots]
+        self.threads = [threading.Thread(target=self._keep, args=(robot,), daemon=True) for robot in robots]
         self._is_ending = threading.Event()
         self._lock = threading.Lock()
         self._refused: int | None = None
 
     def start(self) -> None:
         """Starts the processes."""
-        for thread in self._threads:
+        for thread in self.threads:
             thread.start()
 
     def check(self) -> None:
@@ -352,7 +352,7 @@ class Team:
     def wait(self) -> None:
         """Waits until the processes have ended with the run."""
         until_s = time.monotonic() + _LAST_WORDS_S
-        for thread in self._threads:
+        for thread in self.threads:
             thread.join(timeout=max(0.0, until_s - time.monotonic()))
 
     def end(self) -> None:
