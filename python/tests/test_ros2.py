@@ -1,6 +1,6 @@
 """The node of ROS 2 beside genuine ROS 2: what it publishes, and real robots that another process plays.
 
-The other processes know ROS alone: `ros2_player.py` and `ros2_listener.py`.
+The other processes know ROS alone: `ros2_player.py` and `ros2_listener.py`, which share `ros2_spin.py`.
 """
 
 import importlib.util
@@ -342,10 +342,10 @@ def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
 def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
     script = (
         "from rangehound.ros2.session import Session\nfrom sensor_msgs.msg import Range\nfrom rclpy.qos import qos_profile_sensor_data\n"
-        "session = Session('one', ['--ros-args', '-p', 'qos_overrides./robot_0/range.subscription.reliability:=reliable'])\n"
-        "for robot in (0, 1): session.subscribe(Range, f'robot_{robot}/range', qos_profile_sensor_data, lambda message: None)\n"
-        "of = session.node.get_subscriptions_info_by_topic\n"
-        "print([of(f'/robot_{robot}/range')[0].qos_profile.reliability.name for robot in (0, 1)])\nsession.close()"
+        "with Session('one', ['--ros-args', '-p', 'qos_overrides./robot_0/range.subscription.reliability:=reliable']) as session:\n"
+        "    for robot in (0, 1): session.subscribe(Range, f'robot_{robot}/range', qos_profile_sensor_data, lambda message: None)\n"
+        "    of = session.node.get_subscriptions_info_by_topic\n"
+        "    print([of(f'/robot_{robot}/range')[0].qos_profile.reliability.name for robot in (0, 1)])"
     )
     out, err = ros("-c", script).communicate(timeout=60)
     assert out == "['RELIABLE', 'BEST_EFFORT']\n", err
