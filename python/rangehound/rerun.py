@@ -62,14 +62,14 @@ def show(flags: argparse.Namespace) -> None:
         if flags.save:
             recording.save(flags.save)
             print(f"run {flags.name}: writes {flags.save}: open it with `rerun {flags.save}`", flush=True)
-        elif flags.connect:
-            # Before Rerun connects: with what does not answer it would wait for ever.
-            expect_viewer(flags.connect)
-            recording.connect_grpc(flags.connect)
-            print(f"run {flags.name}: sends to the viewer at {flags.connect}", flush=True)
         else:
-            recording.spawn()
-            print(f"run {flags.name}: is shown in a viewer that has been started", flush=True)
+            if not flags.connect:
+                recording.spawn(port=VIEWER_PORT, connect=False)
+            url = flags.connect or f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"
+            # Before Rerun connects: with what does not answer it would wait for ever.
+            expect_viewer(url)
+            recording.connect_grpc(url)
+            print(f"run {flags.name}: sends to the viewer at {url}", flush=True)
     except (OSError, RuntimeError, ValueError) as error:
         said = " ".join(str(error).split())
         raise _native.InputError(f"Rerun cannot be used: expected a viewer, or a file that can be written: {said}") from error

@@ -132,13 +132,7 @@ fn a_resumed_run_leaves_the_same_robots_to_others() {
     killed.into_iter().chain([supervisor]).for_each(|process| drop(process.finish()));
     run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
 
-    let kept = run.read("external.json");
-    run.write("out/external.json", "[0, \"two\"]");
     let resume = || run.start(&["resume", "out", "--name", &run.name]);
-    let refused = resume().finish();
-    assert!(refused.code == Some(2) && refused.stderr.contains("external.json"), "{refused:#?}");
-    assert_eq!(refused.stderr.lines().count(), 1, "{refused:#?}");
-    run.write("out/external.json", kept);
     let supervisor = resume();
     run.pid_of("robot-1", 1);
     for process in others().into_iter().chain([supervisor]) {
@@ -149,6 +143,11 @@ fn a_resumed_run_leaves_the_same_robots_to_others() {
     let names: Vec<&str> = nodes.as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
     assert_eq!(names, ["sim", "fusion", "robot-1"]);
     run.assert_nothing_left();
+
+    run.write("out/external.json", "[0, \"two\"]");
+    let refused = resume().finish();
+    assert!(refused.code == Some(2) && refused.stderr.contains("external.json"), "{refused:#?}");
+    assert_eq!(refused.stderr.lines().count(), 1, "{refused:#?}");
 }
 
 #[test]
