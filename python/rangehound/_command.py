@@ -8,8 +8,7 @@ import importlib
 import os
 import signal
 import sys
-import threading
-from typing import Any, Callable, Iterable, NoReturn
+from typing import Any, Callable, NoReturn
 
 from ._native import InputError, RunError
 
@@ -41,15 +40,12 @@ def needed(module: str, extra: str) -> Any:
     return importlib.import_module(module)
 
 
-def give_way(by: int = 19, keep: Iterable[threading.Thread] = ()) -> None:
-    """A lower priority, by default the lowest, for all threads, those of libraries too: an observer must not disturb the run.
-
-    The threads `keep` keep theirs: processes that they start inherit it.
-    """
-    kept = {str(thread.native_id) for thread in keep}
-    for number in set(os.listdir("/proc/self/task")) - kept:
+def give_way() -> None:
+    """The lowest priority for all threads, those of libraries too: an observer must not disturb the run."""
+    for number in os.listdir("/proc/self/task"):
+        # A thread may end meanwhile.
         with contextlib.suppress(ProcessLookupError):
-            os.setpriority(os.PRIO_PROCESS, int(number), os.getpriority(os.PRIO_PROCESS, int(number)) + by)
+            os.setpriority(os.PRIO_PROCESS, int(number), 19)
 
 
 def on_signals(handler: Any) -> None:

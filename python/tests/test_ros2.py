@@ -106,11 +106,6 @@ def children(process):
     return found
 
 
-def nicenesses(pid):
-    """Of each thread of a process."""
-    return [os.getpriority(os.PRIO_PROCESS, int(thread.name)) for thread in pathlib.Path(f"/proc/{pid}/task").iterdir()]
-
-
 def play(ros, tmp_path, scenario, oracle, **more):
     """Starts a player of all robots, for the target and the noise of a simulated run."""
     noise = oracle.range_m - np.linalg.norm(oracle.truth[:, None, :2] - oracle.robot_m, axis=-1)
@@ -197,9 +192,9 @@ def test_a_killed_robots_process_is_started_again_and_the_run_goes_on(program, n
             if tick.tick == 300:
                 robots = children(bridge)
                 assert robots[1] != killed
-                # Robots are in the control loop. The node is not: only the threads that start robots are no nicer.
-                assert {niceness for robot in robots.values() for niceness in nicenesses(robot)} == {own}
-                assert sorted(nicenesses(bridge.pid))[: len(robots) + 1] == [own] * len(robots) + [own + 10]
+                # Robots are in the control loop, the node's thread that publishes is not.
+                assert [os.getpriority(os.PRIO_PROCESS, robot) for robot in robots.values()] == [own] * 3
+                assert os.getpriority(os.PRIO_PROCESS, bridge.pid) == own + 10
         report = run.report()
     assert "the process of robot 1 ended with code -9; it is started again" in ended(bridge)
     assert report["ticks"] == 400 and report["position_rmse_m"] < 1.5 * oracle.report["position_rmse_m"]

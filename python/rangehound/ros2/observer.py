@@ -14,7 +14,7 @@ from typing import Any, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
-from .. import _command, _native
+from .. import _native
 from .._native import InputError
 from ..live import Tick
 from . import messages, unicycle
@@ -27,7 +27,7 @@ _RESTART_S = 1.0
 #: How long robots' processes may take to end after the run, s.
 _LAST_WORDS_S = 5.0
 
-#: How much nicer this process is: the run's own go first, and what subscribes still gets its messages on a busy machine.
+#: Niceness of the thread that publishes.
 _NICE = 10
 
 _HELP = """
@@ -63,8 +63,8 @@ def main(words: Sequence[str]) -> None:
         team = Team(args.name, robots, ros_args)
         with session.calling(end=team.end):
             team.start()
-            # A real robot is in the control loop.
-            _command.give_way(_NICE, keep=team.threads)
+            # Only this thread: those of the middleware find who subscribes, and robots' processes are in the control loop.
+            os.nice(_NICE)
             for arrays in run:
                 node.publish(Tick(arrays))
                 team.check()
@@ -320,14 +320,14 @@ class Team:
     def __init__(self, name: str, robots: Sequence[int], ros_args: Sequence[str]) -> None:
         self._name, self._ros_args = name, ros_args
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
-        self.threads = [threading.Thread(target=self._keep, args=(robot,), daemon=True) for robot in robots]
+        self._threads = [threading.Thread(target=self._keep, args=(robot,), daemon=True) for robot in robots]
         self._is_ending = threading.Event()
         self._lock = threading.Lock()
         self._refused: int | None = None
 
     def start(self) -> None:
         """Starts the processes."""
-        for thread in self.threads:
+        for thread in self._threads:
             thread.start()
 
     def check(self) -> None:
@@ -338,7 +338,7 @@ class Team:
     def wait(self) -> None:
         """Waits until the processes have ended with the run."""
         until_s = time.monotonic() + _LAST_WORDS_S
-        for thread in self.threads:
+        for thread in self._threads:
             thread.join(timeout=max(0.0, until_s - time.monotonic()))
 
     def end(self) -> None:
