@@ -92,6 +92,8 @@ def show(flags: argparse.Namespace) -> None:
 def expect_viewer(url: str) -> None:
     """Raises `OSError` if nothing at the address of a viewer speaks HTTP/2, as viewers do."""
     place = urllib.parse.urlsplit(url)
+    if place.scheme not in ("rerun", "rerun+http", "rerun+https"):
+        raise ValueError(f"{url} is no address such as rerun+http://127.0.0.1:{VIEWER_PORT}/proxy")
     until_s = time.monotonic() + CONNECT_S
     with contextlib.ExitStack() as opened:
         line = opened.enter_context(socket.create_connection((place.hostname or "127.0.0.1", place.port or VIEWER_PORT), timeout=CONNECT_S))
