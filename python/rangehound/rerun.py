@@ -6,8 +6,12 @@ It shows the messages of `run.mcap`: those of `/scene` in the field, and the err
 from __future__ import annotations
 
 import argparse
+import atexit
+import contextlib
 import os
 import socket
+import ssl
+import time
 import urllib.parse
 from typing import Any, Callable
 
@@ -21,8 +25,12 @@ LINE_STRIP, LINE_LOOP, LINE_LIST = range(3)
 #: How long the trails stay visible, s.
 TRAIL_S = 5.0
 
-#: The usual port of a viewer, and how long one may take to accept a connection, s.
+#: The usual port of a viewer, and how long one may take to answer, s.
 VIEWER_PORT, CONNECT_S = 9876, 5.0
+
+#: The first words of a client of HTTP/2, which has no settings; the length of a frame's head, and its type in the answer.
+HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+HTTP2_HEAD_LEN, HTTP2_SETTINGS = 9, b"\x04"
 
 #: How long a viewer may take to get the last ticks, s.
 FLUSH_S = 10.0
@@ -54,13 +62,14 @@ def show(flags: argparse.Namespace) -> None:
         if flags.save:
             recording.save(flags.save)
             print(f"run {flags.name}: writes {flags.save}: open it with `rerun {flags.save}`", flush=True)
-        elif flags.connect:
-            recording.connect_grpc(flags.connect)
-            expect_viewer(flags.connect)
-            print(f"run {flags.name}: sends to the viewer at {flags.connect}", flush=True)
         else:
-            recording.spawn()
-            print(f"run {flags.name}: is shown in a viewer that has been started", flush=True)
+            if not flags.connect:
+                recording.spawn(port=VIEWER_PORT, connect=False)
+            url = flags.connect or f"rerun+http://127.0.0.1:{VIEWER_PORT}/proxy"
+            # Before Rerun connects: with what does not answer it would wait for ever.
+            expect_viewer(url)
+            recording.connect_grpc(url)
+            print(f"run {flags.name}: sends to the viewer at {url}", flush=True)
     except (OSError, RuntimeError, ValueError) as error:
         said = " ".join(str(error).split())
         raise _native.InputError(f"Rerun cannot be used: expected a viewer, or a file that can be written: {said}") from error
@@ -74,14 +83,38 @@ def show(flags: argparse.Namespace) -> None:
         try:
             recording.flush(timeout_sec=FLUSH_S)
         except (OSError, RuntimeError, ValueError) as error:
+            # The end of this recording, also by its destructor, would wait for this viewer for ever.
+            atexit.register(lambda _: os._exit(1), recording)
             raise _native.RunError(f"the viewer has not taken all ticks: {' '.join(str(error).split())}") from error
         recording.disconnect()
 
 
 def expect_viewer(url: str) -> None:
-    """Raises `OSError` if nothing listens at the address of a viewer."""
+    """Raises `OSError` if nothing at the address of a viewer speaks HTTP/2, as viewers do."""
     place = urllib.parse.urlsplit(url)
-    socket.create_connection((place.hostname or "127.0.0.1", place.port or VIEWER_PORT), timeout=CONNECT_S).close()
+    if place.scheme not in ("rerun", "rerun+http", "rerun+https"):
+        raise ValueError(f"{url} is no address such as rerun+http://127.0.0.1:{VIEWER_PORT}/proxy")
+    until_s = time.monotonic() + CONNECT_S
+    with contextlib.ExitStack() as opened:
+        line = opened.enter_context(socket.create_connection((place.hostname or "127.0.0.1", place.port or VIEWER_PORT), timeout=CONNECT_S))
+        if place.scheme != "rerun+http":
+            # Rerun itself looks at the certificate.
+            context = ssl.create_default_context()
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            context.set_alpn_protocols(["h2"])
+            line = opened.enter_context(context.wrap_socket(line, server_hostname=place.hostname))
+        line.sendall(HTTP2_HELLO)
+        head = b""
+        while len(head) < HTTP2_HEAD_LEN:
+            line.settimeout(max(until_s - time.monotonic(), 1e-3))
+            try:
+                head += (received := line.recv(HTTP2_HEAD_LEN - len(head)))
+            except TimeoutError:
+                raise OSError(f"{place.netloc} has not answered as a viewer does for {CONNECT_S:.0f} s") from None
+            if not received:
+                break
+        if head[3:4] != HTTP2_SETTINGS:
+            raise OSError(f"{place.netloc} does not answer as a viewer does")
 
 
 def decoder() -> Callable[[int, bytes], tuple[str, Any]]:

@@ -152,6 +152,7 @@ def simulate(
 def load(folder: str | os.PathLike[str], *, truth: str | os.PathLike[str] | None = None) -> Run:
     """Loads the folder of a run, such as `runs/paper`: one that has ended, or one that still runs.
 
+    The report is computed from the logs; its `nodes` are those of `report.json`, which is written at the end.
     `truth` is a file with the true track of a recording: `time_s,x_m,y_m`.
     """
     scenario, arrays, summary = _native.load(os.fspath(folder), truth=truth)

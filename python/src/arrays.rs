@@ -1,6 +1,7 @@
 //! Numbers between Python and Rust.
 
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use pyo3::exceptions::PyException;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -34,7 +35,13 @@ impl Numbers {
             let array = asarray.call1((value, intern!(py, "float64")))?;
             Ok::<_, PyErr>(Self::copied(array.cast::<PyArrayDyn<f64>>()?))
         };
-        made().map_err(|error| input(format!("{name} is no array of numbers: expected one: {}", error.value(py))))
+        made().map_err(|error| {
+            // An interrupt may come meanwhile.
+            if !error.is_instance_of::<PyException>(py) {
+                return error;
+            }
+            input(format!("{name} is no array of numbers: expected one: {}", error.value(py)))
+        })
     }
 
     fn copied(array: &Bound<'_, PyArrayDyn<f64>>) -> Self {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rangehound::results::frame::{Frames, LoggedTick};
-use rangehound::results::report::{ReportBuilder, Truth};
+use rangehound::results::report::{ReportBuilder, Truth, read_nodes};
 use rangehound::run::folder::read_description;
 use rangehound::run::in_process::{Parts, Team};
 use rangehound::study::compare::yardstick::{Distance, Yardstick};
@@ -319,7 +319,7 @@ pub(crate) fn load<'py>(
             report.add(logged);
             Ok(())
         })?;
-        Ok((history, report.finish(&description.scenario, Vec::new())))
+        Ok((history, report.finish(&description.scenario, read_nodes(&folder)?)))
     };
     let (history, report) = py.detach(read).map_err(failed)?;
     let scenario = Scenario::of_run(&folder);

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
 
 use anstream::adapter::strip_str;
 use pyo3::prelude::*;
@@ -108,29 +109,35 @@ pub(crate) fn calibrate(
     let (recording, _) = files::recording_of(&table, "the call of calibrate", Path::new("")).map_err(input)?;
     check(&table, &recording).map_err(failed)?;
     let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
-    // A fit cannot be interrupted: it goes on in a thread of its own, and ends by itself.
-    let done = Arc::new(AtomicU64::new(0));
-    let fitted = done.clone();
-    let work = move || {
-        Found::of(&recording, table.target_height_m, truth.as_ref(), |models| {
-            fitted.store(models as u64, Ordering::Relaxed);
+    let (fitted, is_wanted) = (AtomicUsize::new(0), AtomicBool::new(true));
+    let work = || {
+        let show = |models| fitted.store(models, Ordering::Relaxed);
+        Found::of(&recording, table.target_height_m, truth.as_ref(), show, &|| is_wanted.load(Ordering::Relaxed))
+    };
+    let look = || {
+        Python::attach(|py| {
+            py.check_signals()?;
+            let done = fitted.load(Ordering::Relaxed);
+            progress.as_ref().map_or(Ok(()), |progress| progress.call1(py, (done, MODELS)).map(drop))
         })
     };
-    let worker = std::thread::Builder::new()
-        .name("calibrate".to_owned())
-        .spawn(work)
-        .map_err(|error| failed(anyhow::Error::from(error)))?;
-    while !worker.is_finished() {
-        py.detach(|| std::thread::sleep(std::time::Duration::from_millis(10)));
-        py.check_signals()?;
-        if let Some(progress) = &progress {
-            progress.call1(py, (done.load(Ordering::Relaxed), MODELS))?;
-        }
-    }
-    let found = worker.join().map_err(|_| failed(anyhow::anyhow!("the calibration panicked: please report this")))?;
+    let found = py.detach(|| {
+        std::thread::scope(|scope| {
+            let worker = std::thread::Builder::new().name("calibrate".to_owned()).spawn_scoped(scope, work);
+            let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
+            while !worker.is_finished() {
+                std::thread::sleep(LOOK);
+                look().inspect_err(|_| is_wanted.store(false, Ordering::Relaxed))?;
+            }
+            worker.join().map_err(|_| failed(anyhow::anyhow!("the calibration panicked: please report this")))
+        })
+    })?;
     let json = serde_json::to_string(&found).map_err(failed)?;
     Ok((json, found.to_toml(), found.points))
 }
+
+/// How long a fit goes on until Python can act on signals and show progress.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// Models that are fitted.
 const MODELS: usize = rangehound::study::calibrate::model::Model::ALL.len();

@@ -6,22 +6,13 @@ The arguments are topics with their types, as in `/target/pose=geometry_msgs/Pos
 
 import importlib
 import json
-import signal
 import sys
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-
-
-class Ended(Exception):
-    pass
-
-
-def end(*_):
-    raise Ended
+from ros2_spin import spin
 
 
 def plain(value):
@@ -52,16 +43,7 @@ def main():
         best_effort = ReliabilityPolicy.BEST_EFFORT if topic == "/clock" else ReliabilityPolicy.RELIABLE
         qos = QoSProfile(depth=5000, reliability=best_effort)
         node.create_subscription(getattr(importlib.import_module(f"{package}.msg"), name), topic, lambda message, topic=topic: hear(topic, message), qos)
-    signal.signal(signal.SIGTERM, end)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    print("ready", flush=True)
-    try:
-        # Python acts on signals between two waits.
-        while True:
-            executor.spin_once(timeout_sec=0.1)
-    except Ended:
-        pass
+    executor = spin(node)
     # On a busy machine messages wait to be taken.
     count = -1
     while count < (count := sum(map(len, heard.values()))):

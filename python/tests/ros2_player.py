@@ -8,26 +8,17 @@ asked to end.
 
 import json
 import math
-import signal
 import sys
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from ros2_spin import spin
 from sensor_msgs.msg import Range
-
-
-class Ended(Exception):
-    pass
-
-
-def end(*_):
-    raise Ended
 
 
 class Player(Node):
@@ -93,16 +84,7 @@ class Player(Node):
 def main():
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     player = Player(sys.argv[1])
-    signal.signal(signal.SIGTERM, end)
-    executor = SingleThreadedExecutor()
-    executor.add_node(player)
-    print("ready", flush=True)
-    try:
-        # Python acts on signals between two waits.
-        while True:
-            executor.spin_once(timeout_sec=0.1)
-    except Ended:
-        pass
+    spin(player)
     print(json.dumps({"commands": player.commands, "last": player.last}), flush=True)
 
 

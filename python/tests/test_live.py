@@ -32,7 +32,9 @@ def test_a_run_with_killed_nodes_reports_the_digest_of_one_process(program, name
     assert [tick.tick for tick in seen] == list(range(401))
     np.testing.assert_array_equal([tick.state for tick in seen], alone.state)
     np.testing.assert_array_equal([tick.heading_rad for tick in seen], alone.heading_rad)
-    assert rh.load(tmp_path / "out").digest == alone.digest
+    loaded = rh.load(tmp_path / "out")
+    assert loaded.digest == alone.digest and loaded.report["nodes"] == report["nodes"]
+    assert {node["name"]: node["kills"] for node in loaded.report["nodes"]}["robot-1"] == 1
 
 
 def test_an_observer_waits_for_the_truth_if_asked_and_ends_with_the_run(program, name, tmp_path):

@@ -52,6 +52,27 @@ def test_a_calibration_is_that_of_the_program_and_is_used_alike(program, ranges,
     assert rh.track(ranges, calibration=out / "calibration.toml").digest == json.loads(done.stdout)["digest"]
 
 
+def test_an_interrupt_ends_a_calibration_and_its_thread(python):
+    script = (
+        "import numpy as np, rangehound as rh, os, pathlib, signal, threading\n"
+        "t, noise = np.arange(60_000) * 0.05, np.random.default_rng(1).normal(size=60_000)\n"
+        "at = 10 * np.exp(2j * np.pi * np.arange(8) / 8)[np.arange(60_000) % 8]\n"
+        "ranges = abs(4 * np.sin(0.1 * t) + 3j * np.cos(0.13 * t) - at) + 0.1 * noise\n"
+        "rows = dict(time_s=t, sensor_id=[str(i % 8) for i in range(60_000)], sensor_x_m=at.real, sensor_y_m=at.imag, range_m=ranges)\n"
+        "of = lambda: [(thread / 'comm').read_text().strip() for thread in pathlib.Path('/proc/self/task').iterdir()]\n"
+        "def interrupt():\n"
+        "    while 'calibrate' not in of(): pass\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "threading.Thread(target=interrupt).start()\n"
+        "try:\n"
+        "    rh.calibrate(rows, show_progress=False)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('interrupted', of())\n"
+    )
+    done = python(script)
+    assert done.stdout.startswith("interrupted") and "calibrate" not in done.stdout, (done.stdout, done.stderr)
+
+
 def test_a_calibration_against_the_true_track_has_a_row_for_each_sensor(ranges, truth):
     pytest.importorskip("pandas")
     found = rh.calibrate(ranges, truth=truth)

@@ -1,6 +1,6 @@
 """The node of ROS 2 beside genuine ROS 2: what it publishes, and real robots that another process plays.
 
-The other processes know ROS alone: `ros2_player.py` and `ros2_listener.py`.
+The other processes know ROS alone: `ros2_player.py` and `ros2_listener.py`, which share `ros2_spin.py`.
 """
 
 import importlib.util
@@ -179,6 +179,7 @@ def test_uncertain_robots_with_cameras_and_frames_of_their_own_say_what_ros_says
 
 
 def test_a_killed_robots_process_is_started_again_and_the_run_goes_on(program, name, ros, tmp_path):
+    own = os.getpriority(os.PRIO_PROCESS, 0)
     scenario = rh.Scenario(ticks=400, clock="lockstep", timeout_s="forever", planner="certified", seed=4)
     oracle = rh.simulate(scenario)
     play(ros, tmp_path, scenario, oracle)
@@ -189,7 +190,11 @@ def test_a_killed_robots_process_is_started_again_and_the_run_goes_on(program, n
                 killed = children(bridge)[1]
                 os.kill(killed, signal.SIGKILL)
             if tick.tick == 300:
-                assert children(bridge)[1] != killed
+                robots = children(bridge)
+                assert robots[1] != killed
+                # Robots are in the control loop, the node's thread that publishes is not.
+                assert [os.getpriority(os.PRIO_PROCESS, robot) for robot in robots.values()] == [own] * 3
+                assert os.getpriority(os.PRIO_PROCESS, bridge.pid) == own + 10
         report = run.report()
     assert "the process of robot 1 ended with code -9; it is started again" in ended(bridge)
     assert report["ticks"] == 400 and report["position_rmse_m"] < 1.5 * oracle.report["position_rmse_m"]
@@ -332,10 +337,10 @@ def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
 def test_the_quality_of_service_of_one_topic_is_overridden_and_no_other(ros):
     script = (
         "from rangehound.ros2.session import Session\nfrom sensor_msgs.msg import Range\nfrom rclpy.qos import qos_profile_sensor_data\n"
-        "session = Session('one', ['--ros-args', '-p', 'qos_overrides./robot_0/range.subscription.reliability:=reliable'])\n"
-        "for robot in (0, 1): session.subscribe(Range, f'robot_{robot}/range', qos_profile_sensor_data, print)\n"
-        "of = session.node.get_subscriptions_info_by_topic\n"
-        "print([of(f'/robot_{robot}/range')[0].qos_profile.reliability.name for robot in (0, 1)])\nsession.close()"
+        "with Session('one', ['--ros-args', '-p', 'qos_overrides./robot_0/range.subscription.reliability:=reliable']) as session:\n"
+        "    for robot in (0, 1): session.subscribe(Range, f'robot_{robot}/range', qos_profile_sensor_data, lambda message: None)\n"
+        "    of = session.node.get_subscriptions_info_by_topic\n"
+        "    print([of(f'/robot_{robot}/range')[0].qos_profile.reliability.name for robot in (0, 1)])"
     )
     out, err = ros("-c", script).communicate(timeout=60)
     assert out == "['RELIABLE', 'BEST_EFFORT']\n", err

@@ -18,7 +18,7 @@ def test_without_rclpy_the_package_is_imported_and_the_node_refused_in_one_line(
         "import sys; sys.modules['rclpy'] = None\n"
         "import rangehound, rangehound.ros2.observer, rangehound.ros2.robot\n"
         "from rangehound.ros2.session import run_node\n"
-        "sys.exit(run_node(rangehound.ros2.observer.main, ['--name', 'none']))"
+        "sys.argv[1:] = ['--name', 'none']\nsys.exit(run_node(rangehound.ros2.observer.main))"
     )
     done = python(script)
     assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr

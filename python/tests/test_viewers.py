@@ -5,6 +5,7 @@ import contextlib
 import csv
 import json
 import re
+import socket
 import struct
 import time
 
@@ -245,6 +246,38 @@ def test_a_viewer_that_is_not_there_is_one_line(command, name, program, tmp_path
             _, err = viewer.communicate()
             lines = [line for line in err.splitlines() if line.startswith("python -m")]
             assert viewer.returncode == 2 and len(lines) == 1 and "Rerun cannot be used: expected a viewer" in lines[0], err
+
+
+@pytest.mark.parametrize("answer, says", [(b"", "has not answered as a viewer does for 5 s"), (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not answer as a viewer does")])
+def test_an_address_that_is_no_viewer_is_one_line(command, name, program, tmp_path, answer, says):
+    """It accepts the connection, and says nothing, or something else."""
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as other, rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000):
+        viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{other.getsockname()[1]}/proxy")
+        line, _ = other.accept()
+        with line:
+            line.sendall(answer)
+            _, err = viewer.communicate()
+    lines = [line for line in err.splitlines() if line.startswith("python -m")]
+    assert viewer.returncode == 2 and len(lines) == 1 and says in lines[0], err
+
+
+def test_a_viewer_that_takes_nothing_does_not_hold_the_command(command, name, program, tmp_path):
+    """It answers as HTTP/2 does, and then says nothing."""
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as other, rh.run(name=name, out=tmp_path / "out", program=program, ticks=30, clock="realtime") as run:
+        viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{other.getsockname()[1]}/proxy")
+        lines = []
+        # The first one only looks whether there is a viewer.
+        for _ in range(2):
+            lines.append(other.accept()[0])
+            lines[-1].sendall(bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
+        run.wait()
+        _, err = viewer.communicate()
+        for line in lines:
+            line.close()
+    said = [line for line in err.splitlines() if line.startswith("python -m")]
+    assert viewer.returncode == 1 and len(said) == 1 and "has not taken all ticks" in said[0], err
 
 
 def test_a_port_that_is_taken_is_one_line(foxglove, command, name, program, tmp_path):

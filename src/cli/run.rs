@@ -61,7 +61,7 @@ pub struct RunArgs {
     #[command(flatten)]
     pub experiment: ExperimentArgs,
     /// Run all nodes in this one process, without shared memory: same estimates, same digest
-    #[arg(long, conflicts_with_all = ["live", "listen"])]
+    #[arg(long, conflicts_with_all = ["live", "listen", "external"])]
     pub in_process: bool,
     /// The processes, and their restart
     #[command(flatten)]
@@ -126,7 +126,7 @@ pub struct TrackArgs {
     #[command(flatten)]
     pub truth: TruthArgs,
     /// Run all nodes in this one process, without shared memory
-    #[arg(long, conflicts_with_all = ["live", "listen"])]
+    #[arg(long, conflicts_with_all = ["live", "listen", "external"])]
     pub in_process: bool,
     /// The recording
     #[command(flatten)]
@@ -325,11 +325,6 @@ impl ResumeArgs {
 }
 
 fn execute(experiment: Experiment, in_process: bool, supervision: &Supervision, keep: &Keep) -> Result<(), Failure> {
-    if in_process && supervision.external.is_some() {
-        return Err(Failure::input(
-            "--external is given: expected it without --in-process, because other processes take part",
-        ));
-    }
     if in_process {
         return supervisor::run_in_process(&experiment, supervision.record_limit_mb, keep);
     }
@@ -348,7 +343,7 @@ impl SupervisionArgs {
                 keys: self.hosts.keys.clone(),
                 remote: self.hosts.remote.map(|remote| remote.iter().collect()),
             }),
-            external: self.external,
+            external: self.external.map(|external| external.iter().collect()),
             record_limit_mb: (!recording.no_record).then_some(recording.limit.limit_mb),
         }
     }

@@ -13,6 +13,7 @@
 //! | `estimate.ticks`, `world.ticks` | the nodes' records, see `rangehound_node::tick_log` |
 //! | `run.sealed` | the run's description, for `resume`: JSON with a checksum |
 //! | `hosts.json` | where the gateway listens, with which keys, and which robots are on other hosts, for `resume` |
+//! | `external.json` | which robots of this host others start, for `resume` |
 //! | `sim.checkpoint`, `fusion.checkpoint` | the state from which a killed node's successor continues, see `rangehound_node::checkpoint` |
 //! | `logs/NODE.log` | a node's messages |
 
@@ -31,6 +32,9 @@ pub const DESCRIPTION: &str = "run.sealed";
 
 /// How robots on other hosts join.
 pub const HOSTS: &str = "hosts.json";
+
+/// Robots of this host that others start.
+pub const EXTERNAL: &str = "external.json";
 
 /// The report, for programs.
 pub const REPORT: &str = "report.json";
@@ -125,7 +129,7 @@ impl Kind {
         let numbered = |start: &str, end: &str| is_numbered(name, start, end);
         match self {
             Self::Run => {
-                let made_first = [SCENARIO, DESCRIPTION, HOSTS, COPY, logs::ESTIMATES, logs::WORLDS];
+                let made_first = [SCENARIO, DESCRIPTION, HOSTS, EXTERNAL, COPY, logs::ESTIMATES, logs::WORLDS];
                 let results = [REPORT, PAGE, PICTURE, ESTIMATES, RANGES, TRUTH, RECORDING];
                 let checkpoints = [Role::Sim, Role::Fusion].map(checkpoint::file_name);
                 made_first.contains(&name) || results.contains(&name) || checkpoints.iter().any(|it| it == name)

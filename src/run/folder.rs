@@ -1,5 +1,6 @@
 //! The run folder before and between runs: preparing, reading, and checking it for `resume`.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use rangehound_node::rendezvous::{Role, RunDescription};
@@ -7,17 +8,19 @@ use rangehound_node::system::bounded;
 use rangehound_node::{checkpoint, logs};
 use rangehound_shared::scenario::{COPY, Source};
 use rangehound_shared::sealed;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use super::experiment::Experiment;
 use crate::failure::Failure;
 use crate::files::atomic_file::{self, AtomicFile};
 use crate::files::input::in_utf8;
-use crate::files::layout::{DESCRIPTION, HOSTS, Kind, SCENARIO};
+use crate::files::layout::{DESCRIPTION, EXTERNAL, HOSTS, Kind, SCENARIO};
 use crate::files::out_folder::{self, Claim};
 use crate::run::supervisor::Hosts;
 
-/// Longest file of hosts, bytes: all robots of the largest team fit in.
-const HOSTS_LEN_MAX: usize = 64 << 10;
+/// Longest file of what is kept for `resume`, bytes: all robots of the largest team fit in.
+const KEPT_LEN_MAX: usize = 64 << 10;
 
 /// Prepares and claims the run folder: removes an earlier run's results, writes the scenario.
 ///
@@ -54,9 +57,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
 /// # Errors
 /// [`Failure`] if the file cannot be written.
 pub fn write_hosts(folder: &Path, hosts: Option<Hosts>) -> Result<(), Failure> {
-    let Some(hosts) = hosts else { return Ok(()) };
-    let text = serde_json::to_string_pretty(&hosts).map_err(|error| Failure::Running(error.into()))?;
-    atomic_file::write(&folder.join(HOSTS), text + "\n").map_err(Failure::Running)
+    keep(folder, HOSTS, hosts.as_ref())
 }
 
 /// How robots on other hosts joined the run of this folder; `None` if none did.
@@ -64,14 +65,38 @@ pub fn write_hosts(folder: &Path, hosts: Option<Hosts>) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure::Input`] if the file cannot be used.
 pub fn read_hosts(folder: &Path) -> Result<Option<Hosts>, Failure> {
-    let path = folder.join(HOSTS);
+    kept(folder, HOSTS, "how robots on other hosts join")
+}
+
+/// Keeps in the run folder which robots of this host others start, for `resume`; nothing if there are none.
+///
+/// # Errors
+/// [`Failure`] if the file cannot be written.
+pub fn write_external(folder: &Path, external: Option<&BTreeSet<usize>>) -> Result<(), Failure> {
+    keep(folder, EXTERNAL, external)
+}
+
+/// The robots of this host that others started in the run of this folder; `None` if there were none.
+///
+/// # Errors
+/// [`Failure::Input`] if the file cannot be used.
+pub fn read_external(folder: &Path) -> Result<Option<BTreeSet<usize>>, Failure> {
+    kept(folder, EXTERNAL, "which robots others start")
+}
+
+fn keep<T: Serialize>(folder: &Path, name: &str, value: Option<&T>) -> Result<(), Failure> {
+    let Some(value) = value else { return Ok(()) };
+    let text = serde_json::to_string_pretty(value).map_err(|error| Failure::Running(error.into()))?;
+    atomic_file::write(&folder.join(name), text + "\n").map_err(Failure::Running)
+}
+
+fn kept<T: DeserializeOwned>(folder: &Path, name: &str, expected: &str) -> Result<Option<T>, Failure> {
+    let path = folder.join(name);
     let unusable = |reason: &dyn std::fmt::Display| {
         let path = path.display();
-        Failure::input(format!(
-            "cannot use {path}: expected how robots on other hosts join, as `run` writes it: {reason}"
-        ))
+        Failure::input(format!("cannot use {path}: expected {expected}, as `run` writes it: {reason}"))
     };
-    let text = match bounded::read(&path, HOSTS_LEN_MAX) {
+    let text = match bounded::read(&path, KEPT_LEN_MAX) {
         Ok(text) => text,
         Err(_) if !path.exists() => return Ok(None),
         Err(error) => return Err(unusable(&error)),

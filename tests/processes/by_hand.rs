@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 
-use crate::support::{Process, Run, digest_in_process, signal};
+use crate::support::{Process, Run, digest_in_process, is_alive, signal};
 
 const SIM: &str = "sim mine.toml";
 
@@ -111,11 +111,43 @@ fn a_supervised_run_leaves_robots_to_others() {
     assert!(names.contains(&"robot-1") && !names.contains(&"robot-0"), "{names:?}");
     run.assert_nothing_left();
     for (flags, names) in
-        [("--external 3", "robot 3 (--external)"), ("--external 1 --in-process", "without --in-process")]
+        [("--external 3", "robot 3 (--external)"), ("--external 1 --in-process", "cannot be used with")]
     {
         let refusal = Run::new().command(&format!("run {words} {flags}")).finish();
         assert!(refusal.code == Some(2) && refusal.stderr.contains(names), "{refusal:#?}");
     }
+}
+
+#[test]
+fn a_resumed_run_leaves_the_same_robots_to_others() {
+    let words = "--ticks 20000 --robots 3 --seed 4 --planner standard";
+    let run = Run::new();
+    let supervisor = run.lockstep(&format!("--timeout forever {words} --external 0,2"));
+    let others = || ["robot --id 0", "robot --id 2"].map(|words| run.node(words));
+    let killed = others();
+    run.wait_for_ticks(50);
+    let nodes = ["sim", "fusion", "robot-0", "robot-1", "robot-2"].map(|role| run.pid_of(role, 1));
+    supervisor.signal(Signal::KILL);
+    nodes.iter().for_each(|pid| signal(*pid, Signal::KILL));
+    killed.into_iter().chain([supervisor]).for_each(|process| drop(process.finish()));
+    run.wait_until("all are gone", || !nodes.iter().any(|pid| is_alive(*pid)));
+
+    let resume = || run.start(&["resume", "out", "--name", &run.name]);
+    let supervisor = resume();
+    run.pid_of("robot-1", 1);
+    for process in others().into_iter().chain([supervisor]) {
+        process.finish().succeeded();
+    }
+    assert_eq!(run.digest(), digest_in_process(words));
+    let nodes = run.report()["nodes"].clone();
+    let names: Vec<&str> = nodes.as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
+    assert_eq!(names, ["sim", "fusion", "robot-1"]);
+    run.assert_nothing_left();
+
+    run.write("out/external.json", "[0, \"two\"]");
+    let refused = resume().finish();
+    assert!(refused.code == Some(2) && refused.stderr.contains("external.json"), "{refused:#?}");
+    assert_eq!(refused.stderr.lines().count(), 1, "{refused:#?}");
 }
 
 #[test]

@@ -19,7 +19,7 @@ from .._native import InputError
 from ..live import Tick
 from . import messages, unicycle
 from .markers import Markers
-from .session import DIAGNOSTICS_S, Ended, Parser, Session, complain, diagnostic, ignore_signals, message_type, split_ros_args
+from .session import DIAGNOSTICS_S, Parser, Session, complain, diagnostic, message_type, split_ros_args
 
 #: How long the process of a robot that has failed waits for its successor, s.
 _RESTART_S = 1.0
@@ -46,7 +46,7 @@ docs/ros2.md has types, frames, quality of service, and the controller.
 """
 
 
-def main(words: Sequence[str]) -> int:
+def main(words: Sequence[str]) -> None:
     """Runs the node until the run ends."""
     words, ros_args = split_ros_args(words)
     arguments = Parser("ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
@@ -54,36 +54,22 @@ def main(words: Sequence[str]) -> int:
     arguments.add_argument("--from-start", action="store_true", help="publish all ticks from the first one, not only new ones")
     arguments.add_argument("--stamps", choices=["run", "ros"], help="time of messages: run: the run's own, from 0, with the topic /clock; ros: the clock of ROS [default: ros with --robots in real time, else run]")
     args = arguments.parse_args(words)
-    session = Session("rangehound", ros_args)
-    try:
+    with Session("rangehound", ros_args) as session:
         run = _native.Observer(args.name, args.from_start, False, args.wait_s)
         facts = run.describe()
         robots = robot_ids(args.robots, len(facts["max_speeds_mps"]))
         stamps = args.stamps or ("ros" if robots and not facts["is_lockstep"] else "run")
         node = Node(session, args.name, facts, robots, stamps == "run")
         team = Team(args.name, robots, ros_args)
-        session.start()
-        try:
+        with session.calling(end=team.end):
             team.start()
-            # Only this thread: the run's own processes go first.
+            # Only this thread: those of the middleware find who subscribes, and robots' processes are in the control loop.
             os.nice(_NICE)
             for arrays in run:
                 node.publish(Tick(arrays))
                 team.check()
             team.wait()
-        except Ended:
-            pass
-        finally:
-            ignore_signals()
-            team.end()
         team.check()
-    finally:
-        ignore_signals()
-        session.close()
-    if session.failure is not None:
-        complain(session.failure)
-        return 1
-    return 0
 
 
 def robot_ids(text: str | None, count: int) -> list[int]:

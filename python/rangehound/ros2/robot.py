@@ -15,7 +15,7 @@ from ..live import Robot
 from . import measurements, messages, unicycle
 from .measurements import Newest, Odometry, Refused
 from .observer import controller_limits
-from .session import DIAGNOSTICS_S, Ended, Parser, Session, complain, diagnostic, end_with, ignore_signals, message_type, run_node, split_ros_args
+from .session import DIAGNOSTICS_S, Ended, Parser, Session, complain, diagnostic, end_with, message_type, run_node, split_ros_args
 
 #: Time steps for which an odometry message counts by default: as long as a robot holds a heading.
 _ODOMETRY_TICKS = 3
@@ -38,7 +38,7 @@ What follows --ros-args goes to ROS.
 """
 
 
-def main(words: Sequence[str]) -> int:
+def main(words: Sequence[str]) -> None:
     """Takes part in the run until it ends. The last command is to stop."""
     words, ros_args = split_ros_args(words)
     arguments = Parser("ros2.robot", "A real robot takes part in a live run, by topics of ROS 2.", _HELP)
@@ -47,29 +47,15 @@ def main(words: Sequence[str]) -> int:
     args = arguments.parse_args(words)
     if args.end_with is not None:
         end_with(args.end_with)
-    session = Session(f"rangehound_robot_{args.id}" if args.id >= 0 else "rangehound_robot", ros_args)
-    try:
+    with Session(f"rangehound_robot_{args.id}" if args.id >= 0 else "rangehound_robot", ros_args) as session:
         facts = _native.Observer(args.name, False, False, args.wait_s).describe()
         count = len(facts["max_speeds_mps"])
         if not 0 <= args.id < count:
             raise InputError(f"--id is {args.id}: expected a robot from 0 to {count - 1}")
         bridge = Bridge(session, facts, args.id)
-        session.start()
-        try:
+        with session.calling(end=bridge.stop):
             bridge.wait_for_odometry(args.name)
             Robot(args.name, args.id, measure=bridge.measure, pose=bridge.pose, carry_out=bridge.carry_out).run()
-        except Ended:
-            pass
-        finally:
-            ignore_signals()
-            bridge.stop()
-    finally:
-        ignore_signals()
-        session.close()
-    if session.failure is not None:
-        complain(session.failure)
-        return 1
-    return 0
 
 
 class Bridge:

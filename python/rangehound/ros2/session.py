@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import copy
 import importlib
 import math
@@ -11,7 +12,7 @@ import signal
 import sys
 import threading
 import time
-from typing import Any, Callable, Iterable, Mapping, NoReturn, Sequence
+from typing import Any, Callable, Iterable, Iterator, Mapping, NoReturn, Sequence
 
 from .. import _command
 from .._native import InputError, RunError
@@ -72,7 +73,7 @@ def message_type(package: str, name: str, topics: str, needed: bool = False) -> 
 
 
 class Session:
-    """A node of ROS in this process, whose callbacks run in a thread of their own."""
+    """A node of ROS in this process, whose callbacks run in a thread of their own. It leaves ROS at the end of a `with`."""
 
     def __init__(self, node_name: str, ros_args: Sequence[str]) -> None:
         try:
@@ -91,7 +92,7 @@ class Session:
             self.node = rclpy.node.Node(node_name)
         except Exception as error:  # rclpy has a class for each fault of its arguments.
             raise InputError(f"--ros-args: {error}") from None
-        self.failure: BaseException | None = None
+        self._failure: BaseException | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name="rclpy", daemon=True)
@@ -140,19 +141,36 @@ class Session:
         """The time of the node's clock, s: the wall clock, or the topic /clock with the parameter use_sim_time."""
         return float(self.node.get_clock().now().nanoseconds) * 1e-9
 
-    def start(self) -> None:
-        """Starts to call callbacks."""
+    @contextlib.contextmanager
+    def calling(self, end: Callable[[], None]) -> Iterator[None]:
+        """Calls callbacks from now on. Ends its body when this process is asked to end, and always calls `end` after it."""
         self._thread.start()
+        try:
+            yield
+        except Ended:
+            pass
+        finally:
+            ignore_signals()
+            end()
 
     def _spin(self) -> None:
         try:
             self._executor.spin()
         except BaseException as error:
             if self.rclpy.ok():
-                self.failure = error
+                self._failure = error
                 os.kill(os.getpid(), signal.SIGTERM)
 
-    def close(self) -> None:
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        ignore_signals()
+        self._close()
+        if self._failure is not None and kind is None:
+            raise RunError(str(self._failure)) from self._failure
+
+    def _close(self) -> None:
         """Waits for a moment until subscribers have what was published, ends the callbacks, and leaves ROS."""
         from rclpy.duration import Duration
 
@@ -179,11 +197,12 @@ def ignore_signals() -> None:
     _command.on_signals(signal.SIG_IGN)
 
 
-def run_node(main: Callable[[Sequence[str]], int], words: Sequence[str] | None = None) -> int:
+def run_node(main: Callable[[Sequence[str]], None]) -> int:
     """Runs a node, and returns its exit code: 0 at the end of the run or when asked to end, 2 for invalid input, 1 otherwise."""
     _command.on_signals(_end)
     try:
-        return main(sys.argv[1:] if words is None else words)
+        main(sys.argv[1:])
+        return 0
     except Ended:
         return 0
     except InputError as error:

@@ -18,9 +18,12 @@ pub mod verdict;
 
 use std::path::Path;
 
+use anyhow::Context;
 use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::system::bounded;
 use rangehound_shared::record::FusionRecord;
 use rangehound_shared::scenario::{Scenario, Source};
+use serde::Deserialize;
 
 use crate::files::atomic_file;
 use crate::files::layout::REPORT;
@@ -32,6 +35,9 @@ pub use summary::{
 };
 pub use truth::Truth;
 use verdict::{RecordingEvidence, TruthEvidence};
+
+/// Longest report, bytes: that of the largest team fits in.
+const REPORT_LEN_MAX: usize = 16 << 20;
 
 /// Computes the report of a run from its logs; `truth` is the target's true track if the run does not know it. The logs are
 /// read once: `also` receives each tick too.
@@ -131,6 +137,24 @@ impl Overlap {
     fn evidence(self) -> TruthEvidence {
         TruthEvidence { covered_share: self.covered as f64 / self.ticks.max(1) as f64, ..self.evidence }
     }
+}
+
+/// The processes in the `report.json` of a run folder; none if there is no report yet.
+///
+/// # Errors
+/// If the file cannot be read as a report.
+pub fn read_nodes(out_dir: &Path) -> anyhow::Result<Vec<NodeSummary>> {
+    #[derive(Deserialize)]
+    struct Reported {
+        nodes: Vec<NodeSummary>,
+    }
+    let path = out_dir.join(REPORT);
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let unusable = || format!("cannot use {}: expected the report of a run, as `run` writes it", path.display());
+    let text = bounded::read(&path, REPORT_LEN_MAX).with_context(unusable)?;
+    Ok(serde_json::from_slice::<Reported>(&text).with_context(unusable)?.nodes)
 }
 
 /// Writes `report.json`.

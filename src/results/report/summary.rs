@@ -6,7 +6,7 @@ use rangehound_shared::message::Estimate;
 use rangehound_shared::record::{Heading, RobotRecord};
 use rangehound_shared::recording::ReadSummary;
 use rangehound_shared::scenario::{Scenario, title_of};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::verdict::Verdict;
 use crate::results::hops::HopSummary;
@@ -263,12 +263,12 @@ impl LatencySummary {
 }
 
 /// One process of the run.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct NodeSummary {
     /// `sim`, `fusion`, `robot-0`, ...
     pub name: String,
     /// The name of a robot's sensor in the recording; left out for other nodes, and in a simulated run.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<String>,
     /// How often it was started.
     pub starts: u64,

@@ -18,7 +18,6 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Rendezvous;
 use rangehound_node::system::signal::Termination;
-use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
 use serde::{Deserialize, Serialize};
@@ -53,8 +52,8 @@ pub struct Supervision {
     pub record_limit_mb: Option<u64>,
     /// Robots on other hosts.
     pub hosts: Option<Hosts>,
-    /// Robots of this host whose processes others start.
-    pub external: Option<RobotSet>,
+    /// Robots of this host whose processes others start; kept in the run folder, for `resume`.
+    pub external: Option<BTreeSet<usize>>,
 }
 
 /// The gateway for robots on other hosts; kept in the run folder, for `resume`.
@@ -94,7 +93,7 @@ impl Supervision {
 
     /// True if others start a robot: on this host, or on another one.
     fn leaves_to_others(&self, robot: usize) -> bool {
-        self.is_remote(robot) || self.external.is_some_and(|external| external.contains(robot))
+        self.is_remote(robot) || self.external.as_ref().is_some_and(|external| external.contains(&robot))
     }
 
     /// The gateway for robots on other hosts. Robots that the run does not have and a gateway that could not start are
@@ -102,7 +101,7 @@ impl Supervision {
     fn gateway(&self, scenario: &Scenario) -> Result<Option<Gateway>, Failure> {
         let last = scenario.robots.len() - 1;
         let remote = self.hosts.as_ref().and_then(|hosts| hosts.remote.as_ref()?.last().copied());
-        let external = self.external.and_then(|external| external.iter().last());
+        let external = self.external.as_ref().and_then(|external| external.last().copied());
         for (flag, id) in [("--remote", remote), ("--external", external)] {
             if let Some(id) = id.filter(|id| *id > last) {
                 return Err(Failure::input(format!("robot {id} ({flag}) is not in this run: expected 0 to {last}")));
@@ -132,19 +131,24 @@ pub fn resume(folder: &Path, name: Option<&RunName>, supervision: &Supervision, 
         None => description.scenario.name.parse().map_err(|error| Failure::input(format!("--name: {error}")))?,
     };
     // Robots that were on other hosts wait there, at the address where they had a link.
-    let before = folder::read_hosts(folder)?;
+    let hosts_before = folder::read_hosts(folder)?;
     let hosts = match supervision.hosts.clone() {
-        Some(given) => Some(given.or(before.clone())),
-        None => before.clone(),
+        Some(given) => Some(given.or(hosts_before.clone())),
+        None => hosts_before.clone(),
     };
-    let supervision = &Supervision { hosts, ..supervision.clone() };
+    let external_before = folder::read_external(folder)?;
+    let external = supervision.external.clone().or_else(|| external_before.clone());
+    let supervision = &Supervision { hosts, external, ..supervision.clone() };
     let gateway = supervision.gateway(&description.scenario)?;
     let found = || {
         let rendezvous = Rendezvous::found(&name, description.clone()).map_err(input_or_running)?;
         let claim = folder::look_for_writable(&description)?;
         let hosts = supervision.hosts_at(gateway.as_ref());
-        if hosts != before {
+        if hosts != hosts_before {
             folder::write_hosts(folder, hosts)?;
+        }
+        if supervision.external != external_before {
+            folder::write_external(folder, supervision.external.as_ref())?;
         }
         Ok((rendezvous, claim))
     };
@@ -164,6 +168,7 @@ pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -
         let rendezvous = experiment.found()?;
         let claim = folder::prepare_folder(&experiment)?;
         folder::write_hosts(&experiment.description.out_dir, hosts)?;
+        folder::write_external(&experiment.description.out_dir, supervision.external.as_ref())?;
         Ok((rendezvous, claim))
     })
 }

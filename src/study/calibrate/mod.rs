@@ -64,7 +64,7 @@ pub fn calibrate(
     let claim = claim_or_number(out, OUT, Kind::Calibrate, &inputs)?;
     let out = claim.path();
     let mut progress = Progress::new("model", Model::ALL.len() as u64);
-    let found = Found::of(&read.0, table.target_height_m, truth, |done| progress.show(done as u64, ""));
+    let found = Found::of(&read.0, table.target_height_m, truth, |done| progress.show(done as u64, ""), &|| true);
     progress.finish();
     let Found { names, findings, points, ranges, used } = &found;
     if used < ranges {
@@ -119,19 +119,20 @@ pub struct Found {
 
 impl Found {
     /// Calibrates the sensors of a recording, against the true track if it is given. `show` receives the number of models
-    /// that have been fitted.
+    /// that have been fitted. Once `go_on` says no, the fits end at their next step, and what is found has no meaning.
     #[must_use]
     pub fn of(
         recording: &Recording,
         target_height_m: Option<f64>,
         truth: Option<&Truth>,
         show: impl FnMut(usize),
+        go_on: &dyn Fn() -> bool,
     ) -> Self {
         let (names, readings) = readings(recording, target_height_m);
         let problem = Problem::new(&readings, names.len());
         let (findings, points) = match truth {
-            Some(truth) => against_truth(&readings, &names, truth),
-            None => from_ranges(&readings, &problem, show),
+            Some(truth) => against_truth(&readings, &names, truth, go_on),
+            None => from_ranges(&readings, &problem, show, go_on),
         };
         let used = if problem.thinned > 0 { problem.observations.len() } else { readings.len() };
         Self { names, findings, points, ranges: readings.len(), used }
@@ -193,13 +194,18 @@ fn readings(recording: &Recording, target_height_m: Option<f64>) -> (Vec<String>
 /// Range and residual of each reading, by sensor.
 pub type Points = Vec<Vec<(f64, f64)>>;
 
-fn from_ranges(readings: &[Reading], problem: &Problem, show: impl FnMut(usize)) -> (Findings, Points) {
+fn from_ranges(
+    readings: &[Reading],
+    problem: &Problem,
+    show: impl FnMut(usize),
+    go_on: &dyn Fn() -> bool,
+) -> (Findings, Points) {
     if let Some(why) = verdict::obstacle(readings, problem.sensors) {
         let mut counts = vec![0; problem.sensors];
         readings.iter().for_each(|reading| counts[reading.sensor] += 1);
         return (Findings::nothing(&counts, &why), Vec::new());
     }
-    let fits = search::search(problem, show);
+    let fits = search::search(problem, show, go_on);
     let (findings, chosen) = verdict::judge(problem, &fits);
     let mut points = vec![Vec::new(); problem.sensors];
     if let Some(fit) = chosen {
@@ -210,7 +216,12 @@ fn from_ranges(readings: &[Reading], problem: &Problem, show: impl FnMut(usize))
     (findings, points)
 }
 
-fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Findings, Points) {
+fn against_truth(
+    readings: &[Reading],
+    names: &[String],
+    truth: &Truth,
+    go_on: &dyn Fn() -> bool,
+) -> (Findings, Points) {
     let mut pairs = vec![Vec::new(); names.len()];
     let mut in_time = Vec::new();
     for reading in readings {
@@ -234,7 +245,7 @@ fn against_truth(readings: &[Reading], names: &[String], truth: &Truth) -> (Find
     let places = problem.knots_s.iter().map(|time_s| truth.at(*time_s).unwrap_or_default());
     let states = places.map(|place_m| Vector4::new(place_m.x, place_m.y, 0.0, 0.0)).collect();
     if !corrected.is_empty() {
-        findings.accel_psd = search::manoeuvring(&problem, states);
+        findings.accel_psd = search::manoeuvring(&problem, states, go_on);
     } else {
         findings.undetermined.insert(0, "anything: no range lies within the true track's time".to_owned());
     }

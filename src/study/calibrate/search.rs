@@ -29,12 +29,16 @@ impl Fit {
 }
 
 /// A path from the ranges alone: at each knot the position on which most of the nearby ranges agree.
-fn rough_path(problem: &Problem) -> Vec<Vector4<f64>> {
+fn rough_path(problem: &Problem, go_on: &dyn Fn() -> bool) -> Vec<Vector4<f64>> {
     let all = &problem.observations;
     let around = (2 * problem.sensors).clamp(6, 24);
     let mut path: Vec<Vector4<f64>> = Vec::with_capacity(problem.knots_s.len());
     let mut next = 0;
     for knot in 0..problem.knots_s.len() {
+        if !go_on() {
+            path.resize(problem.knots_s.len(), Vector4::zeros());
+            return path;
+        }
         while next < all.len() && all[next].knot < knot {
             next += 1;
         }
@@ -88,15 +92,15 @@ fn crossings(a: &Reading, b: &Reading) -> [Option<[f64; 2]>; 2] {
 
 /// Fits one model, starting from an estimate: path, errors and the sensors' noise first. Then the manoeuvring noise
 /// changes in steps as long as the evidence improves, and at last goes to the vertex of a parabola.
-fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<Fit> {
+fn fit(problem: &Problem, model: Model, mut estimate: FitParameters, go_on: &dyn Fn() -> bool) -> Option<Fit> {
     let errors = model.prior_stds(problem.sensors, problem.span_m).len();
     estimate.errors = vec![0.0; errors];
     let least_m = 1e-5 * problem.span_m;
     let with_noise = |mut estimate: FitParameters, turns: usize| -> Option<(FitParameters, Solution)> {
-        let mut solution = optimise(problem, model, &mut estimate)?;
+        let mut solution = optimise(problem, model, &mut estimate, go_on)?;
         for _ in 0..turns {
             update_sigmas(problem, &solution, &mut estimate.sigmas_m, least_m);
-            solution = optimise(problem, model, &mut estimate)?;
+            solution = optimise(problem, model, &mut estimate, go_on)?;
         }
         Some((estimate, solution))
     };
@@ -120,14 +124,14 @@ fn fit(problem: &Problem, model: Model, mut estimate: FitParameters) -> Option<F
     for (neg_log_evidence, by) in beside.iter_mut().zip([1.0, -1.0]) {
         let mut tried = estimate.clone();
         tried.accel_psd *= f64::exp(by * LOG_PSD_STEP);
-        *neg_log_evidence = optimise(problem, model, &mut tried)?.neg_log_evidence;
+        *neg_log_evidence = optimise(problem, model, &mut tried, go_on)?.neg_log_evidence;
     }
     let [above, below] = beside;
     let curvature = (above + below - 2.0 * solution.neg_log_evidence) / LOG_PSD_STEP.powi(2);
     if curvature > 0.0 {
         let step = (below - above) / (2.0 * LOG_PSD_STEP * curvature);
         estimate.accel_psd *= step.clamp(-1.0, 1.0).exp();
-        solution = optimise(problem, model, &mut estimate)?;
+        solution = optimise(problem, model, &mut estimate, go_on)?;
     }
     Some(Fit { model, estimate, solution, log_psd_std: curvature.max(0.0).sqrt().recip() })
 }
@@ -154,11 +158,12 @@ fn start(problem: &Problem, states: Vec<Vector4<f64>>) -> FitParameters {
 }
 
 /// All models that can be fitted, the one with the most evidence first; `show` receives the number of finished models.
-pub fn search(problem: &Problem, mut show: impl FnMut(usize)) -> Vec<Fit> {
-    let mut start = start(problem, rough_path(problem));
+/// Once `go_on` says no, it ends after one step.
+pub fn search(problem: &Problem, mut show: impl FnMut(usize), go_on: &dyn Fn() -> bool) -> Vec<Fit> {
+    let mut start = start(problem, rough_path(problem, go_on));
     let mut fits: Vec<Fit> = Vec::new();
     for (done, model) in Model::ALL.into_iter().enumerate() {
-        if let Some(fit) = fit(problem, model, start.clone()) {
+        if let Some(fit) = fit(problem, model, start.clone(), go_on) {
             start = fit.estimate.clone();
             fits.push(fit);
         }
@@ -170,8 +175,8 @@ pub fn search(problem: &Problem, mut show: impl FnMut(usize)) -> Vec<Fit> {
 
 /// The manoeuvring noise that fits corrected ranges, with the known track as the first estimate of the path.
 #[must_use]
-pub fn manoeuvring(problem: &Problem, states: Vec<Vector4<f64>>) -> Option<Measured> {
+pub fn manoeuvring(problem: &Problem, states: Vec<Vector4<f64>>, go_on: &dyn Fn() -> bool) -> Option<Measured> {
     let start = start(problem, states);
     let model = Model { bias: super::model::Sharing::Absent, scale: super::model::Sharing::Absent };
-    fit(problem, model, start).map(|fit| fit.accel_psd(1.0))
+    fit(problem, model, start, go_on).map(|fit| fit.accel_psd(1.0))
 }

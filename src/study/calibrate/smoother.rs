@@ -250,11 +250,19 @@ fn solve(n: &Normal) -> Option<Solved> {
     Some(Solved { step, errors_step, path_log_det, errors_log_det, inverse_pivots, gains, schur, covariance })
 }
 
-/// Improves an estimate until it converges; `None` if a matrix becomes singular.
-pub fn optimise(problem: &Problem, model: Model, estimate: &mut FitParameters) -> Option<Solution> {
+/// Improves an estimate until it converges; `None` if a matrix becomes singular, or once `go_on` says no.
+pub fn optimise(
+    problem: &Problem,
+    model: Model,
+    estimate: &mut FitParameters,
+    go_on: &dyn Fn() -> bool,
+) -> Option<Solution> {
     let prior_stds = model.prior_stds(problem.sensors, problem.span_m);
     let mut now = cost(problem, model, estimate, &prior_stds);
     for _ in 0..STEPS_MAX {
+        if !go_on() {
+            return None;
+        }
         let solved = solve(&normal(problem, model, estimate, &prior_stds))?;
         let mut factor = 1.0;
         let mut better = None;

@@ -297,7 +297,21 @@ mod tests {
 
     fn findings(readings: &[Reading]) -> (Findings, Option<Fit>) {
         let problem = Problem::new(readings, 4);
-        judge(&problem, &search(&problem, |_| ()))
+        judge(&problem, &search(&problem, |_| (), &|| true))
+    }
+
+    #[test]
+    fn a_fit_that_is_not_wanted_any_more_ends_at_its_next_step() {
+        let readings = simulated(9, [0.0; 4], 0.0, 0.05, true);
+        let problem = Problem::new(&readings, 4);
+        let knots = problem.knots_s.len();
+        // While it looks for a rough path, and later, while it fits the first model.
+        for steps in [knots / 2, knots + 5] {
+            let left = std::cell::Cell::new(steps);
+            let mut asked = 0;
+            let fits = search(&problem, |_| asked += 1, &|| left.replace(left.get().saturating_sub(1)) > 0);
+            assert!(fits.is_empty() && asked == Model::ALL.len() && left.get() == 0, "{} fits", fits.len());
+        }
     }
 
     #[test]
