@@ -13,6 +13,7 @@
 //! | `estimation::paper` | the paper's experiment, many seeds in one process: its figures are reproduced |
 //! | `licences` | every dependency is free to use |
 //! | `live` | the live page: access, buttons, and in a real browser |
+//! | `mutations` | the faults that `explore` is tested with still fit the sources |
 //! | `plan` | one step per JSON line, against brute force and the matrices themselves |
 //! | `processes` | runs with real processes: digests, kills, several at once, no file left behind |
 //! | `processes::chaos` | campaigns of faults: every promise kept, no file left behind |
@@ -36,6 +37,7 @@ mod command_line;
 mod estimation;
 mod licences;
 mod live;
+mod mutations;
 mod plan;
 mod processes;
 mod recordings;

@@ -16,7 +16,7 @@ import tomllib
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 COPY = ROOT / "target" / "mutations"
-MEMBERS = ["Cargo.toml", "Cargo.lock", "src", "shared", "sim", "robot", "fusion", "node", "gateway", "bench", "fuzz", "scenarios", "tests", "README.md", "docs"]
+MEMBERS = ["Cargo.toml", "Cargo.lock", "src", "shared", "sim", "robot", "fusion", "node", "gateway", "bench", "python", "fuzz", "scenarios", "tests", "README.md", "docs"]
 
 
 def copy_sources():
