@@ -10,6 +10,7 @@ use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::{oneshot, watch};
 
 use super::Input;
+use super::handshakes::Handshakes;
 use crate::keys::{Peer, RefusalCause};
 use crate::link::{self, Answer, JoinError, Notice, Request};
 
@@ -18,6 +19,9 @@ const PATIENCE: Duration = Duration::from_secs(3);
 
 /// Time for which a refused peer may read why.
 const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Time for which the handshake of a refused peer still counts as under way: it has cost a signature.
+const REST: Duration = Duration::from_secs(1);
 
 /// Handshakes under way from which on each peer must first prove its address: it costs a round trip, and a stranger with a
 /// false address gets no further.
@@ -39,8 +43,12 @@ pub(super) enum Applicant {
 }
 
 /// Answers all connections, until the gateway ends. `finished` becomes true when the run is over.
-pub(super) async fn answer(endpoint: Endpoint, sender: Sender<Input>, has_keys: bool, finished: watch::Receiver<bool>) {
-    let under_way = Rc::new(());
+pub(super) async fn answer(
+    endpoint: Endpoint,
+    sender: Sender<Input>,
+    (handshakes, has_keys): (Rc<Handshakes>, bool),
+    finished: watch::Receiver<bool>,
+) {
     loop {
         let mut is_finished = finished.clone();
         let incoming = tokio::select! {
@@ -48,21 +56,28 @@ pub(super) async fn answer(endpoint: Endpoint, sender: Sender<Input>, has_keys: 
             _ = is_finished.wait_for(|finished| *finished) => None,
         };
         let Some(incoming) = incoming else { return };
-        let handshakes = Rc::strong_count(&under_way) - 1;
-        if handshakes >= HANDSHAKES_TRUSTED && !incoming.remote_address_validated() && incoming.may_retry() {
+        if handshakes.count() >= HANDSHAKES_TRUSTED && !incoming.remote_address_validated() && incoming.may_retry() {
             let _ = incoming.retry();
             continue;
         }
-        let (sender, guard, finished) = (sender.clone(), Rc::clone(&under_way), finished.clone());
+        let Some(under_way) = handshakes.begin(incoming.remote_address().ip()) else {
+            // The peer sends its first packet again.
+            incoming.ignore();
+            continue;
+        };
+        let (sender, finished) = (sender.clone(), finished.clone());
         tokio::task::spawn_local(async move {
             let address = incoming.remote_address();
             let joined = tokio::time::timeout(PATIENCE, join(incoming, &sender, has_keys)).await;
-            drop(guard);
             match joined {
-                Ok(Ok(guest)) => attend(guest, &sender, finished).await,
+                Ok(Ok(guest)) => {
+                    drop(under_way);
+                    attend(guest, &sender, finished).await;
+                }
                 Ok(Err(NotJoined::Refused(cause, text))) => {
                     let refused = Applicant::Refused { address, cause, text };
                     let _ = sender.send(Input::Applicant(Box::new(refused))).await;
+                    tokio::time::sleep(REST).await;
                 }
                 Ok(Err(NotJoined::Told | NotJoined::Gone)) | Err(_) => {}
             }

@@ -4,6 +4,7 @@
 
 mod door;
 mod guests;
+mod handshakes;
 mod refusals;
 
 use std::net::{SocketAddr, UdpSocket};
@@ -22,6 +23,7 @@ use crate::keys::{Credentials, KeysError};
 use crate::link;
 use door::Applicant;
 use guests::Guests;
+use handshakes::Handshakes;
 
 /// Inputs that wait for the gateway; further datagrams are dropped, and repeated by their robots.
 const INPUTS_MAX: usize = 4_096;
@@ -61,6 +63,9 @@ pub enum GatewayError {
     /// The cryptography does not fit.
     #[error("{0}")]
     Cryptography(String),
+    /// Its socket or its view of the bus has failed.
+    #[error("it no longer hears the robots or the run: its socket or the run's shared memory has failed")]
+    Deaf,
     /// The system.
     #[error("{0}")]
     System(#[from] std::io::Error),
@@ -100,15 +105,19 @@ pub fn run(
     std::thread::scope(|scope| {
         let (sender, inputs) = mpsc::channel(INPUTS_MAX);
         let bus_sender = sender.clone();
-        scope.spawn(|| wait_on_bus(rendezvous, bus_sender, &is_over));
+        let bus = scope.spawn(|| wait_on_bus(rendezvous, bus_sender, &is_over));
         let ended = runtime.block_on(async {
             let runtime = std::sync::Arc::new(quinn::TokioRuntime);
             let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(config), socket, runtime)?;
             listening(endpoint.local_addr()?);
             let mut guests = Guests::new(rendezvous)?;
             let (finished, when_finished) = watch::channel(false);
-            tokio::task::spawn_local(door::answer(endpoint.clone(), sender, keys.is_some(), when_finished));
-            let served = serve(&mut guests, inputs, (rendezvous, &lease), termination).await;
+            let handshakes = Handshakes::of_team(rendezvous.description().scenario.robots.len());
+            let whom = (handshakes, keys.is_some());
+            let door = tokio::task::spawn_local(door::answer(endpoint.clone(), sender, whom, when_finished));
+            // Without them it would hold its role and serve no robot: the supervisor starts it again.
+            let is_deaf = || door.is_finished() || bus.is_finished();
+            let served = serve(&mut guests, inputs, (rendezvous, &lease), (termination, is_deaf)).await;
             // The roles are free before the robots know that the gateway ends.
             drop(guests);
             // A run that was stopped is over for the robots too; one that lost its gateway is not.
@@ -170,7 +179,7 @@ async fn serve(
     guests: &mut Guests<'_>,
     mut inputs: Receiver<Input>,
     (rendezvous, lease): (&Rendezvous, &RoleLease),
-    termination: &Termination,
+    (termination, is_deaf): (&Termination, impl Fn() -> bool),
 ) -> Result<(), GatewayError> {
     let mut may_have_ended = true;
     while !(termination.requested() || may_have_ended && rendezvous.is_finished()) {
@@ -189,6 +198,9 @@ async fn serve(
         guests.publish_drives()?;
         guests.send_frames();
         guests.look(monotonic_ns());
+        if is_deaf() {
+            return Err(GatewayError::Deaf);
+        }
     }
     Ok(())
 }

@@ -28,8 +28,8 @@ const SEND_BUFFER: usize = 4 << 10;
 /// Bytes of datagrams that wait to be read.
 const RECEIVE_BUFFER: usize = 64 << 10;
 
-/// Handshakes that may be under way at the same time. Any more strangers are refused.
-const HANDSHAKES_MAX: usize = 64;
+/// Connections that wait for the gateway to look at them. Any more are refused.
+const WAITING_MAX: usize = 64;
 
 /// Close codes of this program.
 pub const LEFT: VarInt = VarInt::from_u32(1);
@@ -61,7 +61,7 @@ fn transport() -> TransportConfig {
 /// If the cipher suites do not fit QUIC.
 pub fn server(tls: rustls::ServerConfig) -> Result<ServerConfig, NoInitialCipherSuite> {
     let mut config = ServerConfig::with_crypto(Arc::new(QuicServerConfig::try_from(tls)?));
-    config.transport_config(Arc::new(transport())).max_incoming(HANDSHAKES_MAX).migration(false);
+    config.transport_config(Arc::new(transport())).max_incoming(WAITING_MAX).migration(false);
     Ok(config)
 }
 

@@ -1,5 +1,6 @@
 //! The link of a robot to its gateway: opened until it succeeds, watched, and opened again.
 
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use quinn::{ClientConfig, Connection, Endpoint, RecvStream, SendStream, VarInt};
@@ -98,7 +99,11 @@ impl Connector {
         };
         let (target, config) = (self.target.clone(), self.config.clone());
         self.attempt = Some(tokio::task::spawn_local(async move {
-            let attempt = tokio::time::timeout(ATTEMPT, open(&target, config, &request)).await;
+            // The system has a limit of its own for names: a slow server of names must not keep the robot out.
+            let attempt = match resolve(&target).await {
+                Ok(address) => tokio::time::timeout(ATTEMPT, open(&target, address, config, &request)).await,
+                Err(reason) => Ok(Happened::Unreachable(reason)),
+            };
             let failed = attempt.unwrap_or_else(|_| Happened::Unreachable("no answer".to_owned()));
             if !matches!(failed, Happened::Joined(_)) {
                 tokio::time::sleep(BETWEEN).await;
@@ -139,14 +144,15 @@ impl Connector {
     }
 }
 
+/// The gateway's address, or why there is none.
+async fn resolve(target: &Target) -> Result<SocketAddr, String> {
+    let mut found = tokio::net::lookup_host(&target.gateway).await.map_err(|error| error.to_string())?;
+    found.next().ok_or_else(|| "it has no address".to_owned())
+}
+
 /// Connects and joins.
-async fn open(target: &Target, config: ClientConfig, request: &Request) -> Happened {
+async fn open(target: &Target, address: SocketAddr, config: ClientConfig, request: &Request) -> Happened {
     let unreachable = |reason: &dyn std::fmt::Display| Happened::Unreachable(reason.to_string());
-    let address = match tokio::net::lookup_host(&target.gateway).await.map(|mut found| found.next()) {
-        Ok(Some(address)) => address,
-        Ok(None) => return unreachable(&"it has no address"),
-        Err(error) => return unreachable(&error),
-    };
     if target.keys.is_none() && !address.ip().is_loopback() {
         let text = format!("{address} is another host: --keys is missing (`rangehound keys` makes them)");
         return Happened::Refused(Refusal { text, may_change: false });
