@@ -49,7 +49,7 @@ const WATCH_NS: u64 = 200_000;
 const LONG_TURN_NS: u64 = 1_000_000;
 
 /// A robot's share of a tick if all share one processor, whose caches hold no robot's data, and all are woken from sleep.
-const TURN_NS: u64 = 15_000;
+const TURN_NS: u64 = 25_000;
 
 /// After a long turn, waits until the next spin.
 const WAITS_AFTER_LONG_TURN: u32 = 250;
