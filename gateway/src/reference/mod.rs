@@ -108,6 +108,10 @@ trait Robot {
     fn receive(&mut self, wait: Duration) -> Result<Option<Down>, ReferenceError>;
 }
 
+fn failed(error: impl std::fmt::Display) -> ReferenceError {
+    ReferenceError::Connection(error.to_string())
+}
+
 impl Exchange<'_> {
     /// Is the centre of this many robots, until the process is ended.
     ///

@@ -7,16 +7,12 @@ use quinn::{Connection, Endpoint};
 use tokio::runtime::LocalRuntime;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
-use super::{DOWN_LEN, Down, Exchange, ReferenceError, UP_LEN, Up, word};
+use super::{DOWN_LEN, Down, Exchange, ReferenceError, UP_LEN, Up, failed, word};
 use crate::keys::{Credentials, GATEWAY_NAME};
 use crate::link;
 
 /// Frames that wait for the centre.
 const FRAMES_MAX: usize = 4_096;
-
-fn failed(error: impl std::fmt::Display) -> ReferenceError {
-    ReferenceError::Connection(error.to_string())
-}
 
 pub(super) struct Centre {
     runtime: LocalRuntime,

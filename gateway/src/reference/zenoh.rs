@@ -9,12 +9,8 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::Sample;
 use zenoh::{Config, Session, Wait};
 
-use super::{Down, Exchange, ReferenceError, Up};
+use super::{Down, Exchange, ReferenceError, Up, failed};
 use crate::keys::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY};
-
-fn failed(error: impl std::fmt::Display) -> ReferenceError {
-    ReferenceError::Connection(error.to_string())
-}
 
 fn up_key(robot: &str) -> String {
     format!("up/{robot}")

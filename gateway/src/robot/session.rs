@@ -100,15 +100,16 @@ impl Connector {
         let (target, config) = (self.target.clone(), self.config.clone());
         self.attempt = Some(tokio::task::spawn_local(async move {
             // The system has a limit of its own for names: a slow server of names must not keep the robot out.
-            let attempt = match resolve(&target).await {
-                Ok(address) => tokio::time::timeout(ATTEMPT, open(&target, address, config, &request)).await,
-                Err(reason) => Ok(Happened::Unreachable(reason)),
+            let happened = match resolve(&target).await {
+                Ok(address) => tokio::time::timeout(ATTEMPT, open(&target, address, config, &request))
+                    .await
+                    .unwrap_or_else(|_| Happened::Unreachable("no answer".to_owned())),
+                Err(reason) => Happened::Unreachable(reason),
             };
-            let failed = attempt.unwrap_or_else(|_| Happened::Unreachable("no answer".to_owned()));
-            if !matches!(failed, Happened::Joined(_)) {
+            if !matches!(happened, Happened::Joined(_)) {
                 tokio::time::sleep(BETWEEN).await;
             }
-            failed
+            happened
         }));
     }
 
