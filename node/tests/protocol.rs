@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use rangehound_node::bus::Topic;
+use rangehound_node::bus::{GROUP, Topic};
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_shared::message::{Command, Drive, Estimate, Header, Range, Truth, WorldEntry};
 use rangehound_shared::protocol::PROTOCOL;
@@ -14,7 +14,7 @@ use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
 
 /// Every protocol so far with the digest of its data layout. Add a line for a new protocol; never change an old one.
-const HISTORY: [(u32, u64); 7] = [
+const HISTORY: [(u32, u64); 8] = [
     (1, 0x8a98_a0c7_e0b3_ca0d),
     (2, 0xf26b_d96f_19ad_d4f6),
     (3, 0x1db7_11f4_60fd_fd13),
@@ -22,10 +22,11 @@ const HISTORY: [(u32, u64); 7] = [
     (5, 0x7a0e_4cf4_61c2_071c),
     (6, 0x65ae_7aff_f591_598d),
     (7, 0x2195_e843_691a_5f26),
+    (8, 0xeb16_6eea_51de_a981),
 ];
 
 /// The same for the description of a recorded run.
-const RECORDED: (u32, u64) = (7, 0xc5cd_55b9_ce77_e334);
+const RECORDED: (u32, u64) = (8, 0xc5cd_55b9_ce77_e334);
 
 /// The versioned type names that iceoryx2 compares; reading them through iceoryx2 would take `unsafe`.
 fn type_names() -> String {
@@ -88,6 +89,7 @@ fn messages_change_only_with_the_protocol() {
         topic::<Drive>(),
         topic::<Estimate>(),
         topic::<Truth>(),
+        format!("{GROUP} robots on one service\n"),
         description(),
     ]
     .concat();

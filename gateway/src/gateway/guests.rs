@@ -257,8 +257,8 @@ impl<'a> Guests<'a> {
         // The lease has named the process after the robot.
         Role::Gateway.name_process();
         self.bus.take_role(self.rendezvous, role, &lease).map_err(other)?;
-        let ranges = self.bus.publisher(1).map_err(other)?;
-        let drives = self.bus.publisher(1).map_err(other)?;
+        let ranges = self.bus.publisher_of_robot(robot).map_err(other)?;
+        let drives = self.bus.publisher_of_robot(robot).map_err(other)?;
         log::info!("robot-{robot} joins from {host} ({})", connection.remote_address());
         let description = self.rendezvous.description();
         let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);

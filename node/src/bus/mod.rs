@@ -1,6 +1,7 @@
 //! Topics and wake-ups over iceoryx2.
 //!
-//! Each topic is one publish-subscribe service for the whole run, not one per robot:
+//! Each topic is one publish-subscribe service for the whole run, not one per robot. If robots publish, every
+//! sixteen of them has a service of its own: `range`, `range.1` and so on.
 //!
 //! | topic | from -> to | payload |
 //! |---|---|---|
@@ -43,6 +44,9 @@ use senders::{Senders, Standing};
 /// Ports on each side of a topic beside the robots': the one node there, its standbys, observers, and dead nodes that are not
 /// cleaned up yet. Each message costs a scan of all ports, used or not.
 const PLACES: usize = 16;
+
+/// Number of robots that publish on one service. To take a message, iceoryx2 looks at the publishers of its service one after the other.
+pub const GROUP: usize = 16;
 
 /// Publishers that are gone and whose last samples a subscriber can still take: each costs 4 kB of its memory. The next repeat
 /// replaces any further lost samples.
@@ -183,17 +187,21 @@ impl Bus {
         clean()
     }
 
+    /// The service of a topic and, if robots publish on it, of one group of them.
     fn service<T: Topic>(
         &self,
+        group: usize,
     ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<Service, [T], Header>, BusError> {
-        let name = ServiceName::new(T::NAME).map_err(|error| BusError::new(T::NAME, error))?;
+        let name = if group == 0 { T::NAME.to_owned() } else { format!("{}.{group}", T::NAME) };
+        let name = ServiceName::new(&name).map_err(|error| BusError::new(T::NAME, error))?;
+        let robots = if T::FROM_ROBOTS { GROUP.min(self.robots.saturating_sub(group * GROUP)) } else { self.robots };
         self.node
             .service_builder(&name)
             .publish_subscribe::<[T]>()
             .user_header::<Header>()
-            .max_publishers(if T::FROM_ROBOTS { self.robots + PLACES } else { PLACES })
-            .max_subscribers(if T::FROM_ROBOTS { PLACES } else { self.robots + PLACES })
-            .max_nodes(self.robots + 2 * PLACES)
+            .max_publishers(if T::FROM_ROBOTS { robots + PLACES } else { PLACES })
+            .max_subscribers(if T::FROM_ROBOTS { PLACES } else { robots + PLACES })
+            .max_nodes(robots + 2 * PLACES)
             .subscriber_max_buffer_size(BUFFER)
             .subscriber_max_borrowed_samples(BUFFER)
             .history_size(0)
@@ -207,8 +215,20 @@ impl Bus {
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
     pub fn publisher<T: Topic>(&self, len_max: usize) -> Result<Publisher<T>, BusError> {
+        self.publisher_in(0, len_max)
+    }
+
+    /// A publisher of one robot's messages.
+    ///
+    /// # Errors
+    /// [`BusError`] if iceoryx2 refuses.
+    pub fn publisher_of_robot<T: Topic>(&self, robot: usize) -> Result<Publisher<T>, BusError> {
+        self.publisher_in(robot / GROUP, 1)
+    }
+
+    fn publisher_in<T: Topic>(&self, group: usize, len_max: usize) -> Result<Publisher<T>, BusError> {
         let port = self
-            .service::<T>()?
+            .service::<T>(group)?
             .publisher_builder()
             .initial_max_slice_len(len_max)
             .backpressure_strategy(BackpressureStrategy::DiscardData)
@@ -222,14 +242,13 @@ impl Bus {
     /// # Errors
     /// [`BusError`] if iceoryx2 refuses.
     pub fn subscriber<T: Topic>(&self) -> Result<Subscriber<T>, BusError> {
-        let port = self
-            .service::<T>()?
-            .subscriber_builder()
-            .buffer_size(BUFFER)
-            .create()
-            .map_err(|error| BusError::new(format!("subscriber of {}", T::NAME), error))?;
+        let groups = if T::FROM_ROBOTS { self.robots.div_ceil(GROUP) } else { 1 };
+        let port = |group| {
+            let port = self.service::<T>(group)?.subscriber_builder().buffer_size(BUFFER).create();
+            port.map_err(|error| BusError::new(format!("subscriber of {}", T::NAME), error))
+        };
         Ok(Subscriber {
-            port,
+            ports: (0..groups).map(port).collect::<Result<_, _>>()?,
             run_id: self.run_id,
             senders: Rc::clone(&self.senders),
             impostors: Cell::new(0),
@@ -348,7 +367,7 @@ impl<T: Topic> Publisher<T> {
 /// Receives messages of one topic.
 #[derive(Debug)]
 pub struct Subscriber<T: Topic> {
-    port: iceoryx2::port::subscriber::Subscriber<Service, [T], Header>,
+    ports: Vec<iceoryx2::port::subscriber::Subscriber<Service, [T], Header>>,
     run_id: u64,
     senders: Rc<Senders>,
     impostors: Cell<u64>,
@@ -367,20 +386,22 @@ impl<T: Topic> Subscriber<T> {
         // the others get their turn: iceoryx2 takes from one publisher for as long as that has samples.
         let mut held = self.held.borrow_mut();
         held.clear();
-        loop {
-            let sample = match self.port.receive() {
-                Ok(Some(sample)) => sample,
-                Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => break,
-                Err(error) => return Err(BusError::new(T::NAME, error)),
-            };
-            if sample.user_header().run_id == self.run_id {
-                match self.standing(&sample) {
-                    Standing::Holder => take(sample.user_header(), sample.payload()),
-                    Standing::Impostor => self.impostors.set(self.impostors.get() + 1),
-                    Standing::Gone => {}
+        for port in &self.ports {
+            loop {
+                let sample = match port.receive() {
+                    Ok(Some(sample)) => sample,
+                    Ok(None) | Err(ReceiveError::ExceedsMaxBorrows) => break,
+                    Err(error) => return Err(BusError::new(T::NAME, error)),
+                };
+                if sample.user_header().run_id == self.run_id {
+                    match self.standing(&sample) {
+                        Standing::Holder => take(sample.user_header(), sample.payload()),
+                        Standing::Impostor => self.impostors.set(self.impostors.get() + 1),
+                        Standing::Gone => {}
+                    }
                 }
+                held.push(sample);
             }
-            held.push(sample);
         }
         held.clear();
         Ok(())
@@ -402,7 +423,10 @@ impl<T: Topic> Subscriber<T> {
     /// # Errors
     /// [`BusError`] if iceoryx2 cannot reach a publisher.
     pub fn keep_up(&self) -> Result<(), BusError> {
-        self.port.update_connections().map_err(|error| BusError::new(T::NAME, error))
+        self.ports
+            .iter()
+            .try_for_each(UpdateConnections::update_connections)
+            .map_err(|error| BusError::new(T::NAME, error))
     }
 
     /// Messages since the last call whose sender did not hold their role.
