@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use rangehound_shared::measurement::{Kind, Measurement};
+use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::Command;
 use rangehound_shared::record::JudgedKinds;
 
@@ -19,8 +19,8 @@ pub(crate) struct PastTick {
     pub(crate) dt_s: f64,
     /// The tracker's saved state before the tick.
     pub(crate) tracker: Vec<u8>,
-    /// The trust in the robots' measurements of each kind before the tick.
-    pub(crate) trusts: [Trust; Kind::COUNT],
+    /// The trust before the tick.
+    pub(crate) trust: Trust,
     pub(crate) reports: Vec<Option<Measurement>>,
     /// How the reports were used.
     pub(crate) judged: Vec<JudgedKinds>,
@@ -34,13 +34,13 @@ pub(crate) struct Past(VecDeque<PastTick>);
 
 impl Past {
     /// Memory for the next tick: that of the oldest tick once [`LATE_TICKS_MAX`] are stored.
-    pub(crate) fn place(&mut self, robots: usize, trusts: &[Trust; Kind::COUNT]) -> PastTick {
+    pub(crate) fn place(&mut self, robots: usize, trust: &Trust) -> PastTick {
         let full = self.0.len() == LATE_TICKS_MAX;
         full.then(|| self.0.pop_front()).flatten().unwrap_or_else(|| PastTick {
             tick: 0,
             dt_s: 0.0,
             tracker: Vec::new(),
-            trusts: trusts.clone(),
+            trust: trust.clone(),
             reports: vec![None; robots],
             judged: vec![JudgedKinds::default(); robots],
             commands: vec![Command::default(); robots],

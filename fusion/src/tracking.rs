@@ -8,14 +8,13 @@ use rangehound_shared::sealed::SealError;
 
 use crate::past::PastTick;
 use crate::tracker::{self, Fit, Reading, Tracker};
-use crate::trust::{Policy, Trust};
+use crate::trust::{Decision, Policy, Trust};
 
 /// The estimate, and the trust that decides whose measurements are fused.
 #[derive(Debug)]
 pub(crate) struct Tracking {
     pub(crate) tracker: Box<dyn Tracker>,
-    /// The trust in the robots' measurements of each kind.
-    pub(crate) trusts: [Trust; Kind::COUNT],
+    pub(crate) trust: Trust,
     /// Growth of the standard deviation of each robot's ranges with the distance.
     stds_per_m: Vec<f64>,
     nuisances: Vec<NuisanceSpec>,
@@ -32,7 +31,7 @@ impl Tracking {
         let std_per_m = |robot: &RobotSpec| robot.reported.range.map_or(0.0, |range| range.std_per_m);
         Self {
             tracker: tracker::for_scenario(scenario),
-            trusts: std::array::from_fn(|_| Trust::new(robots, policy)),
+            trust: Trust::new(robots, policy),
             stds_per_m: scenario.robots.iter().map(std_per_m).collect(),
             nuisances: scenario.robots.iter().map(|robot| robot.nuisances).collect(),
             readings: Vec::with_capacity(Kind::COUNT * robots),
@@ -47,26 +46,24 @@ impl Tracking {
 
     /// Robots whose measurements of each kind are distrusted.
     pub(crate) fn distrusted(&self) -> [RobotSet; Kind::COUNT] {
-        std::array::from_fn(|kind| self.trusts[kind].distrusted())
+        Kind::ALL.map(|kind| self.trust.distrusted(kind))
     }
 
     /// Factors on the reported standard deviations of each kind.
     pub(crate) fn noise_scales(&self) -> [f64; Kind::COUNT] {
-        std::array::from_fn(|kind| self.trusts[kind].noise_scale())
+        Kind::ALL.map(|kind| self.trust.noise_scale(kind))
     }
 
     /// Predicts over `dt_s` seconds, then updates with the reports in order of the robots' ids.
     pub(crate) fn step(&mut self, dt_s: f64, reports: &[Option<Measurement>]) -> Fit {
         let noise_scales = self.noise_scales();
         self.readings.clear();
-        let mut kinds = [false; Kind::COUNT];
         for (robot, report) in reports.iter().enumerate() {
             let Some(report) = report else { continue };
             for kind in Kind::ALL {
                 let Some((value, std)) = report.of(kind) else { continue };
                 let std_per_m = if kind == Kind::Range { self.stds_per_m[robot] } else { 0.0 };
                 let noise_scale = noise_scales[kind as usize];
-                kinds[kind as usize] = true;
                 self.readings.push(Reading {
                     robot,
                     kind,
@@ -74,29 +71,27 @@ impl Tracking {
                     value,
                     std: std * noise_scale,
                     std_per_m: std_per_m * noise_scale,
-                    distrusted: self.trusts[kind as usize].distrusts(robot),
+                    distrusted: self.trust.distrusts(robot, kind),
                 });
             }
         }
         let fit = self.tracker.step(dt_s, &self.readings);
         self.judged.fill(JudgedKinds::default());
-        let mut factor = 1.0_f64;
         for (reading, judged) in self.readings.iter().zip(self.tracker.judged()) {
             self.judged[reading.robot][reading.kind as usize] = Some(*judged);
         }
-        for kind in Kind::ALL {
-            // Without any measurement of a kind, its trust does not change.
-            if !kinds[kind as usize] {
-                continue;
+        let nuisances = &self.nuisances;
+        let decisions = self.readings.iter().zip(self.tracker.judged()).map(|(reading, judged)| {
+            let Reading { robot, kind, .. } = *reading;
+            let shows_noise = !is_mostly_nuisance(reading, &nuisances[robot]);
+            Decision {
+                robot,
+                kind,
+                has_failed: fit.failed[kind as usize].contains(robot),
+                normalised_square: judged.normalised_square.filter(|_| shows_noise),
             }
-            let of_kind = self.readings.iter().zip(self.tracker.judged()).filter(|(reading, _)| reading.kind == kind);
-            let nuisances = &self.nuisances;
-            let squares = of_kind.map(|(reading, judged)| {
-                let shows_noise = !is_mostly_nuisance(reading, &nuisances[reading.robot]);
-                (reading.robot, judged.normalised_square.filter(|_| shows_noise))
-            });
-            factor = factor.max(self.trusts[kind as usize].judge(squares, &fit.failed[kind as usize]));
-        }
+        });
+        let factor = if self.readings.is_empty() { 1.0 } else { self.trust.judge(decisions) };
         if factor > 1.0 {
             self.tracker.widen(factor);
         }
@@ -108,7 +103,7 @@ impl Tracking {
     /// # Errors
     /// If the tracker cannot be encoded.
     pub(crate) fn save_before(&self, past: &mut PastTick) -> Result<(), SealError> {
-        copy_trusts(&mut past.trusts, &self.trusts);
+        past.trust.copy_from(&self.trust);
         past.tracker.clear();
         self.tracker.save(&mut past.tracker)
     }
@@ -127,7 +122,7 @@ impl Tracking {
         for past in ticks {
             if fused.is_none() {
                 self.tracker.restore(&past.tracker)?;
-                copy_trusts(&mut self.trusts, &past.trusts);
+                self.trust.copy_from(&past.trust);
             } else {
                 self.save_before(past)?;
             }
@@ -151,9 +146,4 @@ fn is_mostly_nuisance(reading: &Reading, spec: &NuisanceSpec) -> bool {
     };
     let staying = if stays { pose } else { 0.0 } + bias;
     staying > reading.std * reading.std
-}
-
-/// Copies the trusts of the same team without allocating.
-fn copy_trusts(into: &mut [Trust; Kind::COUNT], from: &[Trust; Kind::COUNT]) {
-    into.iter_mut().zip(from).for_each(|(into, from)| into.copy_from(from));
 }

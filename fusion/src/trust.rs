@@ -1,6 +1,7 @@
-//! Fault detection of sensors, pure. A robot whose ranges keep failing the gate is distrusted until they pass again. If
-//! most sensors fail together, the filter or the assumed noise is wrong.
+//! Fault detection of sensors, pure. A robot whose measurements of a kind keep failing the gate is distrusted until they
+//! pass again. If most sensors fail together, the filter or the assumed noise is wrong.
 
+use rangehound_shared::measurement::Kind;
 use rangehound_shared::robot_set::RobotSet;
 use serde::{Deserialize, Serialize};
 
@@ -18,9 +19,9 @@ pub const FAILURES_MAX: u32 = 5;
 /// sensor's noise is as reported.
 const CHI_SQUARE_MEDIAN: f64 = 0.454_936_423_119_572_8;
 
-/// Change of the estimated noise of a sensor with each range, in the logarithm of the variance. Steps of equal size
-/// make the estimate follow the median, so an outlier moves it no more than any other range. It forgets within about
-/// twenty ranges, and its standard deviation is 0.34.
+/// Change of the estimated noise of a sensor with each measurement, in the logarithm of the variance. Steps of equal size
+/// make the estimate follow the median, so an outlier moves it no more than any other measurement. It forgets within about
+/// twenty measurements, and its standard deviation is 0.34.
 const LOG_STEP: f64 = 0.1;
 
 /// Logarithms of the ratio of the median sensor's noise variance to the reported one. From the first on, sensors count
@@ -33,17 +34,20 @@ const LOG_NARROW: f64 = 0.35;
 const LOG_MAX: f64 = 14.0;
 const LOG_MIN: f64 = -1.0;
 
-/// Ranges of a sensor before its noise is estimated, and ranges of the team, in multiples of its size, after which a
-/// sensor without a range no longer counts.
-const RANGES_MIN: u32 = 8;
+/// Measurements of a sensor before its noise is estimated, and measurements of the team, in multiples of its size, after
+/// which a sensor without one no longer counts.
+const MEASUREMENTS_MIN: u32 = 8;
 const RECENT_ROUNDS: u64 = 8;
 
 /// Number of other sensors that can identify a faulty one. Two are not enough: their ranges fit some position even if
 /// one of the two is faulty.
 const OTHERS_MIN: usize = 3;
 
-/// Ranges of each sensor that establish that the team agrees: enough to detect twice the reported variance.
-const AGREED_RANGES: u32 = 24;
+/// Fewest sensors of a kind whose median tells whether they fail together.
+const ALIKE_MIN: usize = 3;
+
+/// Measurements of each sensor that establish that the team agrees: enough to detect twice the reported variance.
+const AGREED_MEASUREMENTS: u32 = 24;
 
 /// Largest factor by which the estimate's variance is inflated at one tick.
 const LOST_MAX: f64 = 1e6;
@@ -57,182 +61,246 @@ pub struct Policy {
     pub widens: bool,
 }
 
-/// The gate's decisions on each robot's ranges.
+/// The gate's decisions on the measurements of each sensor. A sensor is what measures one kind for one robot.
 ///
-/// A robot is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] ranges failed, and trusted again once all of them
-/// passed. A failure counts only while more than half of the team's newest ranges pass: otherwise the filter may be
-/// wrong. If fewer than three other robots are trusted, a robot is distrusted only if the whole team has agreed before:
-/// otherwise the others may be wrong.
+/// A sensor is distrusted once [`FAILURES_MAX`] of its last [`RECENT`] measurements failed, and trusted again once all of
+/// them passed. A failure counts only while more than half of the team's newest measurements, of all kinds, pass:
+/// otherwise the filter may be wrong. If fewer than three other sensors are trusted, a sensor is distrusted only if the
+/// whole team has agreed before: otherwise the others may be wrong.
 ///
 /// The noise of each sensor is also estimated, from the median of its normalised innovations squared, which is robust
-/// to outliers. If the median sensor is noisier than reported, most sensors fail together: because of a common bias,
-/// more noise than reported, or a lost estimate. Until that is over, no robot is distrusted, and all ranges are assumed
-/// to be as much noisier than reported as the median sensor's.
+/// to outliers. If the median sensor of a kind is noisier than reported, most of them fail together: because of a common
+/// bias, more noise than reported, or a lost estimate. Until that is over, none of them is distrusted, and all
+/// measurements of that kind are assumed to be as much noisier than reported as the median sensor's. Fewer than
+/// [`ALIKE_MIN`] sensors of a kind have no median that tells a faulty one: there the median of all kinds decides.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trust {
     policy: Policy,
-    /// For each robot, the newest decision in the lowest bit: 1 for a range that failed.
-    records: Vec<u8>,
-    distrusted: RobotSet,
-    /// Which of the team's newest ranges failed: a circular buffer with as many places as robots.
-    newest_failed: RobotSet,
+    robots: usize,
+    kinds: [OfKind; Kind::COUNT],
+    /// Which of the team's newest measurements failed: a circular buffer with a place for each sensor.
+    newest_failed: Vec<bool>,
     next_place: usize,
-    noises: Vec<Noise>,
-    /// Ranges of the team so far.
-    ranges: u64,
-    /// Logarithm of the factor on all variances while sensors fail together.
-    widened_log: Option<f64>,
-    /// True once the ranges of all robots were as good as reported.
+    /// Measurements of the team so far.
+    measurements: u64,
+    /// True once the measurements of all sensors were as good as reported.
     has_agreed: bool,
     /// Reused memory.
     #[serde(skip)]
     scratch: Vec<f64>,
 }
 
+/// The sensors of one kind, by robot.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct OfKind {
+    /// The newest decision in the lowest bit: 1 for a measurement that failed.
+    records: Vec<u8>,
+    noises: Vec<Noise>,
+    distrusted: RobotSet,
+    /// Logarithm of the factor on all variances while the sensors fail together.
+    widened_log: Option<f64>,
+}
+
 /// Noise of one sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct Noise {
-    /// Logarithm of the ratio of its ranges' variance to the reported one.
+    /// Logarithm of the ratio of its measurements' variance to the reported one.
     log: f64,
-    /// Ranges so far, and the team's count at the last of them.
-    ranges: u32,
+    /// Measurements so far, and the team's count at the last of them.
+    measurements: u32,
     last: u64,
+}
+
+/// The gate's decision on one measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Decision {
+    /// The robot.
+    pub robot: usize,
+    /// What it measured.
+    pub kind: Kind,
+    /// True if the measurement failed the gate.
+    pub has_failed: bool,
+    /// Its normalised innovation squared, if it was predicted and shows the noise of the sensor.
+    pub normalised_square: Option<f64>,
 }
 
 impl Trust {
     /// Trusts all robots of a team.
     #[must_use]
     pub fn new(robots: usize, policy: Policy) -> Self {
-        let (distrusted, newest_failed) = (RobotSet::default(), RobotSet::default());
+        let of_kind =
+            || OfKind { records: vec![0; robots], noises: vec![Noise::default(); robots], ..OfKind::default() };
         Self {
             policy,
-            records: vec![0; robots],
-            distrusted,
-            newest_failed,
+            robots,
+            kinds: std::array::from_fn(|_| of_kind()),
+            newest_failed: vec![false; Kind::COUNT * robots],
             next_place: 0,
-            noises: vec![Noise::default(); robots],
-            ranges: 0,
-            widened_log: None,
+            measurements: 0,
             has_agreed: false,
-            scratch: Vec::with_capacity(robots),
+            scratch: Vec::with_capacity(Kind::COUNT * robots),
         }
     }
 
-    /// The distrusted robots.
+    /// The robots whose measurements of a kind are distrusted.
     #[must_use]
-    pub fn distrusted(&self) -> RobotSet {
-        self.distrusted
+    pub fn distrusted(&self, kind: Kind) -> RobotSet {
+        self.kinds[kind as usize].distrusted
     }
 
-    /// True if a robot is distrusted.
+    /// True if a robot's measurements of a kind are distrusted.
     #[must_use]
-    pub fn distrusts(&self, id: usize) -> bool {
-        self.distrusted.contains(id)
+    pub fn distrusts(&self, robot: usize, kind: Kind) -> bool {
+        self.distrusted(kind).contains(robot)
     }
 
-    /// The size of the team.
+    /// True if this is the trust of a team of this size.
     #[must_use]
-    pub fn robots(&self) -> usize {
-        self.records.len()
+    pub fn is_of(&self, robots: usize) -> bool {
+        let of_team = |of_kind: &OfKind| [of_kind.records.len(), of_kind.noises.len()] == [robots; 2];
+        self.robots == robots
+            && self.newest_failed.len() == Kind::COUNT * robots
+            && self.kinds.iter().all(of_team)
     }
 
-    /// Factor on the reported standard deviations of ranges: 1 unless most sensors fail together.
+    /// Factor on the reported standard deviations of a kind: 1 unless most sensors fail together.
     #[must_use]
-    pub fn noise_scale(&self) -> f64 {
-        self.widened_log.map_or(1.0, |log| (0.5 * log).exp())
+    pub fn noise_scale(&self, kind: Kind) -> f64 {
+        self.kinds[kind as usize].widened_log.map_or(1.0, |log| (0.5 * log).exp())
     }
 
     /// Copies the trust of the same team without allocating.
     pub fn copy_from(&mut self, other: &Self) {
-        self.policy = other.policy;
-        self.records.clone_from(&other.records);
-        self.noises.clone_from(&other.noises);
-        (self.distrusted, self.newest_failed, self.next_place) =
-            (other.distrusted, other.newest_failed, other.next_place);
-        (self.ranges, self.widened_log, self.has_agreed) = (other.ranges, other.widened_log, other.has_agreed);
+        for (into, from) in self.kinds.iter_mut().zip(&other.kinds) {
+            into.records.clone_from(&from.records);
+            into.noises.clone_from(&from.noises);
+            (into.distrusted, into.widened_log) = (from.distrusted, from.widened_log);
+        }
+        self.newest_failed.clone_from(&other.newest_failed);
+        (self.policy, self.next_place) = (other.policy, other.next_place);
+        (self.measurements, self.has_agreed) = (other.measurements, other.has_agreed);
     }
 
-    /// Takes the gate's decisions on a tick's ranges: for each range its robot, and its normalised innovation squared
-    /// if it was predicted; and the robots whose ranges failed. Returns a factor for the estimate's variance. It is
-    /// more than 1 if sensors fail together and at least half of the newest ranges fail although more noise is assumed:
-    /// then the estimate may be lost.
-    pub fn judge(&mut self, heard: impl Iterator<Item = (usize, Option<f64>)> + Clone, failed: &RobotSet) -> f64 {
-        let robots = self.records.len();
-        for (id, _) in heard.clone() {
-            self.newest_failed.set(self.next_place, failed.contains(id));
-            self.next_place = (self.next_place + 1) % robots;
+    /// Takes the gate's decisions of a tick. Returns a factor for the estimate's variance. It is more than 1 if sensors of
+    /// a kind fail together and at least half of the newest measurements fail although more noise is assumed: then the
+    /// estimate may be lost.
+    pub fn judge(&mut self, decisions: impl Iterator<Item = Decision> + Clone) -> f64 {
+        let sensors = self.sensors();
+        for decision in decisions.clone() {
+            self.newest_failed[self.next_place % sensors] = decision.has_failed;
+            self.next_place = (self.next_place + 1) % sensors;
         }
-        let filter_is_wrong = 2 * self.newest_failed.len() >= robots;
+        let failures = self.newest_failed[..sensors].iter().filter(|has_failed| **has_failed).count();
+        let filter_is_wrong = 2 * failures >= sensors;
         if self.policy.widens {
-            self.follow_noise(heard.clone());
+            self.follow_noise(decisions.clone(), sensors);
         }
-        if self.widened_log.is_some() {
-            // All robots are trusted, and their failures so far do not count.
-            self.distrusted = RobotSet::default();
-            self.records.fill(0);
-            let squares = heard.filter_map(|(_, square)| square);
-            let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
-            return if filter_is_wrong && count > 0.0 { (sum / count).clamp(1.0, LOST_MAX) } else { 1.0 };
-        }
-        if self.policy.distrusts {
-            self.count_failures(heard.map(|(id, _)| id), failed, filter_is_wrong);
-        }
-        1.0
-    }
-
-    fn count_failures(&mut self, heard: impl Iterator<Item = usize>, failed: &RobotSet, filter_is_wrong: bool) {
-        let robots = self.records.len();
-        for id in heard {
-            let has_failed = failed.contains(id);
-            if has_failed && filter_is_wrong {
+        let mut factor = 1.0_f64;
+        for (kind, of_kind) in Kind::ALL.into_iter().zip(&mut self.kinds) {
+            if of_kind.widened_log.is_none() {
                 continue;
             }
-            let can_identify = self.has_agreed || robots - self.distrusted.len() > OTHERS_MIN;
-            let record = &mut self.records[id];
+            // All robots are trusted, and their failures so far do not count.
+            of_kind.distrusted = RobotSet::default();
+            of_kind.records.fill(0);
+            let of_this = decisions.clone().filter(|decision| decision.kind == kind);
+            let squares = of_this.filter_map(|decision| decision.normalised_square);
+            let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+            if filter_is_wrong && count > 0.0 {
+                factor = factor.max((sum / count).clamp(1.0, LOST_MAX));
+            }
+        }
+        if self.policy.distrusts {
+            self.count_failures(decisions, sensors, filter_is_wrong);
+        }
+        factor
+    }
+
+    fn count_failures(
+        &mut self,
+        decisions: impl Iterator<Item = Decision>,
+        sensors: usize,
+        filter_is_wrong: bool,
+    ) {
+        for Decision { robot, kind, has_failed, .. } in decisions {
+            if self.kinds[kind as usize].widened_log.is_some() || has_failed && filter_is_wrong {
+                continue;
+            }
+            let distrusted: usize = self.kinds.iter().map(|of_kind| of_kind.distrusted.len()).sum();
+            let can_identify = self.has_agreed || sensors - distrusted > OTHERS_MIN;
+            let OfKind { records, distrusted, .. } = &mut self.kinds[kind as usize];
+            let record = &mut records[robot];
             *record = *record << 1 | u8::from(has_failed);
             if record.count_ones() >= FAILURES_MAX && can_identify {
-                self.distrusted.set(id, true);
+                distrusted.set(robot, true);
             } else if *record == 0 {
-                self.distrusted.set(id, false);
+                distrusted.set(robot, false);
             }
         }
     }
 
-    /// Tracks each sensor's noise, and checks whether most sensors are worse than reported.
-    fn follow_noise(&mut self, heard: impl Iterator<Item = (usize, Option<f64>)>) {
-        for (id, square) in heard {
-            let Some(square) = square else { continue };
-            self.ranges += 1;
-            let Noise { log, ranges, .. } = self.noises[id];
+    /// Tracks each sensor's noise, and checks whether most sensors of a kind are worse than reported.
+    fn follow_noise(&mut self, decisions: impl Iterator<Item = Decision>, sensors: usize) {
+        for Decision { robot, kind, normalised_square, .. } in decisions {
+            let Some(square) = normalised_square else { continue };
+            self.measurements += 1;
+            let OfKind { noises, widened_log, .. } = &mut self.kinds[kind as usize];
+            let Noise { log, measurements, .. } = noises[robot];
             // The square is normalised by the noise that is assumed at present; here it is normalised by this sensor's
             // own.
-            let taken_log = self.widened_log.unwrap_or(0.0);
+            let taken_log = widened_log.unwrap_or(0.0);
             let step = match square * (taken_log - log).exp() > CHI_SQUARE_MEDIAN {
                 // The first squares reflect the initial uncertainty, not the noise.
-                _ if ranges < RANGES_MIN => 0.0,
+                _ if measurements < MEASUREMENTS_MIN => 0.0,
                 true => LOG_STEP,
                 false => -LOG_STEP,
             };
             let log = (log + step).clamp(LOG_MIN, LOG_MAX);
-            self.noises[id] = Noise { log, ranges: ranges.saturating_add(1), last: self.ranges };
+            noises[robot] = Noise { log, measurements: measurements.saturating_add(1), last: self.measurements };
         }
-        let oldest = self.ranges.saturating_sub(RECENT_ROUNDS * self.noises.len() as u64);
-        let distrusted = self.distrusted;
-        let counts = |(_, noise): &(usize, &Noise)| noise.ranges >= RANGES_MIN && noise.last >= oldest;
-        let heard = || self.noises.iter().enumerate().filter(counts);
+        let oldest = self.measurements.saturating_sub(RECENT_ROUNDS * sensors as u64);
+        let of_all = self.median(&Kind::ALL, oldest);
+        let widened = Kind::ALL.map(|kind| {
+            let known = self.kinds[kind as usize].noises.iter().filter(|noise| noise.counts(oldest)).count();
+            let median = if known < ALIKE_MIN { of_all } else { self.median(&[kind], oldest) };
+            let is_widened = self.kinds[kind as usize].widened_log.is_some();
+            median.filter(|median| known > 0 && *median >= if is_widened { LOG_NARROW } else { LOG_WIDENED })
+        });
+        self.kinds.iter_mut().zip(widened).for_each(|(of_kind, log)| of_kind.widened_log = log);
+        let agrees = |noise: &Noise| noise.measurements >= AGREED_MEASUREMENTS && noise.log < LOG_WIDENED;
+        self.has_agreed |= widened.iter().all(Option::is_none)
+            && self.heard().count() >= self.robots
+            && self.heard().all(agrees);
+    }
+
+    /// The number of sensors. A robot counts as one before it has measured anything.
+    fn sensors(&self) -> usize {
+        self.heard().count().max(self.robots)
+    }
+
+    /// The noises of all sensors that have measured.
+    fn heard(&self) -> impl Iterator<Item = &Noise> {
+        self.kinds.iter().flat_map(|of_kind| &of_kind.noises).filter(|noise| noise.measurements > 0)
+    }
+
+    /// The median noise of the trusted sensors of these kinds that have measured since then.
+    fn median(&mut self, kinds: &[Kind], oldest: u64) -> Option<f64> {
         self.scratch.clear();
-        self.scratch.extend(heard().filter(|(id, _)| !distrusted.contains(*id)).map(|(_, noise)| noise.log));
-        let Some(last) = self.scratch.len().checked_sub(1) else {
-            self.widened_log = None;
-            return;
-        };
+        for kind in kinds {
+            let OfKind { noises, distrusted, .. } = &self.kinds[*kind as usize];
+            let trusted = noises.iter().enumerate().filter(|(robot, _)| !distrusted.contains(*robot));
+            self.scratch.extend(trusted.filter(|(_, noise)| noise.counts(oldest)).map(|(_, noise)| noise.log));
+        }
         // The lower one of two middle values: of two sensors the faulty one cannot be identified.
-        let median = *self.scratch.select_nth_unstable_by(last / 2, f64::total_cmp).1;
-        self.scratch.clear();
-        let threshold = if self.widened_log.is_some() { LOG_NARROW } else { LOG_WIDENED };
-        self.widened_log = (median >= threshold).then_some(median);
-        let agrees = |noise: &Noise| noise.ranges >= AGREED_RANGES && noise.log < LOG_WIDENED;
-        self.has_agreed |= self.widened_log.is_none() && self.noises.iter().all(agrees);
+        let last = self.scratch.len().checked_sub(1)?;
+        Some(*self.scratch.select_nth_unstable_by(last / 2, f64::total_cmp).1)
+    }
+}
+
+impl Noise {
+    /// True if the sensor has measured often, and since then.
+    fn counts(&self, oldest: u64) -> bool {
+        self.measurements >= MEASUREMENTS_MIN && self.last >= oldest
     }
 }
 
@@ -240,18 +308,37 @@ impl Trust {
 mod tests {
     use super::*;
 
+    const POLICY: Policy = Policy { distrusts: true, widens: true };
+
     fn trust(robots: usize) -> Trust {
-        Trust::new(robots, Policy { distrusts: true, widens: true })
+        Trust::new(robots, POLICY)
+    }
+
+    fn of(kind: Kind, robot: usize, has_failed: bool, normalised_square: Option<f64>) -> Decision {
+        Decision { robot, kind, has_failed, normalised_square }
+    }
+
+    /// The robots whose ranges are distrusted.
+    fn distrusted(trust: &Trust) -> Vec<usize> {
+        trust.distrusted(Kind::Range).iter().collect()
+    }
+
+    fn scale(trust: &Trust) -> f64 {
+        trust.noise_scale(Kind::Range)
+    }
+
+    /// A tick at which all robots report ranges with these squares; those of more than 4 sigma fail. Returns the factor.
+    fn tick(trust: &mut Trust, squares: &[f64]) -> f64 {
+        let ranges = squares.iter().enumerate();
+        trust.judge(ranges.map(|(id, square)| of(Kind::Range, id, *square > 16.0, Some(*square))))
     }
 
     /// Ticks at which these robots of a team of 4 fail; all 4 report. Returns the distrusted robots.
     fn after(trust: &mut Trust, ticks: usize, failing: &[usize]) -> Vec<usize> {
-        let mut failed = RobotSet::default();
-        failing.iter().for_each(|id| failed.set(*id, true));
         for _ in 0..ticks {
-            trust.judge((0..4).map(|id| (id, None)), &failed);
+            trust.judge((0..4).map(|id| of(Kind::Range, id, failing.contains(&id), None)));
         }
-        trust.distrusted().iter().collect()
+        distrusted(trust)
     }
 
     #[test]
@@ -269,28 +356,26 @@ mod tests {
     /// Ticks at which all 4 robots report, with the same squares each time and a gate of 4 sigma. Returns the largest
     /// factor.
     fn noisy(trust: &mut Trust, ticks: usize, squares: [f64; 4]) -> f64 {
-        let mut failed = RobotSet::default();
-        squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
-        (0..ticks).map(|_| trust.judge((0..4).map(|id| (id, Some(squares[id]))), &failed)).fold(1.0, f64::max)
+        (0..ticks).map(|_| tick(trust, &squares)).fold(1.0, f64::max)
     }
 
     #[test]
     fn if_most_fail_together_no_robot_is_distrusted_and_all_are_noisier() {
         let mut trust = trust(4);
         noisy(&mut trust, 40, [0.4, 0.4, 30.0, 0.4]);
-        assert!(trust.distrusted().iter().eq([2]) && trust.noise_scale() == 1.0, "one of four is faulty");
+        assert!(distrusted(&trust) == [2] && scale(&trust) == 1.0, "one of four is faulty");
         let lost = noisy(&mut trust, 40, [9.0, 9.0, 30.0, 9.0]);
-        assert!(trust.distrusted().is_empty() && trust.noise_scale() > 2.2 && lost == 1.0, "{trust:?}");
+        assert!(distrusted(&trust).is_empty() && scale(&trust) > 2.2 && lost == 1.0, "{trust:?}");
         // It ends when the noise is as reported again.
         noisy(&mut trust, 60, [0.4; 4]);
-        assert_eq!((trust.noise_scale(), trust.distrusted().is_empty()), (1.0, true));
+        assert_eq!((scale(&trust), distrusted(&trust).is_empty()), (1.0, true));
     }
 
     #[test]
     fn if_all_fail_with_widened_noise_too_the_estimate_may_be_lost() {
         let mut trust = trust(4);
         assert_eq!(noisy(&mut trust, 60, [900.0; 4]), 900.0);
-        assert!(trust.distrusted().is_empty());
+        assert!(distrusted(&trust).is_empty());
     }
 
     #[test]
@@ -298,17 +383,15 @@ mod tests {
         let mut trust = Trust::new(4, Policy { distrusts: false, widens: false });
         assert_eq!(noisy(&mut trust, 60, [900.0, 900.0, 900.0, 0.4]), 1.0);
         noisy(&mut trust, 60, [0.4, 0.4, 30.0, 0.4]);
-        assert!(trust.distrusted().is_empty() && trust.noise_scale() == 1.0);
+        assert!(distrusted(&trust).is_empty() && scale(&trust) == 1.0);
     }
 
     /// The same for a team of any size; returns the distrusted robots and the noise scale.
     fn steady(trust: &mut Trust, ticks: usize, squares: &[f64]) -> (Vec<usize>, f64) {
-        let mut failed = RobotSet::default();
-        squares.iter().enumerate().for_each(|(id, square)| failed.set(id, *square > 16.0));
         for _ in 0..ticks {
-            trust.judge(squares.iter().enumerate().map(|(id, square)| (id, Some(*square))), &failed);
+            tick(trust, squares);
         }
-        (trust.distrusted().iter().collect(), trust.noise_scale())
+        (distrusted(trust), scale(trust))
     }
 
     #[test]
@@ -356,12 +439,10 @@ mod tests {
     fn one_or_two_robots_cannot_identify_a_faulty_sensor() {
         for robots in [1, 2] {
             let mut trust = trust(robots);
-            let mut failed = RobotSet::default();
-            failed.set(0, true);
             (0..100).for_each(|_| {
-                trust.judge((0..robots).map(|id| (id, None)), &failed);
+                trust.judge((0..robots).map(|id| of(Kind::Range, id, id == 0, None)));
             });
-            assert!(trust.distrusted().is_empty(), "{robots}");
+            assert_eq!(distrusted(&trust), [], "{robots}");
         }
     }
 
@@ -369,11 +450,50 @@ mod tests {
     #[test]
     fn ranges_one_at_a_time_have_the_same_effect() {
         let mut trust = trust(4);
-        let mut failed = RobotSet::default();
-        failed.set(1, true);
         for tick in 0..4 * 5 {
-            trust.judge(std::iter::once((tick % 4, None)), &failed);
+            trust.judge(std::iter::once(of(Kind::Range, tick % 4, tick % 4 == 1, None)));
         }
-        assert!(trust.distrusted().iter().eq([1]));
+        assert_eq!(distrusted(&trust), [1]);
+    }
+
+    /// Ticks at which three robots report ranges and some of them also bearings, with these squares.
+    fn mixed(trust: &mut Trust, ticks: usize, ranges: &[f64], bearings: &[f64]) {
+        let of_kind = |kind: Kind, squares: &[f64]| {
+            let decision = move |(id, square): (usize, &f64)| of(kind, id, *square > 16.0, Some(*square));
+            squares.iter().enumerate().map(decision).collect::<Vec<_>>()
+        };
+        let decisions = [of_kind(Kind::Range, ranges), of_kind(Kind::Bearing, bearings)].concat();
+        for _ in 0..ticks {
+            trust.judge(decisions.iter().copied());
+        }
+    }
+
+    #[test]
+    fn a_faulty_camera_is_distrusted_alone_even_if_it_is_the_only_one() {
+        for bearings in [vec![900.0], vec![900.0, 0.4], vec![900.0, 0.4, 0.4]] {
+            let mut trust = trust(3);
+            mixed(&mut trust, 30, &[0.4; 3], &vec![0.4; bearings.len()]);
+            mixed(&mut trust, 60, &[0.4; 3], &bearings);
+            assert!(trust.distrusted(Kind::Bearing).iter().eq([0]), "{trust:?}");
+            assert!(distrusted(&trust).is_empty() && Kind::ALL.iter().all(|kind| trust.noise_scale(*kind) == 1.0));
+            mixed(&mut trust, 8, &[0.4; 3], &vec![0.4; bearings.len()]);
+            assert!(trust.distrusted(Kind::Bearing).is_empty(), "{trust:?}");
+        }
+    }
+
+    #[test]
+    fn a_kind_that_is_noisier_than_reported_is_so_alone() {
+        let mut trust = trust(3);
+        mixed(&mut trust, 60, &[0.4; 3], &[9.0; 3]);
+        assert!(trust.noise_scale(Kind::Bearing) > 2.0 && scale(&trust) == 1.0, "{trust:?}");
+        assert!(Kind::ALL.iter().all(|kind| trust.distrusted(*kind).is_empty()));
+    }
+
+    #[test]
+    fn one_robot_that_measures_both_kinds_cannot_identify_the_faulty_one() {
+        let mut trust = trust(1);
+        mixed(&mut trust, 30, &[0.4], &[0.4]);
+        mixed(&mut trust, 60, &[0.4], &[900.0]);
+        assert!(Kind::ALL.iter().all(|kind| trust.distrusted(*kind).is_empty()), "{trust:?}");
     }
 }

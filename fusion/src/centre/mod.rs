@@ -82,7 +82,7 @@ pub struct Saved<'a> {
     bodies: Cow<'a, [Option<Body>]>,
     commands: Cow<'a, [Command]>,
     tracker: Cow<'a, [u8]>,
-    trusts: Cow<'a, [Trust; Kind::COUNT]>,
+    trust: Cow<'a, Trust>,
 }
 
 /// A robot's last known or predicted pose.
@@ -192,7 +192,7 @@ impl Centre {
             bodies: Cow::Borrowed(&self.bodies),
             commands: Cow::Borrowed(&self.commands),
             tracker: Cow::Borrowed(&self.tracker_bytes),
-            trusts: Cow::Borrowed(&self.tracking.trusts),
+            trust: Cow::Borrowed(&self.tracking.trust),
         })
     }
 
@@ -202,17 +202,17 @@ impl Centre {
     /// If the state is invalid or belongs to another scenario.
     pub fn restore(&mut self, restored: Saved<'_>) -> Result<(), SealError> {
         let robots = self.bodies.len();
-        let Saved { bodies, commands, judged, trusts, .. } = &restored;
+        let Saved { bodies, commands, judged, trust, .. } = &restored;
         let is_valid = bodies.iter().flatten().all(|body| body.is_valid(restored.next_tick))
             && commands.iter().all(|command| command.heading_rad.is_finite() && command.speed_mps.is_finite());
-        let trusted = trusts.iter().map(Trust::robots);
-        if ![bodies.len(), commands.len(), judged.len()].into_iter().chain(trusted).all(|len| len == robots)
+        if [bodies.len(), commands.len(), judged.len()] != [robots; 3]
+            || !trust.is_of(robots)
             || !is_valid
         {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
-        self.tracking.trusts = restored.trusts.into_owned();
+        self.tracking.trust = restored.trust.into_owned();
         self.past.iter_mut().for_each(Past::clear);
         self.next_tick = restored.next_tick;
         self.time_s = restored.time_s;
@@ -278,7 +278,7 @@ impl Centre {
     /// Stores the state before the tick, if past ticks are stored.
     fn keep(&mut self, tick: u64, dt_s: f64, reports: &[Option<Measurement>]) {
         let Some(past) = &mut self.past else { return };
-        let mut place = past.place(reports.len(), &self.tracking.trusts);
+        let mut place = past.place(reports.len(), &self.tracking.trust);
         (place.tick, place.dt_s) = (tick, dt_s);
         place.reports.copy_from_slice(reports);
         match self.tracking.save_before(&mut place) {
@@ -349,11 +349,11 @@ impl Centre {
                 self.planned.push(id);
             }
         }
-        let (trusts, noise_scales) = (&self.tracking.trusts, self.tracking.noise_scales());
+        let (trust, noise_scales) = (&self.tracking.trust, self.tracking.noise_scales());
         let team = self.planned.iter().filter_map(|&id| {
             let (spec, body) = (&self.robots[id], self.bodies[id]?);
             let sensor = sensor_of(&spec.reported, &body, noise_scales);
-            let trusted = trusted_part(sensor, Kind::ALL.map(|kind| trusts[kind as usize].distrusts(id)));
+            let trusted = trusted_part(sensor, Kind::ALL.map(|kind| trust.distrusts(id, kind)));
             let pose = if self.ignores_nuisances {
                 Pose::default()
             } else {

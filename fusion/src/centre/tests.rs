@@ -95,9 +95,9 @@ fn team(tick: u64) -> [Option<Measurement>; 3] {
 }
 
 /// State, covariance and trust to the bit, and all that the next ticks depend on.
-fn bits(centre: &mut Centre) -> (Vec<u8>, [Trust; Kind::COUNT]) {
+fn bits(centre: &mut Centre) -> (Vec<u8>, Trust) {
     let saved = centre.saved().unwrap();
-    (saved.tracker.to_vec(), saved.trusts.into_owned())
+    (saved.tracker.to_vec(), saved.trust.into_owned())
 }
 
 #[test]
