@@ -83,12 +83,11 @@ impl Tracking {
         let nuisances = &self.nuisances;
         let decisions = self.readings.iter().zip(self.tracker.judged()).map(|(reading, judged)| {
             let Reading { robot, kind, .. } = *reading;
-            let shows_noise = !is_mostly_nuisance(reading, &nuisances[robot]);
             Decision {
                 robot,
                 kind,
                 has_failed: fit.failed[kind as usize].contains(robot),
-                normalised_square: judged.normalised_square.filter(|_| shows_noise),
+                normalised_square: judged.normalised_square.filter(|_| !shows_nuisance(reading, &nuisances[robot])),
             }
         });
         let factor = if self.readings.is_empty() { 1.0 } else { self.trust.judge(decisions) };
@@ -135,9 +134,9 @@ impl Tracking {
     }
 }
 
-/// True if errors that stay are greater than the noise of a measurement: then its innovations are alike for a while, and show
-/// how great those errors are at present, not the noise.
-fn is_mostly_nuisance(reading: &Reading, spec: &NuisanceSpec) -> bool {
+/// True if errors that stay are more than half as great as the noise of a measurement. Then its innovations are alike for a
+/// while, and show how great those errors are at present, not the noise.
+fn shows_nuisance(reading: &Reading, spec: &NuisanceSpec) -> bool {
     let Pose { covariance_m2: [xx_m2, _, yy_m2], heading_std_rad, .. } = reading.pose;
     let stays = spec.correlation != PoseCorrelation::White;
     let (pose, bias) = match reading.kind {
@@ -145,5 +144,5 @@ fn is_mostly_nuisance(reading: &Reading, spec: &NuisanceSpec) -> bool {
         Kind::Bearing => (heading_std_rad * heading_std_rad, 0.0),
     };
     let staying = if stays { pose } else { 0.0 } + bias;
-    staying > reading.std * reading.std
+    4.0 * staying > reading.std * reading.std
 }

@@ -158,9 +158,7 @@ impl Trust {
     #[must_use]
     pub fn is_of(&self, robots: usize) -> bool {
         let of_team = |of_kind: &OfKind| [of_kind.records.len(), of_kind.noises.len()] == [robots; 2];
-        self.robots == robots
-            && self.newest_failed.len() == Kind::COUNT * robots
-            && self.kinds.iter().all(of_team)
+        self.robots == robots && self.newest_failed.len() == Kind::COUNT * robots && self.kinds.iter().all(of_team)
     }
 
     /// Factor on the reported standard deviations of a kind: 1 unless most sensors fail together.
@@ -216,12 +214,7 @@ impl Trust {
         factor
     }
 
-    fn count_failures(
-        &mut self,
-        decisions: impl Iterator<Item = Decision>,
-        sensors: usize,
-        filter_is_wrong: bool,
-    ) {
+    fn count_failures(&mut self, decisions: impl Iterator<Item = Decision>, sensors: usize, filter_is_wrong: bool) {
         for Decision { robot, kind, has_failed, .. } in decisions {
             if self.kinds[kind as usize].widened_log.is_some() || has_failed && filter_is_wrong {
                 continue;
@@ -268,9 +261,8 @@ impl Trust {
         });
         self.kinds.iter_mut().zip(widened).for_each(|(of_kind, log)| of_kind.widened_log = log);
         let agrees = |noise: &Noise| noise.measurements >= AGREED_MEASUREMENTS && noise.log < LOG_WIDENED;
-        self.has_agreed |= widened.iter().all(Option::is_none)
-            && self.heard().count() >= self.robots
-            && self.heard().all(agrees);
+        self.has_agreed |=
+            widened.iter().all(Option::is_none) && self.heard().count() >= self.robots && self.heard().all(agrees);
     }
 
     /// The number of sensors. A robot counts as one before it has measured anything.

@@ -205,10 +205,7 @@ impl Centre {
         let Saved { bodies, commands, judged, trust, .. } = &restored;
         let is_valid = bodies.iter().flatten().all(|body| body.is_valid(restored.next_tick))
             && commands.iter().all(|command| command.heading_rad.is_finite() && command.speed_mps.is_finite());
-        if [bodies.len(), commands.len(), judged.len()] != [robots; 3]
-            || !trust.is_of(robots)
-            || !is_valid
-        {
+        if [bodies.len(), commands.len(), judged.len()] != [robots; 3] || !trust.is_of(robots) || !is_valid {
             return Err(SealError::Malformed);
         }
         self.tracking.tracker.restore(&restored.tracker)?;
