@@ -23,7 +23,8 @@ pub trait TargetMotion: std::fmt::Debug + Send {
 /// A target with a state of dimension `N`, and the robots.
 ///
 /// The target moves by `x(k+1) = Phi x(k) + w(k)`, `w(k) ~ N(0, G Qd G^T)` (Eq. 1), drawn from (seed,
-/// k) only; the robots move by Eqs. 14 and 15. What a robot believes about its pose is the truth plus its errors.
+/// k) only; the robots move by Eqs. 14 and 15. What a robot believes about its pose is the truth plus its errors. A real
+/// target is not simulated: only sensors of their own can measure it.
 #[derive(Debug)]
 pub struct Simulation<const N: usize> {
     tick: u64,
@@ -32,6 +33,7 @@ pub struct Simulation<const N: usize> {
     noise_root: SMatrix<f64, N, N>,
     noise: Draws,
     target: SVector<f64, N>,
+    has_real_target: bool,
     /// `None`: by the scenario's model.
     motion: Option<Box<dyn TargetMotion>>,
     robots: Vec<Robot>,
@@ -71,6 +73,7 @@ impl<const N: usize> Simulation<N> {
             noise_root: square_root(&transition.process_noise),
             noise: Draws::new(scenario.seed, Stream::TargetNoise),
             target: SVector::from_fn(|i, _| target_start.get(i).copied().unwrap_or(0.0)),
+            has_real_target: scenario.has_real_target,
             motion: None,
             poses: scenario.robots.iter().map(|robot| Pose::at(robot.start_m)).collect(),
             errors: robots.iter_mut().map(|robot| robot.error_model.start()).collect(),
@@ -89,7 +92,7 @@ impl<const N: usize> Simulation<N> {
 
     /// Fills in what localisers say and what sensors can measure. At tick 0 they measure nothing.
     fn observe(&mut self) {
-        let Self { tick, target, robots, poses, errors, entries, .. } = self;
+        let Self { tick, target, has_real_target, robots, poses, errors, entries, .. } = self;
         for (((entry, robot), pose), errors) in entries.iter_mut().zip(robots).zip(poses).zip(errors) {
             let (x_m, y_m) = (target[0] - pose.x_m, target[1] - pose.y_m);
             let distance_m = x_m.hypot(y_m);
@@ -98,8 +101,10 @@ impl<const N: usize> Simulation<N> {
                 true => wrapped_rad(y_m.atan2(x_m) - pose.heading_rad),
                 false => 0.0,
             };
-            let is_seen =
-                *tick > 0 && distance_m <= robot.sensor.reach_m() && bearing_rad.abs() <= 0.5 * robot.sensor.view_rad();
+            let is_seen = !*has_real_target
+                && *tick > 0
+                && distance_m <= robot.sensor.reach_m()
+                && bearing_rad.abs() <= 0.5 * robot.sensor.view_rad();
             *entry = WorldEntry { pose: errors.believed(*pose), ..WorldEntry::default() };
             if is_seen && range.is_some() {
                 entry.kinds |= Kind::Range.bit();
@@ -128,7 +133,7 @@ impl<const N: usize> World for Simulation<N> {
     }
 
     fn truth(&self) -> &[f64] {
-        self.target.as_slice()
+        if self.has_real_target { &[] } else { self.target.as_slice() }
     }
 
     fn advance(&mut self, drives: &[Option<Drive>]) {
@@ -288,5 +293,15 @@ mod tests {
         let error = (sum / f64::from(steps) - covariance).component_div(&(scale * scale.transpose()));
         // Five standard deviations of a sample covariance.
         assert!(error.amax() < 5.0 * (2.0 / f64::from(steps)).sqrt(), "{error}");
+    }
+
+    #[test]
+    fn a_real_target_is_not_simulated() {
+        let file = ScenarioFile::parse("[target]\nreal = true\n", "test").unwrap();
+        let scenario = Scenario::from_file(&file, "test").unwrap();
+        let mut world = Simulation::<4>::new(&scenario, &[0.0, 0.0, -8.0, 4.0]);
+        world.advance(&[drive(0.0, 10.0), None, None]);
+        assert!(world.truth().is_empty() && world.entries().iter().all(|entry| entry.kinds == 0));
+        assert_eq!(world.poses()[0].x_m, 16.0, "robots move all the same");
     }
 }

@@ -51,8 +51,8 @@ fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) ->
     writeln!(out, "{time_s},{x},{y},{vx},{vy},{},{},{}", p[(0, 0)], p[(0, 1)], p[(1, 1)])
 }
 
-/// Writes `ranges.csv` and `truth.csv` of a run with known truth: the ranges and bearings that fusion received, in the form of
-/// a recording, and the target's true positions. The columns of bearings, headings and uncertain poses are there if the run
+/// Writes `ranges.csv` of a run, and `truth.csv` if the truth is known: the ranges and bearings that fusion received, in the form
+/// of a recording, and the target's true positions. The columns of bearings, headings and uncertain poses are there if the run
 /// has them.
 ///
 /// # Errors
@@ -60,18 +60,21 @@ fn write_estimate_row(out: &mut impl Write, time_s: f64, estimate: &Estimate) ->
 pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
     let out_dir = &description.out_dir;
     let mut ranges = AtomicFile::create(&out_dir.join(RANGES))?;
-    let mut truths = AtomicFile::create(&out_dir.join(TRUTH))?;
+    let mut truths = description.scenario.has_truth().then(|| AtomicFile::create(&out_dir.join(TRUTH))).transpose()?;
     let columns = columns_of(description)?;
     write!(ranges, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m")?;
     for (name, _) in &columns {
         write!(ranges, ",{name}")?;
     }
     writeln!(ranges)?;
-    writeln!(truths, "time_s,x_m,y_m")?;
+    if let Some(truths) = &mut truths {
+        writeln!(truths, "time_s,x_m,y_m")?;
+    }
     Frames::open(description)?.for_each(|LoggedTick { fusion, world, .. }| {
         let Some(WorldRecord { time_s, truth, .. }) = world else { return Ok(()) };
-        let &[x_m, y_m, ..] = truth.as_slice() else { return Ok(()) };
-        writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
+        if let (Some(truths), [x_m, y_m, ..]) = (&mut truths, truth.as_slice()) {
+            writeln!(truths, "{time_s:.4},{x_m:.4},{y_m:.4}")?;
+        }
         let exchanges = fusion.map_or(&[][..], |fusion| &fusion.exchanges);
         for (id, heard) in exchanges.iter().enumerate().filter_map(|(id, exchange)| Some((id, exchange.heard?))) {
             let Measurement { pose: Pose { x_m, y_m, .. }, kinds, .. } = heard.measurement;
@@ -93,7 +96,7 @@ pub fn write_recording(description: &RunDescription) -> anyhow::Result<()> {
         Ok(())
     })?;
     ranges.finish()?;
-    truths.finish()
+    truths.map_or(Ok(()), AtomicFile::finish)
 }
 
 /// A column of a recording that only some runs need: its name, and its value for a measurement.

@@ -95,6 +95,11 @@ pub enum TeamError {
     /// Its recording cannot be played.
     #[error(transparent)]
     Recording(#[from] PlaybackError),
+    /// Its target is real.
+    #[error(
+        "target.real is true: simulated robots cannot measure a real target; start all robots of a run yourself (--external)"
+    )]
+    RealTarget,
     /// Its planner cannot serve it.
     #[error(transparent)]
     Planner(#[from] PlannerError),
@@ -123,6 +128,9 @@ impl Team {
     /// [`TeamError`].
     pub fn of_parts(scenario: &Scenario, run_folder: &Path, parts: Parts) -> Result<Self, TeamError> {
         let Parts { planner, sensors, world } = parts;
+        if scenario.has_real_target {
+            return Err(TeamError::RealTarget);
+        }
         // The caller decides how long the run lasts.
         let ticks = u64::MAX - 1;
         let scenario = &Scenario { clock: Clock::Lockstep, timeout: Timeout::Forever, ticks, ..scenario.clone() };

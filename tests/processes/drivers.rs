@@ -160,3 +160,66 @@ fn a_port_or_robot_that_is_not_there_is_refused() {
     sim.finish();
     run.assert_nothing_left();
 }
+
+/// Three radios that do not move measure a target at rest, which no simulator knows.
+#[test]
+fn a_real_target_is_tracked_by_real_robots_alone_and_nobody_claims_to_know_the_truth() {
+    const TARGET_M: [f64; 2] = [3.0, 4.0];
+    const RADIOS_M: [[f64; 2]; 3] = [[0.0, 0.0], [20.0, 0.0], [0.0, 20.0]];
+    let example = example();
+    let run = Run::new();
+    let robots =
+        RADIOS_M.map(|at| format!("[[robot]]\nstart_m = {at:?}\nspeed_mps = 0.001\nrange_std_m = 0.1\n")).concat();
+    let scenario = |target: &str, prior: &str| {
+        format!(
+            "clock = \"realtime\"\ndt_s = 0.02\nticks = 150\n[target]\nstart = [8.0, 8.0, 0.0, 0.0]\nnoise_psd = 0.1\n{target}\
+             [prior]\ncovariance = [100.0, 100.0, 1.0, 1.0]\n{prior}{robots}"
+        )
+    };
+    run.write("drawn.toml", &scenario("real = true\n", "mean = \"drawn\"\n"));
+    run.write("mine.toml", &scenario("real = true\n", ""));
+    for (words, why) in [
+        ("run drawn.toml --external 0-2", "prior.mean"),
+        ("run mine.toml --external 0,2", "robot 1 would be simulated"),
+        ("run mine.toml --in-process", "target.real"),
+        ("compare mine.toml --runs 2", "target.real"),
+    ] {
+        let name = if words.starts_with("run") { format!(" --name {}", run.name) } else { String::new() };
+        let words: Vec<&str> = words.split(' ').chain(name.split_whitespace()).collect();
+        let refused = run.start(&words).finish();
+        assert!(refused.code == Some(2) && refused.stderr.contains(why), "{words:?}: {refused:#?}");
+        assert_eq!(refused.stderr.lines().count(), 1, "{words:?}: {refused:#?}");
+    }
+
+    let supervisor = run.command("run mine.toml --external 0-2 --write-recording");
+    let robots: Vec<_> = RADIOS_M
+        .iter()
+        .enumerate()
+        .map(|(id, at_m)| {
+            let port = run.path(&format!("port-{id}"));
+            mknodat(CWD, &port, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+            let flags = OFlags::NONBLOCK.bits().cast_signed();
+            let radio = File::options().read(true).write(true).custom_flags(flags).open(&port).unwrap();
+            let words = ["--name", &run.name, "--id", &id.to_string(), "--port", port.to_str().unwrap()];
+            let range_m = (TARGET_M[0] - at_m[0]).hypot(TARGET_M[1] - at_m[1]);
+            (run.start_program(&example, &words), radio, format!("A,{range_m:.3}\n"))
+        })
+        .collect();
+    let mut radios: Vec<_> = robots.iter().map(|(_, radio, line)| (radio, line)).collect();
+    run.wait_until("the run is over", || {
+        radios.iter_mut().for_each(|(radio, line)| _ = radio.write(line.as_bytes()));
+        run.ticks_done() >= 151
+    });
+    supervisor.finish().succeeded();
+    robots.into_iter().for_each(|(robot, ..)| _ = robot.finish().succeeded());
+
+    let estimates = std::fs::read_to_string(run.path("out/estimate.csv")).unwrap();
+    let last: Vec<f64> = estimates.lines().next_back().unwrap().split(',').map(|cell| cell.parse().unwrap()).collect();
+    let off_m = (last[1] - TARGET_M[0]).hypot(last[2] - TARGET_M[1]);
+    assert!(off_m < 0.3, "{off_m} m: {last:?}");
+    let report = run.report();
+    assert!(report["position_rmse_m"].is_null() && report["anees"].is_null(), "{report}");
+    assert!(report["verdict"]["sound"].as_bool().unwrap(), "{report}");
+    assert!(run.path("out/ranges.csv").exists() && !run.path("out/truth.csv").exists());
+    run.assert_nothing_left();
+}

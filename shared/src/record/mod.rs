@@ -248,10 +248,7 @@ impl WorldRecord {
     /// A record sized for a run of this scenario.
     #[must_use]
     pub fn of(scenario: &Scenario) -> Self {
-        let truth_dim = match scenario.source {
-            Source::Simulated { .. } => scenario.motion.state_dim(),
-            Source::Recorded { .. } => 0,
-        };
+        let truth_dim = if scenario.has_truth() { scenario.motion.state_dim() } else { 0 };
         let robots = vec![RobotRecord::default(); scenario.robots.len()];
         Self { time_s: 0.0, ended_ns: 0, truth: vec![0.0; truth_dim], robots }
     }

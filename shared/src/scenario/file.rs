@@ -61,8 +61,10 @@ pub struct TargetTable {
     pub model: Option<String>,
     /// Spectral density of the built-in models' noise.
     pub noise_psd: Option<f64>,
-    /// True state at tick 0.
+    /// State at tick 0: the true one of a simulated target, the expected one of a real target.
     pub start: Option<Vec<f64>>,
+    /// True if the target is a real one, which real robots measure.
+    pub real: Option<bool>,
     /// Custom model: state transition.
     pub phi: Option<Vec<Vec<f64>>>,
     /// Custom model: noise Jacobian.

@@ -45,8 +45,10 @@ pub struct Scenario {
     pub motion: MotionModel,
     /// The motion model of the filter: the target's own, unless the scenario gives the filter another noise.
     pub filter_motion: MotionModel,
-    /// The source of the ranges.
+    /// The source of the measurements.
     pub source: Source,
+    /// True if robots with drivers of their own measure a real target. Nobody knows the truth then.
+    pub has_real_target: bool,
     /// Fusion's knowledge before the first range.
     pub prior: Prior,
     /// The team, by id.
@@ -283,6 +285,12 @@ impl Scenario {
     pub fn sensor_of(&self, id: usize) -> Option<&str> {
         let robot = self.robots.get(id)?;
         matches!(self.source, Source::Recorded(_)).then_some(&robot.label)
+    }
+
+    /// True if the simulator knows where the target is.
+    #[must_use]
+    pub fn has_truth(&self) -> bool {
+        matches!(self.source, Source::Simulated { .. }) && !self.has_real_target
     }
 
     /// True if all sizes are consistent and all divisors and clamps are within their bounds. Code that uses a

@@ -15,8 +15,17 @@ fn maybe<T: std::fmt::Debug + Clone>(value: impl Strategy<Value = T>) -> impl St
 fn target() -> impl Strategy<Value = TargetTable> {
     let rows = || maybe(proptest::collection::vec(proptest::collection::vec(any_number(), 1..4), 1..4));
     let model = maybe(prop_oneof!["zero_acceleration", "custom", "[a-z_]{1,12}"]);
-    (model, maybe(any_number()), maybe(proptest::collection::vec(any_number(), 0..9)), rows(), rows(), rows())
-        .prop_map(|(model, noise_psd, start, phi, g, qd)| TargetTable { model, noise_psd, start, phi, g, qd })
+    let real = maybe(proptest::bool::ANY);
+    (model, maybe(any_number()), maybe(proptest::collection::vec(any_number(), 0..9)), real, rows(), rows(), rows())
+        .prop_map(|(model, noise_psd, start, real, phi, g, qd)| TargetTable {
+            model,
+            noise_psd,
+            start,
+            real,
+            phi,
+            g,
+            qd,
+        })
 }
 
 fn robot() -> impl Strategy<Value = RobotTable> {

@@ -182,7 +182,7 @@ impl Gathering {
             tick,
             robots,
             state_dim: scenario.motion.state_dim(),
-            has_truth: matches!(scenario.source, Source::Simulated { .. }),
+            has_truth: scenario.has_truth(),
             world: None,
             estimate: None,
             exchanges: vec![Exchange::default(); robots],

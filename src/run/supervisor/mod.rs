@@ -28,7 +28,7 @@ use crate::results::made::{self, Keep};
 use crate::run::experiment::Experiment;
 use crate::run::folder;
 use crate::run::gateway;
-use crate::run::in_process;
+use crate::run::in_process::{self, TeamError};
 use crate::run::node::input_or_running;
 use crate::run::pin::Pin;
 use crate::run::port;
@@ -107,6 +107,15 @@ impl Supervision {
                 return Err(Failure::input(format!("robot {id} ({flag}) is not in this run: expected 0 to {last}")));
             }
         }
+        let is_simulated = |id: &usize| !self.leaves_to_others(*id);
+        if scenario.has_real_target
+            && let Some(id) = (0..=last).find(is_simulated)
+        {
+            return Err(Failure::input(format!(
+                "robot {id} would be simulated, and cannot measure the real target (target.real): start all robots yourself \
+                 (--external 0-{last}), or on other hosts (--listen)"
+            )));
+        }
         let Some(hosts) = &self.hosts else { return Ok(None) };
         let listen = gateway::check(hosts.listen, hosts.keys.as_deref())?;
         Ok(Some(Gateway { program: gateway::program()?, listen, keys: hosts.keys.clone() }))
@@ -179,6 +188,9 @@ pub fn run(mut experiment: Experiment, supervision: &Supervision, keep: &Keep) -
 /// [`Failure`].
 pub fn run_in_process(experiment: &Experiment, record_limit_mb: Option<u64>, keep: &Keep) -> Result<(), Failure> {
     let description = &experiment.description;
+    if description.scenario.has_real_target {
+        return Err(Failure::input(TeamError::RealTarget));
+    }
     let _folder = folder::prepare_folder(experiment)?;
     let mut progress = Progress::new("tick", description.scenario.ticks);
     in_process::run(description, |tick| {

@@ -27,6 +27,7 @@ use crate::files::layout::COMPARISON;
 use crate::files::layout::Kind;
 use crate::files::out_folder::claim_or_number;
 use crate::run::experiment::Given;
+use crate::run::in_process::TeamError;
 use crate::run::watch::Progress;
 use monte_carlo::Trials;
 use summary::{Comparison, Summary};
@@ -107,6 +108,9 @@ pub fn first_scenarios(trials: &Trials) -> Result<Vec<Scenario>, Failure> {
         trials.variants.iter().map(|variant| trials.scenario(variant, 0)).collect();
     let scenarios = scenarios.map_err(Failure::input)?;
     for scenario in &scenarios {
+        if scenario.has_real_target {
+            return Err(Failure::input(format!("{} (in {file_name})", TeamError::RealTarget)));
+        }
         planner::for_team(scenario.planner, scenario.robots.len(), scenario.seed)
             .map_err(|error| Failure::input(format!("{error} (in {file_name})")))?;
     }

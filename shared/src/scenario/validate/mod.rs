@@ -93,6 +93,7 @@ impl Checker<'_> {
             filter_motion: motion.clone(),
             motion,
             source: Source::Simulated { target_start: Vec::new() },
+            has_real_target: raw.target.as_ref().and_then(|table| table.real).unwrap_or(false),
             prior: Prior::FromRanges,
             robots: Vec::new(),
             planner: self.planner(&planner)?,
@@ -107,7 +108,11 @@ impl Checker<'_> {
         } else {
             let n = scenario.motion.state_dim();
             let target_start = self.target_start(raw.target.as_ref().and_then(|table| table.start.as_ref()), n)?;
-            scenario.prior = self.prior(&raw.prior.clone().unwrap_or_default(), &target_start, seed)?;
+            let mut prior = raw.prior.clone().unwrap_or_default();
+            if scenario.has_real_target {
+                prior.mean = Some(self.mean_for_real_target(prior.mean)?);
+            }
+            scenario.prior = self.prior(&prior, &target_start, seed)?;
             scenario.source = Source::Simulated { target_start };
             scenario.robots = self.team(raw)?;
             self.set_filter_noise(&raw.filter.clone().unwrap_or_default(), &mut scenario)?;

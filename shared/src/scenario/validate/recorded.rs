@@ -26,6 +26,7 @@ impl Checker<'_> {
             ("localiser", raw.localiser.is_some()),
             ("planner", raw.planner.is_some()),
             ("target.start", raw.target.as_ref().is_some_and(|target| target.start.is_some())),
+            ("target.real", raw.target.as_ref().is_some_and(|target| target.real.is_some())),
         ];
         if let Some((key, _)) = simulated_only.iter().find(|(_, present)| *present) {
             return Err(self.refuse(key, "no such key in a scenario with [recording]", "given"));

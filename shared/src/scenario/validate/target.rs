@@ -70,6 +70,18 @@ impl Checker<'_> {
         }
     }
 
+    /// The prior's mean if nobody knows the truth from which it could be drawn.
+    pub(super) fn mean_for_real_target(&self, given: Option<MeanKey>) -> Result<MeanKey, ScenarioError> {
+        match given {
+            Some(MeanKey::Word(word)) if word == "drawn" => Err(self.refuse(
+                "prior.mean",
+                "\"start\" or a state beside target.real, because the truth is unknown",
+                quoted(&word),
+            )),
+            given => Ok(given.unwrap_or_else(|| MeanKey::Word("start".to_owned()))),
+        }
+    }
+
     pub(super) fn prior(&self, table: &PriorTable, target_start: &[f64], seed: u64) -> Result<Prior, ScenarioError> {
         let n = target_start.len();
         let key = "prior.covariance";
