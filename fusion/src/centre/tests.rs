@@ -94,6 +94,47 @@ fn team(tick: u64) -> [Option<Measurement>; 3] {
     [0, 1, 2].map(|id| report(tick, id, 0.0))
 }
 
+/// A radio, a camera and a robot with both. Two robots do not know well where they are.
+const MIXED: &str = "[sensor.radio]\nrange_std_m = 1.0\n[sensor.camera]\nbearing_std_rad = 0.05\n[sensor.both]\n\
+    range_std_m = 1.0\nbearing_std_rad = 0.05\n[localiser.gps]\nstd_m = 0.5\ncorrelation_s = 10.0\n\
+    heading_std_rad = 0.02\n[localiser.odometry]\nstd_m = 0.1\ndrift_m = 0.1\n[[robot]]\nstart_m = [20.0, 0.0]\n\
+    sensor = \"radio\"\nlocaliser = \"odometry\"\n[[robot]]\nstart_m = [0.0, 20.0]\nsensor = \"camera\"\n\
+    localiser = \"gps\"\n[[robot]]\nstart_m = [-20.0, 0.0]\nsensor = \"both\"\n";
+
+fn mixed() -> Centre {
+    of(&format!("{MIXED}[filter]\ngate_sigma = 4.0\n"))
+}
+
+fn estimating_poses() -> Centre {
+    of(&format!("{MIXED}[filter]\ngate_sigma = 4.0\nestimate = [\"pose\"]\n"))
+}
+
+/// What the team of [`MIXED`] reports.
+fn mixed_report(tick: u64, id: usize) -> Option<Measurement> {
+    let Measurement { pose, kinds, range_m, range_std_m, .. } = report(tick, id, 0.0)?;
+    let (variance_m2, heading_std_rad) = [(0.01 + 0.001 * tick as f64, 0.0), (0.25, 0.02), (0.0, 0.0)][id];
+    let pose = Pose { covariance_m2: [variance_m2, 0.0, variance_m2], heading_std_rad, ..pose };
+    let range = (kinds != 0 && id != 1).then_some((range_m, range_std_m));
+    let measurement = Measurement::new(pose, range);
+    if tick == 0 || id == 0 {
+        return Some(measurement);
+    }
+    let time_s = 0.1 * tick as f64;
+    let noise_rad = 0.04 * (5.1 * tick as f64 + 1.7 * id as f64).sin();
+    let to_target = Vector::new(-8.0 * time_s - pose.x_m, 4.0 * time_s - pose.y_m);
+    Some(measurement.with_bearing(Some((to_target.y.atan2(to_target.x) + noise_rad, 0.05))))
+}
+
+/// Centres with what their teams report.
+type Case = (fn() -> Centre, fn(u64, usize) -> Option<Measurement>);
+
+const CASES: [Case; 4] = [
+    (kalman, |tick, id| report(tick, id, 0.0)),
+    (from_ranges, |tick, id| report(tick, id, 0.0)),
+    (mixed, mixed_report),
+    (estimating_poses, mixed_report),
+];
+
 /// State, covariance and trust to the bit, and all that the next ticks depend on.
 fn bits(centre: &mut Centre) -> (Vec<u8>, Trust) {
     let saved = centre.saved().unwrap();
@@ -101,8 +142,9 @@ fn bits(centre: &mut Centre) -> (Vec<u8>, Trust) {
 }
 
 #[test]
-fn a_late_range_is_fused_as_if_it_had_come_in_time() {
-    for centre in [kalman, from_ranges] {
+fn a_late_report_is_fused_as_if_it_had_come_in_time() {
+    for (centre, report) in CASES {
+        let team = |tick| [0, 1, 2].map(|id| report(tick, id));
         for (late_by, robot) in [(1, 0), (3, 1), (LATE_TICKS_MAX as u64, 2)] {
             let (mut in_time, mut late) = (centre(), centre());
             for k in 0..40 {
@@ -115,7 +157,7 @@ fn a_late_range_is_fused_as_if_it_had_come_in_time() {
                 let published = late.estimate();
                 if k + 1 == 30 + late_by {
                     assert_ne!(bits(&mut late), bits(&mut in_time));
-                    let report = report(30, robot, 0.0).unwrap();
+                    let report = report(30, robot).unwrap();
                     assert_eq!(late.take_late(30, robot, report), Late::Fused, "{late_by}");
                     assert_eq!(late.take_late(30, robot, report), Late::Missed, "once");
                     assert_eq!(late.report_at(30, robot), Some(report));
@@ -128,19 +170,20 @@ fn a_late_range_is_fused_as_if_it_had_come_in_time() {
 }
 
 #[test]
-fn several_late_ranges_in_any_order_do_as_well() {
-    for centre in [kalman, from_ranges] {
+fn several_late_reports_in_any_order_do_as_well() {
+    for (centre, report) in CASES {
         let (mut in_time, mut late) = (centre(), centre());
         for k in 0..30 {
-            tick(&mut in_time, &team(k));
-            tick(&mut late, &if (25..29).contains(&k) { [None; 3] } else { team(k) });
+            let team = [0, 1, 2].map(|id| report(k, id));
+            tick(&mut in_time, &team);
+            tick(&mut late, &if (25..29).contains(&k) { [None; 3] } else { team });
         }
         for (k, robot) in [(27, 2), (25, 1), (28, 0), (27, 0), (25, 2), (26, 1), (28, 1)] {
-            assert_eq!(late.take_late(k, robot, report(k, robot, 0.0).unwrap()), Late::Fused);
+            assert_eq!(late.take_late(k, robot, report(k, robot).unwrap()), Late::Fused);
         }
         assert_ne!(bits(&mut late), bits(&mut in_time));
         for (k, robot) in [(25, 0), (26, 0), (26, 2), (27, 1), (28, 2)] {
-            assert_eq!(late.take_late(k, robot, report(k, robot, 0.0).unwrap()), Late::Fused);
+            assert_eq!(late.take_late(k, robot, report(k, robot).unwrap()), Late::Fused);
         }
         assert_eq!(bits(&mut late), bits(&mut in_time));
     }

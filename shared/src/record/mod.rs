@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::STATE_DIM_MAX;
 use crate::measurement::{Kind, Measurement, Pose};
 use crate::message::{Command, Drive, Estimate, WorldEntry};
-use crate::scenario::{Scenario, Source};
+use crate::scenario::Scenario;
 pub use fields::{Fields, Record, count, describe, put, take};
 
 /// Fusion's record of one tick.
