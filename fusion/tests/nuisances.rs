@@ -220,6 +220,9 @@ fn the_table_of_treatments() {
                 let runs = if treatment_name == "joint" { 40 } else { 400 };
                 let sums = team.runs(runs, treatment);
                 line += &format!("  {treatment_name} {:.3} / {:.2}", sums.rmse_m(), sums.anees());
+                if treatment == Treatment::Schmidt {
+                    assert!((0.95..=1.05).contains(&sums.anees()), "{line}");
+                }
             }
             println!("{line}");
         }

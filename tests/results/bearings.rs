@@ -68,3 +68,27 @@ fn cameras_alone_are_reported_and_read_back_without_columns_that_they_do_not_nee
     assert_eq!(rows.lines().count(), 900);
     assert_tracked(&run, "--bearing-std 0.02 --accel-psd 0.2", 0.3);
 }
+
+/// The column of the recording says how far odometry may have drifted; from its growth the filter infers that errors stay.
+#[test]
+fn positions_that_become_uncertain_are_taken_as_a_drift_unless_flags_say_otherwise() {
+    let run = Run::new();
+    run.write(
+        "drift.toml",
+        "ticks = 600\n[target]\nstart = [0.0, 0.0, 1.0, 0.5]\nnoise_psd = 0.1\n[localiser.odometry]\nstd_m = 0.1\n\
+         drift_m = 0.2\n[robots]\ncount = 4\nrange_std_m = 0.2\nlocaliser = \"odometry\"\n[planner]\nstand_off_m = 5.0\n",
+    );
+    run.lockstep("--in-process --write-recording drift.toml").finish().succeeded();
+    let anees = |flags: &str| {
+        let tracked = Run::new();
+        for file in ["ranges.csv", "truth.csv"] {
+            tracked.write(file, run.read(file));
+        }
+        let words = format!("track ranges.csv --truth truth.csv --in-process --range-std 0.2 --accel-psd 0.1 {flags}");
+        tracked.command(&words).finish().succeeded();
+        tracked.report()["anees"].as_f64().unwrap()
+    };
+    // Errors that drift for a minute are one draw, so a single run may be off by more than its band.
+    let (known, inferred, white) = (run.report()["anees"].as_f64().unwrap(), anees(""), anees("--pose-std 0.1"));
+    assert!((0.5..1.5).contains(&(inferred / known)) && white > 4.0 * known, "{known} {inferred} {white}");
+}

@@ -7,7 +7,7 @@ use rangehound_shared::record::{
     Exchange, FusionRecord, Heading as Followed, Heard, Judged, RobotRecord, Use, WorldRecord,
 };
 use rangehound_shared::robot_set::RobotSet;
-use rangehound_shared::scenario::{Scenario, Source, bounds};
+use rangehound_shared::scenario::{Scenario, bounds};
 
 use super::messages::{
     CommandTo, Drive, Estimate, Heading, OnTopic, Place, Range, Refused, Stages, TOPICS, Truth, World,

@@ -6,8 +6,8 @@ use crate::motion::matrix::Matrix;
 use crate::recording::{ReadSummary, Recording};
 use crate::scenario::bounds::{BEARING_STD_RAD, BIAS_M, COORDINATE, NUISANCE_STD_M, SCALE, START_STD_M, STD_M};
 use crate::scenario::{
-    Calibration, LocaliserTable, NuisanceSpec, Prior, RangeNoise, RecordedRanges, RecordingTable, RobotSpec, Scenario,
-    ScenarioError, ScenarioFile, SensorSpec, Source, Treatment, defaults,
+    Calibration, LocaliserTable, NuisanceSpec, PoseCorrelation, Prior, RangeNoise, RecordedRanges, RecordingTable,
+    RobotSpec, Scenario, ScenarioError, ScenarioFile, SensorSpec, Source, Treatment, defaults,
 };
 
 impl Checker<'_> {
@@ -112,7 +112,11 @@ impl Checker<'_> {
             "heading_std_rad" => "recording.heading_std_rad".to_owned(),
             of_pose => format!("recording.pose_{of_pose}"),
         };
-        let pose = self.pose_nuisances(key, &localiser)?;
+        let mut pose = self.pose_nuisances(key, &localiser)?;
+        if [table.pose_std_m, table.pose_drift_m, table.pose_correlation_s] == [None; 3] {
+            // Only the rows say how well positions are known, if at all.
+            pose.correlation = PoseCorrelation::Inferred;
+        }
         let default_m = if estimates_bias { defaults::RECORDED_BIAS_STD_M } else { 0.0 };
         let bias_std_m = self.number("recording.bias_std_m", table.bias_std_m, default_m, NUISANCE_STD_M)?;
         Ok(NuisanceSpec { bias_std_m, ..pose })
