@@ -68,3 +68,13 @@ fn cameras_alone_are_reported_and_read_back_without_columns_that_they_do_not_nee
     assert_eq!(rows.lines().count(), 900);
     assert_tracked(&run, "--bearing-std 0.02 --accel-psd 0.2", 0.3);
 }
+
+#[test]
+fn a_replay_with_bearings_refuses_the_planner_that_serves_only_ranges() {
+    let run = Run::new();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/cameras.toml");
+    run.lockstep(&format!("--record --in-process --ticks 5 {}", path.display())).finish().succeeded();
+    let refused = run.start(&["replay", "out/run.mcap", "--planner", "grid"]).finish();
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    assert!(refused.stderr.contains("--planner is \"grid\": expected another planner"), "{}", refused.stderr);
+}
