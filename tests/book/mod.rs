@@ -171,7 +171,8 @@ fn each_page_starts_with_a_command_and_ends_with_its_limits() {
         let path = page.path.display();
         let is_exempt = PROSE_FIRST.iter().any(|(page, _)| path.to_string() == *page);
         let second = page.prose().into_iter().find(|(_, line)| line.starts_with("## ")).map_or(0, |(line, _)| line);
-        let first_words = page.prose().into_iter().find(|(_, line)| !is_title_or_mark(line)).map_or(0, |(line, _)| line);
+        let first_words =
+            page.prose().into_iter().find(|(_, line)| !is_title_or_mark(line)).map_or(0, |(line, _)| line);
         let latest = if is_exempt { second } else { first_words };
         if page.commands().next().is_none_or(|block| block.line > latest) {
             faults.push(format!("{path}: prose or a section before the first command"));

@@ -277,7 +277,11 @@ fn refused_with(text: &str, words: &str, names: &[&str]) {
 #[test]
 fn a_sensor_that_the_scenario_lacks_is_refused_with_those_that_it_has() {
     let text = "[sensor.radio]\nrange_std_m = 1.0\n[sensor.camera]\nbearing_std_rad = 0.1\n";
-    refused_with(text, "compare mine.toml --sensors radio,sonar", &["--sensors has \"sonar\"", "camera, radio", "mine.toml"]);
+    refused_with(
+        text,
+        "compare mine.toml --sensors radio,sonar",
+        &["--sensors has \"sonar\"", "camera, radio", "mine.toml"],
+    );
 }
 
 /// The grid search serves the paper's sensors only.

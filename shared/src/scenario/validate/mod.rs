@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use super::bounds::{DT_S, ESTIMATED_ROBOTS_MAX, GATE_SIGMA, NOISE_PSD, STD_M, TICKS_MAX, TIMEOUT_S};
 use super::{
-    Clearance, Clock, FilterTable, GRID_INSTEAD, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario, ScenarioError,
-    ScenarioFile, Source, Timeout, TimeoutKey, Treatment, defaults,
+    Clearance, Clock, FilterTable, GRID_INSTEAD, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario,
+    ScenarioError, ScenarioFile, Source, Timeout, TimeoutKey, Treatment, defaults,
 };
 use crate::motion::MotionModel;
 use crate::recording::{ReadSummary, Recording};
