@@ -481,6 +481,19 @@ fn a_camera_that_goes_straight_to_the_target_has_the_information_of_where_it_get
     }
 }
 
+/// The error names what was typed: the line's key, or the flag for lines that name no planner.
+#[test]
+fn the_grid_search_is_refused_for_a_camera() {
+    let line = but("\"range_std\":1}", "\"bearing_std_rad\":0.1}");
+    let named = line.replacen('{', "{\"planner\":\"grid\",", 1);
+    for (line, flags, key) in [(&named, "", "planner"), (&line, "--planner grid", "--planner")] {
+        let outcome = planned(&[line], flags);
+        assert_eq!(outcome.code, Some(2), "{outcome:#?}");
+        let expected = format!("line 1: {key} is grid: expected another planner, such as certified");
+        assert!(outcome.stderr.contains(&expected), "{}", outcome.stderr);
+    }
+}
+
 #[test]
 fn lines_without_end_depth_or_sense_do_no_harm() {
     let run = Run::new();

@@ -61,6 +61,7 @@ impl Scenario {
                 file_name: NAMELESS.to_owned(),
                 folder: folder.unwrap_or_default(),
                 path: None,
+                flags: Vec::new(),
             },
             None => Given::read(path.as_deref()).map_err(failed)?,
         };

@@ -2,7 +2,7 @@
 
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::message::WorldEntry;
-use rangehound_shared::scenario::{NuisanceSpec, RecordedRanges, Scenario, Source};
+use rangehound_shared::scenario::{NuisanceSpec, Scenario, Source};
 
 /// A robot's localiser.
 pub trait PoseSource: std::fmt::Debug + Send {
@@ -18,31 +18,21 @@ pub struct SimulatedPose {
     nuisances: NuisanceSpec,
 }
 
-/// The localiser of a recording: recorded poses, with the standard deviations in the recording or the ones given for it.
-#[derive(Debug, Clone)]
-pub struct RecordedPose {
-    nuisances: NuisanceSpec,
-    start_s: f64,
-}
-
-/// A pose with the standard deviations of its errors after this time, s, unless it has its own.
-fn with_errors(pose: Pose, nuisances: &NuisanceSpec, elapsed_s: f64) -> Pose {
-    let variance_m2 = nuisances.position_variance_m2(elapsed_s);
-    let covariance_m2 =
-        if pose.covariance_m2 == [0.0; 3] { [variance_m2, 0.0, variance_m2] } else { pose.covariance_m2 };
-    let heading_std_rad = if pose.heading_std_rad == 0.0 { nuisances.heading_std_rad } else { pose.heading_std_rad };
-    Pose { covariance_m2, heading_std_rad, ..pose }
-}
+/// The localiser of a recording: recorded poses, whose standard deviations the playback has filled in.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordedPose;
 
 impl PoseSource for SimulatedPose {
     fn pose(&mut self, time_s: f64, entry: &WorldEntry) -> Pose {
-        with_errors(entry.pose, &self.nuisances, time_s)
+        let variance_m2 = self.nuisances.position_variance_m2(time_s);
+        let heading_std_rad = self.nuisances.heading_std_rad;
+        Pose { covariance_m2: [variance_m2, 0.0, variance_m2], heading_std_rad, ..entry.pose }
     }
 }
 
 impl PoseSource for RecordedPose {
-    fn pose(&mut self, time_s: f64, entry: &WorldEntry) -> Pose {
-        with_errors(entry.pose, &self.nuisances, time_s - self.start_s)
+    fn pose(&mut self, _time_s: f64, entry: &WorldEntry) -> Pose {
+        entry.pose
     }
 }
 
@@ -52,7 +42,7 @@ pub fn of_scenario(scenario: &Scenario, robot: usize) -> Option<Box<dyn PoseSour
     let nuisances = scenario.robots.get(robot)?.nuisances;
     Some(match scenario.source {
         Source::Simulated { .. } => Box::new(SimulatedPose { nuisances }),
-        Source::Recorded(RecordedRanges { start_s, .. }) => Box::new(RecordedPose { nuisances, start_s }),
+        Source::Recorded(_) => Box::new(RecordedPose),
     })
 }
 
@@ -61,16 +51,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_drifting_pose_is_less_certain_with_time_and_a_recorded_deviation_goes_first() {
+    fn a_drifting_pose_is_less_certain_with_time_and_a_recorded_one_is_as_recorded() {
         let nuisances =
             NuisanceSpec { pose_std_m: 1.0, pose_drift_m: 0.5, heading_std_rad: 0.1, ..NuisanceSpec::default() };
         let entry = WorldEntry { pose: Pose::at([1.0, 2.0]), ..WorldEntry::default() };
         let pose = SimulatedPose { nuisances }.pose(8.0, &entry);
         assert_eq!((pose.covariance_m2, pose.heading_std_rad), ([3.0, 0.0, 3.0], 0.1));
-        let mut recorded = RecordedPose { nuisances, start_s: 1e9 };
-        assert_eq!(recorded.pose(1e9 + 8.0, &entry).covariance_m2, [3.0, 0.0, 3.0]);
         let own = Pose { covariance_m2: [0.25, 0.0, 0.25], heading_std_rad: 0.3, ..entry.pose };
-        assert_eq!(recorded.pose(1e9, &WorldEntry { pose: own, ..entry }), own);
+        for pose in [own, entry.pose] {
+            assert_eq!(RecordedPose.pose(8.0, &WorldEntry { pose, ..entry }), pose);
+        }
         let exact = SimulatedPose { nuisances: NuisanceSpec::default() }.pose(8.0, &entry);
         assert!(exact.is_exact());
     }

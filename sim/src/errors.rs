@@ -1,5 +1,6 @@
 //! The errors that stay: of a robot's pose, and the bias of its ranges.
 
+use rangehound_shared::angle::wrapped_rad;
 use rangehound_shared::draws::{Draws, Stream};
 use rangehound_shared::measurement::Pose;
 use rangehound_shared::scenario::{NuisanceSpec, PoseCorrelation};
@@ -20,7 +21,8 @@ impl Errors {
     /// Where a robot at this pose believes it is. The covariance is its localiser's to say.
     pub(crate) fn believed(&self, pose: Pose) -> Pose {
         let [x_m, y_m] = self.position_m;
-        Pose { x_m: pose.x_m + x_m, y_m: pose.y_m + y_m, heading_rad: pose.heading_rad + self.heading_rad, ..pose }
+        let heading_rad = wrapped_rad(pose.heading_rad + self.heading_rad);
+        Pose { x_m: pose.x_m + x_m, y_m: pose.y_m + y_m, heading_rad, ..pose }
     }
 
     /// All its numbers.
@@ -101,6 +103,8 @@ impl ErrorModel {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use super::*;
 
     /// Variances of the errors at one tick, over many robots.
@@ -133,6 +137,15 @@ mod tests {
         let drift = NuisanceSpec { pose_drift_m: 0.5, correlation: PoseCorrelation::Drift, ..spec };
         let [x_m2, _, heading_rad2, _] = variances(drift, 80);
         assert!((x_m2 / (4.0 + 0.25 * 8.0) - 1.0).abs() < 0.112 && (heading_rad2 / 0.01 - 1.0).abs() < 0.112);
+    }
+
+    #[test]
+    fn a_believed_heading_is_wrapped() {
+        for (error_rad, expected_rad) in [(0.5, 3.5 - TAU), (-0.5, 2.5), (-7.0, -4.0 + TAU)] {
+            let errors = Errors { heading_rad: error_rad, ..Errors::default() };
+            let believed_rad = errors.believed(Pose { heading_rad: 3.0, ..Pose::default() }).heading_rad;
+            assert!((believed_rad - expected_rad).abs() < 1e-12, "{error_rad} {believed_rad}");
+        }
     }
 
     #[test]

@@ -49,7 +49,8 @@ pub fn world_of<E>(
         }
         Source::Recorded(ranges) => {
             let recording = ranges.already_read().map_or_else(|| read(ranges), Ok)?;
-            Box::new(Playback::new(recording, ranges.target_height_m))
+            let errors = scenario.robots.iter().map(|sensor| sensor.nuisances).collect();
+            Box::new(Playback::new(recording, ranges.target_height_m).with_errors(errors, ranges.start_s))
         }
     })
 }

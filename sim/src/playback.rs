@@ -5,6 +5,7 @@ use std::sync::Arc;
 use rangehound_shared::measurement::{Kind, Pose};
 use rangehound_shared::message::{Drive, Origin, WorldEntry};
 use rangehound_shared::recording::{RecordedMeasurement, Recording};
+use rangehound_shared::scenario::NuisanceSpec;
 use rangehound_shared::sealed::{self, SealError};
 
 use crate::world::{World, are_valid};
@@ -14,6 +15,9 @@ use crate::world::{World, are_valid};
 pub struct Playback {
     recording: Arc<Recording>,
     target_height_m: Option<f64>,
+    /// The errors of each sensor's pose, for rows that do not state their own.
+    errors: Vec<NuisanceSpec>,
+    start_s: f64,
     next_instant: usize,
     time_s: f64,
     entries: Vec<WorldEntry>,
@@ -28,7 +32,15 @@ impl Playback {
         let origin = Origin::Recorded.to_bits();
         let entries = poses.iter().map(|pose| WorldEntry { pose: *pose, origin, ..WorldEntry::default() }).collect();
         let time_s = recording.instant(0).map_or(0.0, |(time_s, _)| time_s);
-        Self { recording, target_height_m, next_instant: 0, time_s, entries, poses }
+        let errors = vec![NuisanceSpec::default(); poses.len()];
+        Self { recording, target_height_m, errors, start_s: 0.0, next_instant: 0, time_s, entries, poses }
+    }
+
+    /// The same with errors of the sensors' poses, which begin at this time, s: a row that states no standard deviation has
+    /// theirs. Without this it is exact, as is a row that states 0.
+    #[must_use]
+    pub fn with_errors(self, errors: Vec<NuisanceSpec>, start_s: f64) -> Self {
+        Self { errors, start_s, ..self }
     }
 }
 
@@ -60,13 +72,15 @@ impl World for Playback {
                 // Without the target's height, ranges are taken as horizontal.
                 let height_m =
                     height_m.zip(self.target_height_m).map_or(0.0, |(sensor_m, target_m)| sensor_m - target_m);
-                let variance_m2 = reading.position_std_m.map_or(0.0, |std_m| std_m * std_m);
+                let errors = self.errors.get(sensor).copied().unwrap_or_default();
+                let default_m2 = errors.position_variance_m2(time_s - self.start_s);
+                let variance_m2 = reading.position_std_m.map_or(default_m2, |std_m| std_m * std_m);
                 let pose = Pose {
                     height_m,
                     // A bearing without a heading counts from the x axis.
                     heading_rad: reading.heading_rad.unwrap_or(0.0),
                     covariance_m2: [variance_m2, 0.0, variance_m2],
-                    heading_std_rad: reading.heading_std_rad.unwrap_or(0.0),
+                    heading_std_rad: reading.heading_std_rad.unwrap_or(errors.heading_std_rad),
                     ..Pose::at(position_m)
                 };
                 let bit = |kind: Kind, is_measured: bool| if is_measured { kind.bit() } else { 0 };
@@ -147,5 +161,25 @@ mod tests {
         let pose = world.entries()[0].pose;
         assert_eq!((pose.heading_rad, pose.heading_std_rad), (0.5, 0.1));
         assert!((pose.covariance_m2[0] - 0.04).abs() < 1e-12 && pose.covariance_m2[1] == 0.0);
+    }
+
+    /// A row that states 0 is exact, whatever the errors of the other rows.
+    #[test]
+    fn rows_without_standard_deviations_have_those_of_all_and_a_zero_means_exact() {
+        let csv = "time_s,sensor_id,sensor_x_m,sensor_y_m,sensor_std_m,sensor_heading_std_rad,range_m\n\
+                   5,1,0,0,,,3\n13,1,0,0,,,3\n21,1,0,0,0,0,3\n29,1,0,0,0.5,0.2,3\n";
+        let (recording, _) = Recording::parse(csv.as_bytes(), Path::new("r.csv"), &ReadOptions::default()).unwrap();
+        let errors =
+            NuisanceSpec { pose_std_m: 1.0, pose_drift_m: 0.5, heading_std_rad: 0.1, ..NuisanceSpec::default() };
+        let mut world = Playback::new(Arc::new(recording), None).with_errors(vec![errors], 5.0);
+        let played: Vec<_> = (0..4)
+            .map(|_| {
+                world.advance(&[]);
+                let pose = world.entries()[0].pose;
+                (pose.covariance_m2, pose.heading_std_rad)
+            })
+            .collect();
+        let expected = [([1.0, 0.0, 1.0], 0.1), ([3.0, 0.0, 3.0], 0.1), ([0.0; 3], 0.0), ([0.25, 0.0, 0.25], 0.2)];
+        assert_eq!(played, expected);
     }
 }

@@ -10,7 +10,7 @@ use super::{ExperimentArgs, InputArgs, PerSensor, TrackArgs};
 use crate::failure::{self, Failure};
 use crate::files::calibration;
 use crate::files::input::{self, COMMAND_LINE, in_utf8};
-use crate::run::experiment::{Experiment, Given, Naming};
+use crate::run::experiment::{Experiment, Flag, Given, Naming};
 
 impl ExperimentArgs {
     /// The user's scenario file, or the paper's, overridden by the values of the command line.
@@ -20,6 +20,13 @@ impl ExperimentArgs {
     pub(super) fn given(&self) -> Result<Given, Failure> {
         let mut given = Given::read(self.scenario.as_deref())?;
         self.put_over(&mut given.file)?;
+        given.flags = typed([
+            ("robots.count", "--robots", self.robots.is_some()),
+            ("planner.name", "--planner", self.planner.is_some()),
+            ("planner.stand_off_m", "--stand-off", self.stand_off.is_some()),
+            ("ticks", "--ticks", self.ticks.is_some()),
+            ("timeout_s", "--timeout", self.timeout.is_some()),
+        ]);
         Ok(given)
     }
 
@@ -81,7 +88,9 @@ impl TrackArgs {
         apply(&self.range_scale, &mut recording.scale, &mut sensors, |sensor| &mut sensor.scale);
         recording.sensor = Some(sensors);
         let mut accel_psd = self.accel_psd;
-        let read = input::recording_of(&recording, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+        let flags = self.flags();
+        let read = input::recording_of(&recording, COMMAND_LINE, Path::new(""))
+            .map_err(|error| Failure::input(error.by_flag(&flags)))?;
         if let Some(path) = &self.calibration {
             let known_errors = calibration::read(path)?;
             let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
@@ -102,7 +111,7 @@ impl TrackArgs {
         };
         let (name, out) = (self.name.as_ref(), self.out.as_deref());
         let inputs = self.calibration.iter().chain(&self.truth.truth).cloned();
-        let experiment = Experiment::from_recording(file, read, name, out, inputs)?;
+        let experiment = Experiment::from_recording(file, flags, read, name, out, inputs)?;
         let assumed = [
             (
                 self.range_std.is_none() && self.calibration.is_none(),
@@ -126,6 +135,39 @@ impl TrackArgs {
         }
         Ok(experiment)
     }
+
+    /// The keys of the scenario that flags give.
+    fn flags(&self) -> Vec<Flag> {
+        let (input, nuisances) = (&self.input, &self.nuisances);
+        typed([
+            ("recording.columns", "--columns", input.columns.is_some() && input.field.is_none()),
+            ("recording.topic", "--topic", input.topic.is_some()),
+            ("recording.position", "--position", input.position.is_some()),
+            ("recording.msg", "--msg", !input.msg.is_empty()),
+            ("recording.rate_hz", "--rate", input.rate.is_some()),
+            ("recording.stamp_unit", "--stamp-unit", input.stamp_unit.is_some()),
+            ("recording.target_height_m", "--target-height", input.target_height.is_some()),
+            ("recording.range_std_m", "--range-std", self.range_std.is_some()),
+            ("recording.bearing_std_rad", "--bearing-std", self.bearing_std.is_some()),
+            ("recording.pose_std_m", "--pose-std", nuisances.pose_std.is_some()),
+            ("recording.pose_drift_m", "--pose-drift", nuisances.pose_drift.is_some()),
+            ("recording.pose_correlation_s", "--pose-correlation", nuisances.pose_correlation.is_some()),
+            ("recording.heading_std_rad", "--heading-std", nuisances.heading_std.is_some()),
+            ("recording.bias_std_m", "--bias-std", nuisances.bias_std.is_some()),
+            ("recording.bias_m", "--range-bias", !self.range_bias.is_empty()),
+            ("recording.scale", "--range-scale", !self.range_scale.is_empty()),
+            ("recording.start_m", "--start", self.start.is_some()),
+            ("recording.start_std_m", "--start-std", self.start_std.is_some()),
+            ("target.noise_psd", "--accel-psd", self.accel_psd.is_some()),
+            ("filter.gate_sigma", "--gate", self.gate.gate.is_some()),
+            ("filter.estimate", "--estimate", nuisances.estimate.is_some()),
+        ])
+    }
+}
+
+/// The keys that were typed, out of (key, flag, whether it was typed).
+fn typed<const N: usize>(flags: [(&'static str, &'static str, bool); N]) -> Vec<Flag> {
+    flags.into_iter().filter(|(_, _, is_typed)| *is_typed).map(|(key, flag, _)| (key, flag)).collect()
 }
 
 impl InputArgs {

@@ -40,8 +40,8 @@ pub use shell::{CompletionsArgs, ManArgs, NamesArgs, NamesOf};
 pub use study::{CalibrateArgs, ChaosArgs, CompareArgs, ExploreArgs, LatencyArgs, PlanArgs};
 pub use values::PerSensor;
 
-/// A team of robots tracks a moving target by measured distances (ranges) alone. Each robot, the fusion centre (filter and
-/// planner) and the simulator is a process; they communicate over shared memory.
+/// A team of robots tracks a moving target. Each robot measures its distance (a range), its bearing, or both. Each robot, the
+/// fusion centre (filter and planner) and the simulator is a process; they communicate over shared memory.
 ///
 /// Without a command it runs the paper's experiment, as `rangehound run` does.
 #[derive(Debug, Parser)]
@@ -99,7 +99,7 @@ pub enum Command {
     LatencyNode(LatencyNodeArgs),
     /// Print the default scenario file, as a start for your own
     Scenario,
-    /// Track a target from recorded ranges, with a process for each sensor
+    /// Track a target from recorded ranges and bearings, with a process for each sensor
     Track(TrackArgs),
     /// Compare the planners over many simulated runs: tables and pictures
     Compare(CompareArgs),

@@ -99,7 +99,7 @@ pub fn recording_of(
         return Err(ScenarioError::WrongValue {
             file: file.to_owned(),
             key: format!("recording.{key}"),
-            expected: format!("no such key: {} is no ROS 2 bag", ranges.display()),
+            expected: format!("the folder or a file of a bag: {} is no ROS 2 bag", ranges.display()),
             got: "given".to_owned(),
         });
     }

@@ -11,7 +11,7 @@ use rangehound_shared::ROBOTS_MAX;
 use rangehound_shared::message::Command;
 use rangehound_shared::motion::matrix::Matrix;
 use rangehound_shared::scenario::{
-    Clearance, Criterion, PlannerSpec, PlannerTable, RangeNoise, ScenarioError, SensorSpec, bounds,
+    Clearance, Criterion, GRID_INSTEAD, PlannerSpec, PlannerTable, RangeNoise, ScenarioError, SensorSpec, bounds,
 };
 use serde::{Serialize, Serializer};
 
@@ -170,7 +170,9 @@ impl LineSolver {
             None => Criterion::default(),
         };
         if matches!(spec, PlannerSpec::Grid { .. }) && !self.situation.is_range_only() {
-            return Err(expected("planner", "another planner for sensors other than ranges of constant noise", "grid"));
+            // A line that names none has the flag's.
+            let key = if raw.planner.is_some() { "planner" } else { "--planner" };
+            return Err(expected(key, GRID_INSTEAD, "grid"));
         }
         Ok(spec)
     }

@@ -70,24 +70,24 @@ impl Experiment {
         naming: Naming,
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
-        let Given { file, file_name, folder, path } = given;
-        let mut experiment = Self::check(file, &file_name, &folder, None, name, naming, out)?;
-        experiment.inputs.extend(path);
-        Ok(experiment)
+        Self::check(given, None, name, naming, out)
     }
 
-    /// The experiment of a recording that has been read already. `inputs` are files that were read beside it.
+    /// The experiment of a recording that has been read already; `flags` as in [`Given`]. `inputs` are files that were read
+    /// beside it.
     ///
     /// # Errors
     /// [`Failure::Input`] for whatever the user must mend.
     pub fn from_recording(
         file: ScenarioFile,
+        flags: Vec<Flag>,
         read: (Recording, ReadSummary),
         name: Option<&RunName>,
         out: Option<&Path>,
         inputs: impl IntoIterator<Item = PathBuf>,
     ) -> Result<Self, Failure> {
-        let mut experiment = Self::check(file, COMMAND_LINE, Path::new(""), Some(read), name, Naming::Numbered, out)?;
+        let given = Given { file, file_name: COMMAND_LINE.to_owned(), folder: PathBuf::new(), path: None, flags };
+        let mut experiment = Self::check(given, Some(read), name, Naming::Numbered, out)?;
         experiment.inputs.extend(inputs);
         Ok(experiment)
     }
@@ -109,22 +109,21 @@ impl Experiment {
     }
 
     fn check(
-        mut file: ScenarioFile,
-        file_name: &str,
-        folder: &Path,
+        given: Given,
         read: Option<(Recording, ReadSummary)>,
         name: Option<&RunName>,
         naming: Naming,
         out: Option<&Path>,
     ) -> Result<Self, Failure> {
+        let Given { mut file, file_name, folder, path, flags } = given;
         let scenario = match read {
-            Some(read) => Scenario::from_file_with(&file, file_name, |_| Ok(read)),
-            None => input::scenario(&file, file_name, folder),
+            Some(read) => Scenario::from_file_with(&file, &file_name, |_| Ok(read)),
+            None => input::scenario(&file, &file_name, &folder),
         };
-        let scenario = scenario.map_err(Failure::input)?;
-        let mut inputs = Vec::new();
+        let scenario = scenario.map_err(|error| Failure::input(error.by_flag(&flags)))?;
+        let mut inputs = Vec::from_iter(path);
         if let (Some(recording), Source::Recorded(ranges)) = (file.recording.take(), &scenario.source) {
-            inputs.extend(recording.inputs(folder));
+            inputs.extend(recording.inputs(&folder));
             let measurements = match ranges.already_read().map(|read| (read.ranges(), read.bearings())) {
                 Some((0, bearings)) => format!("{bearings} bearings"),
                 Some((ranges, bearings)) if bearings > 0 => format!("{ranges} ranges and {bearings} bearings"),
@@ -197,7 +196,12 @@ pub struct Given {
     pub folder: PathBuf,
     /// The file, if it was read from one.
     pub path: Option<PathBuf>,
+    /// The keys whose values the command line gave: errors name the flag.
+    pub flags: Vec<Flag>,
 }
+
+/// A key of the scenario, and the flag that gives its value.
+pub type Flag = (&'static str, &'static str);
 
 impl Given {
     /// The file that the user named, or the paper's experiment.
@@ -211,6 +215,7 @@ impl Given {
                 file_name: path.display().to_string(),
                 folder: path.parent().unwrap_or(Path::new("")).to_owned(),
                 path: Some(path.to_owned()),
+                flags: Vec::new(),
             },
             None => Self {
                 file: ScenarioFile::parse(DEFAULT_SCENARIO, "scenarios/paper.toml").map_err(Failure::input)?,
@@ -218,6 +223,7 @@ impl Given {
                 file_name: COMMAND_LINE.to_owned(),
                 folder: PathBuf::new(),
                 path: None,
+                flags: Vec::new(),
             },
         })
     }

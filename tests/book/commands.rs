@@ -13,7 +13,7 @@ use super::{assert_none, pages};
 use crate::support::{Outcome, PROGRAM, Run, skipped};
 
 /// The reasons that a page may give for a command that the test cannot run.
-const REASONS: [&str; 9] = [
+const REASONS: [&str; 10] = [
     "builds the program",
     "needs a browser",
     "needs a file that a kill has cut short",
@@ -23,6 +23,7 @@ const REASONS: [&str; 9] = [
     "needs root",
     "needs packages of Python",
     "needs a viewer",
+    "needs recordings of real robots",
 ];
 
 /// The commands of the Python package.

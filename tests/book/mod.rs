@@ -8,6 +8,9 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use page::{Block, Page, names, root};
+use rangehound_shared::scenario::{
+    LocaliserTable, RecordedSensorTable, RecordingTable, RobotTable, RobotsTable, SensorTable,
+};
 use serde_json::Value;
 use sources::Sources;
 
@@ -18,6 +21,10 @@ const SHOWN: [&str; 2] = ["text", "toml"];
 
 /// Limits of length, so that README and ARCHITECTURE.md stay short.
 const LINES_MAX: [(&str, usize); 2] = [("README.md", 150), ("ARCHITECTURE.md", 120)];
+
+/// Pages whose first block of code is not the first thing below the title, and why.
+const PROSE_FIRST: [(&str, &str); 2] =
+    [("docs/mavlink.md", "a warning comes first"), ("docs/ros2.md", "a line says what the commands lead to")];
 
 fn assert_none(faults: Vec<String>) {
     assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
@@ -132,14 +139,43 @@ fn collect_keys(value: &Value, keys: &mut BTreeSet<String>) {
     }
 }
 
+/// Each key of the tables that describe robots, sensors and recordings is in backticks on the page for scenarios.
+#[test]
+fn every_key_of_robots_sensors_and_recordings_is_explained() {
+    let tables = [
+        serde_json::to_value(RobotsTable::default()),
+        serde_json::to_value(RobotTable::default()),
+        serde_json::to_value(SensorTable::default()),
+        serde_json::to_value(LocaliserTable::default()),
+        serde_json::to_value(RecordingTable::default()),
+        serde_json::to_value(RecordedSensorTable::new("A".parse().unwrap())),
+    ];
+    let mut keys = BTreeSet::new();
+    tables.into_iter().for_each(|table| collect_keys(&table.unwrap(), &mut keys));
+    assert!(keys.contains("bearing_std_rad") && keys.contains("pose_drift_m"), "{keys:?}");
+    let page = Page::of("docs/scenarios.md");
+    let explained: BTreeSet<&str> = page.names().into_iter().map(|(_, name)| name).collect();
+    let faults = keys.iter().filter(|key| !explained.contains(key.as_str()));
+    assert_none(faults.map(|key| format!("docs/scenarios.md: not explained: {key}")).collect());
+}
+
+/// A line below the title that is no prose: it is empty, or the mark of a block that is not run.
+fn is_title_or_mark(line: &str) -> bool {
+    line.is_empty() || line.starts_with("# ") || line.starts_with("<!-- ")
+}
+
 #[test]
 fn each_page_starts_with_a_command_and_ends_with_its_limits() {
     let mut faults = Vec::new();
     for page in Page::of_book() {
         let path = page.path.display();
+        let is_exempt = PROSE_FIRST.iter().any(|(page, _)| path.to_string() == *page);
         let second = page.prose().into_iter().find(|(_, line)| line.starts_with("## ")).map_or(0, |(line, _)| line);
-        if page.commands().next().is_none_or(|block| block.line > second) {
-            faults.push(format!("{path}: no command before the first section"));
+        let first_words =
+            page.prose().into_iter().find(|(_, line)| !is_title_or_mark(line)).map_or(0, |(line, _)| line);
+        let latest = if is_exempt { second } else { first_words };
+        if page.commands().next().is_none_or(|block| block.line > latest) {
+            faults.push(format!("{path}: prose or a section before the first command"));
         }
         if page.headings().last().is_none_or(|(_, heading)| *heading != "Limits") {
             faults.push(format!("{path}: the last section is not Limits"));

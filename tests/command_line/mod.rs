@@ -203,33 +203,39 @@ fn files_that_are_not_there_are_refused_by_name() {
 }
 
 #[test]
-fn values_on_the_command_line_are_refused_by_flag_or_key() {
+fn values_on_the_command_line_are_refused_by_flag() {
     refused_usage(&[
-        ("run --robots 0", &["robots"]),
-        ("run --robots 1025", &["robots"]),
+        ("run --robots 0", &["--robots is 0: "]),
+        ("run --robots 1025", &["--robots is 1025: "]),
         ("run --robots many", &["--robots"]),
-        ("run --ticks 0", &["ticks"]),
+        ("run --ticks 0", &["--ticks is 0: "]),
         ("run --ticks -1", &["--ticks"]),
         ("run --ticks=-1", &["--ticks"]),
         ("run --seed 1.5", &["--seed"]),
         ("run --clock sundial", &["--clock"]),
-        ("run --planner luck", &["planner"]),
+        ("run --planner luck", &["--planner is \"luck\": "]),
+        ("run --stand-off -1", &["--stand-off is -1: "]),
         ("run --planner grid --robots 5", &["3.200e11"]),
-        ("run --timeout 0", &["timeout"]),
-        ("run --timeout -1", &["timeout"]),
-        ("run --timeout=-1", &["timeout"]),
-        ("run --timeout abc", &["timeout"]),
-        ("run --timeout nan", &["timeout"]),
+        ("run --timeout 0", &["--timeout is 0: "]),
+        ("run --timeout -1", &["--timeout is -1: "]),
+        ("run --timeout=-1", &["--timeout is -1: "]),
+        ("run --timeout abc", &["--timeout"]),
+        ("run --timeout nan", &["--timeout is NaN: "]),
         ("run --name a/b", &["--name"]),
         ("run --name a-name-of-25-letters-long", &["--name"]),
         ("run --name=", &["--name"]),
-        ("track good.csv --range-std -1", &["range_std"]),
+        ("track good.csv --range-std -1", &["--range-std is -1: "]),
         ("track good.csv --range-std far", &["--range-std"]),
-        ("track good.csv --accel-psd nan", &["noise_psd"]),
+        ("track good.csv --accel-psd nan", &["--accel-psd is NaN: "]),
+        ("track good.csv --pose-std -1", &["--pose-std is -1: "]),
+        ("track good.csv --bias-std -1", &["--bias-std is -1: "]),
+        ("track good.csv --heading-std 4", &["--heading-std is 4: "]),
+        ("track good.csv --target-height 2", &["--target-height is given"]),
+        ("track good.csv --columns range=dist:s", &["--columns is "]),
         ("track good.csv --range-bias x", &["--range-bias"]),
         ("track good.csv --range-bias 3=0.1", &["sensor"]),
-        ("track good.csv --range-scale -1", &["scale"]),
-        ("track good.csv --gate 0", &["gate"]),
+        ("track good.csv --range-scale -1", &["--range-scale is -1: "]),
+        ("track good.csv --gate 0", &["--gate is 0: "]),
         ("robot --id x", &["--id"]),
     ]);
 }
@@ -246,15 +252,68 @@ fn comparisons_that_make_no_sense_are_refused() {
         ("compare --runs 0", &["--runs"]),
         ("compare --runs 1000000000000", &["--runs"]),
         ("compare --runs -1", &["--runs"]),
-        ("compare --ticks 0", &["ticks"]),
+        ("compare --ticks 0", &["--ticks is 0: "]),
         ("compare --seed 18446744073709551615", &["--seed"]),
-        ("compare --robots 0", &["robots"]),
+        ("compare --robots 0", &["--robots is 0: "]),
+        ("compare --sensors radio", &["--sensors has \"radio\": ", "[sensor.NAME]", "paper.toml"]),
         ("compare --threads 0", &["--threads"]),
-        ("compare --stand-off -1", &["stand_off_m"]),
-        ("compare --stand-off nan", &["stand_off_m"]),
+        ("compare --stand-off -1", &["--stand-off is -1: "]),
+        ("compare --stand-off nan", &["--stand-off is NaN: "]),
         ("compare --stand-off near", &["--stand-off"]),
         ("compare --runs 1 --out good.csv/out", &["--out", "good.csv/out"]),
     ]);
+}
+
+/// Runs a command that must be refused because of a scenario file with this text: the line must name `names`.
+#[track_caller]
+fn refused_with(text: &str, words: &str, names: &[&str]) {
+    let run = Run::new();
+    run.write("mine.toml", text);
+    let args: Vec<&str> = words.split_whitespace().collect();
+    let outcome = run.start(&args).finish();
+    assert_eq!(fault(&run, &["mine.toml".to_owned()], &outcome, names), None, "{words}");
+}
+
+#[test]
+fn a_sensor_that_the_scenario_lacks_is_refused_with_those_that_it_has() {
+    let text = "[sensor.radio]\nrange_std_m = 1.0\n[sensor.camera]\nbearing_std_rad = 0.1\n";
+    refused_with(
+        text,
+        "compare mine.toml --sensors radio,sonar",
+        &["--sensors has \"sonar\"", "camera, radio", "mine.toml"],
+    );
+}
+
+/// The grid search serves the paper's sensors only.
+#[test]
+fn the_grid_search_is_refused_for_other_sensors_and_uncertain_robots() {
+    let camera = "[sensor.camera]\nbearing_std_rad = 0.1\n[robots]\nsensor = \"camera\"\n";
+    let lost = "[localiser.gps]\nstd_m = 1.0\n[robots]\nlocaliser = \"gps\"\n";
+    for text in [camera, lost] {
+        let instead = "another planner, such as certified";
+        refused_with(text, "run mine.toml --in-process --planner grid", &["--planner is \"grid\": ", instead]);
+        refused_with(text, "compare mine.toml --planners certified,grid", &["--planners is \"grid\": ", instead]);
+        let in_file = format!("{text}[planner]\nname = \"grid\"\n");
+        refused_with(&in_file, "run mine.toml", &["planner.name is \"grid\" in mine.toml: ", instead]);
+    }
+    // A filter that takes the poses as exact gives the planner exact ones.
+    let run = Run::new();
+    run.write("mine.toml", format!("{lost}[filter]\nnuisances = \"ignored\"\n[planner]\nstep_rad = 0.3\n"));
+    run.command("run mine.toml --in-process --ticks 5 --planner grid").finish().succeeded();
+}
+
+/// The full covariance of many sensors would take too long.
+#[test]
+fn estimation_is_refused_for_too_many_sensors() {
+    let run = Run::new();
+    let rows: String = (0..33).map(|sensor| format!("0,{sensor},{sensor},0,5\n")).collect();
+    run.write("many.csv", format!("time_s,sensor_id,sensor_x_m,sensor_y_m,range_m\n{rows}"));
+    let outcome = run.start(&["track", "many.csv", "--estimate", "bias"]).finish();
+    let names = ["--estimate is given for 33 robots or sensors: ", "at most 32", "leave it out"];
+    // The recording has been read by then, and how is reported.
+    let last = outcome.stderr.lines().last().unwrap_or_default().to_owned();
+    let outcome = Outcome { stderr: last, ..outcome };
+    assert_eq!(fault(&run, &["many.csv".to_owned()], &outcome, &names), None);
 }
 
 #[test]

@@ -164,6 +164,17 @@ fn tables_fit() {
     let run = Run::new();
     let words = "compare --runs 3 --ticks 10 --out out";
     assert_plain_and_narrow(&run.start(&words.split(' ').collect::<Vec<_>>()).finish().succeeded().stdout);
+    let sensors = "[sensor.radio]\nrange_std_m = 1.0\n[sensor.camera]\nbearing_std_rad = 0.1\n";
+    run.write("mine.toml", format!("{sensors}[robots]\nsensor = \"radio\"\n"));
+    let words = "compare mine.toml --sensors radio,camera --planners certified,adaptive --runs 2 --ticks 5 --out mixed";
+    let mixed = run.start(&words.split(' ').collect::<Vec<_>>()).finish().succeeded().stdout;
+    assert_plain_and_narrow(&mixed);
+    // The rows are as long as the heads of their columns, however long the names.
+    let lines: Vec<&str> = mixed.lines().collect();
+    let row = lines.iter().position(|line| line.starts_with("certified camera ")).unwrap();
+    let widths: Vec<usize> = lines[row - 2..row + 3].iter().map(|line| line.chars().count()).collect();
+    assert_eq!(widths, [widths[0]; 5], "{mixed}");
+    assert!(mixed.contains("criterion above its bound"), "{mixed}");
     assert_plain_and_narrow(&run.command("latency --rounds 2 --ticks 100").finish().succeeded().stdout);
     run.assert_nothing_left();
 }

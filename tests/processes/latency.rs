@@ -74,7 +74,7 @@ fn invalid_values_are_refused_before_anything_starts() {
         ("latency --rate 0", "--rate is 0: expected 0.001 to 10000 Hz"),
         ("latency --rate nan", "--rate is NaN: expected 0.001 to 10000 Hz"),
         ("latency --rate 10 --clock lockstep", "expected --clock realtime"),
-        ("latency --robots 0", "robots.count is 0 in the command line: expected a whole number from 1 to 1024"),
+        ("latency --robots 0", "--robots is 0: expected a whole number from 1 to 1024"),
         ("latency --ticks 100000000", "--ticks is 100000000: expected at most"),
         ("latency --pin all", "expected none, one-core, or processors by number"),
         ("latency --pin 1000", "--pin 1000: expected processors that exist"),

@@ -92,3 +92,13 @@ fn positions_that_become_uncertain_are_taken_as_a_drift_unless_flags_say_otherwi
     let (known, inferred, white) = (run.report()["anees"].as_f64().unwrap(), anees(""), anees("--pose-std 0.1"));
     assert!((0.5..1.5).contains(&(inferred / known)) && white > 4.0 * known, "{known} {inferred} {white}");
 }
+
+#[test]
+fn a_replay_with_bearings_refuses_the_planner_that_serves_only_ranges() {
+    let run = Run::new();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/cameras.toml");
+    run.lockstep(&format!("--record --in-process --ticks 5 {}", path.display())).finish().succeeded();
+    let refused = run.start(&["replay", "out/run.mcap", "--planner", "grid"]).finish();
+    assert_eq!(refused.code, Some(2), "{refused:#?}");
+    assert!(refused.stderr.contains("--planner is \"grid\": expected another planner"), "{}", refused.stderr);
+}

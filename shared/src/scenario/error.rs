@@ -41,7 +41,32 @@ pub enum ScenarioError {
         /// The value found.
         got: String,
     },
+    /// The same, of a value that a flag gave.
+    #[error("{flag} is {got}: expected {expected}")]
+    WrongFlag {
+        /// The flag.
+        flag: String,
+        /// The expected value.
+        expected: String,
+        /// The value found.
+        got: String,
+    },
     /// The recording that the scenario names is unusable.
     #[error(transparent)]
     Recording(#[from] crate::recording::RecordingError),
+}
+
+impl ScenarioError {
+    /// The same, but with the flag in place of the key if the user typed the value as a flag. `flags` are the keys that the
+    /// command line gave, each with its flag.
+    #[must_use]
+    pub fn by_flag(self, flags: &[(&str, &str)]) -> Self {
+        match self {
+            Self::WrongValue { file, key, expected, got } => match flags.iter().find(|(of_flag, _)| *of_flag == key) {
+                Some((_, flag)) => Self::WrongFlag { flag: (*flag).to_owned(), expected, got },
+                None => Self::WrongValue { file, key, expected, got },
+            },
+            other => other,
+        }
+    }
 }

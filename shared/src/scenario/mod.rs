@@ -218,6 +218,23 @@ impl Criterion {
 /// The planners' names.
 pub const PLANNERS: [&str; 8] = ["certified", "adaptive", "standard", "grid", "greedy", "pursue", "random", "horizon"];
 
+/// What to use in place of the grid search for teams that are not [range-only](Scenario::is_range_only).
+pub const GRID_INSTEAD: &str = "another planner, such as certified: grid serves only ranges of constant noise, measured by \
+                                robots that know where they are";
+
+impl Scenario {
+    /// True if all robots measure ranges of constant noise alone, and the filter takes their positions as exact: the problem
+    /// of the paper.
+    #[must_use]
+    pub fn is_range_only(&self) -> bool {
+        self.robots.iter().all(|robot| {
+            let NuisanceSpec { pose_std_m, pose_drift_m, .. } = robot.nuisances;
+            let is_exact = pose_std_m == 0.0 && pose_drift_m == 0.0 || self.treatment == Treatment::Ignored;
+            robot.reported.constant_range_std_m().is_some() && is_exact
+        })
+    }
+}
+
 impl PlannerSpec {
     /// The name in scenarios and on the command line.
     #[must_use]

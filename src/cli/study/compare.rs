@@ -1,6 +1,6 @@
 //! `compare`: its flags, checked.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use rangehound_shared::scenario::{PLANNERS, defaults};
@@ -8,6 +8,7 @@ use rangehound_shared::scenario::{PLANNERS, defaults};
 use crate::cli::ExperimentArgs;
 use crate::cli::values::{PlannerName, number, whole, within};
 use crate::failure::Failure;
+use crate::run::experiment::Given;
 use crate::study::compare;
 use crate::study::compare::monte_carlo::{TREATMENTS, Trials, Variant};
 
@@ -76,7 +77,8 @@ impl CompareArgs {
             stand_off: self.stand_off,
             ..ExperimentArgs::default()
         };
-        let given = experiment.given()?;
+        let mut given = experiment.given()?;
+        given.flags.push(("planner.name", "--planners"));
         let (runs, first_seed) = (self.runs, given.file.seed.unwrap_or(defaults::SEED));
         let asked = self.planners.as_deref().unwrap_or_default();
         for (index, name) in asked.iter().enumerate() {
@@ -88,6 +90,7 @@ impl CompareArgs {
                 return Err(Failure::input(format!("--planners has {name} twice: expected each name once")));
             }
         }
+        check_sensors(&self.sensors, &given)?;
         let ticks_of_run = given.file.ticks.unwrap_or(defaults::TICKS);
         // Where something else varies, one planner is enough unless more are asked for.
         let varies = !self.sensors.is_empty() || !self.nuisances.is_empty();
@@ -106,4 +109,16 @@ impl CompareArgs {
         trials.check_extent(ticks_of_run).map_err(|problem| Failure::input(format!("--{problem}")))?;
         compare::compare(trials, self.out.as_deref(), self.json)
     }
+}
+
+/// Each sensor must be one of the scenario.
+fn check_sensors(asked: &[String], given: &Given) -> Result<(), Failure> {
+    let known: Vec<&str> = given.file.sensor.iter().flatten().map(|(name, _)| name.as_str()).collect();
+    let Some(unknown) = asked.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
+    let file = given.path.as_deref().unwrap_or(Path::new("scenarios/paper.toml")).display();
+    let expected = match known.is_empty() {
+        true => format!("a scenario with a table [sensor.NAME] for each of them: {file} has none"),
+        false => format!("names out of {}, the sensors of {file}", known.join(", ")),
+    };
+    Err(Failure::input(format!("--sensors has {unknown:?}: expected {expected}")))
 }

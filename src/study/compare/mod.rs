@@ -78,6 +78,7 @@ pub fn of_trials(
         runs: trials.runs,
         ticks: first.ticks,
         robots: first.robots.len(),
+        gap_meaning: summary::gap_meaning(scenarios),
         stand_off_m: first.clearance.stand_off_m,
         stand_off_sigma: first.clearance.stand_off_sigma,
         wall_s: began.elapsed().as_secs_f64(),

@@ -152,11 +152,11 @@ pub struct Sample {
     pub squared_error_m2: f64,
     /// The same over its covariance, two degrees of freedom; NaN if the covariance is singular.
     pub nees: f64,
-    /// Planner's `|S|` above the certified lower bound, relative to the sum of all lambda.
+    /// How far the plan is from the certified lower bound, see [`Distance::gap`].
     pub gap: f64,
     /// The planned position trace above the least that the bound allows, relative to the latter.
     pub trace_excess: f64,
-    /// False if the bound is not proven to be the optimum to within a billionth.
+    /// False if the bound is not proven to be the optimum, within what the planner states as its gap.
     pub certified: bool,
     /// Planning time, ns.
     pub planning_ns: u64,
@@ -187,11 +187,11 @@ impl Trials {
     /// # Errors
     /// [`ScenarioError`] for the first fault.
     pub fn scenario(&self, variant: &Variant, run: u64) -> Result<Scenario, ScenarioError> {
-        let Given { file, file_name, folder, .. } = &self.given;
+        let Given { file, file_name, folder, flags, .. } = &self.given;
         let mut file = file.clone();
         file.seed = Some(self.first_seed.wrapping_add(run));
         variant.apply(&mut file);
-        input::scenario(&file, file_name, folder)
+        input::scenario(&file, file_name, folder).map_err(|error| error.by_flag(flags))
     }
 
     /// Runs of all variants together.

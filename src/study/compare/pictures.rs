@@ -181,8 +181,7 @@ fn draw_gap(comparison: &Comparison, area: &Area<'_>) -> Drawn {
         .x_label_area_size(60)
         .y_label_area_size(110)
         .build_cartesian_2d(LogAxis(chart::log_limits(gaps)), 0.0..1.02)?;
-    let label = "|S| above the certified lower bound, relative to the sum of all lambda";
-    chart::draw_axes(&mut chart, label, "part of the steps with at most this gap")?;
+    chart::draw_axes(&mut chart, comparison.gap_meaning, "part of the steps with at most this gap")?;
     for ((index, planner), width) in planners.iter().enumerate().zip(widths()) {
         let line = planner.gap_distribution.iter().copied();
         chart.draw_series(LineSeries::new(line, colour_of(&planner.name, index).stroke_width(width)))?;

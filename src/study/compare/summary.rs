@@ -2,6 +2,7 @@
 
 use std::fmt::{Display, Formatter};
 
+use rangehound_shared::scenario::Scenario;
 use serde::Serialize;
 
 use super::monte_carlo::{Sample, Trial};
@@ -36,6 +37,8 @@ pub struct Comparison {
     pub ticks: u64,
     /// Robots.
     pub robots: usize,
+    /// What the gaps are.
+    pub gap_meaning: &'static str,
     /// Least distance of robots to the predicted target, m.
     pub stand_off_m: f64,
     /// The same as a multiple of the square root of its position trace; the larger counts.
@@ -72,7 +75,7 @@ pub struct Summary {
     pub divergence: Divergence,
     /// Time of a step's planning, from the estimate to the headings, us.
     pub planning_us: Percentiles,
-    /// `|S|` above the certified lower bound of the same problem, relative to the sum of all lambda.
+    /// How far the plan is from the certified lower bound of the same problem: see [`Comparison::gap_meaning`].
     pub gap: Spread,
     /// The planned position trace above the least that the bound allows, %.
     pub trace_excess_percent: Spread,
@@ -202,6 +205,17 @@ impl Summary {
     }
 }
 
+/// What the gaps of plans for these scenarios are, in at most 80 characters.
+#[must_use]
+pub fn gap_meaning(scenarios: &[Scenario]) -> &'static str {
+    let range_only = scenarios.iter().filter(|scenario| scenario.is_range_only()).count();
+    match range_only {
+        all if all == scenarios.len() => "|S| above its certified bound, relative to the sum of all lambda",
+        0 => "criterion above its certified bound, relative to that bound",
+        _ => "|S| above its bound / sum of all lambda, or criterion above its bound / bound",
+    }
+}
+
 /// Bounds of an ANEES at a tick; the position has two degrees of freedom.
 #[must_use]
 pub fn anees_bounds(runs: u64) -> Interval {
@@ -243,24 +257,27 @@ impl Display for Comparison {
         writeln!(f, "{runs} runs of each planner, seeds {seed} to {last_seed}, in {wall_s:.1} s")?;
         writeln!(f)?;
         let of = |name: &str| self.planning_time.iter().find(|scaling| scaling.name == name);
-        writeln!(f, "{:>26}{:>16}{:>24}", "trace, m²", "variance, m²", "trace above optimum, %")?;
-        write_row(f, "", ["end", "mean", "end", "mean", "p50", "p99", "max"])?;
+        let names = self.planners.iter().map(|planner| planner.name.chars().count()).max().unwrap_or(0).max(10);
+        let blank = "";
+        writeln!(f, "{blank:names$}{:>16}{:>16}{:>24}", "trace, m²", "variance, m²", "trace above optimum, %")?;
+        write_row(f, names, "", ["end", "mean", "end", "mean", "p50", "p99", "max"])?;
         for planner in &self.planners {
-            write_row(f, &planner.name, planner.uncertainty())?;
+            write_row(f, names, &planner.name, planner.uncertainty())?;
         }
         writeln!(f)?;
-        writeln!(f, "{:>34}{:>16}{:>22}", "position error, m", "consistency", "diverged, %")?;
-        write_row(f, "", ["RMS", "median", "p95", "ANEES", "NIS", "rate", "95 % interval"])?;
+        writeln!(f, "{blank:names$}{:>24}{:>16}{:>22}", "position error, m", "consistency", "diverged, %")?;
+        write_row(f, names, "", ["RMS", "median", "p95", "ANEES", "NIS", "rate", "95 % interval"])?;
         for planner in &self.planners {
-            write_row(f, &planner.name, planner.errors())?;
+            write_row(f, names, &planner.name, planner.errors())?;
         }
         writeln!(f)?;
-        writeln!(f, "{:>34}{:>24}", "planning, us", "|S| above optimum")?;
-        write_row(f, "", ["p50", "p99", "over M", "p50", "p99", "max"])?;
+        writeln!(f, "{blank:names$}{:>24}{:>24}", "planning, us", "plan above optimum")?;
+        write_row(f, names, "", ["p50", "p99", "over M", "p50", "p99", "max"])?;
         for planner in &self.planners {
-            write_row(f, &planner.name, planner.planning(of(&planner.name)))?;
+            write_row(f, names, &planner.name, planner.planning(of(&planner.name)))?;
         }
         let Interval { low, high } = anees_bounds;
+        let gap_meaning = self.gap_meaning;
         write!(
             f,
             "
@@ -268,16 +285,23 @@ Trace and variance (largest eigenvalue) of the position covariance: median over
 the runs, at the end and its mean over time. Errors, ANEES and NIS hold all
 runs, diverged ones too; ANEES and NIS are ideally 1, and at one tick 95 % of
 consistent filters have an ANEES from {low:.2} to {high:.2}. Diverged: over {DIVERGED_ERROR_M} m off
-in the mean of the last {DIVERGED_TICKS} ticks. Above optimum: against the certified lower
-bound of the same step, |S| relative to the sum of all lambda. Over M: the power
-law of the time to plan from M = 10 to 1000, or as many as are served in time."
+in the mean of the last {DIVERGED_TICKS} ticks. Trace above optimum: against the least trace
+that the certified lower bound of the same step allows. Plan above optimum:
+{gap_meaning}.
+Over M: the power law of the time to plan from M = 10 to 1000, or as many as are
+served in time."
         )
     }
 }
 
-/// A row of a table: a name, and figures below their column heads.
-fn write_row(f: &mut Formatter<'_>, name: &str, figures: impl IntoIterator<Item = impl Display>) -> std::fmt::Result {
-    write!(f, "{name:<10}")?;
+/// A row of a table: a name in a column of this width, and figures below their column heads.
+fn write_row(
+    f: &mut Formatter<'_>,
+    width: usize,
+    name: &str,
+    figures: impl IntoIterator<Item = impl Display>,
+) -> std::fmt::Result {
+    write!(f, "{name:<width$}")?;
     for figure in figures {
         write!(f, " {figure:>7}")?;
     }
@@ -352,6 +376,8 @@ fn figure(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::scenario::ScenarioFile;
+
     use super::*;
 
     fn trial(errors_m: &[f64]) -> Trial {
@@ -401,6 +427,22 @@ mod tests {
         assert_eq!(distribution.first().map(|(_, part)| *part), Some(0.0));
         assert_eq!(distribution.last(), Some(&(1.0, 1.0)));
         assert!(distribution.is_sorted());
+    }
+
+    /// As a footnote it ends with a full stop in 80 columns.
+    #[test]
+    fn the_meaning_of_the_gaps_is_that_of_the_sensors() {
+        let scenario = |text: &str| Scenario::from_file(&ScenarioFile::parse(text, "test").unwrap(), "test").unwrap();
+        let ranges = scenario("");
+        let cameras = scenario("[sensor.camera]\nbearing_std_rad = 0.1\n[robots]\nsensor = \"camera\"\n");
+        let uncertain = scenario("[localiser.gps]\nstd_m = 1.0\n[robots]\nlocaliser = \"gps\"\n");
+        let of_ranges = gap_meaning(&[ranges.clone(), ranges.clone()]);
+        let of_others = gap_meaning(&[cameras.clone(), uncertain]);
+        let of_both = gap_meaning(&[cameras, ranges]);
+        assert!(of_ranges.contains("|S|") && !of_ranges.contains("criterion"), "{of_ranges}");
+        assert!(of_others.contains("criterion") && !of_others.contains("|S|"), "{of_others}");
+        assert!(of_both.contains("|S|") && of_both.contains("criterion"), "{of_both}");
+        assert!([of_ranges, of_others, of_both].iter().all(|meaning| meaning.len() < 80));
     }
 
     #[test]

@@ -20,7 +20,8 @@ pub struct Distance {
     pub gap: f64,
     /// The planned position trace above the least that the bound allows, relative to the latter.
     pub trace_excess: f64,
-    /// False if the bound is not proven to be the optimum to within a billionth.
+    /// False if the bound is not proven to be the optimum: to within a billionth of the sum of all lambda, or a millionth of
+    /// the criterion.
     pub certified: bool,
 }
 

@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use rangehound_shared::motion::MotionModel;
 use rangehound_shared::record::digest::Digest;
-use rangehound_shared::scenario::{GateKey, PlannerSpec, PlannerTable, Scenario, Source};
+use rangehound_shared::scenario::{GRID_INSTEAD, GateKey, PlannerSpec, PlannerTable, Scenario, Source};
 use serde::Serialize;
 
 use crate::failure::{self, Failure};
@@ -160,7 +160,11 @@ fn changed(recorded: &Scenario, changes: &Changes) -> Result<Scenario, Failure> 
             ));
         }
         let table = PlannerTable { name: Some(name.clone()), ..PlannerTable::default() };
-        let spec = PlannerSpec::from_table(&table, COMMAND_LINE).map_err(Failure::input)?;
+        let spec = PlannerSpec::from_table(&table, COMMAND_LINE)
+            .map_err(|error| Failure::input(error.by_flag(&[("planner.name", "--planner")])))?;
+        if matches!(spec, PlannerSpec::Grid { .. }) && !recorded.is_range_only() {
+            return Err(Failure::input(format!("--planner is \"grid\": expected {GRID_INSTEAD}")));
+        }
         // The same planner keeps the settings of its scenario.
         if spec.name() != recorded.planner.name() {
             scenario.planner = spec;

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use super::bounds::{DT_S, ESTIMATED_ROBOTS_MAX, GATE_SIGMA, NOISE_PSD, STD_M, TICKS_MAX, TIMEOUT_S};
 use super::{
-    Clearance, Clock, FilterTable, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario, ScenarioError,
-    ScenarioFile, Source, Timeout, TimeoutKey, Treatment, defaults,
+    Clearance, Clock, FilterTable, GRID_INSTEAD, GateKey, PlannerSpec, PlannerTable, Prior, RecordingTable, Scenario,
+    ScenarioError, ScenarioFile, Source, Timeout, TimeoutKey, Treatment, defaults,
 };
 use crate::motion::MotionModel;
 use crate::recording::{ReadSummary, Recording};
@@ -119,8 +119,13 @@ impl Checker<'_> {
         }
         let robots = scenario.robots.len();
         if matches!(scenario.treatment, Treatment::Estimated { .. }) && robots > ESTIMATED_ROBOTS_MAX {
-            let expected = format!("no such key for more than {ESTIMATED_ROBOTS_MAX} robots or sensors");
-            return Err(self.refuse("filter.estimate", expected, format!("given for {robots}")));
+            let expected = format!(
+                "at most {ESTIMATED_ROBOTS_MAX}: leave it out, and the filter takes account of these errors without estimating them"
+            );
+            return Err(self.refuse("filter.estimate", expected, format!("given for {robots} robots or sensors")));
+        }
+        if matches!(scenario.planner, PlannerSpec::Grid { .. }) && !scenario.is_range_only() {
+            return Err(self.refuse("planner.name", GRID_INSTEAD, quoted("grid")));
         }
         Ok(scenario)
     }
