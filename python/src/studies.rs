@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use rangehound::files::{calibration, input as files};
 use rangehound::results::report::Truth;
 use rangehound::study::calibrate::{Found, check};
-use rangehound::study::compare::monte_carlo::{CustomParts, Trials, Variant};
+use rangehound::study::compare::monte_carlo::{CustomParts, Trials, Variant, Varied};
 use rangehound::study::compare::{first_scenarios, of_trials};
 use rangehound_shared::scenario::PLANNERS;
 
@@ -54,7 +54,7 @@ pub(crate) fn compare(
     }
     let names: Vec<String> = planners.iter().map(|(name, _)| name.clone()).collect();
     let (sensor, target) = (sensor.map(Arc::new), target.map(Arc::new));
-    for mut variant in Variant::all(&names, &sensors, &nuisances) {
+    for mut variant in Variant::all(&names, Varied { sensors: &sensors, nuisances: &nuisances, ..Varied::default() }) {
         let function = planners.iter().find(|(name, _)| Some(name) == variant.planner.as_ref());
         let planner = function.and_then(|(_, function)| function.as_ref()).map(|f| Arc::new(f.clone_ref(py)));
         if planner.is_some() {

@@ -160,3 +160,24 @@ fn the_default_stand_off_loses_no_run() {
         assert!(rms_m.as_f64().unwrap() < 1.0 && (0.9..1.1).contains(&anees.as_f64().unwrap()), "{rms_m} {anees}");
     }
 }
+
+/// The scenario's own mix beside teams that are alike: what varies has its figures, and what is left out does not vary.
+#[test]
+fn the_mix_of_a_scenario_is_compared_with_teams_that_are_alike() {
+    let mixed = format!("{}/scenarios/mixed_sensors.toml", env!("CARGO_MANIFEST_DIR"));
+    let of = |flags: &str| compare(&format!("{mixed} --runs 4 --ticks 60 --seed 3 {flags}")).1;
+    let traces = |figures: &Value, names: &[&str]| -> Vec<f64> {
+        names.iter().map(|name| planner(figures, name)["position_trace_m2"]["mean"].as_f64().unwrap()).collect()
+    };
+    let plain = traces(&of("--planners certified"), &["certified"]);
+    let sensors = traces(&of("--sensors own,both"), &["own", "both"]);
+    assert!(sensors[0] == plain[0] && sensors[1] != plain[0], "{plain:?} {sensors:?}");
+    let localisers = traces(&of("--localisers exact,own,gps,odometry"), &["exact", "own", "gps", "odometry"]);
+    assert_eq!(localisers[1], plain[0]);
+    assert!(localisers[0] < localisers[1] && localisers[0] < localisers[2], "{localisers:?}");
+    for (flag, expected) in [("--localisers radar", "exact, own"), ("--sensors own,own", "own twice")] {
+        let refused =
+            Run::new().start(&[&["compare", &mixed], &flag.split(' ').collect::<Vec<_>>()[..]].concat()).finish();
+        assert!(refused.code == Some(2) && refused.stderr.contains(expected), "{refused:#?}");
+    }
+}

@@ -8,9 +8,8 @@ use rangehound_shared::scenario::{PLANNERS, defaults};
 use crate::cli::ExperimentArgs;
 use crate::cli::values::{PlannerName, number, whole, within};
 use crate::failure::Failure;
-use crate::run::experiment::Given;
 use crate::study::compare;
-use crate::study::compare::monte_carlo::{TREATMENTS, Trials, Variant};
+use crate::study::compare::monte_carlo::{EXACT, OWN, TREATMENTS, Trials, Variant, Varied};
 
 const THREADS_MAX: u64 = 1_024;
 
@@ -26,12 +25,17 @@ pub struct CompareArgs {
     #[arg(long = "scenario", value_name = "FILE", conflicts_with = "scenario")]
     pub scenario_flag: Option<PathBuf>,
     /// Planners to compare, separated by commas [default: certified,adaptive,standard,greedy,pursue,random; only certified
-    /// with --sensors or --nuisances]
+    /// with --sensors, --localisers or --nuisances]
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = PlannerName)]
     pub planners: Option<Vec<String>>,
-    /// Sensors to compare, separated by commas: names of [sensor.NAME] in the scenario, which all robots have in turn
+    /// Sensors to compare, separated by commas: names of [sensor.NAME] in the scenario, which all robots have in turn, and
+    /// own for the mix of the scenario
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub sensors: Vec<String>,
+    /// Errors of the robots' poses to compare, separated by commas: names of [localiser.NAME] in the scenario, which all robots
+    /// have in turn, exact for none, and own for the mix of the scenario
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub localisers: Vec<String>,
     /// Treatments of uncertain poses and biases to compare, separated by commas: ignored, inflated, schmidt, estimated
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = TREATMENTS)]
     pub nuisances: Vec<String>,
@@ -81,25 +85,22 @@ impl CompareArgs {
         given.flags.push(("planner.name", "--planners"));
         let (runs, first_seed) = (self.runs, given.file.seed.unwrap_or(defaults::SEED));
         let asked = self.planners.as_deref().unwrap_or_default();
-        for (index, name) in asked.iter().enumerate() {
-            if !PLANNERS.contains(&name.as_str()) {
-                let known = PLANNERS.join(", ");
-                return Err(Failure::input(format!("--planners has {name:?}: expected names out of {known}")));
-            }
-            if asked[..index].contains(name) {
-                return Err(Failure::input(format!("--planners has {name} twice: expected each name once")));
-            }
-        }
-        check_sensors(&self.sensors, &given)?;
+        check_names("--planners", asked, PLANNERS.into_iter(), "planners")?;
+        let file = given.path.as_deref().unwrap_or(Path::new("scenarios/paper.toml")).display();
+        let sensors = given.file.sensor.iter().flatten().map(|(name, _)| name.as_str());
+        check_names("--sensors", &self.sensors, sensors.chain([OWN]), &format!("tables [sensor.NAME] of {file}"))?;
+        let localisers = given.file.localiser.iter().flatten().map(|(name, _)| name.as_str());
+        let tables = format!("tables [localiser.NAME] of {file}");
+        check_names("--localisers", &self.localisers, localisers.chain([EXACT, OWN]), &tables)?;
         let ticks_of_run = given.file.ticks.unwrap_or(defaults::TICKS);
         // Where something else varies, one planner is enough unless more are asked for.
-        let varies = !self.sensors.is_empty() || !self.nuisances.is_empty();
+        let varied = Varied { sensors: &self.sensors, localisers: &self.localisers, nuisances: &self.nuisances };
         let planners = match &self.planners {
-            None if varies => vec![defaults::PLANNER.to_owned()],
+            None if varied.is_given() => vec![defaults::PLANNER.to_owned()],
             None => COMPARED.map(str::to_owned).to_vec(),
             Some(names) => names.clone(),
         };
-        let variants = Variant::all(&planners, &self.sensors, &self.nuisances);
+        let variants = Variant::all(&planners, varied);
         let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get() as u64);
         let threads =
             within("--threads", 1..=THREADS_MAX, &format!("1 to {THREADS_MAX}"), self.threads.unwrap_or(cores))?;
@@ -111,14 +112,22 @@ impl CompareArgs {
     }
 }
 
-/// Each sensor must be one of the scenario.
-fn check_sensors(asked: &[String], given: &Given) -> Result<(), Failure> {
-    let known: Vec<&str> = given.file.sensor.iter().flatten().map(|(name, _)| name.as_str()).collect();
-    let Some(unknown) = asked.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
-    let file = given.path.as_deref().unwrap_or(Path::new("scenarios/paper.toml")).display();
-    let expected = match known.is_empty() {
-        true => format!("a scenario with a table [sensor.NAME] for each of them: {file} has none"),
-        false => format!("names out of {}, the sensors of {file}", known.join(", ")),
-    };
-    Err(Failure::input(format!("--sensors has {unknown:?}: expected {expected}")))
+/// Each name must be known, and is needed once.
+fn check_names<'a>(
+    flag: &str,
+    asked: &[String],
+    known: impl Iterator<Item = &'a str>,
+    what: &str,
+) -> Result<(), Failure> {
+    let known: Vec<&str> = known.collect();
+    for (index, name) in asked.iter().enumerate() {
+        if !known.contains(&name.as_str()) {
+            let known = known.join(", ");
+            return Err(Failure::input(format!("{flag} has {name:?}: expected names out of {known} ({what})")));
+        }
+        if asked[..index].contains(name) {
+            return Err(Failure::input(format!("{flag} has {name} twice: expected each name once")));
+        }
+    }
+    Ok(())
 }

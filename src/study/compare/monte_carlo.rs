@@ -45,7 +45,7 @@ pub struct Trials {
     pub threads: usize,
 }
 
-/// One of the things compared: a planner, with another sensor or another treatment of nuisances if those vary too.
+/// One of the things compared: a planner, with other sensors, localisers or another treatment of nuisances if those vary too.
 #[derive(Debug, Clone)]
 pub struct Variant {
     /// Its name in tables and pictures.
@@ -56,6 +56,8 @@ pub struct Variant {
     pub custom: Option<CustomParts>,
     /// The named sensor that all robots have; the scenario's own if none.
     pub sensor: Option<String>,
+    /// The named localiser that all robots have, or [`EXACT`]; the scenario's own if none.
+    pub localiser: Option<String>,
     /// What the filter does about nuisances; the scenario's own if none.
     pub nuisances: Option<String>,
 }
@@ -76,28 +78,57 @@ impl fmt::Debug for CustomParts {
 /// The treatments of nuisances by name: those of a scenario, and estimation.
 pub const TREATMENTS: [&str; 4] = ["ignored", "inflated", "schmidt", "estimated"];
 
+/// The name for what the scenario itself gives each robot, beside named sensors and localisers.
+pub const OWN: &str = "own";
+
+/// The name for localisers without errors.
+pub const EXACT: &str = "exact";
+
+/// What varies beside the planner: names of sensors, localisers and treatments of nuisances. An empty list does not vary.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Varied<'a> {
+    /// Sensors of the scenario, or [`OWN`].
+    pub sensors: &'a [String],
+    /// Localisers of the scenario, [`EXACT`] or [`OWN`].
+    pub localisers: &'a [String],
+    /// [`TREATMENTS`].
+    pub nuisances: &'a [String],
+}
+
+impl Varied<'_> {
+    /// True if there is anything but planners to compare.
+    #[must_use]
+    pub fn is_given(&self) -> bool {
+        [self.sensors, self.localisers, self.nuisances].iter().any(|names| !names.is_empty())
+    }
+}
+
 impl Variant {
     /// All combinations. A name has what varies, or the planner if nothing does.
     #[must_use]
-    pub fn all(planners: &[String], sensors: &[String], nuisances: &[String]) -> Vec<Self> {
+    pub fn all(planners: &[String], varied: Varied<'_>) -> Vec<Self> {
         let or_own = |names: &[String]| -> Vec<Option<String>> {
             if names.is_empty() { vec![None] } else { names.iter().cloned().map(Some).collect() }
         };
-        let (own_sensors, own_nuisances) = (or_own(sensors), or_own(nuisances));
+        let [sensors, localisers, nuisances] = [varied.sensors, varied.localisers, varied.nuisances].map(or_own);
+        let varies = sensors.len() * localisers.len() * nuisances.len() > 1;
+        let named = |name: &Option<String>| name.clone().filter(|name| name != OWN);
         let mut variants = Vec::new();
         for planner in planners {
-            for sensor in &own_sensors {
-                for treatment in &own_nuisances {
-                    let varies = own_sensors.len() * own_nuisances.len() > 1;
-                    let of_planner = (planners.len() > 1 || !varies).then_some(planner.as_str());
-                    let parts = [of_planner, sensor.as_deref(), treatment.as_deref()];
-                    variants.push(Self {
-                        name: parts.into_iter().flatten().collect::<Vec<_>>().join(" "),
-                        planner: Some(planner.clone()),
-                        custom: None,
-                        sensor: sensor.clone(),
-                        nuisances: treatment.clone(),
-                    });
+            for sensor in &sensors {
+                for localiser in &localisers {
+                    for treatment in &nuisances {
+                        let of_planner = (planners.len() > 1 || !varies).then_some(planner.as_str());
+                        let parts = [of_planner, sensor.as_deref(), localiser.as_deref(), treatment.as_deref()];
+                        variants.push(Self {
+                            name: parts.into_iter().flatten().collect::<Vec<_>>().join(" "),
+                            planner: Some(planner.clone()),
+                            custom: None,
+                            sensor: named(sensor),
+                            localiser: named(localiser),
+                            nuisances: treatment.clone(),
+                        });
+                    }
                 }
             }
         }
@@ -117,6 +148,13 @@ impl Variant {
                     let robots = file.robots.get_or_insert_default();
                     (robots.sensor, robots.range_std_m) = (Some(sensor.clone()), None);
                 }
+            }
+        }
+        if let Some(localiser) = &self.localiser {
+            let localiser = Some(localiser.clone()).filter(|name| name != EXACT);
+            match &mut file.robot {
+                Some(robots) => robots.iter_mut().for_each(|robot| robot.localiser.clone_from(&localiser)),
+                None => file.robots.get_or_insert_default().localiser = localiser,
             }
         }
         if let Some(treatment) = &self.nuisances {
