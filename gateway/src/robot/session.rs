@@ -123,16 +123,24 @@ impl Connector {
             Err(_) => Happened::Nothing,
             Ok(ended) => {
                 self.attempt = None;
-                let happened = ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()));
-                if let Happened::Joined(_) = happened {
-                    let is_first = !std::mem::replace(&mut self.has_joined, true);
-                    // A link that is opened again is worth a line only if there was one about its end.
-                    if self.reported.take().is_some() || is_first {
-                        log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
-                    }
-                }
-                happened
+                ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()))
             }
+        }
+    }
+
+    /// Lets the attempt that has just succeeded count as refused: the next one follows some time later, as always.
+    pub(super) fn refuse(&mut self, refusal: Refusal) {
+        self.attempt = Some(tokio::task::spawn_local(async move {
+            tokio::time::sleep(BETWEEN).await;
+            Happened::Refused(refusal)
+        }));
+    }
+
+    /// Reports that the robot takes part. A link that is opened again is worth a line only if there was one about its end.
+    pub(super) fn report_joined(&mut self) {
+        let is_first = !std::mem::replace(&mut self.has_joined, true);
+        if self.reported.take().is_some() || is_first {
+            log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
         }
     }
 
