@@ -40,17 +40,25 @@ pub struct Conditions {
     pub delay_s: f64,
     /// Time on top of it, up to this, uniformly distributed, s: packets overtake each other.
     pub jitter_s: f64,
+    /// Interval at which the links are cut, s, if they are: one after the other.
+    pub cut_every_s: Option<f64>,
+    /// Duration of such a cut, s.
+    pub cut_for_s: f64,
 }
 
 impl std::fmt::Display for Conditions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { loss, burst, duplicates, delay_s, jitter_s } = self;
+        let Self { loss, burst, duplicates, delay_s, jitter_s, cut_every_s, cut_for_s } = self;
         let (delay_ms, jitter_ms) = (1e3 * delay_s, 1e3 * jitter_s);
         write!(f, "{} % lost", 100.0 * loss)?;
         if *burst > 1 {
             write!(f, " in bursts of {burst}")?;
         }
-        write!(f, ", {} % doubled, {delay_ms} to {} ms late", 100.0 * duplicates, delay_ms + jitter_ms)
+        write!(f, ", {} % doubled, {delay_ms} to {} ms late", 100.0 * duplicates, delay_ms + jitter_ms)?;
+        match cut_every_s {
+            Some(cut_every_s) => write!(f, ", cut for {cut_for_s} s in every {cut_every_s}"),
+            None => Ok(()),
+        }
     }
 }
 
@@ -88,6 +96,9 @@ impl Link {
                 Relay {
                     front,
                     gateway,
+                    // Links are cut one after the other, the first of them at the end of the first interval.
+                    first_cut_s: host as f64 * -conditions.cut_for_s,
+                    began: Instant::now(),
                     conditions,
                     random,
                     backs: HashMap::new(),
@@ -166,6 +177,9 @@ struct Relay {
     front: UdpSocket,
     gateway: SocketAddr,
     conditions: Conditions,
+    /// When it is cut for the first time, if at intervals, s before or after its beginning.
+    first_cut_s: f64,
+    began: Instant,
     random: ChaCha8Rng,
     /// A socket for each robot's process, so that the gateway sees them apart, and when the process last sent something.
     backs: HashMap<SocketAddr, (UdpSocket, Instant)>,
@@ -188,9 +202,10 @@ impl Relay {
                     come.push((*robot, false, bytes[..len].to_vec()));
                 }
             }
+            let is_cut = self.is_cut();
             for (robot, is_up, bytes) in come {
                 let cut = if is_up { &state.cut_up } else { &state.cut_down };
-                if !cut.load(Ordering::Relaxed) && !self.loses(is_up) {
+                if !is_cut && !cut.load(Ordering::Relaxed) && !self.loses(is_up) {
                     let copies = 1 + usize::from(self.random.random_bool(self.conditions.duplicates));
                     for _ in 0..copies {
                         let at = self.arrival();
@@ -211,6 +226,13 @@ impl Relay {
         let sockets = std::iter::once(&self.front).chain(self.backs.values().map(|(back, _)| back));
         let mut sockets: Vec<PollFd<'_>> = sockets.map(|socket| PollFd::new(socket, PollFlags::IN)).collect();
         let _ = poll(&mut sockets, Some(&timeout));
+    }
+
+    /// True while it is cut that is cut at intervals.
+    fn is_cut(&self) -> bool {
+        let Conditions { cut_every_s, cut_for_s, .. } = self.conditions;
+        let since_s = self.began.elapsed().as_secs_f64() - self.first_cut_s;
+        cut_every_s.is_some_and(|cut_every_s| since_s.rem_euclid(cut_every_s) < cut_for_s)
     }
 
     fn loses(&mut self, is_up: bool) -> bool {
