@@ -135,9 +135,10 @@ fn hosts_that_wake_up_change_nothing() {
         let of_run: Vec<Pid> = roles.iter().filter_map(|role| run.pid_of(role)).collect();
         assert_eq!(of_run.len(), roles.len());
         for host in [of_run, vec![robots[0].pid()]] {
-            host.iter().for_each(|pid| drop(kill_process(*pid, Signal::STOP)));
+            let signal = |signal| host.iter().for_each(|pid| kill_process(*pid, signal).unwrap());
+            signal(Signal::STOP);
             std::thread::sleep(Duration::from_secs(4));
-            host.iter().for_each(|pid| drop(kill_process(*pid, Signal::CONT)));
+            signal(Signal::CONT);
             let tick = run.tick();
             run.wait_until_tick(tick + 20);
         }

@@ -110,7 +110,7 @@ fn remote_robot(run: &Run) -> u32 {
             let words = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
             // Before that it is a tool that makes its host.
             let is_robot = std::fs::read_link(format!("/proc/{pid}/exe")).ok()?.ends_with("rangehound-gateway");
-            (is_robot && words.contains(&format!("\0{}\0--connect", run.name))).then_some(pid)
+            (is_robot && words.contains(&format!("\0{}\0", run.name)) && words.contains("--connect")).then_some(pid)
         })
     })
 }

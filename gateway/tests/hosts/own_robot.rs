@@ -132,15 +132,21 @@ fn a_robot_with_equipment_of_its_own_takes_part_over_a_link() {
     let is_over = |all: &Vec<(Asked, u64)>| all.last().is_some_and(|(asked, _)| *asked == Asked::Drive(0.0));
     let all = run.wait_for("its stop", || Some(asked(&robot)).filter(is_over));
     robot.succeeds();
-    let sensed: Vec<u64> = all.iter().filter_map(|(asked, _)| if let Asked::Tick(tick) = asked { Some(*tick) } else { None }).collect();
+    let sensed: Vec<u64> =
+        all.iter().filter_map(|(asked, _)| if let Asked::Tick(tick) = asked { Some(*tick) } else { None }).collect();
     assert!(sensed.iter().copied().eq(1..=ticks), "each tick is measured once: {sensed:?}");
     for (tick, record) in run.estimates() {
         let range = record.exchanges[0].heard.and_then(|heard| heard.measurement.range());
         assert_eq!(range, (tick > 0).then(|| (range_m(tick), STD_M)), "tick {tick}");
     }
-    let mut commanded = all.iter().filter_map(|(asked, _)| if let Asked::Drive(speed_mps) = asked { Some(*speed_mps) } else { None });
+    let mut commanded =
+        all.iter().filter_map(|(asked, _)| if let Asked::Drive(speed_mps) = asked { Some(*speed_mps) } else { None });
     for (tick, record) in run.worlds() {
-        assert_eq!(Some(record.robots[0].driven.speed_mps), commanded.next().map(|speed_mps| SLIP * speed_mps), "{tick}");
+        assert_eq!(
+            Some(record.robots[0].driven.speed_mps),
+            commanded.next().map(|speed_mps| SLIP * speed_mps),
+            "{tick}"
+        );
     }
     assert!(commanded.eq([0.0]) && run.worlds().iter().any(|(_, record)| record.robots[0].driven.speed_mps > 0.0));
     run.assert_nothing_left();
@@ -166,7 +172,8 @@ fn a_robot_that_has_taken_part_outlives_a_run_without_a_place_for_it() {
     let words = "--clock lockstep --timeout forever --robots 1 --ticks 100000000";
     for has_place in [true, false] {
         let run = Run::new();
-        let mut supervisor = run.start(&format!("run --no-record --name {} --out out --listen {port} {words}", run.name));
+        let mut supervisor =
+            run.start(&format!("run --no-record --name {} --out out --listen {port} {words}", run.name));
         assert_eq!(run.listens(&supervisor), port);
         if has_place {
             run.wait_until_tick(10);

@@ -54,7 +54,8 @@ fn headings_are_fresh_again_soon_after_a_cut() {
     robots.into_iter().for_each(Process::succeeds);
     let worlds = run.worlds();
     for (cut_s, from, to) in cuts {
-        let mut fresh = worlds.iter().filter(|(_, world)| world.robots.iter().all(|robot| robot.heading == Heading::Fresh));
+        let mut fresh =
+            worlds.iter().filter(|(_, world)| world.robots.iter().all(|robot| robot.heading == Heading::Fresh));
         assert!(!fresh.clone().any(|(tick, _)| (from + 3..to).contains(tick)), "the cut was felt");
         let ticks = fresh.find(|(tick, _)| *tick >= to).map(|(tick, _)| tick - to);
         println!("after a cut of {cut_s} s, in ticks {from} to {to}: fresh headings {ticks:?} ticks later");
@@ -100,7 +101,8 @@ fn a_link_that_is_cut_for_good_costs_one_robot() {
         supervisor.succeeds();
         assert!(run.report()["ranges"]["missing"].as_u64() > Some(0), "{}", run.report()["ranges"]);
         let worlds = run.worlds();
-        let last = worlds.last().map(|(tick, world)| (*tick, world.robots[0].heading, world.robots[1].driven.speed_mps));
+        let last =
+            worlds.last().map(|(tick, world)| (*tick, world.robots[0].heading, world.robots[1].driven.speed_mps));
         let ticks = run.report()["ticks"].as_u64().unwrap();
         assert_eq!(last, Some((ticks, Heading::Fresh, 0.0)), "{words}");
         if words.starts_with("slow") {

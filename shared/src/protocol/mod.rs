@@ -9,7 +9,7 @@ pub mod timing;
 pub mod wake;
 
 /// Version of the messages, the run's description and the checkpoints.
-pub const PROTOCOL: u32 = 7;
+pub const PROTOCOL: u32 = 8;
 
 /// Version of this program, for display.
 pub const PROGRAM: &str = env!("CARGO_PKG_VERSION");

@@ -236,7 +236,8 @@ impl Hosts {
     /// What is in the shared memory of the robots' hosts: a robot on another host than the run's needs none.
     #[must_use]
     pub fn files_left(&self) -> Vec<String> {
-        let on = |host| self.network.files_on(host).into_iter().map(move |file| format!("{file} on {}", host_name(host)));
+        let on =
+            |host| self.network.files_on(host).into_iter().map(move |file| format!("{file} on {}", host_name(host)));
         (RUN_HOST + 1..self.count).flat_map(on).collect()
     }
 
