@@ -62,6 +62,15 @@ impl std::fmt::Display for Conditions {
     }
 }
 
+impl Conditions {
+    /// True while the link of a host is cut that is cut at intervals, this time after its beginning, s. The first cut of the
+    /// first host ends with the interval, the others' are before it.
+    fn cuts(&self, host: usize, elapsed_s: f64) -> bool {
+        let since_s = |every_s: f64| (elapsed_s + host as f64 * self.cut_for_s).rem_euclid(every_s);
+        self.cut_every_s.is_some_and(|every_s| since_s(every_s) < self.cut_for_s)
+    }
+}
+
 /// Which packets a link lets through.
 #[derive(Debug, Default)]
 struct State {
@@ -96,8 +105,7 @@ impl Link {
                 Relay {
                     front,
                     gateway,
-                    // Links are cut one after the other, the first of them at the end of the first interval.
-                    first_cut_s: host as f64 * -conditions.cut_for_s,
+                    host,
                     began: Instant::now(),
                     conditions,
                     random,
@@ -177,8 +185,7 @@ struct Relay {
     front: UdpSocket,
     gateway: SocketAddr,
     conditions: Conditions,
-    /// When it is cut for the first time, if at intervals, s before or after its beginning.
-    first_cut_s: f64,
+    host: usize,
     began: Instant,
     random: ChaCha8Rng,
     /// A socket for each robot's process, so that the gateway sees them apart, and when the process last sent something.
@@ -202,7 +209,7 @@ impl Relay {
                     come.push((*robot, false, bytes[..len].to_vec()));
                 }
             }
-            let is_cut = self.is_cut();
+            let is_cut = self.conditions.cuts(self.host, self.began.elapsed().as_secs_f64());
             for (robot, is_up, bytes) in come {
                 let cut = if is_up { &state.cut_up } else { &state.cut_down };
                 if !is_cut && !cut.load(Ordering::Relaxed) && !self.loses(is_up) {
@@ -226,13 +233,6 @@ impl Relay {
         let sockets = std::iter::once(&self.front).chain(self.backs.values().map(|(back, _)| back));
         let mut sockets: Vec<PollFd<'_>> = sockets.map(|socket| PollFd::new(socket, PollFlags::IN)).collect();
         let _ = poll(&mut sockets, Some(&timeout));
-    }
-
-    /// True while it is cut that is cut at intervals.
-    fn is_cut(&self) -> bool {
-        let Conditions { cut_every_s, cut_for_s, .. } = self.conditions;
-        let since_s = self.began.elapsed().as_secs_f64() - self.first_cut_s;
-        cut_every_s.is_some_and(|cut_every_s| since_s.rem_euclid(cut_every_s) < cut_for_s)
     }
 
     fn loses(&mut self, is_up: bool) -> bool {
@@ -282,5 +282,30 @@ impl Relay {
         back.connect(self.gateway)?;
         back.set_nonblocking(true)?;
         Ok(back)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_cut_at_intervals_one_after_the_other() {
+        let never = Conditions {
+            loss: 0.0,
+            burst: 1,
+            duplicates: 0.0,
+            delay_s: 0.0,
+            jitter_s: 0.0,
+            cut_every_s: None,
+            cut_for_s: 2.0,
+        };
+        let cut_at = |conditions: &Conditions, host| -> Vec<u32> {
+            (0..22).filter(|s| conditions.cuts(host, f64::from(*s) + 0.5)).collect()
+        };
+        let at_intervals = Conditions { cut_every_s: Some(10.0), ..never };
+        assert_eq!(cut_at(&never, 1), [0; 0]);
+        assert_eq!(cut_at(&at_intervals, 1), [8, 9, 18, 19]);
+        assert_eq!(cut_at(&at_intervals, 2), [6, 7, 16, 17]);
     }
 }
