@@ -63,6 +63,11 @@ impl std::fmt::Display for Conditions {
 }
 
 impl Conditions {
+    /// Of a link that does nothing to packets.
+    #[cfg(test)]
+    pub const GOOD: Self =
+        Self { loss: 0.0, burst: 1, duplicates: 0.0, delay_s: 0.0, jitter_s: 0.0, cut_every_s: None, cut_for_s: 0.0 };
+
     /// True while the link of a host is cut that is cut at intervals, this time after its beginning, s. The first cut of the
     /// first host ends with the interval, the others' are before it.
     fn cuts(&self, host: usize, elapsed_s: f64) -> bool {
@@ -291,15 +296,7 @@ mod tests {
 
     #[test]
     fn links_are_cut_at_intervals_one_after_the_other() {
-        let never = Conditions {
-            loss: 0.0,
-            burst: 1,
-            duplicates: 0.0,
-            delay_s: 0.0,
-            jitter_s: 0.0,
-            cut_every_s: None,
-            cut_for_s: 2.0,
-        };
+        let never = Conditions { cut_for_s: 2.0, ..Conditions::GOOD };
         let cut_at = |conditions: &Conditions, host| -> Vec<u32> {
             (0..22).filter(|s| conditions.cuts(host, f64::from(*s) + 0.5)).collect()
         };
