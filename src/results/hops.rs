@@ -2,7 +2,8 @@
 //!
 //! The messages carry the time stamps, all of the clock of the run's host: robots send theirs in `drive`, fusion sends its own in
 //! `estimate`. The gateway translates the stamps of a robot on another host: it puts half of the time beyond its host on each way,
-//! and tells which parts of it were its own and the robot's. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
+//! and tells which parts of it were its own and the robot's. For each robot and tick the hops add up to its end-to-end latency, to
+//! the nanosecond.
 
 use rangehound_shared::message::Stages;
 use rangehound_shared::record::RobotRecord;

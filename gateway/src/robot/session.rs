@@ -19,6 +19,9 @@ const ATTEMPT: Duration = Duration::from_millis(800);
 /// Time between two attempts.
 const BETWEEN: Duration = Duration::from_millis(100);
 
+/// Time until the next attempt of a robot that does not fit the run.
+const MISFIT: Duration = Duration::from_secs(1);
+
 /// Time in which a robot that leaves must reach the gateway.
 const FAREWELL: Duration = Duration::from_millis(500);
 
@@ -128,10 +131,10 @@ impl Connector {
         }
     }
 
-    /// Lets the attempt that has just succeeded count as refused: the next one follows some time later, as always.
+    /// Lets the attempt that has just succeeded count as refused. The next one follows some time later.
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.attempt = Some(tokio::task::spawn_local(async move {
-            tokio::time::sleep(BETWEEN).await;
+            tokio::time::sleep(MISFIT).await;
             Happened::Refused(refusal)
         }));
     }
