@@ -14,7 +14,7 @@ use rangehound_shared::recording::{ReadOptions, Recording};
 use rangehound_shared::scenario::{PLANNERS, Scenario, ScenarioFile};
 
 /// Every protocol so far with the digest of its data layout. Add a line for a new protocol; never change an old one.
-const HISTORY: [(u32, u64); 7] = [
+const HISTORY: [(u32, u64); 8] = [
     (1, 0x8a98_a0c7_e0b3_ca0d),
     (2, 0xf26b_d96f_19ad_d4f6),
     (3, 0x1db7_11f4_60fd_fd13),
@@ -22,10 +22,11 @@ const HISTORY: [(u32, u64); 7] = [
     (5, 0x7a0e_4cf4_61c2_071c),
     (6, 0x65ae_7aff_f591_598d),
     (7, 0x2195_e843_691a_5f26),
+    (8, 0xbda7_f596_5517_8429),
 ];
 
 /// The same for the description of a recorded run.
-const RECORDED: (u32, u64) = (7, 0xc5cd_55b9_ce77_e334);
+const RECORDED: (u32, u64) = (8, 0xc5cd_55b9_ce77_e334);
 
 /// The versioned type names that iceoryx2 compares; reading them through iceoryx2 would take `unsafe`.
 fn type_names() -> String {
