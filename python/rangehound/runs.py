@@ -34,7 +34,7 @@ class Run:
     `fused`, `rejected`         (T,)          numbers of measurements; `missing`: of robots that did not report
     `objective`                 (T,)          what the planner made small; `lower_bound`, -inf without a proof
     `least_trace_m2`            (T,)          no headings of this tick lead to a lesser position trace at the next; 0 without a proof
-    `sent_ns`                   (T,)          monotonic time at which the headings were sent, ns; 0 if it was not taken.
+    `sent_ns`                   (T,)          time of `CLOCK_BOOTTIME` at which the headings were sent, ns; 0 if it was not taken.
                                               `last_range_ns`: at which the tick's last range was sent
     `gap`                       (T,)          objective above the certified optimum, relative; with `gap=True` alone
     `trace_excess`              (T,)          planned position trace above the least, relative; with `gap=True` alone

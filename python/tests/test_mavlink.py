@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rangehound as rh
+from rangehound._clock import now_s as clock_s
 from rangehound.mavlink import frames
 from rangehound.mavlink.vehicle import STOP, Settings, Vehicle
 
@@ -61,9 +62,9 @@ class Autopilot(threading.Thread):
         return self.armed and self.mode == GUIDED[self.kind]
 
     def run(self):
-        last_s, heartbeat_s = time.monotonic(), 0.0
+        last_s, heartbeat_s = clock_s(), 0.0
         while not self._ends.wait(0.02):
-            now_s = time.monotonic()
+            now_s = clock_s()
             while message := self.connection.recv_match(blocking=False):
                 if not self.cut:
                     self.take(message, now_s)
@@ -158,7 +159,7 @@ def one_vehicle(by_hand, command, name, play):
 
 def test_three_vehicles_track_a_target_that_only_they_measure(by_hand, command, name, play):
     starts_m = [(-20.0, 0.0), (20.0, 5.0), (0.0, -25.0)]
-    began_s = time.monotonic()
+    began_s = clock_s()
     target = lambda now_s: (0.5 * (now_s - began_s), 10.0 + 0.25 * (now_s - began_s))  # noqa: E731
     scenario = {
         "robot": [{"id": id, "start_m": list(start_m), "speed_mps": 5.0} for id, start_m in enumerate(starts_m)],

@@ -56,7 +56,7 @@ pub struct Machine {
     asked: Option<Asked>,
     /// Greatest known incarnation of fusion: headings of earlier ones are ignored.
     fusion_incarnation: u64,
-    headings_refused: u64,
+    headings_refused: u32,
     actions: VecDeque<Action>,
 }
 
@@ -142,7 +142,7 @@ impl Machine {
     /// Takes this robot's part of a message of the topic `heading`, if the message has one.
     pub fn on_own_heading(&mut self, header: &Header, command: Option<&Command>) {
         if header.incarnation < self.fusion_incarnation {
-            self.headings_refused += 1;
+            self.refuse_headings(1);
             return;
         }
         self.fusion_incarnation = header.incarnation;
@@ -153,7 +153,8 @@ impl Machine {
 
     /// Counts headings of processes that do not lead.
     pub fn refuse_headings(&mut self, count: u64) {
-        self.headings_refused += count;
+        let count = u32::try_from(count).unwrap_or(u32::MAX);
+        self.headings_refused = self.headings_refused.saturating_add(count);
     }
 
     /// The next action; `None` until a message arrives or [`Self::wakes_at_ns`].
@@ -318,16 +319,18 @@ impl Present {
         Outgoing { tick: self.tick, valid_at_s: self.time_s, entry }
     }
 
-    fn drive_of(&self, driven: Command, (heading_held_ns, is_late): (u64, bool), headings_refused: u64) -> Drive {
+    fn drive_of(&self, driven: Command, (heading_held_ns, is_late): (u64, bool), headings_refused: u32) -> Drive {
         Drive {
             robot: self.range.robot,
             heading_rad: driven.heading_rad,
             speed_mps: driven.speed_mps,
             range_sent_ns: if self.range.measurement.kinds != 0 { self.range_sent_ns } else { 0 },
             heading_held_ns,
-            heading_late: u64::from(is_late),
+            heading_late: u32::from(is_late),
             headings_refused,
             network_ns: 0,
+            robot_host_ns: 0,
+            gateway_ns: 0,
         }
     }
 }

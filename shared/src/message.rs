@@ -125,7 +125,7 @@ pub struct Command {
 
 /// Topic `drive`: one robot's motion until the next tick.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Drive.v3"))]
+#[cfg_attr(feature = "iceoryx2", derive(ZeroCopySend), type_name("rangehound.Drive.v4"))]
 #[repr(C)]
 pub struct Drive {
     /// Id of the robot.
@@ -139,11 +139,15 @@ pub struct Drive {
     /// When the robot had the heading of this tick, monotonic ns; 0 if it drives without one.
     pub heading_held_ns: u64,
     /// 1 if the heading came after its deadline.
-    pub heading_late: u64,
+    pub heading_late: u32,
     /// Headings refused since the last drive message: from a deposed fusion, or a process that never led.
-    pub headings_refused: u64,
-    /// Time that range and heading spent between the hosts of robot and fusion, ns; 0 on one host.
+    pub headings_refused: u32,
+    /// Time that range and heading spent beyond fusion's host, ns; 0 on one host. The next two are parts of it.
     pub network_ns: u64,
+    /// On the robot's host: until the range was sent, and from the frame with the heading until the robot had it, ns.
+    pub robot_host_ns: u32,
+    /// In the gateway: from the heading until it was sent to the robot, ns.
+    pub gateway_ns: u32,
 }
 
 /// Why a message was refused. Its contents are never used, but the refusal is counted.

@@ -14,7 +14,7 @@ pub(super) enum Action {
     /// It is stopped, like a hung process, until it is continued.
     Stop,
     Continue,
-    /// It is asked to end, and the supervisor starts another.
+    /// It is asked to end, and another is started.
     Restart,
 }
 
@@ -44,26 +44,17 @@ impl Action {
         if run.is_finished() {
             return Err(Refused::NotNow(format!("run {} has ended", run.name())));
         }
-        let signal = match self {
-            Self::Kill => Signal::KILL,
-            Self::Stop => Signal::STOP,
-            Self::Continue => Signal::CONT,
-            Self::Restart if !run.roster().is_held(Role::Supervisor) => {
-                return Err(Refused::NotNow(format!(
-                    "{role} was started by hand: nothing would start it again, so it is not ended"
-                )));
-            }
-            Self::Restart => Signal::TERM,
+        let hit = match self {
+            Self::Kill => remote::signal(run, role, Signal::KILL),
+            Self::Stop => remote::signal(run, role, Signal::STOP),
+            Self::Continue => remote::signal(run, role, Signal::CONT),
+            Self::Restart => remote::ask_for_successor(run, role),
         };
-        let hit = remote::signal(run, role, signal).map_err(|failure| match failure {
+        let hit = hit.map_err(|failure| match failure {
             Failure::Input(problem) => Refused::Nonsense(problem),
             Failure::Running(error) => Refused::NotNow(error.to_string()),
             Failure::ReportedInput => Refused::NotNow(format!("{role} cannot be reached")),
         })?;
-        if self == Self::Restart {
-            // A stopped process receives the signal only after it is continued. An error means that the process has ended already.
-            let _ = remote::signal(run, role, Signal::CONT);
-        }
         let done = match self {
             Self::Kill => "killed",
             Self::Stop => "stopped",

@@ -1,8 +1,9 @@
 //! The time from a range to its heading, divided into hops.
 //!
 //! The messages carry the time stamps, all of the clock of the run's host: robots send theirs in `drive`, fusion sends its own in
-//! `estimate`. The gateway translates the stamps of a robot on another host: it puts half of the time between the hosts on
-//! each way. For each robot and tick the hops add up to its end-to-end latency, to the nanosecond.
+//! `estimate`. The gateway translates the stamps of a robot on another host: it puts half of the time beyond its host on each way,
+//! and tells which parts of it were its own and the robot's. For each robot and tick the hops add up to its end-to-end latency, to
+//! the nanosecond.
 
 use rangehound_shared::message::Stages;
 use rangehound_shared::record::RobotRecord;
@@ -11,11 +12,24 @@ use serde::{Deserialize, Serialize};
 use crate::statistics::{Percentiles, Samples};
 
 /// Number of hops from range to heading.
-const COUNT: usize = 8;
+const COUNT: usize = 10;
+
+/// The last of them, between hosts.
+const BETWEEN_HOSTS: usize = 3;
 
 /// Full names of the hops, in order.
-const NAMES: [&str; COUNT] =
-    ["wait for the team", "fusion awake", "filter", "planner", "checkpoint", "publish", "robot awake", "network"];
+const NAMES: [&str; COUNT] = [
+    "wait for the team",
+    "fusion awake",
+    "filter",
+    "planner",
+    "checkpoint",
+    "publish",
+    "robot awake",
+    "gateway",
+    "network",
+    "robot's host",
+];
 
 /// Durations of the hops of many robots and ticks.
 #[derive(Debug)]
@@ -38,32 +52,70 @@ pub struct HopSummary {
     pub publish: Percentiles,
     /// From sending until the robot, or its gateway, has received its heading.
     pub robot_awake: Percentiles,
-    /// Between the hosts of robot and fusion, both ways; 0 on one host.
+    /// From the arrival of the heading in the gateway until it was sent to the robot; 0 on one host.
+    #[serde(default)]
+    pub gateway: Percentiles,
+    /// Between the hosts of robot and gateway, both ways; 0 on one host.
     #[serde(default)]
     pub network: Percentiles,
+    /// On the robot's host, until the range was sent and since the frame with the heading; 0 on one host.
+    #[serde(default)]
+    pub robot_host: Percentiles,
 }
 
 impl HopSummary {
     /// The hops in order.
     #[must_use]
     pub fn in_order(&self) -> [Percentiles; COUNT] {
-        let Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network } = *self;
-        [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network]
+        [
+            self.wait_for_team,
+            self.fusion_awake,
+            self.filter,
+            self.planner,
+            self.checkpoint,
+            self.publish,
+            self.robot_awake,
+            self.gateway,
+            self.network,
+            self.robot_host,
+        ]
     }
 
-    /// The hops with their full names, in order; without the network if the whole team is on one host.
+    /// The hops with their full names, in order; without those between hosts if the whole team is on one.
     #[must_use]
     pub fn named(&self) -> Vec<(&'static str, Percentiles)> {
         let mut named: Vec<_> = NAMES.into_iter().zip(self.in_order()).collect();
-        named.truncate(if self.network.p99 > 0.0 { COUNT } else { COUNT - 1 });
+        named.truncate(if self.network.p99 > 0.0 { COUNT } else { COUNT - BETWEEN_HOSTS });
         named
     }
 
     /// A summary of hops in order.
     #[must_use]
     pub fn from_order(hops: [Percentiles; COUNT]) -> Self {
-        let [wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network] = hops;
-        Self { wait_for_team, fusion_awake, filter, planner, checkpoint, publish, robot_awake, network }
+        let [
+            wait_for_team,
+            fusion_awake,
+            filter,
+            planner,
+            checkpoint,
+            publish,
+            robot_awake,
+            gateway,
+            network,
+            robot_host,
+        ] = hops;
+        Self {
+            wait_for_team,
+            fusion_awake,
+            filter,
+            planner,
+            checkpoint,
+            publish,
+            robot_awake,
+            gateway,
+            network,
+            robot_host,
+        }
     }
 }
 
@@ -103,7 +155,9 @@ fn durations_ns(stages: &Stages, robot: &RobotRecord) -> Option<[u64; COUNT]> {
     for (duration_ns, pair) in durations_ns.iter_mut().zip(stamps.windows(2)) {
         *duration_ns = pair[1].checked_sub(pair[0])?;
     }
-    durations_ns[COUNT - 1] = robot.network_ns;
+    let RobotRecord { network_ns, robot_host_ns, gateway_ns, .. } = *robot;
+    let link_ns = network_ns.checked_sub(robot_host_ns)?.checked_sub(gateway_ns)?;
+    durations_ns[COUNT - BETWEEN_HOSTS..].copy_from_slice(&[gateway_ns, link_ns, robot_host_ns]);
     Some(durations_ns)
 }
 
@@ -124,12 +178,13 @@ mod tests {
     fn hops_add_up_to_the_end_to_end_latency() {
         let robot = RobotRecord { range_sent_ns: Some(1_000), heading_held_ns: Some(1_280), ..RobotRecord::default() };
         let durations_ns = durations_ns(&STAGES, &robot).unwrap();
-        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 0]);
+        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 0, 0, 0]);
         assert_eq!(Some(durations_ns.iter().sum()), robot.latency_ns());
         // The same robot on another host.
         let robot = RobotRecord { range_sent_ns: Some(700), heading_held_ns: Some(1_581), network_ns: 601, ..robot };
+        let robot = RobotRecord { robot_host_ns: 100, gateway_ns: 20, ..robot };
         let durations_ns = super::durations_ns(&STAGES, &robot).unwrap();
-        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 601]);
+        assert_eq!(durations_ns, [10, 20, 30, 40, 50, 60, 70, 20, 481, 100]);
         assert_eq!(Some(durations_ns.iter().sum()), robot.latency_ns());
     }
 

@@ -91,15 +91,8 @@ pub fn kill(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failur
 /// [`Failure`].
 pub fn restart(name: Option<&RunName>, node: Role, json: bool) -> Result<(), Failure> {
     let run = join(name)?;
-    // A robot on another host is started again there.
-    if !run.roster().is_held(Role::Supervisor) && gateway::guest(&run, node).is_none() {
-        return Err(Failure::input(format!(
-            "run {} was started by hand: expected a run with a supervisor: kill the node, and start it again",
-            run.name()
-        )));
-    }
     let starts = run.roster().starts(node);
-    signal(&run, node, Signal::TERM)?;
+    ask_for_successor(&run, node)?;
     let began = Instant::now();
     loop {
         if run.roster().starts(node) > starts
@@ -239,6 +232,23 @@ pub(crate) fn signal(run: &Rendezvous, role: Role, signal: Signal) -> Result<Hit
     let process = process_in(run, role)?;
     process.signal(signal).map_err(|_| gone(run, role))?;
     Ok(Hit::Here(process.pid()))
+}
+
+/// Asks the process in a role to end, so that another one is started: by the supervisor or, on another host, by what starts its
+/// robots.
+pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Hit, Failure> {
+    if !run.roster().is_held(Role::Supervisor) && gateway::guest(run, role).is_none() {
+        return Err(Failure::input(format!(
+            "run {} was started by hand: expected a run with a supervisor: kill {role}, and start it again",
+            run.name()
+        )));
+    }
+    let hit = signal(run, role, Signal::TERM)?;
+    if matches!(hit, Hit::Here(_)) {
+        // A stopped process receives the signal only after it is continued. An error means that the process has ended already.
+        let _ = signal(run, role, Signal::CONT);
+    }
+    Ok(hit)
 }
 
 /// Gives an order to a robot on another host, and waits until it has arrived.

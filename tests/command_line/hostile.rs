@@ -233,9 +233,11 @@ fn hostile_messages() {
         speed_mps: numbers[1],
         range_sent_ns: words[1],
         heading_held_ns: words[2],
-        heading_late: words[3],
-        headings_refused: words[4],
+        heading_late: words[3] as u32,
+        headings_refused: words[4] as u32,
         network_ns: words[0] % 1_000,
+        robot_host_ns: words[1] as u32,
+        gateway_ns: words[2] as u32,
     });
     let bits = prop_oneof![2 => 0..4_u64, 1 => word.clone()];
     let entry = ([(); 10].map(|()| number.clone()), bits.clone(), bits);

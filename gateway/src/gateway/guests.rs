@@ -8,7 +8,7 @@ use rangehound_node::gateway_note::{GatewayNote, GuestNote, RobotOrder};
 use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role, RoleLease};
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_robot::remote::wire::Uplink;
-use rangehound_robot::remote::{Publication, Relay};
+use rangehound_robot::remote::{Claim, Occupant, Publication, Relay};
 use rangehound_shared::message::{Command, Drive, Outgoing, Range, WorldEntry};
 use rangehound_shared::protocol::wake::Notification;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
@@ -19,12 +19,6 @@ use super::refusals::Refusals;
 use super::{GatewayError, Input};
 use crate::keys::{Peer, RefusalCause};
 use crate::link::{self, Answer, Notice, Request};
-
-/// Silence after which another process may take a robot's role: some intervals of the frames that keep a link alive.
-const CLAIM_NS: u64 = 500_000_000;
-
-/// Silence after which a robot is gone: its role is free for any process.
-const GONE_NS: u64 = 3_000_000_000;
 
 /// Interval of the note about the links.
 const NOTE_NS: u64 = 500_000_000;
@@ -56,9 +50,8 @@ struct Guest {
     drives: Publisher<Drive>,
     relay: Relay,
     connection: Connection,
-    process: u64,
+    occupant: Occupant,
     host: String,
-    heard_ns: u64,
     allows_control: bool,
     notices: Sender<Notice>,
     /// Frames that could not be read.
@@ -144,7 +137,7 @@ impl<'a> Guests<'a> {
             return Ok(());
         };
         let now_ns = monotonic_ns();
-        guest.heard_ns = now_ns;
+        guest.occupant.hear(now_ns);
         let news = guest.relay.on_uplink(&frame, now_ns);
         news.into_iter().try_for_each(|message| self.publish(robot, message))
     }
@@ -237,16 +230,18 @@ impl<'a> Guests<'a> {
         let Request { robot, process, allows_control, .. } = *request;
         let now_ns = monotonic_ns();
         if let Some(guest) = self.all.get_mut(&robot) {
-            if guest.process == process {
-                guest.connection.close(link::REPLACED, b"the robot has connected again");
-                (guest.connection, guest.notices, guest.heard_ns) = (connection, notices, now_ns);
-                guest.relay.reconnect();
-                return Ok(());
+            match guest.occupant.claim(process, now_ns) {
+                Claim::ComesBack => {
+                    guest.connection.close(link::REPLACED, b"the robot has connected again");
+                    (guest.connection, guest.notices) = (connection, notices);
+                    guest.relay.reconnect();
+                    return Ok(());
+                }
+                Claim::Refused => {
+                    return Err((RefusalCause::RoleTaken, format!("{} has this role, and is heard", guest.host)));
+                }
+                Claim::Succeeds => self.release(robot, "starts again"),
             }
-            if now_ns.saturating_sub(guest.heard_ns) < CLAIM_NS {
-                return Err((RefusalCause::RoleTaken, format!("{} has this role, and is heard", guest.host)));
-            }
-            self.release(robot, "starts again");
         }
         let role = Role::Robot(robot);
         let lease = self.rendezvous.roster().take(role).map_err(|error| match error {
@@ -273,9 +268,8 @@ impl<'a> Guests<'a> {
             drives,
             relay,
             connection,
-            process,
+            occupant: Occupant::new(process, now_ns),
             host,
-            heard_ns: now_ns,
             allows_control,
             notices,
             malformed: 0,
@@ -294,9 +288,8 @@ impl<'a> Guests<'a> {
 
     /// Renews the roles of the robots that are heard, releases those of the others, and passes on orders of this host's tools.
     pub(super) fn look(&mut self, now_ns: u64) {
-        let silent_ns = |guest: &Guest| now_ns.saturating_sub(guest.heard_ns);
-        self.all.values().filter(|guest| silent_ns(guest) < CLAIM_NS).for_each(|guest| guest.lease.renew(now_ns));
-        let gone = self.all.iter().filter(|(_, guest)| silent_ns(guest) > GONE_NS).map(|(robot, _)| *robot);
+        self.all.values().filter(|guest| guest.occupant.is_heard(now_ns)).for_each(|guest| guest.lease.renew(now_ns));
+        let gone = self.all.iter().filter(|(_, guest)| guest.occupant.is_gone(now_ns)).map(|(robot, _)| *robot);
         for robot in gone.collect::<Vec<_>>() {
             self.release(robot, "is silent: its role is free");
         }
@@ -334,7 +327,7 @@ impl<'a> Guests<'a> {
                 round_trip_us: guest.relay.round_trip_ns().map(|ns| ns / 1_000),
                 lost: path.lost_packets as f64 / path.sent_packets.max(1) as f64,
                 repeated: repeated as f64 / sent.max(1) as f64,
-                silent_ms: now_ns.saturating_sub(guest.heard_ns) / 1_000_000,
+                silent_ms: guest.occupant.silence_ns(now_ns) / 1_000_000,
                 allows_control: guest.allows_control,
             }
         });

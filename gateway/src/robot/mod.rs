@@ -74,8 +74,52 @@ pub fn run(target: &Target, id: usize, termination: &Termination) -> Result<(), 
     run_with(target, id, equipment, termination)
 }
 
-/// Runs one robot with the caller's sensor, localiser and actuator, which are made once the scenario is known. The last command
-/// is always to stop, however the run ends. A lost gateway never ends it: the robot stops by itself, and connects again.
+/// Runs one robot with the caller's sensor, localiser and actuator. `equipment` makes them once the scenario is known, and for
+/// each further run that the robot joins; without them it does not take part. The last command is always to stop, however the run
+/// ends. A lost gateway never ends it: the robot stops by itself, and connects again.
+///
+/// A robot with a radio and a drive of its own, on a vehicle whose position the simulator computes:
+///
+/// ```no_run
+/// use rangehound_gateway::robot::{Equipment, Target, run_with};
+/// use rangehound_node::system::signal::Termination;
+/// use rangehound_robot::drive::Actuator;
+/// use rangehound_robot::pose;
+/// use rangehound_robot::sensor::{Sensed, Sensor};
+/// use rangehound_shared::message::{Command, WorldEntry};
+/// use rangehound_shared::scenario::Scenario;
+///
+/// #[derive(Debug)]
+/// struct Radio;
+///
+/// impl Sensor for Radio {
+///     fn sense(&mut self, _tick: u64, _entry: &WorldEntry) -> Sensed {
+///         let newest_m = 12.34; // from the radio, without waiting
+///         Sensed::range(newest_m, 0.1)
+///     }
+/// }
+///
+/// struct Wheels;
+///
+/// impl Actuator for Wheels {
+///     fn carry_out(&mut self, command: Command) -> Command {
+///         println!("{:.3} rad, {:.2} m/s", command.heading_rad, command.speed_mps);
+///         command
+///     }
+/// }
+///
+/// let target = Target {
+///     gateway: "station:7400".to_owned(),
+///     keys: Some("keys/alice".into()),
+///     run: None,
+///     allows_control: false,
+/// };
+/// let equipment = |scenario: &Scenario| -> Option<Equipment> {
+///     Some((Box::new(Radio), pose::of_scenario(scenario, 1)?, Box::new(Wheels)))
+/// };
+/// run_with(&target, 1, equipment, &Termination::listen()?)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 ///
 /// # Errors
 /// [`RobotError`].
@@ -131,10 +175,16 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                 None => connector.next(wait).await,
             };
             match happened {
-                Happened::Joined(joined) => {
-                    self.join(&joined)?;
-                    session = Some(*joined);
-                }
+                Happened::Joined(joined) => match self.join(&joined) {
+                    Ok(()) => {
+                        connector.report_joined();
+                        session = Some(*joined);
+                    }
+                    Err(text) => {
+                        joined.leave().await;
+                        connector.refuse(Refusal { text, may_change: false });
+                    }
+                },
                 Happened::Refused(refusal) if refusal.may_change || self.has_joined => connector.report(&refusal.text),
                 Happened::Refused(refusal) => return Err(RobotError::Refused(refusal.text)),
                 Happened::Unreachable(reason) => connector.report(&reason),
@@ -179,10 +229,9 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         Ok(())
     }
 
-    /// Takes part in the run that the gateway describes.
-    fn join(&mut self, session: &Session) -> Result<(), RobotError> {
+    /// Takes part in the run that the gateway describes, or says why it cannot.
+    fn join(&mut self, session: &Session) -> Result<(), String> {
         let Session { description: RunDescription { run_id, scenario, .. }, life, .. } = session;
-        self.has_joined = true;
         let of = RunLife { run_id: *run_id, life: *life };
         let rejoin = of.after(self.part.as_ref().map(|part| part.of));
         if rejoin == Rejoin::GoesOn {
@@ -192,13 +241,13 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             part.equipment.2.carry_out(Command::default());
             (rejoin == Rejoin::StartsAnew).then_some(part.equipment)
         });
-        let equipment = equipment.or_else(|| (self.equipment)(scenario));
         let machine = Machine::new(scenario, self.id, session.fusion_incarnation);
-        let (Some(machine), Some(equipment)) = (machine, equipment) else {
-            return Err(RobotError::Refused(format!("robot {} is not in this run", self.id)));
-        };
+        let machine = machine.ok_or_else(|| format!("robot {} is not in this run", self.id))?;
+        let equipment = equipment.or_else(|| (self.equipment)(scenario));
+        let equipment = equipment.ok_or_else(|| format!("its driver has no equipment for robot {}", self.id))?;
         let courier = Courier::new(*run_id, scenario.clock);
         self.part = Some(Part { of, machine, courier, equipment, is_moving: false, malformed: 0 });
+        self.has_joined = true;
         Ok(())
     }
 }

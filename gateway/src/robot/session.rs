@@ -19,6 +19,9 @@ const ATTEMPT: Duration = Duration::from_millis(800);
 /// Time between two attempts.
 const BETWEEN: Duration = Duration::from_millis(100);
 
+/// Time until the next attempt of a robot that does not fit the run.
+const MISFIT: Duration = Duration::from_secs(1);
+
 /// Time in which a robot that leaves must reach the gateway.
 const FAREWELL: Duration = Duration::from_millis(500);
 
@@ -123,16 +126,24 @@ impl Connector {
             Err(_) => Happened::Nothing,
             Ok(ended) => {
                 self.attempt = None;
-                let happened = ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()));
-                if let Happened::Joined(_) = happened {
-                    let is_first = !std::mem::replace(&mut self.has_joined, true);
-                    // A link that is opened again is worth a line only if there was one about its end.
-                    if self.reported.take().is_some() || is_first {
-                        log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
-                    }
-                }
-                happened
+                ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()))
             }
+        }
+    }
+
+    /// Lets the attempt that has just succeeded count as refused. The next one follows some time later.
+    pub(super) fn refuse(&mut self, refusal: Refusal) {
+        self.attempt = Some(tokio::task::spawn_local(async move {
+            tokio::time::sleep(MISFIT).await;
+            Happened::Refused(refusal)
+        }));
+    }
+
+    /// Reports that the robot takes part. A link that is opened again is worth a line only if there was one about its end.
+    pub(super) fn report_joined(&mut self) {
+        let is_first = !std::mem::replace(&mut self.has_joined, true);
+        if self.reported.take().is_some() || is_first {
+            log::info!("robot-{} has joined the run through {}", self.robot, self.target.gateway);
         }
     }
 

@@ -1,6 +1,11 @@
 //! Robots on other hosts that tools of the run's host may end, where their host allows that.
 
-use crate::support::{Faults, Link, Run};
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+
+use rustix::process::{Signal, kill_process};
+
+use crate::support::{Faults, LIMIT, Link, Process, Run};
 
 /// Starts a robot again whenever it ends, as a service manager does, until there is a file `over`.
 const SERVICE: &str = "while [ ! -e over ]; do timeout 150 \"$@\"; done";
@@ -64,6 +69,10 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     // The gateway is a node of the run: it can be ended, and is started again.
     for command in ["kill", "restart"] {
         let before = run.gateway();
+        if let Some(pid) = before.filter(|_| command == "restart") {
+            // A stopped node can be restarted too.
+            let _ = kill_process(pid, Signal::STOP);
+        }
         run.finish_ok(&format!("{command} gateway --name {name}"));
         run.wait_for("its successor", || run.gateway().filter(|pid| Some(*pid) != before));
     }
@@ -75,6 +84,87 @@ fn only_robots_whose_host_allows_it_are_ended_from_the_runs_host() {
     run.finish_ok(&format!("stop --name {name}"));
     drop(supervisor);
     // It is told that the run was stopped.
+    refuses.succeeds();
+    run.assert_nothing_left();
+}
+
+/// The live page's address and token.
+struct Page {
+    port: u16,
+    token: String,
+}
+
+impl Page {
+    fn of(run: &Run, live: &Process) -> Self {
+        run.wait_for("the page's address", || {
+            let text = live.stderr();
+            let line = text.lines().find_map(|line| line.strip_prefix("live: http://127.0.0.1:"))?;
+            let (port, token) = line.split_once("/?token=")?;
+            Some(Self { port: port.parse().ok()?, token: token.to_owned() }).filter(|_| text.ends_with('\n'))
+        })
+    }
+
+    /// Presses a button. Returns the answer's status and text.
+    fn act(&self, action: &str, node: &str) -> (u16, String) {
+        let Self { port, token } = self;
+        let mut stream = TcpStream::connect(("127.0.0.1", *port)).unwrap();
+        stream.set_read_timeout(Some(LIMIT)).unwrap();
+        let request = format!(
+            "POST /act/{action}/{node} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nX-Rangehound-Token: {token}\r\n\
+             Content-Length: 0\r\nConnection: close\r\n\r\n"
+        );
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        let (head, text) = answer.split_once("\r\n\r\n").unwrap();
+        (head.split(' ').nth(1).unwrap().parse().unwrap(), text.to_owned())
+    }
+}
+
+/// The buttons act on a robot of another host as the commands do. The run was started by hand: only the robot's own host starts
+/// it again.
+#[test]
+fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
+    let run = Run::new();
+    let scenario = "clock = \"lockstep\"\ntimeout_s = \"forever\"\nticks = 1000000\n[robots]\ncount = 2\n";
+    std::fs::write(run.path("team.toml"), scenario).unwrap();
+    let start = |words: &str| run.start(&format!("{words} --name {}", run.name));
+    let nodes = ["sim team.toml", "fusion", "gateway --listen 127.0.0.1:0"].map(start);
+    let gateway = run.listens(&nodes[2]);
+    let obeys = run.start_by(SERVICE, &format!("robot --id 0 --connect {gateway} --allow-remote-control"));
+    let mut refuses = run.robot(1, gateway);
+    let is_linked = |robot: usize| {
+        run.wait_for("its link", || {
+            let status = run.status()?;
+            let guests = status["gateway"]["guests"].as_array()?;
+            guests.iter().any(|guest| guest["robot"] == robot).then_some(())
+        });
+    };
+    [0, 1].into_iter().for_each(is_linked);
+    let live = start("live");
+    let page = Page::of(&run, &live);
+    for (action, node, expected) in [
+        ("kill", "robot-1", "--allow-remote-control"),
+        ("restart", "robot-1", "--allow-remote-control"),
+        ("stop", "robot-1", "--allow-remote-control"),
+        ("stop", "robot-0", "nothing can be stopped or continued there"),
+        ("continue", "robot-0", "nothing can be stopped or continued there"),
+        ("restart", "sim", "was started by hand"),
+    ] {
+        let (status, text) = page.act(action, node);
+        assert!(status == 400 && text.contains(expected), "{action} {node}: {status}: {text}");
+    }
+    for (action, told) in [("kill", "killed from the run's host"), ("restart", "asked to end from the run's host")] {
+        is_linked(0);
+        let before = starts(&run, 0);
+        let (status, text) = page.act(action, "robot-0");
+        assert!(status == 200 && text.contains("on the host 127.0.0.1"), "{action}: {status}: {text}");
+        run.wait_for("its successor", || (starts(&run, 0) > before).then_some(()));
+        assert!(obeys.stderr().contains(told), "{}", obeys.stderr());
+    }
+    assert!(refuses.is_running());
+    std::fs::write(run.path("over"), "").unwrap();
+    run.finish_ok(&format!("stop --name {}", run.name));
     refuses.succeeds();
     run.assert_nothing_left();
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use rustix::process::{Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::support::{Faults, Link, Process, Run};
 
@@ -122,6 +122,28 @@ fn robots_go_on_with_a_run_that_is_resumed() {
     robot.succeeds();
     assert_eq!(run.digest(), Run::digest_in_process(&format!("{LOCKSTEP} {words}")));
     run.assert_nothing_left();
+}
+
+/// The run's host sleeps for longer than its gateway keeps a silent robot's role, and so does a robot's host.
+#[test]
+fn hosts_that_wake_up_change_nothing() {
+    let words = "--ticks 400 --robots 2";
+    let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
+    let digest = digest_over(&format!("{words} --standby 1"), &[1], Faults::default(), |run, _, robots| {
+        run.wait_until_tick(20);
+        let roles = ["run", "sim", "fusion", "standby-1", "robot-0", "gateway"];
+        let of_run: Vec<Pid> = roles.iter().filter_map(|role| run.pid_of(role)).collect();
+        assert_eq!(of_run.len(), roles.len());
+        for host in [of_run, vec![robots[0].pid()]] {
+            let signal = |signal| host.iter().for_each(|pid| kill_process(*pid, signal).unwrap());
+            signal(Signal::STOP);
+            std::thread::sleep(Duration::from_secs(4));
+            signal(Signal::CONT);
+            let tick = run.tick();
+            run.wait_until_tick(tick + 20);
+        }
+    });
+    assert_eq!(digest, oracle);
 }
 
 /// Two hosts claim one robot: the one that is heard keeps it. When it is gone, the other takes its place.

@@ -8,6 +8,7 @@
 //! | `security` | who is refused, and how both ends show it |
 //! | `clocks` | hosts with clocks of their own: time namespaces |
 //! | `control` | robots that tools of the run's host may end |
+//! | `own_robot` | robots with equipment of their own, and what it is asked for |
 //! | `namespaces` | `chaos` and `latency` over hosts with networks of their own |
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should panic")]
@@ -16,6 +17,7 @@ mod clocks;
 mod control;
 mod lockstep;
 mod namespaces;
+mod own_robot;
 mod realtime;
 mod security;
 mod support;

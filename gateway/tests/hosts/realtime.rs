@@ -2,9 +2,15 @@
 
 use std::time::Duration;
 
+use rangehound_shared::record::Heading;
 use rustix::process::{Signal, kill_process};
 
+use crate::own_robot::{self, Asked, asked};
 use crate::support::{Faults, Link, Process, Run};
+
+/// Ticks in which headings are back after a fault: a promise of ten is measured by `chaos` and printed here, but a busy machine
+/// needs more.
+const BACK_TICKS: u64 = 30;
 
 /// Of all headings, the part that came in time.
 fn fresh(run: &Run) -> f64 {
@@ -25,6 +31,87 @@ fn headings_stay_fresh_over_a_link_that_loses_and_jitters() {
     // The repeats mend almost all; without them a quarter of the ticks would fail for a robot, and more for the team.
     assert!(fresh(&run) > 0.85, "{}", run.report()["headings"]);
     run.assert_nothing_left();
+}
+
+/// After a cut of seconds each robot soon has fresh headings again.
+#[test]
+fn headings_are_fresh_again_soon_after_a_cut() {
+    let run = Run::new();
+    let (supervisor, gateway) = run.run("--clock realtime --ticks 240 --robots 2");
+    let link = Link::new(gateway, 3, Faults::default());
+    let robots = [0, 1].map(|id| run.robot(id, link.address));
+    let mut cuts = Vec::new();
+    for (tick, cut_s) in [(20, 2), (80, 10)] {
+        run.wait_until_tick(tick);
+        link.cut(true, true);
+        let from = run.tick();
+        std::thread::sleep(Duration::from_secs(cut_s));
+        let to = run.tick();
+        link.cut(false, false);
+        cuts.push((cut_s, from, to));
+    }
+    supervisor.succeeds();
+    robots.into_iter().for_each(Process::succeeds);
+    let worlds = run.worlds();
+    for (cut_s, from, to) in cuts {
+        let mut fresh =
+            worlds.iter().filter(|(_, world)| world.robots.iter().all(|robot| robot.heading == Heading::Fresh));
+        assert!(!fresh.clone().any(|(tick, _)| (from + 3..to).contains(tick)), "the cut was felt");
+        let ticks = fresh.find(|(tick, _)| *tick >= to).map(|(tick, _)| tick - to);
+        println!("after a cut of {cut_s} s, in ticks {from} to {to}: fresh headings {ticks:?} ticks later");
+        assert!(ticks.is_some_and(|ticks| ticks <= BACK_TICKS), "{ticks:?}");
+    }
+    run.assert_nothing_left();
+}
+
+/// A robot whose host was rebooted has its first heading soon after its process has started.
+#[test]
+fn a_robot_whose_host_was_rebooted_is_soon_led_again() {
+    let run = Run::with_ticks_of(0.1);
+    let (_supervisor, gateway) = run.run("slow.toml --ticks 10000 --robots 2 --remote 0,1");
+    let _other = run.robot(1, gateway);
+    for life in 1..=3 {
+        let robot = own_robot::start(&run, 0, Some(gateway), "");
+        let is_led = |(asked, _): &(Asked, u64)| matches!(asked, Asked::Drive(speed_mps) if *speed_mps > 0.0);
+        let all = run.wait_for("its heading", || Some(asked(&robot)).filter(|all| all.iter().any(is_led)));
+        let led = all.iter().position(is_led).unwrap();
+        let ticks = all[..led].iter().filter(|(asked, _)| matches!(asked, Asked::Tick(_))).count() as u64;
+        let ms = (all[led].1 - all[0].1) as f64 * 1e-6;
+        println!("start {life}: its first heading comes {ms:.0} ms after its process has started, after {ticks} ticks");
+        assert!(all[0].0 == Asked::Start && ticks <= BACK_TICKS, "{all:?}");
+        let tick = run.tick();
+        run.wait_until_tick(tick + 20);
+        robot.kill();
+        // A host that boots takes longer than the silence after which its robot's role can be taken.
+        std::thread::sleep(Duration::from_secs(1));
+    }
+}
+
+/// A link that is cut for good costs the run one robot. The robot lives on, and stands.
+#[test]
+fn a_link_that_is_cut_for_good_costs_one_robot() {
+    let words = ["slow.toml --ticks 80", "--clock lockstep --timeout 1 --ticks 2000"];
+    for words in words {
+        let run = Run::with_ticks_of(0.1);
+        let (supervisor, gateway) = run.run(&format!("{words} --robots 2 --remote 1"));
+        let link = Link::new(gateway, 3, Faults::default());
+        let mut robot = own_robot::start(&run, 1, Some(link.address), "");
+        run.wait_until_tick(20);
+        link.cut(true, true);
+        supervisor.succeeds();
+        assert!(run.report()["ranges"]["missing"].as_u64() > Some(0), "{}", run.report()["ranges"]);
+        let worlds = run.worlds();
+        let last =
+            worlds.last().map(|(tick, world)| (*tick, world.robots[0].heading, world.robots[1].driven.speed_mps));
+        let ticks = run.report()["ticks"].as_u64().unwrap();
+        assert_eq!(last, Some((ticks, Heading::Fresh, 0.0)), "{words}");
+        if words.starts_with("slow") {
+            let is_stop = |(asked, _): &(Asked, u64)| *asked == Asked::Drive(0.0);
+            run.wait_for("its stop", || asked(&robot).last().is_some_and(is_stop).then_some(()));
+        }
+        assert!(robot.is_running(), "{}", robot.stderr());
+        run.assert_nothing_left();
+    }
 }
 
 /// The link is cut for seconds, and the gateway is killed: no robot's process ends, and each has fresh headings again.

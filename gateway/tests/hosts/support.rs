@@ -12,6 +12,10 @@ use std::time::{Duration, Instant};
 
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
+use rangehound_node::logs;
+use rangehound_node::rendezvous::RunDescription;
+use rangehound_node::tick_log::{TickLogError, TickLogReader};
+use rangehound_shared::record::{FusionRecord, Record, WorldRecord};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
@@ -28,6 +32,9 @@ fn program() -> PathBuf {
     program
 }
 
+/// Opens a log of a run.
+type Read<R> = fn(&RunDescription) -> Result<TickLogReader<R>, TickLogError>;
+
 /// A run's name and folder, and the processes that were started for it.
 pub(crate) struct Run {
     pub(crate) name: String,
@@ -40,6 +47,13 @@ impl Run {
         static COUNT: AtomicUsize = AtomicUsize::new(0);
         let name = format!("h{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         Self { name, folder: TempDir::new().unwrap(), started: AtomicUsize::new(0) }
+    }
+
+    /// The same with a scenario in real time, `slow.toml`, whose ticks last so long.
+    pub(crate) fn with_ticks_of(dt_s: f64) -> Self {
+        let run = Self::new();
+        std::fs::write(run.path("slow.toml"), format!("clock = \"realtime\"\ndt_s = {dt_s:?}\n")).unwrap();
+        run
     }
 
     pub(crate) fn path(&self, file: &str) -> PathBuf {
@@ -66,7 +80,7 @@ impl Run {
             .stderr(File::create(&stderr).unwrap())
             .spawn()
             .unwrap();
-        Process { child: Some(child), words: words.to_owned(), stderr }
+        Process { child: Some(child), words: words.to_owned(), stdout, stderr }
     }
 
     /// Runs a command of `rangehound` to its end; returns its exit code and its messages.
@@ -83,12 +97,17 @@ impl Run {
     /// Starts a run with a gateway, at a port that is free. Returns the gateway's address too.
     pub(crate) fn run(&self, words: &str) -> (Process, SocketAddr) {
         let run = self.start(&format!("run --no-record --name {} --out out --listen 127.0.0.1:0 {words}", self.name));
-        let address = self.wait_for("the gateway listens", || {
-            let text = run.stderr();
+        let address = self.listens(&run);
+        (run, address)
+    }
+
+    /// The address at which the gateway listens that this process is or has started.
+    pub(crate) fn listens(&self, process: &Process) -> SocketAddr {
+        self.wait_for("the gateway listens", || {
+            let text = process.stderr();
             let listens = text.lines().find_map(|line| line.split_once("listens on "))?.1.to_owned();
             listens.trim().parse().ok()
-        });
-        (run, address)
+        })
     }
 
     pub(crate) fn robot(&self, id: usize, address: SocketAddr) -> Process {
@@ -111,6 +130,24 @@ impl Run {
     pub(crate) fn report(&self) -> Value {
         let text = std::fs::read_to_string(self.path("out/report.json")).unwrap();
         serde_json::from_str(&text).unwrap()
+    }
+
+    /// What the simulator has recorded of each tick.
+    pub(crate) fn worlds(&self) -> Vec<(u64, WorldRecord)> {
+        self.records(logs::read_worlds)
+    }
+
+    /// What fusion has recorded of each tick.
+    pub(crate) fn estimates(&self) -> Vec<(u64, FusionRecord)> {
+        self.records(logs::read_estimates)
+    }
+
+    fn records<R: Record + Clone>(&self, read: Read<R>) -> Vec<(u64, R)> {
+        let mut description = RunDescription::open(&std::fs::read(self.path("out/run.sealed")).unwrap()).unwrap();
+        description.out_dir = self.path("out");
+        let mut log = read(&description).unwrap();
+        std::iter::from_fn(|| log.next().map(|record| record.map(|(tick, record)| (tick, record.clone())).unwrap()))
+            .collect()
     }
 
     pub(crate) fn digest(&self) -> String {
@@ -166,6 +203,7 @@ impl Run {
 pub(crate) struct Process {
     child: Option<Child>,
     words: String,
+    stdout: PathBuf,
     stderr: PathBuf,
 }
 
@@ -174,14 +212,16 @@ impl Process {
         std::fs::read_to_string(&self.stderr).unwrap_or_default()
     }
 
-    pub(crate) fn id(&self) -> u32 {
-        self.child.as_ref().map_or(0, Child::id)
+    pub(crate) fn stdout(&self) -> String {
+        std::fs::read_to_string(&self.stdout).unwrap_or_default()
+    }
+
+    pub(crate) fn pid(&self) -> Pid {
+        Pid::from_child(self.child.as_ref().unwrap())
     }
 
     pub(crate) fn signal(&self, signal: Signal) {
-        if let Some(child) = &self.child {
-            let _ = kill_process(Pid::from_child(child), signal);
-        }
+        let _ = kill_process(self.pid(), signal);
     }
 
     pub(crate) fn is_running(&mut self) -> bool {
@@ -215,6 +255,9 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
+        if self.child.is_none() {
+            return;
+        }
         // In order first: a supervisor ends its nodes.
         self.signal(Signal::TERM);
         let began = Instant::now();

@@ -4,7 +4,7 @@ use std::io::{ErrorKind, Read, Result};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rangehound_robot::sensor::{Sensed, Sensor, calibrated_m};
 use rangehound_shared::message::WorldEntry;
@@ -13,6 +13,7 @@ use rangehound_shared::scenario::Calibration;
 
 use super::choice::Choice;
 use super::{Radio, reader};
+use crate::system::clock::monotonic_ns;
 
 /// The newest range received on a port.
 ///
@@ -25,8 +26,8 @@ pub struct SerialSensor {
     age_max: Duration,
 }
 
-/// The newest unread range, m, and its time of arrival.
-type Newest = Arc<Mutex<Option<(f64, Instant)>>>;
+/// The newest unread range, m, and when it came, monotonic ns.
+type Newest = Arc<Mutex<Option<(f64, u64)>>>;
 
 impl SerialSensor {
     /// Opens the sensor on a port. Its ranges are calibrated, have this standard deviation, m, and expire after
@@ -68,9 +69,13 @@ impl SerialSensor {
 impl Sensor for SerialSensor {
     fn sense(&mut self, _tick: u64, _entry: &WorldEntry) -> Sensed {
         let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let newest = newest.filter(|(_, came)| came.elapsed() <= self.age_max);
+        let newest = newest.filter(|(_, came_ns)| age(*came_ns) <= self.age_max);
         newest.map_or_else(Sensed::default, |(range_m, _)| Sensed::range(range_m, self.std_m))
     }
+}
+
+fn age(came_ns: u64) -> Duration {
+    Duration::from_nanos(monotonic_ns().saturating_sub(came_ns))
 }
 
 /// Keeps the newest range of a stream.
@@ -109,7 +114,7 @@ impl Listener {
                 Ok(report) => {
                     if let Some(range_m) = choice.range_m(&report) {
                         let range_m = calibrated_m(range_m, *calibration);
-                        *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((range_m, Instant::now()));
+                        *newest.lock().unwrap_or_else(PoisonError::into_inner) = Some((range_m, monotonic_ns()));
                     }
                 }
                 Err(refusal) => first_refusal = first_refusal.or(Some(refusal)),
@@ -154,7 +159,7 @@ mod tests {
 
     /// The next range read by the thread.
     fn next(sensor: &mut SerialSensor) -> f64 {
-        let began = Instant::now();
+        let began = std::time::Instant::now();
         loop {
             if let Some(range_m) = sensed(sensor) {
                 return range_m;
@@ -181,7 +186,7 @@ mod tests {
     #[test]
     fn a_stale_range_is_none() {
         let (radio, mut sensor) = sensor(Duration::from_millis(1));
-        *sensor.newest.lock().unwrap() = Some((5.0, Instant::now()));
+        *sensor.newest.lock().unwrap() = Some((5.0, monotonic_ns()));
         thread::sleep(Duration::from_millis(2));
         assert_eq!(sensed(&mut sensor), None);
         drop(radio);

@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 from .. import _command, _native
+from .._clock import now_s as clock_s
 from ..live import Radio, Robot
 from .link import Link
 from .vehicle import Settings, Vehicle
@@ -112,7 +113,7 @@ def is_there(link: Link) -> bool:
     if link.error:
         raise link.error
     with link.lock:
-        return link.vehicle.is_linked(time.monotonic())
+        return link.vehicle.is_linked(clock_s())
 
 
 def robot_of(flags: argparse.Namespace, link: Link) -> Robot:
@@ -121,7 +122,7 @@ def robot_of(flags: argparse.Namespace, link: Link) -> Robot:
 
     def measure(robot: int, tick: int, range_m: float, bearing_rad: float) -> Any:
         with link.lock:
-            return vehicle.range(time.monotonic())
+            return vehicle.range(clock_s())
 
     def pose(time_s: float, x_m: float, y_m: float, heading_rad: float) -> tuple[float, ...]:
         with link.lock:
@@ -131,7 +132,7 @@ def robot_of(flags: argparse.Namespace, link: Link) -> Robot:
         if link.error:
             raise link.error
         with link.lock:
-            now_s = time.monotonic()
+            now_s = clock_s()
             vehicle.command(heading_rad, speed_mps, now_s)
             return vehicle.motion(now_s)
 

@@ -7,6 +7,7 @@ import threading
 import time
 from typing import Any
 
+from .._clock import now_s as clock_s
 from .vehicle import STOP, Setpoint, Vehicle
 
 #: Interval of our heartbeats, s.
@@ -39,7 +40,7 @@ class Link(threading.Thread):
         self._closing = threading.Event()
         self._said = ""
         self._was_linked = False
-        began_s = time.monotonic()
+        began_s = clock_s()
         self._setpoint_s = self._heartbeat_s = began_s
         self._ask_s, self._asks_left = began_s + STREAM_S, ASKS if arms else 0
 
@@ -56,8 +57,8 @@ class Link(threading.Thread):
 
     def _exchange(self) -> None:
         while not self._closing.is_set():
-            message = self._receive(self._setpoint_s - time.monotonic())
-            now_s = time.monotonic()
+            message = self._receive(self._setpoint_s - clock_s())
+            now_s = clock_s()
             with self.lock:
                 if message is not None:
                     self.vehicle.take(message, now_s)
@@ -110,7 +111,7 @@ class Link(threading.Thread):
             return
         ignored = IGNORED if setpoint.yaw_rad is not None else IGNORED | IGNORED_YAW
         self._send(self.mavutil.mavlink.MAVLink_set_position_target_local_ned_message(
-            int(time.monotonic() * 1e3) & 0xFFFFFFFF, self.vehicle.system, self.vehicle.component, self.mavutil.mavlink.MAV_FRAME_LOCAL_NED,
+            int(clock_s() * 1e3) & 0xFFFFFFFF, self.vehicle.system, self.vehicle.component, self.mavutil.mavlink.MAV_FRAME_LOCAL_NED,
             ignored, 0.0, 0.0, 0.0, setpoint.north_mps, setpoint.east_mps, 0.0, 0.0, 0.0, 0.0, setpoint.yaw_rad or 0.0, 0.0,
         ))
 

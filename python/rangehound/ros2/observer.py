@@ -15,6 +15,7 @@ from typing import Any, Iterator, NamedTuple, Sequence
 import numpy as np
 
 from .. import _native
+from .._clock import now_ns
 from .._native import InputError
 from ..live import Tick
 from . import messages, unicycle
@@ -224,7 +225,7 @@ class Node:
     def _stamp(self, tick: Tick) -> Any:
         time_s = float(tick.time_s)
         if not self._is_simulated_time:
-            age_s = (time.monotonic_ns() - int(tick.sent_ns)) * 1e-9 if tick.sent_ns else 0.0
+            age_s = (now_ns() - int(tick.sent_ns)) * 1e-9 if tick.sent_ns else 0.0
             time_s = self._session.now_s() - age_s
         second, nanosecond = messages.stamp_of(time_s)
         return self._time(sec=second, nanosec=nanosecond)

@@ -29,6 +29,10 @@ pub struct Courier {
     measured: Option<Measured>,
     driven: Option<Driven>,
     repeat_after_ns: u64,
+    /// The newest tick whose measurement was sent, and when first, ns.
+    sent: Option<(u64, u64)>,
+    /// The newest tick whose heading came, and when first, ns.
+    headed: Option<(u64, u64)>,
 }
 
 impl Courier {
@@ -44,6 +48,8 @@ impl Courier {
             measured: None,
             driven: None,
             repeat_after_ns: *INTERVAL_NS.end(),
+            sent: None,
+            headed: None,
         }
     }
 
@@ -51,6 +57,9 @@ impl Courier {
     pub fn on_downlink(&mut self, frame: &Downlink, now_ns: u64) {
         self.newest = Some((frame.sent_ns, now_ns));
         self.owes_answer = true;
+        if let Some(heading) = &frame.heading {
+            note_first(&mut self.headed, heading.tick, now_ns);
+        }
         // Whatever a frame says, a measurement is not sent again at once, nor never.
         self.repeat_after_ns = frame.repeat_after_ns.clamp(*INTERVAL_NS.start(), *INTERVAL_NS.end());
         self.kept.retain(|kept| !frame.heard.has(kept.measured.tick));
@@ -80,9 +89,19 @@ impl Courier {
             command: Command { heading_rad: entry.heading_rad, speed_mps: entry.speed_mps },
             has_measured: entry.range_sent_ns != 0,
             heading_after_ns: (entry.heading_held_ns != 0).then(|| entry.latency_ns().unwrap_or(0)),
+            host_ns: self.host_ns(tick, &entry),
             heading_late: entry.heading_late != 0,
             headings_refused: entry.headings_refused,
         });
+    }
+
+    /// How long range and heading of a tick have waited on this host, ns.
+    fn host_ns(&self, tick: u64, drive: &Drive) -> u32 {
+        let of_tick = |at: Option<(u64, u64)>| at.filter(|(of, _)| *of == tick).map(|(_, at_ns)| at_ns);
+        let [sent_ns, headed_ns] = [self.sent, self.headed].map(of_tick);
+        let until_sent_ns = sent_ns.map_or(0, |at_ns| at_ns.saturating_sub(drive.range_sent_ns));
+        let since_headed_ns = headed_ns.map_or(0, |at_ns| drive.heading_held_ns.saturating_sub(at_ns));
+        u32::try_from(until_sent_ns.saturating_add(since_headed_ns)).unwrap_or(u32::MAX)
     }
 
     /// The next frame for the gateway, if one is due.
@@ -97,6 +116,9 @@ impl Courier {
             return None;
         }
         let newest = self.measured.take();
+        if let Some(measured) = &newest {
+            note_first(&mut self.sent, measured.tick, now_ns);
+        }
         let mut measured: Vec<Measured> = newest.into_iter().collect();
         for kept in self.kept.iter_mut().rev() {
             let is_newest = newest.is_some_and(|newest| newest.tick == kept.measured.tick);
@@ -124,6 +146,13 @@ impl Courier {
     #[must_use]
     pub fn wakes_at_ns(&self) -> Option<u64> {
         self.kept.iter().any(|kept| kept.sent_at_ns.is_none()).then_some(0)
+    }
+}
+
+/// Notes when something of a tick happened first.
+fn note_first(known: &mut Option<(u64, u64)>, tick: u64, now_ns: u64) {
+    if known.is_none_or(|(of, _)| of != tick) {
+        *known = Some((tick, now_ns));
     }
 }
 

@@ -6,12 +6,14 @@
 //! other: durations travel.
 
 mod courier;
+mod occupant;
 mod relay;
 mod round_trip;
 mod run_life;
 pub mod wire;
 
 pub use courier::Courier;
+pub use occupant::{Claim, Occupant};
 pub use relay::{Publication, Relay};
 pub use round_trip::RoundTrip;
 pub use run_life::{Rejoin, RunLife};

@@ -37,6 +37,8 @@ pub struct Relay {
     /// When measurement and heading of the present tick came, ns.
     measured_at_ns: Option<u64>,
     heading_at_ns: Option<u64>,
+    /// When that heading was sent first, ns.
+    heading_sent_ns: Option<u64>,
     heard: Ticks,
     round_trip: RoundTrip,
     /// It has news for the robot.
@@ -65,6 +67,7 @@ impl Relay {
             driven: None,
             measured_at_ns: None,
             heading_at_ns: None,
+            heading_sent_ns: None,
             heard: Ticks::default(),
             round_trip: RoundTrip::default(),
             has_news: true,
@@ -94,7 +97,7 @@ impl Relay {
             // A robot that has joined a new gateway may have answered this tick before its world came here.
             self.measured = self.measured.filter(|measured| measured.tick == tick);
             self.measured_at_ns = self.measured_at_ns.filter(|_| self.measured.is_some());
-            (self.driven, self.heading_at_ns) = (None, None);
+            (self.driven, self.heading_at_ns, self.heading_sent_ns) = (None, None, None);
             self.heading = self.heading.filter(|heading| heading.tick == tick);
             (self.has_news, self.repeats) = (true, 0);
             return Vec::new();
@@ -184,10 +187,10 @@ impl Relay {
         Some(Publication::Drive(message, notification))
     }
 
-    /// The message with the robot's durations as stamps of the gateway's clock. The time between the hosts is what the robot
-    /// waited longer than the gateway; half of it is put on each way.
+    /// The message with the robot's durations as stamps of the gateway's clock. The time beyond this host's run is what the robot
+    /// waited longer than the gateway; half of it is put on each way. Each end tells its own part of it.
     fn drive_of(&self, driven: &Driven, now_ns: u64) -> Drive {
-        let Driven { command, has_measured, heading_after_ns, heading_late, headings_refused, .. } = *driven;
+        let Driven { command, has_measured, heading_after_ns, host_ns, heading_late, headings_refused, .. } = *driven;
         let whole_ns = heading_after_ns.unwrap_or(0);
         let (network_ns, sent_ns) = match (self.measured_at_ns, self.heading_at_ns, heading_after_ns) {
             (Some(measured_ns), Some(heading_ns), Some(_)) => {
@@ -198,15 +201,22 @@ impl Relay {
             _ => (0, now_ns.saturating_sub(whole_ns)),
         };
         let sent_ns = sent_ns.max(1);
+        let network_ns = if has_measured { network_ns } else { 0 };
+        let gateway_ns =
+            self.heading_sent_ns.zip(self.heading_at_ns).map_or(0, |(sent_ns, at_ns)| sent_ns.saturating_sub(at_ns));
+        let part = |ns: u64| u32::try_from(ns).unwrap_or(u32::MAX);
+        let robot_host_ns = part(network_ns.min(host_ns.into()));
         Drive {
             robot: self.robot as u64,
             heading_rad: command.heading_rad,
             speed_mps: command.speed_mps,
             range_sent_ns: if has_measured { sent_ns } else { 0 },
             heading_held_ns: heading_after_ns.map_or(0, |after_ns| sent_ns.saturating_add(after_ns)),
-            heading_late: u64::from(heading_late),
+            heading_late: u32::from(heading_late),
             headings_refused,
-            network_ns: if has_measured { network_ns } else { 0 },
+            network_ns,
+            robot_host_ns,
+            gateway_ns: part(gateway_ns.min(network_ns - u64::from(robot_host_ns))),
         }
     }
 
@@ -220,6 +230,9 @@ impl Relay {
         let awaits_measurement = self.awaits_measurement();
         let world = self.world.filter(|_| awaits_measurement || is_repeat || self.asks_again);
         let heading = self.heading.filter(|_| self.awaits_drive());
+        if heading.is_some() {
+            self.heading_sent_ns.get_or_insert(now_ns);
+        }
         (self.has_news, self.asks_again) = (false, false);
         self.repeats = self.repeats.saturating_add(u32::from(is_repeat));
         self.sent_at_ns = now_ns;

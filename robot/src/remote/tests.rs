@@ -263,6 +263,39 @@ fn a_good_link_needs_no_repeats_and_its_time_is_measured() {
     assert!(drive.network_ns <= 4 * STEP_NS, "{drive:?}");
 }
 
+/// What a range and its heading have waited at either end is told apart from the link's time, by the clock of that end.
+#[test]
+fn the_time_beyond_the_runs_host_has_its_parts() {
+    let Bench { mut courier, mut relay, .. } = Bench::new("lockstep", 3, GOOD);
+    let of_tick =
+        |tick| Outgoing { tick, valid_at_s: 0.5, entry: Range { robot: ROBOT as u64, measurement: measurement_of(5) } };
+    // The robot's clock shows hours more.
+    let robots_ns = |ns: u64| 9_000_000_000_000 + ns;
+    let header = Header { run_id: RUN_ID, incarnation: 1, tick: 5, valid_at_s: 0.5, sent_ns: 0 };
+    relay.on_world(&header, &WorldEntry::default());
+    // The measurement leaves 50 ns after it was ready.
+    courier.on_range(&of_tick(5));
+    let frame = courier.next_frame(robots_ns(150)).unwrap();
+    assert!(matches!(relay.on_uplink(&frame, 1_000)[..], [Publication::Range(..)]));
+    // The heading leaves the gateway 5 ns after it came, and again later; 30 ns after it came the robot has it.
+    relay.on_heading(&header, command_of(5), 2_000);
+    let frame = relay.next_frame(2_005).unwrap();
+    courier.on_downlink(&frame, robots_ns(1_670));
+    courier.on_downlink(&relay.next_frame(1_000_000_000).unwrap(), robots_ns(1_690));
+    let drive = Drive {
+        robot: ROBOT as u64,
+        range_sent_ns: robots_ns(100),
+        heading_held_ns: robots_ns(1_700),
+        ..Drive::default()
+    };
+    courier.on_drive(&Outgoing { tick: 5, valid_at_s: 0.5, entry: drive });
+    let frame = courier.next_frame(robots_ns(1_710)).unwrap();
+    let [Publication::Drive(Outgoing { entry, .. }, _)] = relay.on_uplink(&frame, 3_000)[..] else {
+        panic!("no drive")
+    };
+    assert_eq!((entry.network_ns, entry.robot_host_ns, entry.gateway_ns), (600, 80, 5), "{entry:?}");
+}
+
 #[test]
 fn a_gateway_that_is_lost_at_any_moment_changes_nothing() {
     for seed in 0..20 {

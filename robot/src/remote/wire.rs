@@ -93,10 +93,12 @@ pub struct Driven {
     pub has_measured: bool,
     /// Time from its measurement to the tick's heading by its own clock, ns; `None` if it drives without the heading.
     pub heading_after_ns: Option<u64>,
+    /// Part of that time on its host: until the measurement was sent, and since the frame with the heading, ns.
+    pub host_ns: u32,
     /// True if the heading came after its deadline.
     pub heading_late: bool,
     /// Headings refused since its last report.
-    pub headings_refused: u64,
+    pub headings_refused: u32,
 }
 
 /// The answer to the time stamp of a frame.
@@ -227,6 +229,7 @@ mod tests {
             command: Command::default(),
             has_measured: true,
             heading_after_ns: Some(5),
+            host_ns: 2,
             heading_late: false,
             headings_refused: 0,
         };

@@ -113,8 +113,12 @@ pub struct RobotRecord {
     pub driven: Command,
     /// Headings that it refused since the last tick.
     pub headings_refused: u64,
-    /// Time that range and heading spent between its host and fusion's, ns; 0 on one host.
+    /// Time that range and heading spent beyond fusion's host, ns; 0 on one host.
     pub network_ns: u64,
+    /// Part of it on the robot's host, ns.
+    pub robot_host_ns: u64,
+    /// Part of it in the gateway, ns.
+    pub gateway_ns: u64,
 }
 
 impl RobotRecord {
@@ -296,8 +300,10 @@ impl RobotRecord {
                 heading_rad: drive.heading_rad,
                 speed_mps: drive.speed_mps,
             }),
-            headings_refused: drive.map_or(0, |drive| drive.headings_refused),
+            headings_refused: drive.map_or(0, |drive| drive.headings_refused.into()),
             network_ns: drive.map_or(0, |drive| drive.network_ns),
+            robot_host_ns: drive.map_or(0, |drive| drive.robot_host_ns.into()),
+            gateway_ns: drive.map_or(0, |drive| drive.gateway_ns.into()),
         }
     }
 
@@ -315,6 +321,8 @@ impl RobotRecord {
         fields.number("speed_mps", &mut self.driven.speed_mps);
         fields.whole("headings_refused", &mut self.headings_refused);
         fields.whole("network_ns", &mut self.network_ns);
+        fields.whole("robot_host_ns", &mut self.robot_host_ns);
+        fields.whole("gateway_ns", &mut self.gateway_ns);
         let stamp = |ns: u64| (ns != 0).then_some(ns);
         [self.range_m, self.bearing_rad] = [range_m, bearing_rad].map(|value| Some(value).filter(|it| !it.is_nan()));
         (self.range_sent_ns, self.heading_held_ns) = (stamp(sent_ns), stamp(held_ns));
@@ -402,6 +410,8 @@ mod tests {
             driven,
             headings_refused: 4,
             network_ns: 5,
+            robot_host_ns: 2,
+            gateway_ns: 1,
             ..silent
         };
         let mut record = WorldRecord { time_s: 0.1, ended_ns: 5, truth: vec![1.0, 2.0], robots: vec![silent, busy] };
@@ -414,6 +424,6 @@ mod tests {
             described
                 .starts_with(r#"["time_s","<f8"],["ended_ns","<u8"],["truth","<f8",[2]],["robots",[["x_m","<f8"],"#)
         );
-        assert!(described.ends_with(r#"["network_ns","<u8"]],[2]]"#), "{described}");
+        assert!(described.ends_with(r#"["gateway_ns","<u8"]],[2]]"#), "{described}");
     }
 }

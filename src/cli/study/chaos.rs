@@ -74,6 +74,12 @@ pub struct OnHostsArgs {
     /// Random time on top of it, up to this, ms; packets overtake each other
     #[arg(long, value_name = "MS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
     pub jitter: f64,
+    /// Cut each link at this interval, one after the other, s
+    #[arg(long, value_name = "SECONDS", requires = "hosts", value_parser = number, allow_negative_numbers = true)]
+    pub cut_every: Option<f64>,
+    /// Duration of these cuts, s
+    #[arg(long, value_name = "SECONDS", requires = "cut_every", value_parser = number, allow_negative_numbers = true, default_value_t = 2.0)]
+    pub cut_for: f64,
 }
 
 impl OnHostsArgs {
@@ -87,6 +93,9 @@ impl OnHostsArgs {
         let hosts = within("--hosts", 2..=most, &format!("2 to {most}, with a robot on each"), hosts)?;
         let part = |flag, part| within(flag, 0.0..=0.9, "0 to 0.9", part);
         let time_s = |flag, ms| Ok::<f64, Failure>(within(flag, 0.0..=1_000.0, "0 to 1000 ms", ms)? / 1e3);
+        let cut_every_s =
+            self.cut_every.map(|every_s| within("--cut-every", 0.1..=3_600.0, "0.1 to 3600 s", every_s)).transpose()?;
+        let shorter_s = 0.9 * cut_every_s.unwrap_or(f64::INFINITY);
         Ok(Some(OnHosts {
             count: hosts as usize,
             longest_cut_s: within("--longest-cut", STOP_MIN_S..=600.0, "0.01 to 600 s", self.longest_cut)?,
@@ -96,6 +105,8 @@ impl OnHostsArgs {
                 duplicates: part("--duplicates", self.duplicates)?,
                 delay_s: time_s("--delay", self.delay)?,
                 jitter_s: time_s("--jitter", self.jitter)?,
+                cut_every_s,
+                cut_for_s: within("--cut-for", 0.0..=shorter_s, "0 to 0.9 times --cut-every", self.cut_for)?,
             },
         }))
     }

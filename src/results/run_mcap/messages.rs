@@ -131,8 +131,12 @@ messages! {
         heading_held_ns: Option<u64> as optional uint64,
         /// Headings that it refused since the tick before.
         headings_refused: u64 as uint64,
-        /// Time that range and heading spent between its host and fusion's; 0 on one host.
+        /// Time that range and heading spent beyond fusion's host; 0 on one host.
         network_ns: u64 as uint64,
+        /// Part of it on the robot's host.
+        robot_host_ns: u64 as uint64,
+        /// Part of it in the gateway.
+        gateway_ns: u64 as uint64,
     }
 
     /// Topic `/estimate`: fusion's estimate after the tick.

@@ -89,6 +89,8 @@ pub fn messages_of(frame: &Frame) -> impl Iterator<Item = OnTopic> + '_ {
                 heading_held_ns: body.heading_held_ns,
                 headings_refused: body.headings_refused,
                 network_ns: body.network_ns,
+                robot_host_ns: body.robot_host_ns,
+                gateway_ns: body.gateway_ns,
             })
         };
         (*body != silent).then(drive)
@@ -286,6 +288,8 @@ impl Gathering {
             robot.heading_held_ns = drive.heading_held_ns;
             robot.headings_refused = drive.headings_refused;
             robot.network_ns = drive.network_ns;
+            robot.robot_host_ns = drive.robot_host_ns;
+            robot.gateway_ns = drive.gateway_ns;
         }
         let (time_s, estimate) = estimate.ok_or(lacking("/estimate"))?;
         Ok(Frame { tick, fusion: FusionRecord { time_s, estimate, exchanges }, world })

@@ -116,6 +116,8 @@ impl<'a> Campaign<'a> {
         let code = run.end(ended == Ended::Done)?;
         // A robot whose link was cut when the run ended does not know of its end.
         let robots_left = hosts.as_mut().map(|hosts| hosts.end(LEAVING)).unwrap_or_default();
+        let mut files_left: Vec<String> = files_of(name).iter().map(|path| path.display().to_string()).collect();
+        files_left.extend(hosts.iter().flat_map(Hosts::files_left));
         self.hosts = hosts;
         if ended == Ended::Done && code != Some(0) {
             ended = Ended::Failed;
@@ -148,7 +150,7 @@ impl<'a> Campaign<'a> {
             tally: tally(&joined).unwrap_or_default(),
             baseline,
             is_repeatable: is_repeatable(&joined.scenario),
-            files_left: files_of(name).iter().map(|path| path.display().to_string()).collect(),
+            files_left,
             processes_left,
         })
     }

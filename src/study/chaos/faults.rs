@@ -300,7 +300,7 @@ mod tests {
     }
     #[test]
     fn with_several_hosts_links_are_cut_and_hosts_restart_for_the_time_asked() {
-        let conditions = Conditions { loss: 0.0, burst: 1, duplicates: 0.0, delay_s: 0.0, jitter_s: 0.0 };
+        let conditions = Conditions::GOOD;
         let all = faults(4, |asked| {
             asked.hosts = Some(OnHosts { count: 3, conditions, longest_cut_s: 2.0 });
             asked.victims = vec![Victim::Sim, Victim::Fusion, Victim::Robot, Victim::Gateway];

@@ -45,7 +45,7 @@ pub(super) struct Outcome {
     pub(super) position_rmse_m: Option<PositionError>,
     /// Whether all estimates equal those of the baseline; null if they need not.
     pub(super) digest_equal: Option<bool>,
-    /// Files in shared memory after the end.
+    /// Files in shared memory after the end, on all hosts.
     pub(super) files_left: Vec<String>,
     /// Processes still alive after the end.
     pub(super) processes_left: Vec<i32>,

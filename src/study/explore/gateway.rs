@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use rangehound_robot::remote::{Publication, Relay};
+use rangehound_robot::remote::{Claim, Occupant, Publication, Relay};
 use rangehound_shared::scenario::Scenario;
 
 use super::message::Message;
@@ -11,12 +11,6 @@ use super::witness::link::LinkWitness;
 
 /// There is only one run here.
 pub(super) const RUN_ID: u64 = 1;
-
-/// Silence after which another process may take a robot's role, ns.
-const CLAIM_NS: u64 = 500_000_000;
-
-/// Silence after which a robot is gone, ns.
-const GONE_NS: u64 = 3_000_000_000;
 
 /// The gateway and what the run's roster has about its robots.
 #[derive(Debug, Default)]
@@ -39,9 +33,8 @@ pub(super) struct Guest {
     /// How often its role had been taken.
     pub(super) incarnation: u64,
     pub(super) connection: u64,
-    /// Its process: the life of its node.
-    process: u32,
-    heard_ns: u64,
+    /// Its process, by the life of its node.
+    occupant: Occupant,
     joined_ns: u64,
     pub(super) witness: LinkWitness,
 }
@@ -84,14 +77,15 @@ impl Gateway {
         now_ns: u64,
     ) -> Option<Joined> {
         if let Some(guest) = self.guests.get_mut(&robot) {
-            if guest.process == process {
-                self.connections += 1;
-                (guest.connection, guest.heard_ns, guest.joined_ns) = (self.connections, now_ns, now_ns);
-                guest.relay.reconnect();
-                return Some(Joined { connection: self.connections, is_new: false });
-            }
-            if now_ns - guest.heard_ns < CLAIM_NS {
-                return None;
+            match guest.occupant.claim(process.into(), now_ns) {
+                Claim::ComesBack => {
+                    self.connections += 1;
+                    (guest.connection, guest.joined_ns) = (self.connections, now_ns);
+                    guest.relay.reconnect();
+                    return Some(Joined { connection: self.connections, is_new: false });
+                }
+                Claim::Refused => return None,
+                Claim::Succeeds => {}
             }
         }
         self.connections += 1;
@@ -101,8 +95,7 @@ impl Gateway {
             relay: Relay::new(RUN_ID, robot, scenario, fusion_incarnation),
             incarnation: *taken,
             connection: self.connections,
-            process,
-            heard_ns: now_ns,
+            occupant: Occupant::new(process.into(), now_ns),
             joined_ns: now_ns,
             witness: LinkWitness::new(scenario, fusion_incarnation, now_ns),
         };
@@ -136,7 +129,7 @@ impl Gateway {
             Message::Uplink { robot, connection, frame } => {
                 let guest = self.guests.get_mut(robot).filter(|guest| guest.connection == *connection);
                 if let Some(guest) = guest {
-                    guest.heard_ns = now_ns;
+                    guest.occupant.hear(now_ns);
                     let news = guest.relay.on_uplink(frame, now_ns);
                     guest.witness.news(&news).map_err(|what| (*robot, what))?;
                     publications.extend(news.into_iter().map(|message| (*robot, message)));
@@ -154,7 +147,7 @@ impl Gateway {
 
     /// Forgets the robots that have been silent for long, and returns them.
     pub(super) fn release_silent(&mut self, now_ns: u64) -> Vec<usize> {
-        let is_gone = |guest: &Guest| now_ns - guest.heard_ns > GONE_NS;
+        let is_gone = |guest: &Guest| guest.occupant.is_gone(now_ns);
         let gone = self.guests.iter().filter(|(_, guest)| is_gone(guest)).map(|(robot, _)| *robot).collect();
         self.guests.retain(|_, guest| !is_gone(guest));
         gone

@@ -40,17 +40,39 @@ pub struct Conditions {
     pub delay_s: f64,
     /// Time on top of it, up to this, uniformly distributed, s: packets overtake each other.
     pub jitter_s: f64,
+    /// Interval at which the links are cut, s, if they are: one after the other.
+    pub cut_every_s: Option<f64>,
+    /// Duration of such a cut, s.
+    pub cut_for_s: f64,
 }
 
 impl std::fmt::Display for Conditions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { loss, burst, duplicates, delay_s, jitter_s } = self;
+        let Self { loss, burst, duplicates, delay_s, jitter_s, cut_every_s, cut_for_s } = self;
         let (delay_ms, jitter_ms) = (1e3 * delay_s, 1e3 * jitter_s);
         write!(f, "{} % lost", 100.0 * loss)?;
         if *burst > 1 {
             write!(f, " in bursts of {burst}")?;
         }
-        write!(f, ", {} % doubled, {delay_ms} to {} ms late", 100.0 * duplicates, delay_ms + jitter_ms)
+        write!(f, ", {} % doubled, {delay_ms} to {} ms late", 100.0 * duplicates, delay_ms + jitter_ms)?;
+        match cut_every_s {
+            Some(cut_every_s) => write!(f, ", cut for {cut_for_s} s in every {cut_every_s}"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Conditions {
+    /// Of a link that does nothing to packets.
+    #[cfg(test)]
+    pub const GOOD: Self =
+        Self { loss: 0.0, burst: 1, duplicates: 0.0, delay_s: 0.0, jitter_s: 0.0, cut_every_s: None, cut_for_s: 0.0 };
+
+    /// True while the link of a host is cut that is cut at intervals, this time after its beginning, s. The first cut of the
+    /// first host ends with the interval, the others' are before it.
+    fn cuts(&self, host: usize, elapsed_s: f64) -> bool {
+        let since_s = |every_s: f64| (elapsed_s + host as f64 * self.cut_for_s).rem_euclid(every_s);
+        self.cut_every_s.is_some_and(|every_s| since_s(every_s) < self.cut_for_s)
     }
 }
 
@@ -88,6 +110,8 @@ impl Link {
                 Relay {
                     front,
                     gateway,
+                    host,
+                    began: Instant::now(),
                     conditions,
                     random,
                     backs: HashMap::new(),
@@ -166,6 +190,8 @@ struct Relay {
     front: UdpSocket,
     gateway: SocketAddr,
     conditions: Conditions,
+    host: usize,
+    began: Instant,
     random: ChaCha8Rng,
     /// A socket for each robot's process, so that the gateway sees them apart, and when the process last sent something.
     backs: HashMap<SocketAddr, (UdpSocket, Instant)>,
@@ -188,9 +214,10 @@ impl Relay {
                     come.push((*robot, false, bytes[..len].to_vec()));
                 }
             }
+            let is_cut = self.conditions.cuts(self.host, self.began.elapsed().as_secs_f64());
             for (robot, is_up, bytes) in come {
                 let cut = if is_up { &state.cut_up } else { &state.cut_down };
-                if !cut.load(Ordering::Relaxed) && !self.loses(is_up) {
+                if !is_cut && !cut.load(Ordering::Relaxed) && !self.loses(is_up) {
                     let copies = 1 + usize::from(self.random.random_bool(self.conditions.duplicates));
                     for _ in 0..copies {
                         let at = self.arrival();
@@ -260,5 +287,22 @@ impl Relay {
         back.connect(self.gateway)?;
         back.set_nonblocking(true)?;
         Ok(back)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_cut_at_intervals_one_after_the_other() {
+        let never = Conditions { cut_for_s: 2.0, ..Conditions::GOOD };
+        let cut_at = |conditions: &Conditions, host| -> Vec<u32> {
+            (0..22).filter(|s| conditions.cuts(host, f64::from(*s) + 0.5)).collect()
+        };
+        let at_intervals = Conditions { cut_every_s: Some(10.0), ..never };
+        assert_eq!(cut_at(&never, 1), [0; 0]);
+        assert_eq!(cut_at(&at_intervals, 1), [8, 9, 18, 19]);
+        assert_eq!(cut_at(&at_intervals, 2), [6, 7, 16, 17]);
     }
 }

@@ -98,9 +98,11 @@ impl Hosts {
     fn new(count: usize, first: usize, robots: usize, name: &RunName, folder: &Path) -> Result<Self, Failure> {
         gateway::program()?;
         let program = std::env::current_exe().context("cannot find this program's own file")?;
-        let network = Network::new(count).map_err(|error| Failure::input(format!("{error:#} (--hosts)")))?;
         // With the number of this process: no folder that was there before is removed.
-        let keys = folder.join(format!("keys.{}", std::process::id()));
+        let own = |what: &str| folder.join(format!("{what}.{}", std::process::id()));
+        let network = Network::new(count, own("memory"));
+        let network = network.map_err(|error| Failure::input(format!("{error:#} (--hosts)")))?;
+        let keys = own("keys");
         let hosts = Self {
             program,
             keys,
@@ -229,6 +231,14 @@ impl Hosts {
     pub fn is_on(&self, host: usize, pid: Pid) -> bool {
         let mut own = self.robots.iter().filter(|robot| robot.host == host);
         own.any(|robot| robot.child.as_ref().is_some_and(|child| Pid::from_child(child) == pid))
+    }
+
+    /// What is in the shared memory of the robots' hosts: a robot on another host than the run's needs none.
+    #[must_use]
+    pub fn files_left(&self) -> Vec<String> {
+        let on =
+            |host| self.network.files_on(host).into_iter().map(move |file| format!("{file} on {}", host_name(host)));
+        (RUN_HOST + 1..self.count).flat_map(on).collect()
     }
 
     /// Cuts packets from a host, to it, or both; or lets all pass.

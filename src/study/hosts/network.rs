@@ -22,16 +22,18 @@ const PREFIX: &str = "rangehound-";
 #[derive(Debug)]
 pub(super) struct Network {
     hosts: usize,
+    /// Folder with the shared memory of each robots' host.
+    memory: PathBuf,
 }
 
 impl Network {
-    /// Makes this many hosts.
+    /// Makes this many hosts. What is in their shared memory is in this folder, which is removed with them.
     ///
     /// # Errors
     /// If this process may not make them, or `ip`, `nsenter` or `unshare` are missing.
-    pub(super) fn new(hosts: usize) -> anyhow::Result<Self> {
+    pub(super) fn new(hosts: usize, memory: PathBuf) -> anyhow::Result<Self> {
         remove_those_of_dead_processes();
-        let network = Self { hosts };
+        let network = Self { hosts, memory };
         ip(&format!("netns add {}", middle()))
             .context("hosts on this machine are network namespaces, which need root")?;
         // Packets between hosts pass through the middle.
@@ -54,6 +56,8 @@ impl Network {
     /// What `ip` reports.
     pub(super) fn connect(&self, host: usize) -> anyhow::Result<()> {
         let (name, middle) = (name(host), middle());
+        let memory = self.memory(host);
+        std::fs::create_dir_all(&memory).with_context(|| memory.display().to_string())?;
         let (own, gateway) = (address(host), next_hop(host));
         ip(&format!("netns add {name}"))?;
         ip(&format!("-n {middle} link add host{host} type veth peer name net netns {name}"))?;
@@ -70,9 +74,20 @@ impl Network {
         // The kernel removes the cable with the host, but some time later.
         let _ = ip(&format!("-n {} link del host{host}", middle()));
         let _ = ip(&format!("netns del {}", name(host)));
+        let _ = std::fs::remove_dir_all(self.memory(host));
     }
 
-    /// The start of a program on a host. A robot's host has its own monotonic clock and its own, empty shared memory.
+    fn memory(&self, host: usize) -> PathBuf {
+        self.memory.join(host.to_string())
+    }
+
+    /// Names of what is in the shared memory of a robots' host.
+    pub(super) fn files_on(&self, host: usize) -> Vec<String> {
+        let entries = std::fs::read_dir(self.memory(host)).into_iter().flatten().flatten();
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+    }
+
+    /// The start of a program on a host. A robot's host has its own clock and its own shared memory.
     /// The process has the number of the child, and ends with the process that starts it.
     #[must_use]
     pub(super) fn command(&self, host: usize, program: &Path) -> Command {
@@ -81,7 +96,7 @@ impl Network {
             let ahead_s = (host * AHEAD_S).to_string();
             command.args(["setpriv", "--pdeathsig", "KILL"]);
             command.args(["unshare", "--mount", "--time", "--monotonic", &ahead_s, "--boottime", &ahead_s]);
-            command.args(["sh", "-c", "mount -t tmpfs tmpfs /dev/shm && exec \"$@\"", "sh"]);
+            command.args(["sh", "-c", "mount --bind \"$0\" /dev/shm && exec \"$@\""]).arg(self.memory(host));
         }
         command.arg(program);
         command
@@ -92,6 +107,7 @@ impl Drop for Network {
     fn drop(&mut self) {
         (0..self.hosts).for_each(|host| self.remove(host));
         let _ = ip(&format!("netns del {}", middle()));
+        let _ = std::fs::remove_dir_all(&self.memory);
     }
 }
 

@@ -30,6 +30,7 @@ export class Processes {
 
   show(status) {
     this.nodes = status.nodes;
+    this.remote = new Set((status.gateway?.guests ?? []).map((guest) => `robot-${guest.robot}`));
     this.hasSupervisor = status.nodes.some((node) => node.name === SUPERVISOR && node.pid != null);
     const standbys = status.standbys ? `, ${status.standbys} standing by` : "";
     this.leads.textContent = status.nodes.every((node) => node.state === "ended") ? "" : status.leader == null ? (status.nodes.some((node) => node.name === "fusion" && node.state === "elsewhere") ? `fusion leads from another PID namespace${standbys}` : "nobody leads") : `fusion leads as ${status.leader}${standbys}`;
@@ -78,8 +79,11 @@ export class Processes {
     row.cells.memory.textContent = node.resident_kb == null ? "–" : `${(node.resident_kb / 1024).toFixed(1)} MB`;
     const { kill, stop, restart } = row.buttons;
     const isThere = node.pid != null && node.state !== "gone" && !hasEnded && !isSupervisor && !this.isEnded;
-    kill.hidden = stop.hidden = !isThere;
-    restart.hidden = !isThere || !this.hasSupervisor;
+    // On another host nothing can be stopped, and a service manager starts robots again.
+    const isRemote = this.remote.has(node.name);
+    kill.hidden = !isThere;
+    stop.hidden = !isThere || isRemote;
+    restart.hidden = !isThere || !(this.hasSupervisor || isRemote);
     const action = node.state === "stopped" ? "continue" : "stop";
     // One button for both actions keeps the keyboard's focus.
     label(stop, action, node.name);

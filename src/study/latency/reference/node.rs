@@ -8,12 +8,9 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use rangehound_node::rendezvous::Role;
-use rangehound_node::system::clock::monotonic_ns;
+use rangehound_node::system::clock::{monotonic_ns, sleep_until};
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
-use rustix::io::Errno;
-use rustix::thread::{ClockId, clock_nanosleep_absolute};
-use rustix::time::Timespec;
 
 use super::{Centre, Command, DUE, Reference, Robot, SILENCE, TICK, futex, iceoryx2};
 use crate::failure::Failure;
@@ -83,6 +80,7 @@ fn be_robot(mut link: impl Robot, id: usize, scenario: &Scenario) -> anyhow::Res
     let (mut due_ns, mut held_ns) = (wait_for_start()?, monotonic_ns());
     for tick in 1..=scenario.ticks {
         if due_ns > held_ns {
+            // After a signal the range goes out early; the wait for its command then notices the request to end.
             sleep_until(due_ns)?;
         }
         let sent_ns = monotonic_ns();
@@ -108,14 +106,4 @@ fn wait_for_start() -> anyhow::Result<u64> {
     let mut start_ns = [0; 8];
     std::io::stdin().read_exact(&mut start_ns)?;
     Ok(u64::from_le_bytes(start_ns))
-}
-
-fn sleep_until(due_ns: u64) -> anyhow::Result<()> {
-    let due =
-        Timespec { tv_sec: (due_ns / 1_000_000_000).cast_signed(), tv_nsec: (due_ns % 1_000_000_000).cast_signed() };
-    match clock_nanosleep_absolute(ClockId::Monotonic, &due) {
-        // After a signal the range goes out early; the wait for its command then notices the request to end.
-        Ok(()) | Err(Errno::INTR) => Ok(()),
-        Err(error) => Err(error.into()),
-    }
 }
