@@ -176,8 +176,8 @@ fn a_real_target_is_tracked_by_real_robots_alone_and_nobody_claims_to_know_the_t
              [prior]\ncovariance = [100.0, 100.0, 1.0, 1.0]\n{prior}{robots}"
         )
     };
-    run.write("drawn.toml", &scenario("real = true\n", "mean = \"drawn\"\n"));
-    run.write("mine.toml", &scenario("real = true\n", ""));
+    run.write("drawn.toml", scenario("real = true\n", "mean = \"drawn\"\n"));
+    run.write("mine.toml", scenario("real = true\n", ""));
     for (words, why) in [
         ("run drawn.toml --external 0-2", "prior.mean"),
         ("run mine.toml --external 0,2", "robot 1 would be simulated"),
