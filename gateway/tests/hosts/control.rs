@@ -165,6 +165,8 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
     assert!(refuses.is_running());
     std::fs::write(run.path("over"), "").unwrap();
     run.finish_ok(&format!("stop --name {}", run.name));
+    // It waits for the next run.
+    refuses.signal(Signal::TERM);
     refuses.succeeds();
     run.assert_nothing_left();
 }

@@ -99,7 +99,7 @@ fn kills_of_gateway_and_robots_change_nothing() {
 /// The run's host loses everything and the run is resumed: the robots of the other hosts live on, and take part.
 #[test]
 fn robots_go_on_with_a_run_that_is_resumed() {
-    let words = "--ticks 1000 --robots 2";
+    let words = "--ticks 5000 --robots 2";
     let run = Run::new();
     let (supervisor, gateway) = run.run(&format!("{LOCKSTEP} {words} --remote 1"));
     let mut robot = run.robot(1, gateway);
@@ -127,7 +127,7 @@ fn robots_go_on_with_a_run_that_is_resumed() {
 /// The run's host sleeps for longer than its gateway keeps a silent robot's role, and so does a robot's host.
 #[test]
 fn hosts_that_wake_up_change_nothing() {
-    let words = "--ticks 400 --robots 2";
+    let words = "--ticks 4000 --robots 2";
     let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
     let digest = digest_over(&format!("{words} --standby 1"), &[1], Faults::default(), |run, _, robots| {
         run.wait_until_tick(20);
