@@ -61,7 +61,7 @@ impl Curve {
             // It sees nothing after any step, and comes as near as it may, to see later.
             return Self::blind(reach, noise, places(reach, corners_m, stand_off_m));
         }
-        let leaves = pieces.iter().map(|piece| Leaf::of(&noise, piece, 0.0, 1.0)).collect();
+        let leaves = pieces.iter().map(|piece| Leaf::of(&noise, piece)).collect();
         Self { pieces, noise, leaves }
     }
 
@@ -71,7 +71,7 @@ impl Curve {
         let noise = noise.nothing();
         let piece = Piece::segment(nearest, nearest);
         Self {
-            leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(),
+            leaves: [Leaf::of(&noise, &piece)].into_iter().collect(),
             pieces: [piece].into_iter().collect(),
             noise,
         }
@@ -121,6 +121,14 @@ impl Curve {
     pub(super) fn information_on(&self, piece: usize, u: f64) -> Information {
         let (p, w) = self.pieces[piece].at(u);
         self.noise.information_over(p, w)
+    }
+
+    /// The same and its derivative.
+    #[inline]
+    pub(super) fn information_along(&self, piece: usize, u: f64) -> (Information, Information) {
+        let (p, w) = self.pieces[piece].at(u);
+        let (dp, dw) = self.pieces[piece].change_at(u);
+        self.noise.information_along(p, w, dp, dw)
     }
 
     /// The parameter of the place nearest to the straight way to the target.

@@ -12,6 +12,7 @@
 //! | random | uniformly random places of the curves |
 
 mod curve;
+mod follow;
 mod hull;
 pub(super) mod information;
 mod leaf;
@@ -19,6 +20,7 @@ pub(super) mod minimum;
 pub(super) mod noise;
 mod piece;
 mod search;
+mod summit;
 mod support;
 mod team;
 

@@ -4,12 +4,12 @@ use smallvec::SmallVec;
 
 use super::curve::Curve;
 use super::information::Information;
-use super::leaf::Leaf;
-use super::minimum::minimum;
+use super::leaf::{Leaf, Section};
+use super::summit::summit;
 use crate::vector::Vector;
 
-/// Accuracy of the place of a maximum, relative to its part: the more accurate, the tighter the bound.
-const ACCURACY: f64 = 1e-8;
+/// First step towards a maximum, relative to its part: about the distance of two control points.
+const STEP: f64 = 0.1;
 
 /// Most parts into which a curve is split for one value.
 const SPLITS_MAX: usize = 200;
@@ -32,66 +32,99 @@ impl Curve {
     /// tangent: so parts are split where the maximum is.
     pub(super) fn support(&self, (low, high): (f64, f64), m: Vector, slack: f64) -> Support {
         let mut open: SmallVec<[Part; 8]> = SmallVec::new();
-        let part = |piece: usize, low: f64, high: f64, is_searched: bool| {
-            let leaf = Leaf::of(&self.noise, &self.pieces[piece], low, high);
-            Part::of(piece, &leaf, m, is_searched)
-        };
         let (first, last) = (self.piece_at(low).0, self.piece_at(high).0);
         for piece in first..=last {
             let base = Self::base(piece);
             let (from, to) = ((low - base).clamp(0.0, 1.0), (high - base).clamp(0.0, 1.0));
-            if from == 0.0 && to == 1.0 {
-                open.push(Part::of(piece, &self.leaves[piece], m, false));
-            } else if to > from || first == last {
-                open.push(part(piece, from, to, false));
+            if to > from || first == last {
+                // What bounds a piece bounds its part.
+                let bound = self.leaves[piece].bound(m);
+                open.push(Part::of(piece, from, to, bound, None));
             }
         }
         let mut best = Support { bound: f64::NEG_INFINITY, at: low, information: Information::default() };
         let mut most = f64::NEG_INFINITY;
-        let mut look_at = |piece: usize, u: f64, most: &mut f64| {
-            let information = self.information_on(piece, u);
-            if information.along(m) > *most {
-                *most = information.along(m);
+        let mut look_at = |piece: usize, u: f64, information: Information| {
+            if information.along(m) > most {
+                most = information.along(m);
                 (best.at, best.information) = (Self::base(piece) + u, information);
             }
+            most + slack
         };
+        let (mut enough, mut closed) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         for _ in 0..SPLITS_MAX {
-            let Some((next, now)) = open.iter().copied().enumerate().max_by(|a, b| a.1.bound.total_cmp(&b.1.bound))
-            else {
-                break;
-            };
-            if now.bound <= most + slack {
-                break;
+            let greatest = (0..open.len()).max_by(|a, b| open[*a].bound.total_cmp(&open[*b].bound));
+            let Some(next) = greatest.filter(|next| open[*next].bound > enough) else { break };
+            let Part { piece, low, high, bound, guess, is_searched, .. } = open[next];
+            if open[next].section.is_none() && (low > 0.0 || high < 1.0) {
+                open[next] = Part::with(piece, low, high, self.section(piece, low, high, m));
+                continue;
             }
             // The first and the last control point are places.
-            if now.guess == now.low || now.guess == now.high {
-                look_at(now.piece, now.guess, &mut most);
-                if now.bound <= most + slack {
+            if guess == low || guess == high {
+                enough = look_at(piece, guess, self.information_on(piece, guess));
+                if bound <= enough {
                     break;
                 }
             }
-            let (mut cut, mut is_at_maximum) = (0.5 * (now.low + now.high), false);
-            if !now.is_searched {
-                let value = |u: f64| -self.information_on(now.piece, u).along(m);
-                let u = minimum(value, (now.low, now.high), now.guess, ACCURACY);
-                look_at(now.piece, u, &mut most);
-                if now.bound <= most + slack {
+            let (mut cut, mut is_at_maximum) = (0.5 * (low + high), false);
+            if !is_searched {
+                let mut here = Information::default();
+                let slope = |u: f64| {
+                    let (information, change) = self.information_along(piece, u);
+                    here = information;
+                    change.along(m)
+                };
+                let width = high - low;
+                let u = summit(slope, (low, high), guess, STEP * width, 0.5 * slack / width);
+                enough = look_at(piece, u, here);
+                if bound <= enough {
                     break;
                 }
-                let margin = 1e-7 * (now.high - now.low);
-                if u > now.low + margin && u < now.high - margin {
+                let margin = 1e-7 * width;
+                if u > low + margin && u < high - margin {
                     (cut, is_at_maximum) = (u, true);
                 }
             }
-            open.swap_remove(next);
             // A single place has its value as its bound.
-            if cut > now.low && cut < now.high {
-                open.push(part(now.piece, now.low, cut, is_at_maximum));
-                open.push(part(now.piece, cut, now.high, is_at_maximum));
+            if !(cut > low && cut < high) {
+                open.swap_remove(next);
+                continue;
+            }
+            let whole;
+            let section = match &open[next].section {
+                Some(section) => section,
+                None => {
+                    whole = self.leaves[piece].section(m);
+                    &whole
+                }
+            };
+            let sections = if section.is_divisible {
+                section.cut((cut - low) / (high - low))
+            } else {
+                [(low, cut), (cut, high)].map(|(low, high)| self.section(piece, low, high, m))
+            };
+            open.swap_remove(next);
+            for ((low, high), section) in [(low, cut), (cut, high)].into_iter().zip(sections) {
+                if section.is_at_most(enough) {
+                    closed = enough;
+                } else {
+                    open.push(Part { is_searched: is_at_maximum, ..Part::with(piece, low, high, section) });
+                }
             }
         }
-        best.bound = open.iter().map(|part| part.bound).fold(most, f64::max);
+        best.bound = open.iter().map(|part| part.bound).fold(most.max(closed), f64::max);
         best
+    }
+
+    /// `T + m . S` along a part of a piece.
+    fn section(&self, piece: usize, low: f64, high: f64, m: Vector) -> Section {
+        let section = self.leaves[piece].section(m);
+        if section.is_divisible {
+            section.part(low, high)
+        } else {
+            Leaf::of(&self.noise, &self.pieces[piece].part(low, high)).section(m)
+        }
     }
 }
 
@@ -107,11 +140,16 @@ struct Part {
     guess: f64,
     /// It begins or ends at the maximum of a greater part.
     is_searched: bool,
+    /// `None` of a piece whose bound is known otherwise.
+    section: Option<Section>,
 }
 
 impl Part {
-    fn of(piece: usize, leaf: &Leaf, m: Vector, is_searched: bool) -> Self {
-        let (bound, guess) = leaf.bound(m);
-        Self { piece, low: leaf.low, high: leaf.high, bound, guess, is_searched }
+    fn of(piece: usize, low: f64, high: f64, (bound, share): (f64, f64), section: Option<Section>) -> Self {
+        Self { piece, low, high, bound, guess: low + (high - low) * share, is_searched: false, section }
+    }
+
+    fn with(piece: usize, low: f64, high: f64, section: Section) -> Self {
+        Self::of(piece, low, high, section.bound(), Some(section))
     }
 }

@@ -1,0 +1,147 @@
+//! A bound for one robot that outweighs the others: the multiplier follows it along its curve.
+//!
+//! One multiplier for a whole interval bounds the robot by its convex hull, in whose inside no place lies. With a multiplier
+//! for each place there is no hull of this robot, only of the others. Let `m = 2 q / (1 + |q|^2)`, and `q` linear along a part
+//! of the curve. Then the multiplied information is a quadratic,
+//!
+//! ```text
+//! (1 + |q|^2) T + 2 q . S = sum_j B_j (g_j T + h_j . S),   g = 1 + q_a.q_a, 1 + q_a.q_b, 1 + q_b.q_b,   h = 2 q_a, q_a + q_b, 2 q_b
+//! ```
+//!
+//! in the Bernstein basis `B_j`, whose members are positive. So what the others tell is at most `sum_j B_j H_j`, where `H_j` is
+//! the most that they can have of `g_j T + h_j . S`. With that, a polynomial is left that must not be negative.
+
+use super::curve::Curve;
+use super::information::{Cost, Information};
+use super::search::SLACK;
+use super::team::Team;
+use crate::vector::Vector;
+
+/// Parts of the curve that are looked at for one node.
+const PARTS_MAX: usize = 64;
+
+/// Multipliers that are tried for one place.
+const MULTIPLIERS_MAX: usize = 3;
+
+/// Narrowest part.
+const NARROWEST: f64 = 1e-4;
+
+/// A place of the robot, and a multiplier for it.
+#[derive(Debug, Clone, Copy)]
+struct Stop {
+    /// Its parameter within the piece.
+    u: f64,
+    q: Vector,
+    /// The most of `(1 + |q|^2) T + 2 q . S` without the robot.
+    rest: f64,
+    /// The cost with the robot at this place is at least the aim.
+    is_closed: bool,
+}
+
+/// The problem with one robot's interval open, and the cost that is to be proven.
+struct Follow<'a> {
+    team: &'a Team,
+    intervals: &'a [(f64, f64)],
+    robot: usize,
+    aim: f64,
+}
+
+/// The part of the robot's interval in which the cost may be less than `aim`; `None` if it cannot anywhere. `rest` is about
+/// what the others tell; `at` is where the robot is in the best answer.
+pub(super) fn open_part(
+    team: &Team,
+    intervals: &[(f64, f64)],
+    robot: usize,
+    rest: Information,
+    at: f64,
+    aim: f64,
+) -> Option<(f64, f64)> {
+    let follow = Follow { team, intervals, robot, aim };
+    let curve = &team.curves[robot];
+    let (low, high) = intervals[robot];
+    let (first, last) = (curve.piece_at(low).0, curve.piece_at(high).0);
+    if at >= low && at <= high {
+        let (piece, u) = curve.piece_at(at);
+        // No part with this place can be closed, unless the others are bounded better.
+        if !follow.stop(piece, u, rest).is_closed {
+            return Some((low, high));
+        }
+    }
+    let mut left: Option<(f64, f64)> = None;
+    let mut count = 0;
+    for piece in first..=last {
+        let base = Curve::base(piece);
+        let (from, to) = ((low - base).clamp(0.0, 1.0), (high - base).clamp(0.0, 1.0));
+        if from == to && first < last {
+            continue;
+        }
+        let mut open = smallvec::SmallVec::<[(Stop, Stop); 16]>::new();
+        open.push((follow.stop(piece, from, rest), follow.stop(piece, to, rest)));
+        while let Some((a, b)) = open.pop() {
+            count += 1;
+            let can_close = a.is_closed && b.is_closed;
+            if can_close && follow.is_closed(piece, a, b) {
+                continue;
+            }
+            let middle = 0.5 * (a.u + b.u);
+            if b.u - a.u > NARROWEST && count < PARTS_MAX && can_close {
+                let stop = follow.stop(piece, middle, rest);
+                open.push((stop, b));
+                open.push((a, stop));
+                continue;
+            }
+            let (start, end) = (base + a.u, base + b.u);
+            left = Some(left.map_or((start, end), |(low, high)| (low.min(start), high.max(end))));
+        }
+    }
+    left
+}
+
+impl Follow<'_> {
+    /// The stop at a parameter of a piece.
+    fn stop(&self, piece: usize, u: f64, mut rest: Information) -> Stop {
+        let criterion = self.team.criterion;
+        let information = self.team.curves[self.robot].information_on(piece, u);
+        let mut stop = Stop { u, q: Vector::default(), rest: 0.0, is_closed: false };
+        for _ in 0..MULTIPLIERS_MAX {
+            let m = criterion.multiplier(rest + information);
+            let (h, total) = self.others(m, rest + information);
+            let q = m * (1.0 / (1.0 + (1.0 - m.norm_squared()).max(0.0).sqrt()));
+            let is_closed = criterion.bound(m, h + information.along(m)) >= self.aim;
+            stop = Stop { u, q, rest: (1.0 + q.norm_squared()) * h, is_closed };
+            if is_closed {
+                break;
+            }
+            rest = total;
+        }
+        stop
+    }
+
+    fn others(&self, m: Vector, total: Information) -> (f64, Information) {
+        let team = self.team;
+        let slack = SLACK * total.along(m).abs() / team.curves.len() as f64;
+        team.supports(team.fused().filter(|i| *i != self.robot), self.intervals, m, slack, |_, _| ())
+    }
+
+    /// True if no place between two stops costs less than the aim.
+    fn is_closed(&self, piece: usize, a: Stop, b: Stop) -> bool {
+        let Team { criterion, curves, .. } = self.team;
+        let curve = &curves[self.robot];
+        let weight = 1.0 + a.q.dot(b.q);
+        if weight <= 0.0 {
+            return false;
+        }
+        let between = (a.q + b.q) * (1.0 / weight);
+        let total = curve.information_on(piece, a.u);
+        let (h, _) = self.others(between, total);
+        let price = criterion.price(self.aim);
+        let quadratic = |p: Vector, q: Vector, rest: f64| {
+            let worth = criterion.worth(p, q) - price * rest;
+            (worth, -price * (1.0 + p.dot(q)), (p + q) * -price)
+        };
+        let quadratics =
+            [quadratic(a.q, a.q, a.rest), quadratic(a.q, b.q, weight * h), quadratic(b.q, b.q, b.rest)];
+        let part = curve.leaves[piece].part(&curve.noise, &curve.pieces[piece], a.u, b.u);
+        part.is_never_negative(&quadratics)
+    }
+}
