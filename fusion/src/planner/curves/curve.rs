@@ -40,6 +40,8 @@ pub(super) struct Curve {
     pub(super) noise: Noise,
     /// Of each piece.
     pub(super) leaves: SmallVec<[Leaf; 8]>,
+    /// No place has a lesser `T`.
+    pub(super) least_t: f64,
 }
 
 impl Curve {
@@ -61,20 +63,19 @@ impl Curve {
             // It sees nothing after any step, and comes as near as it may, to see later.
             return Self::blind(reach, noise, places(reach, corners_m, stand_off_m));
         }
-        let leaves = pieces.iter().map(|piece| Leaf::of(&noise, piece)).collect();
-        Self { pieces, noise, leaves }
+        Self::with(pieces, noise)
     }
 
     fn blind(reach: &Reach, noise: Noise, pieces: Pieces) -> Self {
         let ends = pieces.iter().flat_map(|piece| [0.0, 0.5, 1.0].map(|u| piece.sight_m(u)));
         let nearest = ends.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(reach.to_target_m);
-        let noise = noise.nothing();
-        let piece = Piece::segment(nearest, nearest);
-        Self {
-            leaves: [Leaf::of(&noise, &piece)].into_iter().collect(),
-            pieces: [piece].into_iter().collect(),
-            noise,
-        }
+        Self::with([Piece::segment(nearest, nearest)].into_iter().collect(), noise.nothing())
+    }
+
+    fn with(pieces: Pieces, noise: Noise) -> Self {
+        let leaves: SmallVec<[Leaf; 8]> = pieces.iter().map(|piece| Leaf::of(&noise, piece)).collect();
+        let least_t = leaves.iter().map(Leaf::least_t).fold(f64::INFINITY, f64::min);
+        Self { pieces, noise, leaves, least_t }
     }
 
     /// The end of the parameter's interval, which begins at 0.

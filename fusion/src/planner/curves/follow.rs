@@ -26,6 +26,9 @@ const MULTIPLIERS_MAX: usize = 3;
 /// Narrowest part.
 const NARROWEST: f64 = 1e-4;
 
+/// Greatest squared change of `q`
+const EXACT: f64 = 0.0;
+
 /// A place of the robot, and a multiplier for it.
 #[derive(Debug, Clone, Copy)]
 struct Stop {
@@ -34,6 +37,8 @@ struct Stop {
     q: Vector,
     /// The most of `(1 + |q|^2) T + 2 q . S` without the robot.
     rest: f64,
+    /// About what the others tell then.
+    others: Information,
     /// The cost with the robot at this place is at least the aim.
     is_closed: bool,
 }
@@ -44,6 +49,8 @@ struct Follow<'a> {
     intervals: &'a [(f64, f64)],
     robot: usize,
     aim: f64,
+    /// The others have no lesser `T`.
+    least_t: f64,
 }
 
 /// The part of the robot's interval in which the cost may be less than `aim`; `None` if it cannot anywhere. `rest` is about
@@ -56,7 +63,9 @@ pub(super) fn open_part(
     at: f64,
     aim: f64,
 ) -> Option<(f64, f64)> {
-    let follow = Follow { team, intervals, robot, aim };
+    let others = || team.fused().filter(|i| *i != robot);
+    let least_t = others().fold(team.prior.t, |sum, i| sum + team.curves[i].least_t);
+    let follow = Follow { team, intervals, robot, aim, least_t };
     let curve = &team.curves[robot];
     let (low, high) = intervals[robot];
     let (first, last) = (curve.piece_at(low).0, curve.piece_at(high).0);
@@ -85,7 +94,7 @@ pub(super) fn open_part(
             }
             let middle = 0.5 * (a.u + b.u);
             if b.u - a.u > NARROWEST && count < PARTS_MAX && can_close {
-                let stop = follow.stop(piece, middle, rest);
+                let stop = follow.stop(piece, middle, (a.others + b.others) * 0.5);
                 open.push((stop, b));
                 open.push((a, stop));
                 continue;
@@ -102,13 +111,13 @@ impl Follow<'_> {
     fn stop(&self, piece: usize, u: f64, mut rest: Information) -> Stop {
         let criterion = self.team.criterion;
         let information = self.team.curves[self.robot].information_on(piece, u);
-        let mut stop = Stop { u, q: Vector::default(), rest: 0.0, is_closed: false };
+        let mut stop = Stop { u, q: Vector::default(), rest: 0.0, others: rest, is_closed: false };
         for _ in 0..MULTIPLIERS_MAX {
             let m = criterion.multiplier(rest + information);
             let (h, total) = self.others(m, rest + information);
             let q = m * (1.0 / (1.0 + (1.0 - m.norm_squared()).max(0.0).sqrt()));
             let is_closed = criterion.bound(m, h + information.along(m)) >= self.aim;
-            stop = Stop { u, q, rest: (1.0 + q.norm_squared()) * h, is_closed };
+            stop = Stop { u, q, rest: (1.0 + q.norm_squared()) * h, others: total, is_closed };
             if is_closed {
                 break;
             }
@@ -127,21 +136,26 @@ impl Follow<'_> {
     fn is_closed(&self, piece: usize, a: Stop, b: Stop) -> bool {
         let Team { criterion, curves, .. } = self.team;
         let curve = &curves[self.robot];
-        let weight = 1.0 + a.q.dot(b.q);
-        if weight <= 0.0 {
-            return false;
-        }
-        let between = (a.q + b.q) * (1.0 / weight);
-        let total = curve.information_on(piece, a.u);
-        let (h, _) = self.others(between, total);
         let price = criterion.price(self.aim);
         let quadratic = |p: Vector, q: Vector, rest: f64| {
             let worth = criterion.worth(p, q) - price * rest;
             (worth, -price * (1.0 + p.dot(q)), (p + q) * -price)
         };
-        let quadratics =
-            [quadratic(a.q, a.q, a.rest), quadratic(a.q, b.q, weight * h), quadratic(b.q, b.q, b.rest)];
         let part = curve.leaves[piece].part(&curve.noise, &curve.pieces[piece], a.u, b.u);
-        part.is_never_negative(&quadratics)
+        let is_closed = |rest: f64| {
+            let ends = [quadratic(a.q, a.q, a.rest), quadratic(b.q, b.q, b.rest)];
+            part.is_never_negative(&[ends[0], quadratic(a.q, b.q, rest), ends[1]])
+        };
+        let apart = a.q + b.q * -1.0;
+        if is_closed(0.5 * (a.rest + b.rest - apart.norm_squared() * self.least_t)) {
+            return true;
+        }
+        let weight = 1.0 + a.q.dot(b.q);
+        if weight <= 0.0 || apart.norm_squared() > EXACT {
+            return false;
+        }
+        let total = curve.information_on(piece, a.u);
+        let (h, _) = self.others((a.q + b.q) * (1.0 / weight), total);
+        is_closed(weight * h)
     }
 }

@@ -22,7 +22,7 @@ const POINTS_MAX: usize = 9;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leaf {
     /// What bounds it also bounds each of its parts, and is exact in the limit: the noise is constant, and the weights positive.
-    is_divisible: bool,
+    pub(super) is_divisible: bool,
     count: usize,
     weight: [f64; POINTS_MAX],
     t: [f64; POINTS_MAX],
@@ -33,11 +33,9 @@ pub(super) struct Leaf {
 /// `T + m . S` along a part of a piece, for one `m`: a quotient of two polynomials.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Section {
-    /// Its parts follow from it. Otherwise they are [`Leaf`]s of their own.
-    pub(super) is_divisible: bool,
     count: usize,
-    value: [f64; POINTS_MAX],
-    weight: [f64; POINTS_MAX],
+    /// Coefficients of numerator and denominator.
+    points: [[f64; 2]; POINTS_MAX],
 }
 
 /// Coefficients in the scaled Bernstein basis, as many as the degree and one.
@@ -139,6 +137,11 @@ impl Leaf {
         self.t[k] + m.x * self.x[k] + m.y * self.y[k]
     }
 
+    /// No place of this piece has a lesser `T`.
+    pub(super) fn least_t(&self) -> f64 {
+        if self.is_divisible { self.t[..self.count].iter().copied().fold(f64::INFINITY, f64::min) } else { 0.0 }
+    }
+
     /// The most that `T + m . S` can be at a place of this piece, and where about that is.
     pub(super) fn bound(&self, m: Vector) -> (f64, f64) {
         greatest(self.count, |k| self.along(k, m))
@@ -149,13 +152,16 @@ impl Leaf {
         if !self.is_divisible {
             return Self::of(noise, &piece.part(low, high));
         }
-        let weight = part(&self.weight, self.count, low, high);
-        let over = |numbers: &[f64; POINTS_MAX]| {
-            let numerator = std::array::from_fn(|k| numbers[k] * self.weight[k]);
-            let numerator = part(&numerator, self.count, low, high);
-            std::array::from_fn(|k| if k < self.count { numerator[k] / weight[k] } else { 0.0 })
-        };
-        Self { weight, t: over(&self.t), x: over(&self.x), y: over(&self.y), ..*self }
+        let mut points: [[f64; 4]; POINTS_MAX] = std::array::from_fn(|k| {
+            [1.0, self.t[k], self.x[k], self.y[k]].map(|number| number * self.weight[k])
+        });
+        between(&mut points[..self.count], low, high);
+        let mut part = *self;
+        for (k, [weight, t, x, y]) in points[..self.count].iter().copied().enumerate() {
+            let share = 1.0 / weight;
+            (part.weight[k], part.t[k], part.x[k], part.y[k]) = (weight, t * share, x * share, y * share);
+        }
+        part
     }
 
     /// True if `f(u) + g(u) T + h(u) . S` is nowhere negative, given the three coefficients of the quadratics `f`, `g` and `h`.
@@ -174,52 +180,55 @@ impl Leaf {
 
     /// `T + m . S` along the piece.
     pub(super) fn section(&self, m: Vector) -> Section {
-        let weight = self.weight;
-        let value = std::array::from_fn(|k| weight[k] * self.along(k, m));
-        Section { is_divisible: self.is_divisible, count: self.count, value, weight }
+        let points = std::array::from_fn(|k| [self.weight[k] * self.along(k, m), self.weight[k]]);
+        Section { count: self.count, points }
     }
 }
 
 impl Section {
-    /// The parts before and after a parameter.
-    pub(super) fn cut(&self, u: f64) -> [Self; 2] {
-        let [value, weight] = [&self.value, &self.weight].map(|c| cut(c, self.count, u));
-        [0, 1].map(|side| Self { value: value[side], weight: weight[side], ..*self })
-    }
-
     /// The part between two parameters.
-    pub(super) fn part(&self, low: f64, high: f64) -> Self {
-        let [value, weight] = [&self.value, &self.weight].map(|c| part(c, self.count, low, high));
-        Self { value, weight, ..*self }
+    pub(super) fn part(mut self, low: f64, high: f64) -> Self {
+        between(&mut self.points[..self.count], low, high);
+        self
     }
 
     /// The most that it can be, and where about that is.
     pub(super) fn bound(&self) -> (f64, f64) {
-        greatest(self.count, |k| self.value[k] / self.weight[k])
+        greatest(self.count, |k| self.points[k][0] / self.points[k][1])
     }
 
-    /// True if it is nowhere more than `most`.
-    pub(super) fn is_at_most(&self, most: f64) -> bool {
-        (0..self.count).all(|k| self.value[k] <= most * self.weight[k])
+    /// Whether it is at most so much before and after a parameter.
+    pub(super) fn is_at_most(mut self, most: f64, u: f64) -> [bool; 2] {
+        let is_low = |[value, weight]: [f64; 2]| value <= most * weight;
+        let points = &mut self.points[..self.count];
+        let mut is_low_before = true;
+        cut(points, u, |before| is_low_before &= is_low(before));
+        [is_low_before, points.iter().copied().all(is_low)]
     }
 }
 
-/// The coefficients of a polynomial on the parts before and after a parameter, by de Casteljau's algorithm.
-fn cut(c: &[f64; POINTS_MAX], count: usize, u: f64) -> [[f64; POINTS_MAX]; 2] {
-    let (mut before, mut after) = (*c, *c);
-    for step in 1..count {
-        for k in 0..count - step {
-            after[k] = (1.0 - u) * after[k] + u * after[k + 1];
+/// The coefficients of polynomials on the part after a parameter, by de Casteljau's algorithm; `before` is called with those
+/// on the part before it.
+fn cut<const N: usize>(points: &mut [[f64; N]], u: f64, mut before: impl FnMut([f64; N])) {
+    before(points[0]);
+    for last in (0..points.len() - 1).rev() {
+        for k in 0..=last {
+            points[k] = std::array::from_fn(|i| (1.0 - u) * points[k][i] + u * points[k + 1][i]);
         }
-        before[step] = after[0];
+        before(points[0]);
     }
-    [before, after]
 }
 
 /// The coefficients on the part between two parameters.
-fn part(c: &[f64; POINTS_MAX], count: usize, low: f64, high: f64) -> [f64; POINTS_MAX] {
-    let before = if high < 1.0 { cut(c, count, high)[0] } else { *c };
-    if low > 0.0 { cut(&before, count, low / high)[1] } else { before }
+fn between<const N: usize>(points: &mut [[f64; N]], low: f64, high: f64) {
+    if high < 1.0 {
+        points.reverse();
+        cut(points, 1.0 - high, |_| ());
+        points.reverse();
+    }
+    if low > 0.0 {
+        cut(points, low / high, |_| ());
+    }
 }
 
 /// The greatest of the values of control points, and the share of the way at which its control point is.

@@ -38,12 +38,14 @@ impl Curve {
             let (from, to) = ((low - base).clamp(0.0, 1.0), (high - base).clamp(0.0, 1.0));
             if to > from || first == last {
                 // What bounds a piece bounds its part.
-                let bound = self.leaves[piece].bound(m);
-                open.push(Part::of(piece, from, to, bound, None));
+                let (bound, guess) = self.leaves[piece].bound(m);
+                let is_tight = from == 0.0 && to == 1.0;
+                open.push(Part { piece, low: from, high: to, bound, guess, is_tight, is_searched: false });
             }
         }
         let mut best = Support { bound: f64::NEG_INFINITY, at: low, information: Information::default() };
-        let mut most = f64::NEG_INFINITY;
+        // The most that is known, and what the parts that are left out have at most.
+        let (mut most, mut left_out) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
         let mut look_at = |piece: usize, u: f64, information: Information| {
             if information.along(m) > most {
                 most = information.along(m);
@@ -51,79 +53,70 @@ impl Curve {
             }
             most + slack
         };
-        let (mut enough, mut closed) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        let mut enough = f64::NEG_INFINITY;
         for _ in 0..SPLITS_MAX {
             let greatest = (0..open.len()).max_by(|a, b| open[*a].bound.total_cmp(&open[*b].bound));
             let Some(next) = greatest.filter(|next| open[*next].bound > enough) else { break };
-            let Part { piece, low, high, bound, guess, is_searched, .. } = open[next];
-            if open[next].section.is_none() && (low > 0.0 || high < 1.0) {
-                open[next] = Part::with(piece, low, high, self.section(piece, low, high, m));
-                continue;
+            let Part { piece, low, high, mut bound, mut guess, is_tight, is_searched } = open.swap_remove(next);
+            let width = high - low;
+            let section = || self.section(piece, low, high, m);
+            if !is_tight {
+                let (tight, share) = section().bound();
+                (bound, guess) = (bound.min(tight), low + width * share);
             }
             // The first and the last control point are places.
             if guess == low || guess == high {
                 enough = look_at(piece, guess, self.information_on(piece, guess));
-                if bound <= enough {
-                    break;
-                }
             }
             let (mut cut, mut is_at_maximum) = (0.5 * (low + high), false);
-            if !is_searched {
+            if bound > enough && !is_searched {
                 let mut here = Information::default();
                 let slope = |u: f64| {
                     let (information, change) = self.information_along(piece, u);
                     here = information;
                     change.along(m)
                 };
-                let width = high - low;
                 let u = summit(slope, (low, high), guess, STEP * width, 0.5 * slack / width);
                 enough = look_at(piece, u, here);
-                if bound <= enough {
-                    break;
-                }
                 let margin = 1e-7 * width;
                 if u > low + margin && u < high - margin {
                     (cut, is_at_maximum) = (u, true);
                 }
             }
             // A single place has its value as its bound.
-            if !(cut > low && cut < high) {
-                open.swap_remove(next);
+            if bound <= enough || !(cut > low && cut < high) {
+                left_out = left_out.max(bound);
                 continue;
             }
-            let whole;
-            let section = match &open[next].section {
-                Some(section) => section,
-                None => {
-                    whole = self.leaves[piece].section(m);
-                    &whole
+            let is_searched = is_at_maximum;
+            if self.leaves[piece].is_divisible {
+                let is_low = section().is_at_most(enough, (cut - low) / width);
+                for ((low, high), is_low) in [(low, cut), (cut, high)].into_iter().zip(is_low) {
+                    if is_low {
+                        left_out = left_out.max(enough);
+                    } else {
+                        open.push(Part { piece, low, high, bound, guess, is_tight: false, is_searched });
+                    }
                 }
-            };
-            let sections = if section.is_divisible {
-                section.cut((cut - low) / (high - low))
             } else {
-                [(low, cut), (cut, high)].map(|(low, high)| self.section(piece, low, high, m))
-            };
-            open.swap_remove(next);
-            for ((low, high), section) in [(low, cut), (cut, high)].into_iter().zip(sections) {
-                if section.is_at_most(enough) {
-                    closed = enough;
-                } else {
-                    open.push(Part { is_searched: is_at_maximum, ..Part::with(piece, low, high, section) });
+                for (low, high) in [(low, cut), (cut, high)] {
+                    let (bound, share) = self.section(piece, low, high, m).bound();
+                    let guess = low + (high - low) * share;
+                    open.push(Part { piece, low, high, bound, guess, is_tight: true, is_searched });
                 }
             }
         }
-        best.bound = open.iter().map(|part| part.bound).fold(most.max(closed), f64::max);
+        best.bound = open.iter().map(|part| part.bound).fold(most.max(left_out), f64::max);
         best
     }
 
     /// `T + m . S` along a part of a piece.
     fn section(&self, piece: usize, low: f64, high: f64, m: Vector) -> Section {
-        let section = self.leaves[piece].section(m);
-        if section.is_divisible {
-            section.part(low, high)
+        let (leaf, piece) = (&self.leaves[piece], &self.pieces[piece]);
+        if leaf.is_divisible {
+            leaf.section(m).part(low, high)
         } else {
-            Leaf::of(&self.noise, &self.pieces[piece].part(low, high)).section(m)
+            Leaf::of(&self.noise, &piece.part(low, high)).section(m)
         }
     }
 }
@@ -138,18 +131,8 @@ struct Part {
     bound: f64,
     /// Where the maximum may be.
     guess: f64,
+    /// Bound and guess are its own, not those of a greater part.
+    is_tight: bool,
     /// It begins or ends at the maximum of a greater part.
     is_searched: bool,
-    /// `None` of a piece whose bound is known otherwise.
-    section: Option<Section>,
-}
-
-impl Part {
-    fn of(piece: usize, low: f64, high: f64, (bound, share): (f64, f64), section: Option<Section>) -> Self {
-        Self { piece, low, high, bound, guess: low + (high - low) * share, is_searched: false, section }
-    }
-
-    fn with(piece: usize, low: f64, high: f64, section: Section) -> Self {
-        Self::of(piece, low, high, section.bound(), Some(section))
-    }
 }
