@@ -13,7 +13,7 @@
 
 use super::curve::Curve;
 use super::information::{Cost, Information};
-use super::search::SLACK;
+use super::search::{Answer, SLACK};
 use super::team::Team;
 use crate::vector::Vector;
 
@@ -51,21 +51,23 @@ struct Follow<'a> {
     aim: f64,
     /// The others have no lesser `T`.
     least_t: f64,
+    answer: &'a Answer,
 }
 
 /// The part of the robot's interval in which the cost may be less than `aim`; `None` if it cannot anywhere. `rest` is about
-/// what the others tell; `at` is where the robot is in the best answer.
+/// what the others tell.
 pub(super) fn open_part(
     team: &Team,
     intervals: &[(f64, f64)],
     robot: usize,
     rest: Information,
-    at: f64,
+    answer: &Answer,
     aim: f64,
 ) -> Option<(f64, f64)> {
     let others = || team.fused().filter(|i| *i != robot);
     let least_t = others().fold(team.prior.t, |sum, i| sum + team.curves[i].least_t);
-    let follow = Follow { team, intervals, robot, aim, least_t };
+    let follow = Follow { team, intervals, robot, aim, least_t, answer };
+    let at = answer.at[robot];
     let curve = &team.curves[robot];
     let (low, high) = intervals[robot];
     let (first, last) = (curve.piece_at(low).0, curve.piece_at(high).0);
@@ -129,7 +131,7 @@ impl Follow<'_> {
     fn others(&self, m: Vector, total: Information) -> (f64, Information) {
         let team = self.team;
         let slack = SLACK * total.along(m).abs() / team.curves.len() as f64;
-        team.supports(team.fused().filter(|i| *i != self.robot), self.intervals, m, slack, |_, _| ())
+        team.supports(team.fused().filter(|i| *i != self.robot), self.intervals, m, slack, |i| self.answer.at[i], |_, _| ())
     }
 
     /// True if no place between two stops costs less than the aim.

@@ -143,8 +143,9 @@ fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer
         let m = criterion.multiplier(best);
         // How far each support may be from its maximum.
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
-        let mut found = Vertex { share: 0.0, ..vertices[0].clone() };
-        let (h, total) = team.supports(team.fused(), &intervals, m, slack, |i, support| {
+        let last = &vertices[vertices.len() - 1];
+        let mut found = Vertex { share: 0.0, ..last.clone() };
+        let (h, total) = team.supports(team.fused(), &intervals, m, slack, |i| last.at[i], |i, support| {
             (found.at[i], found.parts[i]) = (support.at, support.information);
         });
         found.total = total;
@@ -172,17 +173,24 @@ fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer
         keep(team, &at, criterion.cost(total), answer);
     }
     let (robot, cut) = split(team, &intervals, &vertices, best);
-    // The rest of the interval of the robot that is to be split, once its parts are bounded by multipliers that follow it.
-    let aim = answer.cost * (1.0 - AIM);
     let middle = vertices.iter().fold(Information::default(), |sum, vertex| sum + vertex.parts[robot] * vertex.share);
-    let left = follow::open_part(team, &intervals, robot, best - middle, answer.at[robot], aim);
-    if left != Some(intervals[robot]) {
-        answer.bound = answer.bound.min(aim);
+    if !narrow(team, &mut intervals, robot, best - middle, answer) {
+        return None;
     }
-    intervals[robot] = left?;
     let (low, high) = intervals[robot];
     let cut = if cut > low && cut < high { cut } else { 0.5 * (low + high) };
     Some(Node { bound, intervals, vertices, split: (robot, cut) })
+}
+
+/// Leaves of a robot's interval what may have better answers, by multipliers that follow it; false if that is nothing.
+fn narrow(team: &Team, intervals: &mut Intervals, robot: usize, rest: Information, answer: &mut Answer) -> bool {
+    let aim = answer.cost * (1.0 - AIM);
+    let left = follow::open_part(team, intervals, robot, rest, answer, aim);
+    if left != Some(intervals[robot]) {
+        answer.bound = answer.bound.min(aim);
+    }
+    intervals[robot] = left.unwrap_or_default();
+    left.is_some()
 }
 
 fn vertex(team: &Team, at: &[f64]) -> Vertex {

@@ -11,6 +11,9 @@ use crate::vector::Vector;
 /// First step towards a maximum, relative to its part: about the distance of two control points.
 const STEP: f64 = 0.1;
 
+/// The same from where a maximum has been for another multiplier.
+const NEAR: f64 = 0.02;
+
 /// Most parts into which a curve is split for one value.
 const SPLITS_MAX: usize = 200;
 
@@ -29,8 +32,8 @@ impl Curve {
     /// The most of `T + m . S` on an interval: a place that has it but for `slack`, and a bound.
     ///
     /// The control points of a part that begins or ends at its maximum bound it exactly, since the next one is on the
-    /// tangent: so parts are split where the maximum is.
-    pub(super) fn support(&self, (low, high): (f64, f64), m: Vector, slack: f64) -> Support {
+    /// tangent: so parts are split where the maximum is. It is looked for from `near` first.
+    pub(super) fn support(&self, (low, high): (f64, f64), m: Vector, slack: f64, near: f64) -> Support {
         let mut open: SmallVec<[Part; 8]> = SmallVec::new();
         let (first, last) = (self.piece_at(low).0, self.piece_at(high).0);
         for piece in first..=last {
@@ -60,12 +63,14 @@ impl Curve {
             let Part { piece, low, high, mut bound, mut guess, is_tight, is_searched } = open.swap_remove(next);
             let width = high - low;
             let section = || self.section(piece, low, high, m);
-            if !is_tight {
+            let near = near - Self::base(piece);
+            let is_near = near > low && near < high && !is_searched;
+            if !is_tight && !is_near {
                 let (tight, share) = section().bound();
                 (bound, guess) = (bound.min(tight), low + width * share);
             }
             // The first and the last control point are places.
-            if guess == low || guess == high {
+            if (is_tight || !is_near) && (guess == low || guess == high) {
                 enough = look_at(piece, guess, self.information_on(piece, guess));
             }
             let (mut cut, mut is_at_maximum) = (0.5 * (low + high), false);
@@ -76,7 +81,8 @@ impl Curve {
                     here = information;
                     change.along(m)
                 };
-                let u = summit(slope, (low, high), guess, STEP * width, 0.5 * slack / width);
+                let (guess, step) = if is_near { (near, NEAR) } else { (guess, STEP) };
+                let u = summit(slope, (low, high), guess, step * width, 0.5 * slack / width);
                 enough = look_at(piece, u, here);
                 let margin = 1e-7 * width;
                 if u > low + margin && u < high - margin {

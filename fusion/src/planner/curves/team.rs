@@ -65,23 +65,24 @@ impl Team {
     pub(super) fn bound(&self, criterion: Criterion, information: Information) -> f64 {
         let m = criterion.multiplier(information);
         let slack = 1e-9 * information.along(m).abs() / self.curves.len().max(1) as f64;
-        let (h, _) = self.supports(self.fused(), &self.whole(), m, slack, |_, _| ());
+        let (h, _) = self.supports(self.fused(), &self.whole(), m, slack, |_| 0.0, |_, _| ());
         criterion.bound(m, h)
     }
 
     /// The most that `T + m . S` of the prior and these robots can be on these intervals, with room for rounding; and what is
-    /// known after measurements from the places that have most, each of which `visit` is called with.
+    /// known after measurements from the places that have most, which are looked for from `near` first, and which `visit` is called with.
     pub(super) fn supports(
         &self,
         robots: impl Iterator<Item = usize>,
         intervals: &[(f64, f64)],
         m: Vector,
         slack: f64,
+        near: impl Fn(usize) -> f64,
         mut visit: impl FnMut(usize, Support),
     ) -> (f64, Information) {
         let (mut h, mut total) = (self.prior.along(m), self.prior);
         for i in robots {
-            let support = self.curves[i].support(intervals[i], m, slack);
+            let support = self.curves[i].support(intervals[i], m, slack, near(i));
             h += support.bound;
             total += support.information;
             visit(i, support);

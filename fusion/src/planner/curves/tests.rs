@@ -98,19 +98,19 @@ proptest! {
     #[test]
     fn the_support_of_a_curve_bounds_all_places_that_a_robot_can_reach(
         situation in situation(1..3), angle in 0.0..TAU, length in 0.0..1.0_f64,
-        heading in 0.0..1.0_f64, share in 0.0..1.0_f64,
+        heading in 0.0..1.0_f64, share in 0.0..1.0_f64, near in -1.0..8.0_f64,
     ) {
         let problem = Problem::of(&situation);
         let m = Vector::from_angle(angle) * length;
         for (i, member) in situation.team.iter().enumerate() {
             let curve = Curve::of(member, &problem.reaches[i], &problem.corners_m);
-            let support = curve.support((0.0, curve.end()), m, 1e-9);
+            let support = curve.support((0.0, curve.end()), m, 1e-9, near);
             let reached = curve.information(support.at).along(m);
             prop_assert!(support.bound >= reached * (1.0 - 1e-12));
             prop_assert!(support.bound <= reached + 1e-6 * (1.0 + reached.abs()), "{support:?} {reached}");
             let last = (curve.end() - 1.0) / 2.0;
             let (low, high) = (2.0 * (0.3 * last).floor() + 0.25, 2.0 * (0.8 * last).floor() + 0.75);
-            let part = curve.support((low, high), m, 1e-9);
+            let part = curve.support((low, high), m, 1e-9, near);
             prop_assert!(part.bound <= support.bound + 1e-6 * (1.0 + support.bound.abs()));
             for k in 0..=50 {
                 let at = low + (high - low) * f64::from(k) / 50.0;
