@@ -132,6 +132,14 @@ impl Curve {
         self.noise.information_along(p, w, dp, dw)
     }
 
+    /// True if a piece begins where the one before it ends.
+    pub(super) fn touches(&self, piece: usize) -> bool {
+        piece > 0 && {
+            let (end, start) = (self.pieces[piece - 1].sight_m(1.0), self.pieces[piece].sight_m(0.0));
+            (end - start).norm_squared() <= 1e-18 * start.norm_squared()
+        }
+    }
+
     /// The parameter of the place nearest to the straight way to the target.
     pub(super) fn straight(&self, sight: Vector) -> f64 {
         let places = (0..self.pieces.len()).flat_map(|index| [0.0, 0.5, 1.0].map(|u| Self::base(index) + u));

@@ -11,8 +11,10 @@
 //! in the Bernstein basis `B_j`, whose members are positive. So what the others tell is at most `sum_j B_j H_j`, where `H_j` is
 //! the most that they can have of `g_j T + h_j . S`. With that, a polynomial is left that must not be negative.
 
+use smallvec::SmallVec;
+
 use super::curve::Curve;
-use super::information::{Cost, Information};
+use super::information::{Cost, Information, ROUNDING};
 use super::search::{Answer, SLACK};
 use super::team::Team;
 use crate::vector::Vector;
@@ -21,13 +23,10 @@ use crate::vector::Vector;
 const PARTS_MAX: usize = 64;
 
 /// Multipliers that are tried for one place.
-const MULTIPLIERS_MAX: usize = 3;
+const MULTIPLIERS_MAX: usize = 2;
 
 /// Narrowest part.
 const NARROWEST: f64 = 1e-4;
-
-/// Greatest squared change of `q`
-const EXACT: f64 = 0.0;
 
 /// A place of the robot, and a multiplier for it.
 #[derive(Debug, Clone, Copy)]
@@ -79,6 +78,8 @@ pub(super) fn open_part(
         }
     }
     let mut left: Option<(f64, f64)> = None;
+    let mut open: SmallVec<[(Stop, Stop); 16]> = SmallVec::new();
+    let mut before = None;
     let mut count = 0;
     for piece in first..=last {
         let base = Curve::base(piece);
@@ -86,8 +87,13 @@ pub(super) fn open_part(
         if from == to && first < last {
             continue;
         }
-        let mut open = smallvec::SmallVec::<[(Stop, Stop); 16]>::new();
-        open.push((follow.stop(piece, from, rest), follow.stop(piece, to, rest)));
+        let start = match before.filter(|_| from == 0.0 && curve.touches(piece)) {
+            Some(stop) => Stop { u: 0.0, ..stop },
+            None => follow.stop(piece, from, rest),
+        };
+        let end = follow.stop(piece, to, rest);
+        before = Some(end);
+        open.push((start, end));
         while let Some((a, b)) = open.pop() {
             count += 1;
             let can_close = a.is_closed && b.is_closed;
@@ -141,23 +147,13 @@ impl Follow<'_> {
         let price = criterion.price(self.aim);
         let quadratic = |p: Vector, q: Vector, rest: f64| {
             let worth = criterion.worth(p, q) - price * rest;
-            (worth, -price * (1.0 + p.dot(q)), (p + q) * -price)
-        };
-        let part = curve.leaves[piece].part(&curve.noise, &curve.pieces[piece], a.u, b.u);
-        let is_closed = |rest: f64| {
-            let ends = [quadratic(a.q, a.q, a.rest), quadratic(b.q, b.q, b.rest)];
-            part.is_never_negative(&[ends[0], quadratic(a.q, b.q, rest), ends[1]])
+            (worth, -price * (1.0 + p.dot(q) + ROUNDING), (p + q) * -price)
         };
         let apart = a.q + b.q * -1.0;
-        if is_closed(0.5 * (a.rest + b.rest - apart.norm_squared() * self.least_t)) {
-            return true;
-        }
-        let weight = 1.0 + a.q.dot(b.q);
-        if weight <= 0.0 || apart.norm_squared() > EXACT {
-            return false;
-        }
-        let total = curve.information_on(piece, a.u);
-        let (h, _) = self.others((a.q + b.q) * (1.0 / weight), total);
-        is_closed(weight * h)
+        // Between them, `H` of the product is at most that of the mean of both, less `|q_a - q_b|^2 / 2` of the least `T`.
+        let rest = 0.5 * (a.rest + b.rest - apart.norm_squared() * self.least_t);
+        let quadratics = [quadratic(a.q, a.q, a.rest), quadratic(a.q, b.q, rest), quadratic(b.q, b.q, b.rest)];
+        let part = curve.leaves[piece].part(&curve.noise, &curve.pieces[piece], a.u, b.u);
+        part.is_never_negative(&quadratics)
     }
 }

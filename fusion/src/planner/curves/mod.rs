@@ -16,7 +16,6 @@ mod follow;
 mod hull;
 pub(super) mod information;
 mod leaf;
-pub(super) mod minimum;
 pub(super) mod noise;
 mod piece;
 mod search;

@@ -40,8 +40,8 @@ pub(super) fn summit(
         }
         let then = slope(next);
         // Where the line through both slopes is 0; if they diverge from it, farther on.
-        let fall = (now - then) / (next - at);
-        stride = if fall > 0.0 { then / fall } else { (2.0 * (next - at)).abs().copysign(then) };
+        let (way, fall) = (next - at, now - then);
+        stride = if fall * way > 0.0 { then * way / fall } else { (2.0 * way).abs().copysign(then) };
         (at, now) = (next, then);
     }
     at
