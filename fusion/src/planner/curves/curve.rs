@@ -40,6 +40,8 @@ pub(super) struct Curve {
     pub(super) noise: Noise,
     /// Of each piece.
     pub(super) leaves: SmallVec<[Leaf; 8]>,
+    /// No place has a lesser `T`.
+    pub(super) least_t: f64,
 }
 
 impl Curve {
@@ -61,20 +63,19 @@ impl Curve {
             // It sees nothing after any step, and comes as near as it may, to see later.
             return Self::blind(reach, noise, places(reach, corners_m, stand_off_m));
         }
-        let leaves = pieces.iter().map(|piece| Leaf::of(&noise, piece, 0.0, 1.0)).collect();
-        Self { pieces, noise, leaves }
+        Self::with(pieces, noise)
     }
 
     fn blind(reach: &Reach, noise: Noise, pieces: Pieces) -> Self {
         let ends = pieces.iter().flat_map(|piece| [0.0, 0.5, 1.0].map(|u| piece.sight_m(u)));
         let nearest = ends.min_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or(reach.to_target_m);
-        let noise = noise.nothing();
-        let piece = Piece::segment(nearest, nearest);
-        Self {
-            leaves: [Leaf::of(&noise, &piece, 0.0, 1.0)].into_iter().collect(),
-            pieces: [piece].into_iter().collect(),
-            noise,
-        }
+        Self::with([Piece::segment(nearest, nearest)].into_iter().collect(), noise.nothing())
+    }
+
+    fn with(pieces: Pieces, noise: Noise) -> Self {
+        let leaves: SmallVec<[Leaf; 8]> = pieces.iter().map(|piece| Leaf::of(&noise, piece)).collect();
+        let least_t = leaves.iter().map(Leaf::least_t).fold(f64::INFINITY, f64::min);
+        Self { pieces, noise, leaves, least_t }
     }
 
     /// The end of the parameter's interval, which begins at 0.
@@ -121,6 +122,22 @@ impl Curve {
     pub(super) fn information_on(&self, piece: usize, u: f64) -> Information {
         let (p, w) = self.pieces[piece].at(u);
         self.noise.information_over(p, w)
+    }
+
+    /// The same and its derivative.
+    #[inline]
+    pub(super) fn information_along(&self, piece: usize, u: f64) -> (Information, Information) {
+        let (p, w) = self.pieces[piece].at(u);
+        let (dp, dw) = self.pieces[piece].change_at(u);
+        self.noise.information_along(p, w, dp, dw)
+    }
+
+    /// True if a piece begins where the one before it ends.
+    pub(super) fn touches(&self, piece: usize) -> bool {
+        piece > 0 && {
+            let (end, start) = (self.pieces[piece - 1].sight_m(1.0), self.pieces[piece].sight_m(0.0));
+            (end - start).norm_squared() <= 1e-18 * start.norm_squared()
+        }
     }
 
     /// The parameter of the place nearest to the straight way to the target.

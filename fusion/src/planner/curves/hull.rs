@@ -45,7 +45,7 @@ pub(super) fn improve(criterion: Criterion, vertices: &mut Vertices) -> Informat
                 from = (along, k);
             }
         }
-        if to.0 - from.0 <= 1e-12 * best.t {
+        if to.0 - from.0 <= 1e-11 * best.t {
             break;
         }
         let step = vertices[to.1].total - vertices[from.1].total;
@@ -84,7 +84,7 @@ fn line_search(criterion: Criterion, from: Information, step: Information, most:
             low_fall *= if stays < 0 { 0.5 } else { 1.0 };
             stays = -1;
         }
-        if high - low <= 1e-9 * most || middle_fall == 0.0 {
+        if high - low <= 1e-7 * most || middle_fall == 0.0 {
             break;
         }
     }

@@ -91,6 +91,13 @@ pub(in crate::planner) trait Cost {
 
     /// The least cost, given that `T + m . S` is at most `h`.
     fn bound(self, m: Vector, h: f64) -> f64;
+
+    /// The same without a root: with `m = 2 q / (1 + |q|^2)` the cost is at least `c` if
+    /// `price(c) ((1 + |q|^2) T + 2 q . S) <= worth(q, q)`, and `worth` is linear in each of its two.
+    fn worth(self, q: Vector, other: Vector) -> f64;
+
+    /// See [`Cost::worth`].
+    fn price(self, cost: f64) -> f64;
 }
 
 impl Cost for Criterion {
@@ -119,5 +126,17 @@ impl Cost for Criterion {
             Self::Eigenvalue => 2.0 / h,
             Self::Determinant => 4.0 * rest / (h * h),
         }
+    }
+
+    fn worth(self, q: Vector, other: Vector) -> f64 {
+        match self {
+            Self::Trace => 4.0,
+            Self::Eigenvalue => 2.0 + 2.0 * q.dot(other),
+            Self::Determinant => 2.0 - 2.0 * q.dot(other),
+        }
+    }
+
+    fn price(self, cost: f64) -> f64 {
+        if self == Self::Determinant { cost.sqrt() } else { cost }
     }
 }

@@ -18,15 +18,24 @@ use crate::vector::Vector;
 /// Control points of a curve of degree 8, the highest: ranges and bearings of a robot whose position is uncertain.
 const POINTS_MAX: usize = 9;
 
-/// A part of a piece, and points whose convex hull holds what its places tell.
+/// Points whose convex hull holds what the places of a piece tell, and their weights: the coefficients of the denominator.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leaf {
-    pub(super) low: f64,
-    pub(super) high: f64,
+    /// What bounds it also bounds each of its parts, and is exact in the limit: the noise is constant, and the weights positive.
+    pub(super) is_divisible: bool,
     count: usize,
+    weight: [f64; POINTS_MAX],
     t: [f64; POINTS_MAX],
     x: [f64; POINTS_MAX],
     y: [f64; POINTS_MAX],
+}
+
+/// `T + m . S` along a part of a piece, for one `m`: a quotient of two polynomials.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Section {
+    count: usize,
+    /// Coefficients of numerator and denominator.
+    points: [[f64; 2]; POINTS_MAX],
 }
 
 /// Coefficients in the scaled Bernstein basis, as many as the degree and one.
@@ -59,9 +68,8 @@ impl Polynomial {
 }
 
 impl Leaf {
-    /// The part of a piece between two parameters.
-    pub(super) fn of(noise: &Noise, piece: &Piece, low: f64, high: f64) -> Self {
-        let part = if low == 0.0 && high == 1.0 { *piece } else { piece.part(low, high) };
+    /// Of a piece.
+    pub(super) fn of(noise: &Noise, part: &Piece) -> Self {
         let (w, l) = (Polynomial::new(part.weight), Polynomial::new(part.square));
         let x = Polynomial::new(part.sight.map(|sight| sight.x));
         let y = Polynomial::new(part.sight.map(|sight| sight.y));
@@ -73,7 +81,7 @@ impl Leaf {
         let pose = |xx_m2: f64, yy_m2: f64, xy_m2: f64| xx.combine(xx_m2, &yy, yy_m2).combine(1.0, &xy, 2.0 * xy_m2);
         // What Q_r and Q_b are but for the pose's part, over L.
         let range = noise.range.map(|(std_m, std_per_m)| {
-            let (constant_m2, share) = chord(std_m, std_per_m, &part);
+            let (constant_m2, share) = chord(std_m, std_per_m, part);
             w.combine(constant_m2, &l, share)
         });
         let bearing = noise.bearing_rad2.map(|rad2| l.combine(rad2, &l, 0.0));
@@ -81,7 +89,7 @@ impl Leaf {
         let bearing_pose = || pose(p[(1, 1)], p[(0, 0)], -p[(0, 1)]);
         let lw = l.times(&w);
         let [denominator, t, real, imaginary] = match (range, bearing) {
-            (None, None) => return Self::nothing(low, high),
+            (None, None) => return Self::nothing(),
             (Some(range), None) => [l.times(&range).combine(1.0, &range_pose(), 1.0), lw, real, imaginary],
             (None, Some(bearing)) => {
                 let denominator = l.times(&bearing).combine(1.0, &bearing_pose(), 1.0);
@@ -109,25 +117,141 @@ impl Leaf {
                 false => 0.0,
             })
         };
-        Self { low, high, count, t: over(t, f64::INFINITY), x: over(real, 0.0), y: over(imaginary, 0.0) }
+        Self {
+            is_divisible: is_hull && noise.range.is_none_or(|(_, std_per_m)| std_per_m == 0.0),
+            count,
+            weight: std::array::from_fn(|k| if k < count { denominator.c[k] / binomial(count - 1, k) } else { 0.0 }),
+            t: over(t, f64::INFINITY),
+            x: over(real, 0.0),
+            y: over(imaginary, 0.0),
+        }
     }
 
-    fn nothing(low: f64, high: f64) -> Self {
-        Self { low, high, count: 1, t: [0.0; POINTS_MAX], x: [0.0; POINTS_MAX], y: [0.0; POINTS_MAX] }
+    fn nothing() -> Self {
+        let [t, x, y] = [[0.0; POINTS_MAX]; 3];
+        Self { is_divisible: true, count: 1, weight: [1.0; POINTS_MAX], t, x, y }
     }
 
-    /// The most that `T + m . S` can be at a place of this part, and where about that is.
+    /// `T + m . S` at a control point.
+    fn along(&self, k: usize, m: Vector) -> f64 {
+        self.t[k] + m.x * self.x[k] + m.y * self.y[k]
+    }
+
+    /// No place of this piece has a lesser `T`.
+    pub(super) fn least_t(&self) -> f64 {
+        if self.is_divisible { self.t[..self.count].iter().copied().fold(f64::INFINITY, f64::min) } else { 0.0 }
+    }
+
+    /// The most that `T + m . S` can be at a place of this piece, and where about that is.
     pub(super) fn bound(&self, m: Vector) -> (f64, f64) {
-        let mut best = (f64::NEG_INFINITY, 0);
-        for k in 0..self.count {
-            let value = self.t[k] + m.x * self.x[k] + m.y * self.y[k];
-            if value > best.0 {
-                best = (value, k);
+        greatest(self.count, |k| self.along(k, m))
+    }
+
+    /// Of the part between two parameters of a piece.
+    pub(super) fn part(&self, noise: &Noise, piece: &Piece, low: f64, high: f64) -> Self {
+        if !self.is_divisible {
+            return Self::of(noise, &piece.part(low, high));
+        }
+        let mut points: [[f64; 4]; POINTS_MAX] = std::array::from_fn(|k| {
+            [1.0, self.t[k], self.x[k], self.y[k]].map(|number| number * self.weight[k])
+        });
+        between(&mut points[..self.count], low, high);
+        let mut part = *self;
+        for (k, [weight, t, x, y]) in points[..self.count].iter().copied().enumerate() {
+            let share = 1.0 / weight;
+            (part.weight[k], part.t[k], part.x[k], part.y[k]) = (weight, t * share, x * share, y * share);
+        }
+        part
+    }
+
+    /// True if `f(u) + g(u) T + h(u) . S` is nowhere negative, given the three coefficients of the quadratics `f`, `g` and `h`.
+    pub(super) fn is_never_negative(&self, quadratics: &[(f64, f64, Vector); 3]) -> bool {
+        // The coefficients of the product with the denominator.
+        let mut product = [0.0; POINTS_MAX + 2];
+        for (j, (f, g, h)) in quadratics.iter().enumerate() {
+            let twice = if j == 1 { 2.0 } else { 1.0 };
+            for k in 0..self.count {
+                let value = f + g * self.t[k] + h.x * self.x[k] + h.y * self.y[k];
+                product[j + k] += twice * binomial(self.count - 1, k) * self.weight[k] * value;
             }
         }
-        let share = if self.count > 1 { best.1 as f64 / (self.count - 1) as f64 } else { 0.0 };
-        (best.0, self.low + (self.high - self.low) * share)
+        product[..self.count + 2].iter().all(|coefficient| *coefficient >= 0.0)
     }
+
+    /// `T + m . S` along the piece.
+    pub(super) fn section(&self, m: Vector) -> Section {
+        let points = std::array::from_fn(|k| [self.weight[k] * self.along(k, m), self.weight[k]]);
+        Section { count: self.count, points }
+    }
+}
+
+impl Section {
+    /// The part between two parameters.
+    pub(super) fn part(mut self, low: f64, high: f64) -> Self {
+        between(&mut self.points[..self.count], low, high);
+        self
+    }
+
+    /// The most that it can be, and where about that is.
+    pub(super) fn bound(&self) -> (f64, f64) {
+        greatest(self.count, |k| self.points[k][0] / self.points[k][1])
+    }
+
+    /// Whether it is at most so much before and after a parameter.
+    pub(super) fn is_at_most(mut self, most: f64, u: f64) -> [bool; 2] {
+        let is_low = |[value, weight]: [f64; 2]| value <= most * weight;
+        let points = &mut self.points[..self.count];
+        let mut is_low_before = true;
+        cut(points, u, |before| is_low_before &= is_low(before));
+        [is_low_before, points.iter().copied().all(is_low)]
+    }
+}
+
+/// The coefficients of polynomials on the part after a parameter, by de Casteljau's algorithm; `before` is called with those
+/// on the part before it.
+fn cut<const N: usize>(points: &mut [[f64; N]], u: f64, mut before: impl FnMut([f64; N])) {
+    before(points[0]);
+    for last in (0..points.len() - 1).rev() {
+        for k in 0..=last {
+            points[k] = std::array::from_fn(|i| (1.0 - u) * points[k][i] + u * points[k + 1][i]);
+        }
+        before(points[0]);
+    }
+}
+
+/// The coefficients on the part between two parameters.
+fn between<const N: usize>(points: &mut [[f64; N]], low: f64, high: f64) {
+    if high < 1.0 {
+        points.reverse();
+        cut(points, 1.0 - high, |_| ());
+        points.reverse();
+    }
+    if low > 0.0 {
+        cut(points, low / high, |_| ());
+    }
+}
+
+/// The greatest of the values of control points, and the share of the way at which its control point is.
+fn greatest(count: usize, value: impl Fn(usize) -> f64) -> (f64, f64) {
+    let mut best = (f64::NEG_INFINITY, 0);
+    for k in 0..count {
+        let value = value(k);
+        if value > best.0 {
+            best = (value, k);
+        }
+    }
+    (best.0, if count > 1 { best.1 as f64 / (count - 1) as f64 } else { 0.0 })
+}
+
+/// `n` choose `k`, of the degrees that there are.
+fn binomial(n: usize, k: usize) -> f64 {
+    const ROWS: [[f64; POINTS_MAX]; 4] = [
+        [1.0, 4.0, 6.0, 4.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0, 0.0, 0.0],
+        [1.0, 8.0, 28.0, 56.0, 70.0, 56.0, 28.0, 8.0, 1.0],
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    ROWS[if n == 0 { 3 } else { (n - 4) / 2 }][k]
 }
 
 /// `A` and `B` of a line through the ends below `sigma_r(d)^2` as a function of `d^2`, by that below `d`, which is concave

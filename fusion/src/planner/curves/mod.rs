@@ -12,13 +12,14 @@
 //! | random | uniformly random places of the curves |
 
 mod curve;
+mod follow;
 mod hull;
 pub(super) mod information;
 mod leaf;
-pub(super) mod minimum;
 pub(super) mod noise;
 mod piece;
 mod search;
+mod summit;
 mod support;
 mod team;
 

@@ -95,6 +95,46 @@ impl Noise {
         Information { t: range + bearing, s: doubled * (range - bearing) }
     }
 
+    /// The same, and how it changes along a curve: `dp` and `dw` are the derivatives of `p` and `w`.
+    #[inline]
+    pub(super) fn information_along(&self, p: Vector, w: f64, dp: Vector, dw: f64) -> (Information, Information) {
+        let per_square = 1.0 / p.norm_squared();
+        let nearness_per_m2 = per_square * w * w;
+        if nearness_per_m2 < self.nearness_per_m2 || per_square == f64::INFINITY {
+            return Default::default();
+        }
+        let doubled = p.doubled() * per_square;
+        let turning = Vector::new(-doubled.y, doubled.x) * (2.0 * p.cross(dp) * per_square);
+        // The derivative of the logarithm of the squared distance.
+        let growth = 2.0 * (p.dot(dp) * per_square - dw / w);
+        let (range, bearing, range_change, bearing_change) = if self.is_plain {
+            let bearing = self.bearing_per_rad2 * nearness_per_m2;
+            (self.range_per_m2, bearing, 0.0, -growth * bearing)
+        } else {
+            let m2 = &self.position_m2;
+            let (mean_m2, part_m2) = (
+                0.5 * (m2[(0, 0)] + m2[(1, 1)]),
+                Vector::new(0.5 * (m2[(0, 0)] - m2[(1, 1)]), m2[(0, 1)]),
+            );
+            let (turned_m2, turning_m2) = (part_m2.dot(doubled), part_m2.dot(turning));
+            let squared_m2 = nearness_per_m2.recip();
+            let (range, range_change) = self.range.map_or((0.0, 0.0), |(std_m, std_per_m)| {
+                let growing_m = std_per_m * squared_m2.sqrt();
+                let std_m = std_m + growing_m;
+                let range = 1.0 / (std_m * std_m + mean_m2 + turned_m2);
+                (range, -range * range * (std_m * growing_m * growth + turning_m2))
+            });
+            let (bearing, bearing_change) = self.bearing_rad2.map_or((0.0, 0.0), |rad2| {
+                let bearing = 1.0 / (squared_m2 * rad2 + mean_m2 - turned_m2);
+                (bearing, -bearing * bearing * (squared_m2 * rad2 * growth - turning_m2))
+            });
+            (range, bearing, range_change, bearing_change)
+        };
+        let information = Information { t: range + bearing, s: doubled * (range - bearing) };
+        let s = doubled * (range_change - bearing_change) + turning * (range - bearing);
+        (information, Information { t: range_change + bearing_change, s })
+    }
+
     /// What range and bearing tell, given the products of the components of the sight's direction and its squared length.
     fn general(&self, x2: f64, y2: f64, xy: f64, squared_m2: f64) -> (f64, f64) {
         let p = &self.position_m2;

@@ -56,6 +56,13 @@ impl Piece {
         (self.sight[0] * a + self.sight[1] * b + self.sight[2] * c, weight)
     }
 
+    /// The derivatives of `P` and `W` at a parameter.
+    pub(super) fn change_at(&self, u: f64) -> (Vector, f64) {
+        let [a, b, c] = [2.0 * u - 2.0, 1.0 - 2.0 * u, 2.0 * u];
+        let weight = self.weight[0] * a + self.weight[1] * b + self.weight[2] * c;
+        (self.sight[0] * a + self.sight[1] * b + self.sight[2] * c, weight)
+    }
+
     /// The part of the curve between two parameters.
     pub(super) fn part(&self, low: f64, high: f64) -> Self {
         let ends = |at: f64| [(1.0 - at) * (1.0 - at), at * (1.0 - at), at * at];

@@ -9,6 +9,7 @@ use std::collections::BinaryHeap;
 
 use smallvec::SmallVec;
 
+use super::follow;
 use super::hull::{self, Vertex, Vertices};
 use super::information::{Cost, Information};
 use super::team::Team;
@@ -26,7 +27,7 @@ const MULTIPLIERS_MAX: usize = 40;
 const NEAR: f64 = 0.2;
 
 /// Part of the bound's gap that the supports may leave.
-const SLACK: f64 = 0.02 * GAP_MAX;
+pub(super) const SLACK: f64 = 0.02 * GAP_MAX;
 
 /// An answer and its proof.
 #[derive(Debug, Default)]
@@ -123,7 +124,7 @@ fn half(team: &Team, node: &Node, upper: bool) -> Option<Intervals> {
 
 /// A node with its bound and where to split it; `None` if it has no better answer. Starts from the best point of its parent's
 /// hulls, and improves the answer on the way.
-fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &mut Answer) -> Option<Node> {
+fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer: &mut Answer) -> Option<Node> {
     let criterion = team.criterion;
     answer.nodes += 1;
     for vertex in &mut vertices {
@@ -142,8 +143,9 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
         let m = criterion.multiplier(best);
         // How far each support may be from its maximum.
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
-        let mut found = Vertex { share: 0.0, ..vertices[0].clone() };
-        let (h, total) = team.supports(&intervals, m, slack, |i, support| {
+        let last = &vertices[vertices.len() - 1];
+        let mut found = Vertex { share: 0.0, ..last.clone() };
+        let (h, total) = team.supports(team.fused(), &intervals, m, slack, |i| last.at[i], |i, support| {
             (found.at[i], found.parts[i]) = (support.at, support.information);
         });
         found.total = total;
@@ -170,8 +172,25 @@ fn bounded(team: &Team, intervals: Intervals, mut vertices: Vertices, answer: &m
         let total = team.descend(&intervals, &mut at);
         keep(team, &at, criterion.cost(total), answer);
     }
-    let split = split(team, &intervals, &vertices, best);
-    Some(Node { bound, intervals, vertices, split })
+    let (robot, cut) = split(team, &intervals, &vertices, best);
+    let middle = vertices.iter().fold(Information::default(), |sum, vertex| sum + vertex.parts[robot] * vertex.share);
+    if !narrow(team, &mut intervals, robot, best - middle, answer) {
+        return None;
+    }
+    let (low, high) = intervals[robot];
+    let cut = if cut > low && cut < high { cut } else { 0.5 * (low + high) };
+    Some(Node { bound, intervals, vertices, split: (robot, cut) })
+}
+
+/// Leaves of a robot's interval what may have better answers, by multipliers that follow it; false if that is nothing.
+fn narrow(team: &Team, intervals: &mut Intervals, robot: usize, rest: Information, answer: &mut Answer) -> bool {
+    let aim = answer.cost * (1.0 - AIM);
+    let left = follow::open_part(team, intervals, robot, rest, answer, aim);
+    if left != Some(intervals[robot]) {
+        answer.bound = answer.bound.min(aim);
+    }
+    intervals[robot] = left.unwrap_or_default();
+    left.is_some()
 }
 
 fn vertex(team: &Team, at: &[f64]) -> Vertex {

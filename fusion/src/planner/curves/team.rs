@@ -4,7 +4,7 @@ use rangehound_shared::scenario::Criterion;
 
 use super::curve::Curve;
 use super::information::{Cost, Information, ROUNDING};
-use super::minimum::minimum;
+use super::summit::summit;
 use super::support::Support;
 use crate::planner::Situation;
 use crate::planner::range_only::Problem;
@@ -22,8 +22,8 @@ const SETTLED: f64 = 1e-9;
 /// How far a robot's place moves in a sweep after the first, in pieces.
 const NEAR: f64 = 0.1;
 
-/// Accuracy of a place, relative to how far it may move: near the best, costs are alike.
-const ACCURACY: f64 = 1e-5;
+/// Slope of a place that counts as best, relative to what the others tell.
+const FLAT: f64 = 1e-6;
 
 /// Minimise the criterion's cost of `prior + sum_i information_i`, each robot on its curve.
 #[derive(Debug, Default)]
@@ -65,22 +65,24 @@ impl Team {
     pub(super) fn bound(&self, criterion: Criterion, information: Information) -> f64 {
         let m = criterion.multiplier(information);
         let slack = 1e-9 * information.along(m).abs() / self.curves.len().max(1) as f64;
-        let (h, _) = self.supports(&self.whole(), m, slack, |_, _| ());
+        let (h, _) = self.supports(self.fused(), &self.whole(), m, slack, |_| 0.0, |_, _| ());
         criterion.bound(m, h)
     }
 
-    /// The most that `T + m . S` of the team can be on these intervals, with room for rounding; and what is known after
-    /// measurements from the places that have most, each of which `visit` is called with.
+    /// The most that `T + m . S` of the prior and these robots can be on these intervals, with room for rounding; and what is
+    /// known after measurements from the places that have most, which are looked for from `near` first, and which `visit` is called with.
     pub(super) fn supports(
         &self,
+        robots: impl Iterator<Item = usize>,
         intervals: &[(f64, f64)],
         m: Vector,
         slack: f64,
+        near: impl Fn(usize) -> f64,
         mut visit: impl FnMut(usize, Support),
     ) -> (f64, Information) {
         let (mut h, mut total) = (self.prior.along(m), self.prior);
-        for i in self.fused() {
-            let support = self.curves[i].support(intervals[i], m, slack);
+        for i in robots {
+            let support = self.curves[i].support(intervals[i], m, slack, near(i));
             h += support.bound;
             total += support.information;
             visit(i, support);
@@ -126,9 +128,16 @@ impl Team {
         if from >= to {
             return now;
         }
-        let cost = |u: f64| self.criterion.cost(rest + curve.information_on(index, u));
-        let better = minimum(cost, (from, to), u, ACCURACY);
-        if cost(better) < cost(u) { base + better } else { now }
+        let mut here = Information::default();
+        // How much the cost falls along the curve.
+        let fall = |u: f64| {
+            let (information, change) = curve.information_along(index, u);
+            here = information;
+            change.along(self.criterion.multiplier(rest + information))
+        };
+        let better = summit(fall, (from, to), u, 0.1 * width, FLAT * rest.t);
+        let cost = |information: Information| self.criterion.cost(rest + information);
+        if cost(here) < cost(curve.information_on(index, u)) { base + better } else { now }
     }
 
     /// Improves the places robot by robot until nothing changes; returns what is known then. The first sweep looks at whole

@@ -98,19 +98,19 @@ proptest! {
     #[test]
     fn the_support_of_a_curve_bounds_all_places_that_a_robot_can_reach(
         situation in situation(1..3), angle in 0.0..TAU, length in 0.0..1.0_f64,
-        heading in 0.0..1.0_f64, share in 0.0..1.0_f64,
+        heading in 0.0..1.0_f64, share in 0.0..1.0_f64, near in -1.0..8.0_f64,
     ) {
         let problem = Problem::of(&situation);
         let m = Vector::from_angle(angle) * length;
         for (i, member) in situation.team.iter().enumerate() {
             let curve = Curve::of(member, &problem.reaches[i], &problem.corners_m);
-            let support = curve.support((0.0, curve.end()), m, 1e-9);
+            let support = curve.support((0.0, curve.end()), m, 1e-9, near);
             let reached = curve.information(support.at).along(m);
             prop_assert!(support.bound >= reached * (1.0 - 1e-12));
             prop_assert!(support.bound <= reached + 1e-6 * (1.0 + reached.abs()), "{support:?} {reached}");
             let last = (curve.end() - 1.0) / 2.0;
             let (low, high) = (2.0 * (0.3 * last).floor() + 0.25, 2.0 * (0.8 * last).floor() + 0.75);
-            let part = curve.support((low, high), m, 1e-9);
+            let part = curve.support((low, high), m, 1e-9, near);
             prop_assert!(part.bound <= support.bound + 1e-6 * (1.0 + support.bound.abs()));
             for k in 0..=50 {
                 let at = low + (high - low) * f64::from(k) / 50.0;
@@ -175,6 +175,52 @@ proptest! {
         }
     }
 
+    /// Where the cost is bounded by multipliers that follow a robot, no plan costs less.
+    #[test]
+    fn no_plan_is_better_where_a_robot_has_been_followed(
+        situation in situation(1..5), robot in any::<prop::sample::Index>(), factor in 0.3..1.0_f64,
+        shares in proptest::collection::vec(0.0..1.0_f64, 5 * 12),
+    ) {
+        let problem = Problem::of(&situation);
+        let mut team = Team::default();
+        team.pose(&situation, &problem);
+        let whole = team.whole();
+        let robot = robot.index(team.curves.len());
+        let mut plans = shares.chunks(5).map(|shares| {
+            let mut at: Vec<f64> = whole.iter().zip(shares).map(|((_, end), share)| end * share).collect();
+            let total = team.descend(&whole, &mut at);
+            (at, total)
+        });
+        let (at, total) = plans.next().unwrap();
+        let cost = team.criterion.cost(total);
+        let rest = total - team.curves[robot].information(at[robot]);
+        let aim = cost * factor;
+        let answer = search::Answer { at, cost, ..search::Answer::default() };
+        let left = follow::open_part(&team, &whole, robot, rest, &answer, aim);
+        for (at, total) in plans {
+            let is_followed = left.is_none_or(|(low, high)| at[robot] < low || at[robot] > high);
+            let cost = team.criterion.cost(total);
+            prop_assert!(!is_followed || cost >= aim * (1.0 - 1e-9), "{cost} {aim} {left:?} {at:?}");
+        }
+    }
+
+    /// What is known along a curve and how it changes are of one function.
+    #[test]
+    fn the_change_along_a_curve_is_that_of_what_is_known(situation in situation(1..2), share in 0.0..1.0_f64) {
+        let problem = Problem::of(&situation);
+        let curve = Curve::of(&situation.team[0], &problem.reaches[0], &problem.corners_m);
+        let (piece, u) = curve.piece_at(share * curve.end());
+        let (u, step) = (u.clamp(0.01, 0.99), 1e-4);
+        let (here, change) = curve.information_along(piece, u);
+        let [before, exact, after] = [u - step, u, u + step].map(|u| curve.information_on(piece, u));
+        // Next to the target it changes too fast for differences.
+        prop_assume!((after - before).t.abs() < 0.01 * exact.t && (after - before).s.norm() < 0.01 * exact.t);
+        let off = |a: Information, b: Information| (a - b).t.abs() + (a - b).s.norm();
+        prop_assert!(off(here, exact) <= 1e-12 * exact.t);
+        let difference = (after - before) * (0.5 / step);
+        prop_assert!(off(change, difference) <= 1e-4 * (exact.t + change.t.abs() + change.s.norm()), "{change:?} {difference:?}");
+    }
+
     /// Teams of ranges alone have the same optimum as by the planner that is made for them.
     #[test]
     fn ranges_alone_give_the_optimum_of_the_sum_of_vectors(
@@ -207,6 +253,27 @@ fn lone(sensor: SensorSpec, position_m: Vector) -> Situation {
         team: vec![TeamMember { sensor, ..TeamMember::ranging(position_m, 5.0, 1.0) }],
         step_s: 1.0,
         ..Situation::default()
+    }
+}
+
+/// The hull of a robot's curve says little about a robot that has most of the information: it must not take many cuts.
+#[test]
+fn one_robot_that_outweighs_the_others_takes_few_nodes() {
+    let both = |bearing_std_rad: f64| SensorSpec { bearing_std_rad: Some(bearing_std_rad), ..SensorSpec::range(1.0) };
+    for criterion in Criterion::ALL {
+        let mut situation = lone(both(0.01), Vector::new(12.0, 5.0));
+        situation.team[0].max_speed_mps = 9.0;
+        situation.team.extend([(-30.0, 10.0), (20.0, 40.0), (5.0, -35.0)].map(|(x, y)| TeamMember {
+            sensor: both(0.1),
+            ..TeamMember::ranging(Vector::new(x, y), 2.0, 1.0)
+        }));
+        situation.criterion = criterion;
+        let problem = Problem::of(&situation);
+        let mut team = Team::default();
+        team.pose(&situation, &problem);
+        let answer = search::search(&team, vec![0.0; 4], 2_000);
+        assert!(answer.cost - answer.bound <= search::GAP_MAX * answer.cost, "{answer:?}");
+        assert!(answer.nodes <= 5, "{criterion:?}: {answer:?}");
     }
 }
 

@@ -4,9 +4,9 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use super::ahead::{Ahead, Corners, Known};
+use super::minimum::minimum;
 use crate::planner::Situation;
 use crate::planner::curves::information::Information;
-use crate::planner::curves::minimum::minimum;
 use crate::vector::Vector;
 
 /// Headings that are tried for a block all round.

@@ -11,6 +11,7 @@
 
 mod ahead;
 mod courses;
+mod minimum;
 
 use std::f64::consts::TAU;
 

@@ -7,7 +7,7 @@ const GOLDEN: f64 = 0.381_966_011_250_105_1;
 
 /// Where a function has a local minimum within an interval: Brent's method, which starts at the guess. The accuracy is relative
 /// to the interval.
-pub(in crate::planner) fn minimum(
+pub(super) fn minimum(
     mut value: impl FnMut(f64) -> f64,
     (mut low, mut high): (f64, f64),
     guess: f64,
