@@ -83,6 +83,7 @@ impl Door {
                 match tokio::time::timeout(PATIENCE, door.join(incoming, config)).await {
                     Ok(Ok(guest)) => {
                         drop(under_way);
+                        door.handshakes.know(address);
                         guest.attend(&door.sender, finished).await;
                     }
                     Ok(Err(NotJoined::Refused(cause, text))) => {
@@ -232,4 +233,61 @@ async fn confirmation(heard: &mut Receiver<Notice>, order: Notice) -> Option<Not
         }
     }
     None
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{Ipv4Addr, SocketAddr};
+
+    use super::*;
+    use crate::keys::{Credentials, GATEWAY_NAME};
+
+    const FRAMES: u32 = 1_000;
+
+    /// The gateway is busy while frames come: the newest one is read, and old ones are lost.
+    #[test]
+    fn the_newest_frame_wins_a_full_queue() {
+        let watched = async {
+            let test = the_newest_frame_of_a_busy_gateway();
+            tokio::time::timeout(Duration::from_secs(60), test).await.expect("all frames arrive")
+        };
+        let read = link::runtime().unwrap().block_on(watched);
+        assert!(read.is_sorted() && read.last() == Some(&(FRAMES - 1)), "{read:?}");
+        assert!(read.len() < FRAMES as usize / 2, "{} are kept", read.len());
+    }
+
+    /// The numbers of the frames that a gateway reads which was busy while they came.
+    async fn the_newest_frame_of_a_busy_gateway() -> Vec<u32> {
+        let loopback = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let server = link::server(Credentials::for_loopback_server().unwrap()).unwrap();
+        let gateway = Endpoint::server(server, loopback).unwrap();
+        let client = link::client(Credentials::for_loopback_client().unwrap()).unwrap();
+        let host = Endpoint::client(loopback).unwrap();
+        let connecting = host.connect_with(client, gateway.local_addr().unwrap(), GATEWAY_NAME).unwrap();
+        let accepted = async { gateway.accept().await.unwrap().await.unwrap() };
+        let (robot, connection) = tokio::join!(async { connecting.await.unwrap() }, accepted);
+        let (mut stream, _) = robot.open_bi().await.unwrap();
+        link::write(&mut stream, &Notice::End).await.unwrap();
+        let (send, receive) = connection.accept_bi().await.unwrap();
+
+        let (sender, mut inputs) = mpsc::channel(1);
+        let (_orders, notices) = mpsc::channel(1);
+        let (_finish, finished) = watch::channel(false);
+        let guest = Guest { robot: 0, connection: connection.clone(), receive, send, notices };
+        let attended = tokio::task::spawn_local(async move { guest.attend(&sender, finished).await });
+        for number in 0..FRAMES {
+            robot.send_datagram_wait(number.to_le_bytes().to_vec().into()).await.unwrap();
+            while connection.stats().frame_rx.datagram <= u64::from(number) {
+                tokio::time::sleep(Duration::from_micros(100)).await;
+            }
+        }
+        let mut read = Vec::new();
+        while read.last() != Some(&(FRAMES - 1)) {
+            let next = tokio::time::timeout(Duration::from_secs(1), inputs.recv()).await;
+            let Ok(Some(Input::Frame { bytes, .. })) = next else { break };
+            read.push(u32::from_le_bytes(bytes.try_into().unwrap()));
+        }
+        attended.abort();
+        read
+    }
 }

@@ -209,7 +209,7 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
     link::write(&mut send, request).await.ok()?;
     let answer = match link::read::<Answer>(&mut receive, None).await {
         Ok(answer) => answer,
-        Err(link::JoinError::Ended) => return None,
+        Err(link::JoinError::Ended | link::JoinError::Cut) => return None,
         Err(error) => return Some(Happened::Refused(Refusal { text: error.to_string(), may_change: false })),
     };
     match answer {

@@ -6,6 +6,8 @@
 //! | `lockstep` | no fault changes a bit |
 //! | `realtime` | headings stay fresh, robots stop by themselves |
 //! | `security` | who is refused, and how both ends show it |
+//! | `hostile` | peers that are admitted and misbehave |
+//! | `peer` | such a peer |
 //! | `clocks` | hosts with clocks of their own: time namespaces |
 //! | `control` | robots that tools of the run's host may end |
 //! | `namespaces` | `chaos` and `latency` over hosts with networks of their own |
@@ -14,8 +16,10 @@
 
 mod clocks;
 mod control;
+mod hostile;
 mod lockstep;
 mod namespaces;
+mod peer;
 mod realtime;
 mod security;
 mod support;

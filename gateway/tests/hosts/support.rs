@@ -131,6 +131,16 @@ impl Run {
         serde_json::from_slice(&output.stdout).ok()
     }
 
+    /// What the gateway has refused, by cause.
+    pub(crate) fn refusals(&self) -> Value {
+        self.status().map(|status| status["gateway"]["refusals"].clone()).unwrap_or_default()
+    }
+
+    /// How often it has refused something for this cause.
+    pub(crate) fn refused(&self, cause: &str) -> u64 {
+        self.refusals()[cause].as_u64().unwrap_or(0)
+    }
+
     pub(crate) fn tick(&self) -> u64 {
         self.status().and_then(|status| status["tick"].as_u64()).unwrap_or(0)
     }
@@ -150,6 +160,19 @@ impl Run {
     /// The gateway's process.
     pub(crate) fn gateway(&self) -> Option<Pid> {
         self.pid_of("gateway")
+    }
+
+    /// Robots that have joined through the gateway.
+    pub(crate) fn links(&self) -> usize {
+        let status = self.status();
+        status.and_then(|status| Some(status["gateway"]["guests"].as_array()?.len())).unwrap_or(0)
+    }
+
+    /// Memory of the gateway that is in use, kB.
+    pub(crate) fn resident_kb(&self) -> u64 {
+        let status = self.status().unwrap();
+        let node = status["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "gateway").unwrap();
+        node["resident_kb"].as_u64().unwrap()
     }
 
     pub(crate) fn shared_folder(&self) -> PathBuf {

@@ -100,7 +100,7 @@ impl Relay {
             return Vec::new();
         }
         // Fusion may wait for the measurement until the robot has its heading.
-        let measured = self.measured.filter(|_| !self.is_obeyed());
+        let measured = self.measured.filter(|measured| measured.tick == tick && !self.is_obeyed());
         let range = measured.map(|range| self.range(&range, Notification::always(WaitGroup::Fusion, Event::Range)));
         let notification = Notification::always(WaitGroup::Sim, Event::Drive);
         let drive = self.driven.map(|driven| Publication::Drive(driven, Some(notification)));
