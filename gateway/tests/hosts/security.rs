@@ -104,7 +104,7 @@ fn a_strangers_packets_change_nothing() {
     let mut stranger = Stranger::new(gateway);
     let resident_kb = [1_000, 10_000, 10_000].map(|each| {
         stranger.send(each);
-        run.resident_kb()
+        run.resident_kb().unwrap()
     });
     println!("resident {resident_kb:?} kB");
     assert!(resident_kb[2] <= resident_kb[1] + GROWTH_KB_MAX, "{resident_kb:?}");
@@ -193,22 +193,29 @@ fn a_flood_of_handshakes_costs_the_run_nothing() {
     let mut latencies = Vec::new();
     for is_flooded in [false, true] {
         let run = with_keys();
-        let (supervisor, gateway) = run.run(&format!("{words} --keys keys/station"));
+        let (mut supervisor, gateway) = run.run(&format!("{words} --keys keys/station"));
         let start = |(id, host)| run.start(&format!("robot --id {id} --connect {gateway} --keys keys/{host}"));
         let mut robots: Vec<Process> = hosts[..2].iter().map(|robot| start(*robot)).collect();
         run.wait_for("the links", || (run.links() == 2).then_some(()));
         let flood = is_flooded.then(|| Flood::start(&run, gateway));
         if is_flooded {
-            for (cause, count) in [("certificate of another authority", 50), ("no certificate", 50), ("too many handshakes", 1_000)] {
+            // More than there are places: from now on the gateway has as many as it ever has.
+            let counts =
+                [("certificate of another authority", 250), ("no certificate", 250), ("too many handshakes", 1_000)];
+            for (cause, count) in counts {
                 run.wait_for(cause, || (run.refused(cause) >= count).then_some(()));
             }
         }
-        let resident_kb = run.resident_kb();
+        let before_kb = run.resident_kb().unwrap();
         robots.push(start(hosts[2]));
-        run.wait_until_tick(2_000);
-        let (resident_later_kb, refused) = (run.resident_kb(), run.refusals());
-        println!("flood: {is_flooded}, resident {resident_kb} kB, later {resident_later_kb} kB, {refused}");
-        assert!(resident_later_kb <= resident_kb + FLOOD_GROWTH_KB_MAX);
+        let mut later = (before_kb, run.refusals());
+        while supervisor.is_running() {
+            if let Some(later_kb) = run.resident_kb() {
+                later = (later_kb, run.refusals());
+            }
+        }
+        println!("flood: {is_flooded}, resident {before_kb} kB, later {} kB, refused {}", later.0, later.1);
+        assert!(later.0 <= before_kb + FLOOD_GROWTH_KB_MAX, "{later:?}");
         supervisor.succeeds();
         drop(flood);
         robots.into_iter().for_each(Process::succeeds);
@@ -335,12 +342,18 @@ fn of_a_hundred_attempts_with_each_wrong_certificate_none_is_accepted() {
         let (_, supervisor, gateway, of_gateway) = gateways.last().unwrap();
         let before = of_gateway.refused(cause);
         let began = Instant::now();
+        let mut unanswered = 0;
         for _ in 0..ATTEMPTS {
             let (code, text) = run.finish(&format!("robot --id {id} --connect {gateway} {}", option(robot_keys)));
-            assert_eq!((code, text.lines().count()), (Some(2), 1), "{robot_keys}: {text}");
-            assert!(text.contains(line), "{robot_keys}: {text}");
+            let (no_answer, said): (Vec<_>, Vec<_>) = text.lines().partition(|line| line.contains("no answer"));
+            assert!(code == Some(2) && said.len() == 1 && said[0].contains(line), "{robot_keys}: {text}");
+            // On a busy machine an attempt may end before its refusal.
+            unanswered += no_answer.len() as u64;
         }
-        of_gateway.wait_for("the count", || (of_gateway.refused(cause) == before + ATTEMPTS).then_some(()));
+        let count = of_gateway.wait_for("the count", || {
+            Some(of_gateway.refused(cause) - before).filter(|count| *count >= ATTEMPTS)
+        });
+        assert!(count <= ATTEMPTS + unanswered, "{robot_keys}: {count}");
         let lines = supervisor.stderr().lines().filter(|text| text.contains(line)).count() as u64;
         // A line is written again after ten seconds.
         assert!((1..=1 + began.elapsed().as_secs() / 10).contains(&lines), "{}", supervisor.stderr());
