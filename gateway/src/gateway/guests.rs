@@ -271,7 +271,8 @@ impl<'a> Guests<'a> {
     }
 
     fn admit(&mut self, applicant: &Applicant, lease: RoleLease) -> Result<(), Refusal> {
-        let Applicant { request: Request { robot, process, allows_control, .. }, peer, connection, notices, .. } = applicant;
+        let Applicant { request: Request { robot, process, allows_control, .. }, peer, connection, notices, .. } =
+            applicant;
         let (robot, process, allows_control) = (*robot, *process, *allows_control);
         let address = connection.remote_address();
         let host = peer.as_ref().map_or_else(|| address.ip().to_string(), |peer| peer.host.clone());

@@ -19,7 +19,7 @@ use tokio::task::JoinSet;
 
 use crate::peer::{self, Peer, request};
 use crate::security::with_keys;
-use crate::support::{LIMIT, Process, Run};
+use crate::support::{LIMIT, Process, Run, resident_kb};
 
 const LOCALHOST: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 
@@ -70,18 +70,26 @@ fn kinds(run_id: u64, frame_len_max: usize) -> Vec<Kind> {
         headings_refused: 0,
     };
     vec![
-        ("random", "damaged frame", Box::new(move |random| {
-            let len = random.random_range(0..=FRAME_LEN_MAX);
-            noise(random, len)
-        })),
+        (
+            "random",
+            "damaged frame",
+            Box::new(move |random| {
+                let len = random.random_range(0..=FRAME_LEN_MAX);
+                noise(random, len)
+            }),
+        ),
         ("cut", "damaged frame", Box::new(move |random| cut[..random.random_range(0..cut.len())].to_vec())),
         // Of a version with one more field.
         ("other version", "damaged frame", Box::new(move |random| [&bytes[..], &noise(random, 8)].concat())),
         ("other run", "frame of another run", Box::new(frame(&|frame| frame.run_id ^= 1))),
-        ("oversized", "frame too long", Box::new(move |random| {
-            let len = random.random_range(FRAME_LEN_MAX + 1..=frame_len_max);
-            noise(random, len)
-        })),
+        (
+            "oversized",
+            "frame too long",
+            Box::new(move |random| {
+                let len = random.random_range(FRAME_LEN_MAX + 1..=frame_len_max);
+                noise(random, len)
+            }),
+        ),
         (
             "too many measurements",
             "frame with too many measurements",
@@ -106,6 +114,7 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
     let run = with_keys();
     let words = "--clock lockstep --timeout forever --ticks 100 --robots 3 --seed 3";
     let (supervisor, gateway) = run.run(&format!("{words} --keys keys/station"));
+    let pid = run.wait_for("the gateway", || run.gateway());
     let observer = Observer::of(&run);
     block_on(async {
         let mut peer = Peer::connect(gateway, LOCALHOST, peer::with_keys(&run.path("keys/alice"))).await.unwrap();
@@ -137,7 +146,7 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
         while observer.published() == [0, 0] {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
-        let mut resident_kb = Vec::new();
+        let mut sizes_kb = Vec::new();
         for round in 0..3 {
             for kind in &kinds {
                 send_all(kind, &mut random, if round == 0 { EACH } else { MANY }).await;
@@ -151,10 +160,10 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
             // What was sent before is read before.
             send_all(&kinds[0], &mut random, 1).await;
             assert_eq!(observer.published(), [0, 0], "round {round}");
-            resident_kb.push(run.resident_kb().unwrap());
+            sizes_kb.push(resident_kb(pid).unwrap());
         }
-        println!("{:?}, resident {resident_kb:?} kB", run.refusals());
-        assert!(resident_kb[2] <= resident_kb[1] + GROWTH_KB_MAX, "{resident_kb:?}");
+        println!("{:?}, resident {sizes_kb:?} kB", run.refusals());
+        assert!(sizes_kb[2] <= sizes_kb[1] + GROWTH_KB_MAX, "{sizes_kb:?}");
         let lines = supervisor.stderr();
         let of_frames: Vec<&str> = lines.lines().filter(|line| line.contains("robot-1 what is refused")).collect();
         assert!(of_frames.iter().all(|line| line.starts_with("rangehound: 127.0.0.1 sends as robot-1")), "{lines}");
@@ -185,7 +194,12 @@ impl Observer {
     fn of(run: &Run) -> Self {
         let rendezvous = Rendezvous::join_if_alive(&run.name.parse().unwrap()).unwrap().unwrap().observe();
         let bus = Bus::connect(&rendezvous, "observer").unwrap();
-        Self { ranges: bus.subscriber().unwrap(), drives: bus.subscriber().unwrap(), _bus: bus, _rendezvous: rendezvous }
+        Self {
+            ranges: bus.subscriber().unwrap(),
+            drives: bus.subscriber().unwrap(),
+            _bus: bus,
+            _rendezvous: rendezvous,
+        }
     }
 
     /// Ranges and drives since the last call.
@@ -224,6 +238,7 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
     let run = with_keys();
     // So many robots have places for more handshakes than come in a second.
     let (supervisor, gateway) = run.run("--clock lockstep --timeout forever --robots 64 --keys keys/station");
+    let pid = run.wait_for("the gateway", || run.gateway());
     let config = peer::with_keys(&run.path("keys/alice"));
     let good = serde_json::to_vec(&request(0)).unwrap();
     let framed = |text: &[u8]| [&u32::try_from(text.len()).unwrap().to_le_bytes()[..], text].concat();
@@ -243,7 +258,7 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
         (changed(&|request| request.run = Some("another".to_owned())), "another run", "this is the gateway of run"),
         ([&u32::MAX.to_le_bytes()[..], &noise(8_000)].concat(), "other", "at most 4096 are allowed"),
     ];
-    let mut resident_kb = Vec::new();
+    let mut sizes_kb = Vec::new();
     for (bytes, cause, reason) in &kinds {
         let before = run.refused(cause);
         let told = block_on(async {
@@ -263,10 +278,10 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
         });
         assert!(told > EACH / 2, "{cause}: {told} have read why");
         run.wait_for("the count", || (run.refused(cause) == before + EACH).then_some(()));
-        resident_kb.push(run.resident_kb().unwrap());
+        sizes_kb.push(resident_kb(pid).unwrap());
     }
-    println!("{}, resident {resident_kb:?} kB", run.refusals());
-    assert!(resident_kb[4] <= resident_kb[1] + GROWTH_KB_MAX, "{resident_kb:?}");
+    println!("{}, resident {sizes_kb:?} kB", run.refusals());
+    assert!(sizes_kb[4] <= sizes_kb[1] + GROWTH_KB_MAX, "{sizes_kb:?}");
     assert_eq!((run.links(), run.tick()), (0, 0));
     run.finish_ok(&format!("stop --name {}", run.name));
     drop(supervisor);

@@ -13,7 +13,7 @@ use rangehound_gateway::keys::{Authority, GATEWAY_NAME, Host, HostRole, RobotHos
 use rangehound_gateway::link;
 
 use crate::peer;
-use crate::support::{Faults, LIMIT, Link, Process, Run};
+use crate::support::{Faults, LIMIT, Link, Process, Run, resident_kb};
 
 /// A run with keys of two authorities.
 pub(crate) fn with_keys() -> Run {
@@ -102,12 +102,13 @@ fn a_strangers_packets_change_nothing() {
     let first = run.robot(0, gateway);
     run.wait_for("the link", || (run.links() == 1).then_some(()));
     let mut stranger = Stranger::new(gateway);
-    let resident_kb = [1_000, 10_000, 10_000].map(|each| {
+    let pid = run.wait_for("the gateway", || run.gateway());
+    let sizes_kb = [1_000, 10_000, 10_000].map(|each| {
         stranger.send(each);
-        run.resident_kb().unwrap()
+        resident_kb(pid).unwrap()
     });
-    println!("resident {resident_kb:?} kB");
-    assert!(resident_kb[2] <= resident_kb[1] + GROWTH_KB_MAX, "{resident_kb:?}");
+    println!("resident {sizes_kb:?} kB");
+    assert!(sizes_kb[2] <= sizes_kb[1] + GROWTH_KB_MAX, "{sizes_kb:?}");
     // The run goes on while more of them come.
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -206,13 +207,15 @@ fn a_flood_of_handshakes_costs_the_run_nothing() {
                 run.wait_for(cause, || (run.refused(cause) >= count).then_some(()));
             }
         }
-        let before_kb = run.resident_kb().unwrap();
+        let pid = run.wait_for("the gateway", || run.gateway());
+        let before_kb = resident_kb(pid).unwrap();
         robots.push(start(hosts[2]));
         let mut later = (before_kb, run.refusals());
         while supervisor.is_running() {
-            if let Some(later_kb) = run.resident_kb() {
+            if let Some(later_kb) = resident_kb(pid) {
                 later = (later_kb, run.refusals());
             }
+            std::thread::sleep(Duration::from_millis(20));
         }
         println!("flood: {is_flooded}, resident {before_kb} kB, later {} kB, refused {}", later.0, later.1);
         assert!(later.0 <= before_kb + FLOOD_GROWTH_KB_MAX, "{later:?}");
@@ -350,9 +353,8 @@ fn of_a_hundred_attempts_with_each_wrong_certificate_none_is_accepted() {
             // On a busy machine an attempt may end before its refusal.
             unanswered += no_answer.len() as u64;
         }
-        let count = of_gateway.wait_for("the count", || {
-            Some(of_gateway.refused(cause) - before).filter(|count| *count >= ATTEMPTS)
-        });
+        let count = of_gateway
+            .wait_for("the count", || Some(of_gateway.refused(cause) - before).filter(|count| *count >= ATTEMPTS));
         assert!(count <= ATTEMPTS + unanswered, "{robot_keys}: {count}");
         let lines = supervisor.stderr().lines().filter(|text| text.contains(line)).count() as u64;
         // A line is written again after ten seconds.

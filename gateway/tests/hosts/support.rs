@@ -169,12 +169,6 @@ impl Run {
         status.and_then(|status| Some(status["gateway"]["guests"].as_array()?.len())).unwrap_or(0)
     }
 
-    /// Memory of the gateway that is in use, kB.
-    pub(crate) fn resident_kb(&self) -> Option<u64> {
-        let status = self.status()?;
-        status["nodes"].as_array()?.iter().find(|node| node["name"] == "gateway")?["resident_kb"].as_u64()
-    }
-
     pub(crate) fn shared_folder(&self) -> PathBuf {
         PathBuf::from("/dev/shm").join(format!("rh-{}-{}", rustix::process::getuid().as_raw(), self.name))
     }
@@ -183,6 +177,13 @@ impl Run {
     pub(crate) fn assert_nothing_left(&self) {
         self.wait_for("the end of the shared memory", || (!self.shared_folder().exists()).then_some(()));
     }
+}
+
+/// Memory of a process that is in use, kB, if it lives.
+pub(crate) fn resident_kb(pid: Pid) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", pid.as_raw_pid())).ok()?;
+    let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    resident.trim().strip_suffix(" kB")?.parse().ok()
 }
 
 /// A process of a test, which ends with it.
