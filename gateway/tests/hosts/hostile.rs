@@ -34,7 +34,7 @@ const GROWTH_KB_MAX: u64 = 512;
 
 /// Runs a test's peers in this thread, with a limit.
 fn block_on<T>(test: impl Future<Output = T>) -> T {
-    let limited = async { tokio::time::timeout(LIMIT, test).await.expect("the peers end") };
+    let limited = async { tokio::time::timeout(LIMIT, test).await.unwrap() };
     link::runtime().unwrap().block_on(limited)
 }
 
@@ -117,49 +117,32 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
     let pid = run.wait_for("the gateway", || run.gateway());
     let observer = Observer::of(&run);
     block_on(async {
-        let mut peer = Peer::connect(gateway, LOCALHOST, peer::with_keys(&run.path("keys/alice"))).await.unwrap();
-        let Ok(Answer::Welcome { description, .. }) = peer.ask(&request(1)).await else { panic!("not welcome") };
-        let run_id = RunDescription::open(description.as_bytes()).unwrap().run_id;
-        let good = of_the_future(run_id).to_bytes();
-        let alive = Uplink { measured: Vec::new(), ..of_the_future(run_id) }.to_bytes();
-        let send = async |bytes: Vec<u8>| peer.connection.send_datagram_wait(bytes.into()).await.unwrap();
-        // Not faster than the gateway reads. Bad frames alone do not keep a link.
-        let pause = async || {
-            send(alive.clone()).await;
-            tokio::time::sleep(Duration::from_millis(2)).await;
-        };
-        let send_all = async |kind: &Kind, random: &mut ChaCha8Rng, at_least: u64| {
-            let goal = run.refused(kind.1) + at_least;
-            while run.refused(kind.1) < goal {
-                for number in 0..at_least.min(500) {
-                    send(kind.2(random)).await;
-                    if number % 40 == 0 {
-                        pause().await;
-                    }
-                }
-            }
-        };
-        let kinds = kinds(run_id, peer.connection.max_datagram_size().unwrap());
+        let mut robot = Hostile::join(gateway, peer::with_keys(&run.path("keys/alice"))).await;
+        let kinds = kinds(robot.run_id, robot.peer.connection.max_datagram_size().unwrap());
         let mut random = ChaCha8Rng::seed_from_u64(1);
         // The first good frame counts, and none of its repeats.
-        send(good.clone()).await;
+        let good = of_the_future(robot.run_id).to_bytes();
         while observer.published() == [0, 0] {
-            tokio::time::sleep(Duration::from_millis(1)).await;
+            robot.send_all(1, || good.clone()).await;
         }
         let mut sizes_kb = Vec::new();
-        for round in 0..3 {
-            for kind in &kinds {
-                send_all(kind, &mut random, if round == 0 { EACH } else { MANY }).await;
-            }
-            for number in 0..if round == 0 { EACH } else { MANY } {
-                send(good.clone()).await;
-                if number % 40 == 0 {
-                    pause().await;
+        for at_least in [EACH, MANY, MANY] {
+            let links_before = robot.links;
+            for (_, cause, make) in &kinds {
+                let goal = run.refused(cause) + at_least;
+                while run.refused(cause) < goal {
+                    robot.send_all(500, || make(&mut random)).await;
                 }
             }
+            robot.send_all(at_least, || good.clone()).await;
             // What was sent before is read before.
-            send_all(&kinds[0], &mut random, 1).await;
-            assert_eq!(observer.published(), [0, 0], "round {round}");
+            let before = run.refused("damaged frame");
+            while run.refused("damaged frame") == before {
+                robot.send_all(1, || Vec::new()).await;
+            }
+            let [ranges, drives] = observer.published();
+            // Of a new link one good frame counts.
+            assert!(ranges <= robot.links - links_before && drives == 0, "{ranges} {drives}");
             sizes_kb.push(resident_kb(pid).unwrap());
         }
         println!("{:?}, resident {sizes_kb:?} kB", run.refusals());
@@ -167,8 +150,8 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
         let lines = supervisor.stderr();
         let of_frames: Vec<&str> = lines.lines().filter(|line| line.contains("robot-1 what is refused")).collect();
         assert!(of_frames.iter().all(|line| line.starts_with("rangehound: 127.0.0.1 sends as robot-1")), "{lines}");
-        link::write(&mut peer.send, &Notice::Leaving).await.unwrap();
-        peer.connection.closed().await;
+        link::write(&mut robot.peer.send, &Notice::Leaving).await.unwrap();
+        robot.peer.connection.closed().await;
     });
     drop(observer);
     // Whatever it sent, the run is that of the honest robots.
@@ -180,6 +163,53 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
     assert_eq!(report["ranges"]["published"], report["ranges"]["fused"]);
     assert_eq!(run.digest(), Run::digest_in_process(words));
     run.assert_nothing_left();
+}
+
+/// Robot 1, which has joined and sends what it likes.
+struct Hostile {
+    gateway: SocketAddr,
+    config: quinn::ClientConfig,
+    request: Request,
+    run_id: u64,
+    peer: Peer,
+    links: usize,
+}
+
+impl Hostile {
+    async fn join(gateway: SocketAddr, config: quinn::ClientConfig) -> Self {
+        let request = request(1);
+        let (peer, run_id) = Self::open(gateway, &config, &request).await.unwrap();
+        Self { gateway, config, request, run_id, peer, links: 1 }
+    }
+
+    /// An open link, and the run's id.
+    async fn open(gateway: SocketAddr, config: &quinn::ClientConfig, request: &Request) -> Option<(Peer, u64)> {
+        let mut peer = Peer::connect(gateway, LOCALHOST, config.clone()).await.ok()?;
+        let Ok(Answer::Welcome { description, .. }) = peer.ask(request).await else { return None };
+        Some((peer, RunDescription::open(description.as_bytes()).unwrap().run_id))
+    }
+
+    /// On a busy machine its link may be lost: then it opens another one.
+    async fn send(&mut self, bytes: Vec<u8>) {
+        while self.peer.connection.send_datagram_wait(bytes.clone().into()).await.is_err() {
+            if let Some((peer, _)) = Self::open(self.gateway, &self.config, &self.request).await {
+                self.peer = peer;
+                self.links += 1;
+            }
+        }
+    }
+
+    /// Sends so many frames, not faster than the gateway reads. Bad ones alone do not keep a link.
+    async fn send_all(&mut self, count: u64, mut make: impl FnMut() -> Vec<u8>) {
+        let alive = Uplink { measured: Vec::new(), ..of_the_future(self.run_id) }.to_bytes();
+        for number in 0..count {
+            self.send(make()).await;
+            if number % 40 == 0 {
+                self.send(alive.clone()).await;
+                tokio::time::sleep(Duration::from_millis(2)).await;
+            }
+        }
+    }
 }
 
 /// What the gateway publishes of robot 1, as every process of the run's host can see it.
@@ -212,9 +242,9 @@ impl Observer {
 }
 
 /// Requests that are open at the same time.
-const AT_ONCE: u64 = 20;
+const AT_ONCE: usize = 20;
 
-/// Sends these bytes as a request to join. Returns the reason why it is refused, which may be lost on a busy machine.
+/// Sends these bytes as a request to join. Returns the reason why it is refused; `None` if time ran out on a busy machine.
 async fn read_refusal(gateway: SocketAddr, config: quinn::ClientConfig, bytes: Vec<u8>) -> Option<String> {
     let mut peer = Peer::connect(gateway, LOCALHOST, config).await.unwrap();
     // The gateway may refuse it before all is sent.
@@ -223,10 +253,10 @@ async fn read_refusal(gateway: SocketAddr, config: quinn::ClientConfig, bytes: V
     let answer = link::read::<Answer>(&mut peer.receive, None).await;
     match (answer, peer.connection.closed().await) {
         (Ok(Answer::Refused { text, .. }), _) => Some(text),
-        (Err(_), ConnectionError::ApplicationClosed(closed)) => {
-            assert_eq!(closed.error_code, link::REFUSED);
+        (Err(_), ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::REFUSED => {
             Some(String::from_utf8(closed.reason.to_vec()).unwrap())
         }
+        (Err(_), ConnectionError::ApplicationClosed(_)) => None,
         (Err(_), ConnectionError::Reset | ConnectionError::TimedOut | ConnectionError::ConnectionClosed(_)) => None,
         other => panic!("not refused: {other:?}"),
     }
@@ -261,23 +291,20 @@ fn hostile_requests_are_refused_by_cause_and_cost_no_memory() {
     let mut sizes_kb = Vec::new();
     for (bytes, cause, reason) in &kinds {
         let before = run.refused(cause);
-        let told = block_on(async {
+        block_on(async {
             let mut asking = JoinSet::new();
             let mut told = 0;
-            for number in 0..EACH + AT_ONCE {
-                if number < EACH {
+            while told < EACH {
+                while asking.len() < AT_ONCE {
                     asking.spawn_local(read_refusal(gateway, config.clone(), bytes.clone()));
                 }
-                if number >= AT_ONCE {
-                    let text = asking.join_next().await.unwrap().unwrap();
-                    assert!(text.as_ref().is_none_or(|text| text.contains(reason)), "{cause}: {text:?}");
-                    told += u64::from(text.is_some());
+                if let Some(text) = asking.join_next().await.unwrap().unwrap() {
+                    assert!(text.contains(reason), "{cause}: {text}");
+                    told += 1;
                 }
             }
-            told
         });
-        assert!(told > EACH / 2, "{cause}: {told} have read why");
-        run.wait_for("the count", || (run.refused(cause) == before + EACH).then_some(()));
+        run.wait_for("the count", || (run.refused(cause) >= before + EACH).then_some(()));
         sizes_kb.push(resident_kb(pid).unwrap());
     }
     println!("{}, resident {sizes_kb:?} kB", run.refusals());

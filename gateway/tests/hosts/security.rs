@@ -65,7 +65,9 @@ fn wrong_foreign_and_missing_certificates_are_refused_at_both_ends() {
     ] {
         let (code, text) = connect(id, keys);
         assert_eq!(code, Some(2), "{keys}: {text}");
-        assert!(text.lines().count() == 1 && text.contains(robot_says), "{keys}: {text}");
+        // On a busy machine an attempt may end before its refusal.
+        let said: Vec<&str> = text.lines().filter(|line| !line.contains("no answer")).collect();
+        assert!(said.len() == 1 && said[0].contains(robot_says), "{keys}: {text}");
         run.wait_for("the gateway's line", || supervisor.stderr().contains(gateway_says).then_some(()));
     }
     let robots = [(0, "alice"), (1, "alice"), (2, "bob")]
