@@ -1,16 +1,19 @@
 //! Connections: the handshake, the request to join, and the frames of a robot that has joined.
 
-use std::net::SocketAddr;
+use std::cell::RefCell;
+use std::net::IpAddr;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
 
-use quinn::{Connection, Endpoint, Incoming, RecvStream, SendStream};
+use quinn::{Connection, ConnectionError, Endpoint, Incoming, RecvStream, SendStream, ServerConfig};
 use rustls::pki_types::CertificateDer;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::{oneshot, watch};
 
 use super::Input;
 use super::handshakes::Handshakes;
+use super::refusals::Refusals;
 use crate::keys::{Peer, RefusalCause};
 use crate::link::{self, Answer, JoinError, Notice, Request};
 
@@ -27,61 +30,115 @@ const REST: Duration = Duration::from_secs(1);
 /// false address gets no further.
 const HANDSHAKES_TRUSTED: usize = 16;
 
-/// A peer that wants to join, or was refused before it could say so.
+/// A peer that asks for a role. The answer is for its stream, and so are notices after that.
 #[derive(Debug)]
-pub(super) enum Applicant {
-    /// It asks for a role. The answer is for its stream, and so are notices after that.
-    Asks {
-        request: Request,
-        peer: Option<Peer>,
-        connection: Connection,
-        answer: oneshot::Sender<Answer>,
-        notices: Sender<Notice>,
-    },
-    /// It was refused.
-    Refused { address: SocketAddr, cause: RefusalCause, text: String },
+pub(super) struct Applicant {
+    pub(super) request: Request,
+    pub(super) peer: Option<Peer>,
+    pub(super) connection: Connection,
+    pub(super) answer: oneshot::Sender<Answer>,
+    pub(super) notices: Sender<Notice>,
 }
 
-/// Answers all connections, until the gateway ends. `finished` becomes true when the run is over.
-pub(super) async fn answer(
-    endpoint: Endpoint,
-    sender: Sender<Input>,
-    (handshakes, has_keys): (Rc<Handshakes>, bool),
-    finished: watch::Receiver<bool>,
-) {
-    loop {
-        let mut is_finished = finished.clone();
-        let incoming = tokio::select! {
-            incoming = endpoint.accept() => incoming,
-            _ = is_finished.wait_for(|finished| *finished) => None,
-        };
-        let Some(incoming) = incoming else { return };
-        if handshakes.count() >= HANDSHAKES_TRUSTED && !incoming.remote_address_validated() && incoming.may_retry() {
-            let _ = incoming.retry();
-            continue;
-        }
-        let Some(under_way) = handshakes.begin(incoming.remote_address().ip()) else {
-            // The peer sends its first packet again.
-            incoming.ignore();
-            continue;
-        };
-        let (sender, finished) = (sender.clone(), finished.clone());
-        tokio::task::spawn_local(async move {
-            let address = incoming.remote_address();
-            let joined = tokio::time::timeout(PATIENCE, join(incoming, &sender, has_keys)).await;
-            match joined {
-                Ok(Ok(guest)) => {
-                    drop(under_way);
-                    attend(guest, &sender, finished).await;
-                }
-                Ok(Err(NotJoined::Refused(cause, text))) => {
-                    let refused = Applicant::Refused { address, cause, text };
-                    let _ = sender.send(Input::Applicant(Box::new(refused))).await;
-                    tokio::time::sleep(REST).await;
-                }
-                Ok(Err(NotJoined::Told | NotJoined::Gone)) | Err(_) => {}
+/// What peers meet first.
+pub(super) struct Door {
+    pub(super) sender: Sender<Input>,
+    pub(super) handshakes: Rc<Handshakes>,
+    pub(super) refusals: Rc<RefCell<Refusals>>,
+    /// Each peer must have a certificate.
+    pub(super) demands_keys: bool,
+}
+
+impl Door {
+    /// Answers all connections, until the gateway ends. `config` is asked for each handshake. `finished` becomes true when the
+    /// run is over.
+    pub(super) async fn answer(
+        self,
+        endpoint: Endpoint,
+        mut config: impl FnMut() -> Arc<ServerConfig>,
+        finished: watch::Receiver<bool>,
+    ) {
+        let door = Rc::new(self);
+        loop {
+            let mut is_finished = finished.clone();
+            let incoming = tokio::select! {
+                incoming = endpoint.accept() => incoming,
+                _ = is_finished.wait_for(|finished| *finished) => None,
+            };
+            let Some(incoming) = incoming else { return };
+            let count = door.handshakes.count();
+            if count >= HANDSHAKES_TRUSTED && !incoming.remote_address_validated() && incoming.may_retry() {
+                let _ = incoming.retry();
+                continue;
             }
-        });
+            let address = incoming.remote_address().ip();
+            let Some(under_way) = door.handshakes.begin(address) else {
+                // The peer sends its first packet again.
+                incoming.ignore();
+                door.refuse(address, RefusalCause::Flood, RefusalCause::Flood.name());
+                continue;
+            };
+            let (door, config, finished) = (Rc::clone(&door), config(), finished.clone());
+            tokio::task::spawn_local(async move {
+                match tokio::time::timeout(PATIENCE, door.join(incoming, config)).await {
+                    Ok(Ok(guest)) => {
+                        drop(under_way);
+                        door.handshakes.know(address);
+                        guest.attend(&door.sender, finished).await;
+                    }
+                    Ok(Err(NotJoined::Refused(cause, text))) => {
+                        door.refuse(address, cause, &text);
+                        tokio::time::sleep(REST).await;
+                    }
+                    Ok(Err(NotJoined::Told | NotJoined::Gone)) | Err(_) => {}
+                }
+            });
+        }
+    }
+
+    fn refuse(&self, address: IpAddr, cause: RefusalCause, text: &str) {
+        self.refusals.borrow_mut().add(address, cause.name(), format_args!("is refused: {text}"));
+    }
+
+    /// The handshake and the request.
+    async fn join(&self, incoming: Incoming, config: Arc<ServerConfig>) -> Result<Guest, NotJoined> {
+        let failed = |error: ConnectionError| match RefusalCause::of_connection_error(&error) {
+            Some(RefusalCause::Other) => NotJoined::Refused(RefusalCause::Other, error.to_string()),
+            Some(cause) => NotJoined::Refused(cause, cause.name().to_owned()),
+            None => NotJoined::Gone,
+        };
+        let connection = incoming.accept_with(config).map_err(failed)?.await.map_err(failed)?;
+        let peer = peer_of(&connection);
+        if self.demands_keys && peer.is_none() {
+            let cause = RefusalCause::BadCertificate;
+            connection.close(link::REFUSED, cause.name().as_bytes());
+            return Err(NotJoined::Refused(cause, cause.name().to_owned()));
+        }
+        let (mut send, mut receive) = connection.accept_bi().await.map_err(failed)?;
+        let request: Request =
+            link::read(&mut receive, Some(link::REQUEST_LEN_MAX)).await.map_err(|error: JoinError| {
+                connection.close(link::REFUSED, error.to_string().as_bytes());
+                match error {
+                    JoinError::Ended => NotJoined::Gone,
+                    error => NotJoined::Refused(RefusalCause::Other, error.to_string()),
+                }
+            })?;
+        let robot = request.robot;
+        let (answer, answered) = oneshot::channel();
+        let (noticing, notices) = mpsc::channel(1);
+        let applicant = Applicant { request, peer, connection: connection.clone(), answer, notices: noticing };
+        // An error means that the gateway ends.
+        self.sender.send(Input::Applicant(Box::new(applicant))).await.map_err(|_| NotJoined::Gone)?;
+        let answer = answered.await.map_err(|_| NotJoined::Gone)?;
+        let sent = link::write(&mut send, &answer).await;
+        if let Answer::Refused { text, .. } = answer {
+            let _ = send.finish();
+            let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
+            connection.close(link::REFUSED, text.as_bytes());
+            return Err(NotJoined::Told);
+        }
+        sent.map_err(|_| NotJoined::Gone)?;
+        Ok(Guest { robot, connection, receive, send, notices })
     }
 }
 
@@ -104,91 +161,133 @@ struct Guest {
     notices: Receiver<Notice>,
 }
 
-/// The handshake and the request.
-async fn join(incoming: Incoming, sender: &Sender<Input>, has_keys: bool) -> Result<Guest, NotJoined> {
-    let failed = |error: quinn::ConnectionError| match RefusalCause::of_connection_error(&error) {
-        Some(RefusalCause::Other) => NotJoined::Refused(RefusalCause::Other, error.to_string()),
-        Some(cause) => NotJoined::Refused(cause, cause.name().to_owned()),
-        None => NotJoined::Gone,
-    };
-    let connection = incoming.accept().map_err(failed)?.await.map_err(failed)?;
-    let peer = peer_of(&connection);
-    if has_keys && peer.is_none() {
-        connection.close(link::REFUSED, RefusalCause::BadCertificate.name().as_bytes());
-        return Err(NotJoined::Refused(RefusalCause::BadCertificate, RefusalCause::BadCertificate.name().to_owned()));
-    }
-    let (mut send, mut receive) = connection.accept_bi().await.map_err(failed)?;
-    let request: Request =
-        link::read(&mut receive, Some(link::REQUEST_LEN_MAX)).await.map_err(|error: JoinError| {
-            connection.close(link::REFUSED, error.to_string().as_bytes());
-            match error {
-                JoinError::Ended => NotJoined::Gone,
-                error => NotJoined::Refused(RefusalCause::Other, error.to_string()),
-            }
-        })?;
-    let robot = request.robot;
-    let (answer, answered) = oneshot::channel();
-    let (noticing, notices) = mpsc::channel(1);
-    let asks = Applicant::Asks { request, peer, connection: connection.clone(), answer, notices: noticing };
-    // An error means that the gateway ends.
-    sender.send(Input::Applicant(Box::new(asks))).await.map_err(|_| NotJoined::Gone)?;
-    let answer = answered.await.map_err(|_| NotJoined::Gone)?;
-    let sent = link::write(&mut send, &answer).await;
-    if let Answer::Refused { text, .. } = answer {
-        let _ = send.finish();
-        let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
-        connection.close(link::REFUSED, text.as_bytes());
-        return Err(NotJoined::Told);
-    }
-    sent.map_err(|_| NotJoined::Gone)?;
-    Ok(Guest { robot, connection, receive, send, notices })
-}
-
 /// The host that the peer's certificate names.
 fn peer_of(connection: &Connection) -> Option<Peer> {
     let identity = connection.peer_identity()?.downcast::<Vec<CertificateDer<'static>>>().ok()?;
     Peer::of(&identity).ok()
 }
 
-/// Passes on the frames and the farewell of a robot, and tells it when the run is over or its process is to end. An order
-/// that it does not confirm in time must not reach it later: its link is closed.
-async fn attend(guest: Guest, sender: &Sender<Input>, mut finished: watch::Receiver<bool>) {
-    let Guest { robot, connection, mut receive, mut send, mut notices } = guest;
-    let id = connection.stable_id();
-    let frames = async {
-        while let Ok(bytes) = connection.read_datagram().await {
-            // A full queue drops the frame: the robot sends it again.
-            let _ = sender.try_send(Input::Frame { robot, connection: id, bytes: bytes.into() });
-        }
-    };
-    let words = async {
-        let mut said = std::pin::pin!(link::read::<Notice>(&mut receive, Some(link::REQUEST_LEN_MAX)));
-        let said = tokio::select! {
-            said = &mut said => said.ok(),
-            Some(order) = notices.recv() => {
-                let sent = link::write(&mut send, &order).await.is_ok();
-                let answer = tokio::time::timeout(FAREWELL, said).await.ok().and_then(Result::ok).filter(|_| sent);
-                let _ = sender.send(Input::Ordered { robot, has_arrived: answer.is_some() }).await;
-                if answer.is_none() {
-                    connection.close(link::SILENT, b"an order was not confirmed");
+impl Guest {
+    /// Passes on the frames and the farewell of the robot, and tells it when the run is over or its process is to end. An order
+    /// that it does not confirm in time must not reach it later: its link is closed.
+    async fn attend(self, sender: &Sender<Input>, mut finished: watch::Receiver<bool>) {
+        let Self { robot, connection, mut receive, mut send, mut notices } = self;
+        let id = connection.stable_id();
+        let frames = async {
+            while let Ok(bytes) = connection.read_datagram().await {
+                // While the queue is full, frames wait at their connection, where the newest displace the oldest.
+                let frame = Input::Frame { robot, connection: id, bytes: bytes.into() };
+                if sender.send(frame).await.is_err() {
+                    return;
                 }
-                answer
-            }
-            Ok(_) = finished.wait_for(|finished| *finished) => {
-                if link::write(&mut send, &Notice::Finished).await.is_ok() {
-                    let _ = send.finish();
-                    let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
-                }
-                return;
             }
         };
-        if said == Some(Notice::Leaving) {
-            let _ = sender.send(Input::Leaving { robot, connection: id }).await;
+        let (hears, mut heard) = mpsc::channel(1);
+        // Apart from the rest: a read that is given up loses what it has read.
+        let listen = async {
+            while let Ok(notice) = link::read::<Notice>(&mut receive, Some(link::REQUEST_LEN_MAX)).await {
+                let _ = hears.send(notice).await;
+            }
+            std::future::pending::<()>().await;
+        };
+        let talk = async {
+            loop {
+                let said = tokio::select! {
+                    Some(said) = heard.recv() => Some(said),
+                    Some(order) = notices.recv() => {
+                        let sent = link::write(&mut send, &order).await.is_ok();
+                        let confirmed = tokio::time::timeout(FAREWELL, confirmation(&mut heard, order)).await;
+                        let said = confirmed.ok().flatten().filter(|_| sent);
+                        let _ = sender.send(Input::Ordered { robot, has_arrived: said.is_some() }).await;
+                        if said.is_none() {
+                            connection.close(link::SILENT, b"an order was not confirmed");
+                        }
+                        said
+                    }
+                    Ok(_) = finished.wait_for(|finished| *finished) => {
+                        if link::write(&mut send, &Notice::Finished).await.is_ok() {
+                            let _ = send.finish();
+                            let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
+                        }
+                        return;
+                    }
+                };
+                if said == Some(Notice::Leaving) {
+                    let _ = sender.send(Input::Leaving { robot, connection: id }).await;
+                }
+            }
+        };
+        tokio::select! {
+            () = frames => {}
+            () = listen => {}
+            () = talk => {}
         }
-        std::future::pending::<()>().await;
-    };
-    tokio::select! {
-        () = words => {}
-        () = frames => {}
+    }
+}
+
+/// A robot confirms an order by the same notice, or by its farewell.
+async fn confirmation(heard: &mut Receiver<Notice>, order: Notice) -> Option<Notice> {
+    while let Some(said) = heard.recv().await {
+        if said == order || said == Notice::Leaving {
+            return Some(said);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{Ipv4Addr, SocketAddr};
+
+    use super::*;
+    use crate::keys::{Credentials, GATEWAY_NAME};
+
+    const FRAMES: u32 = 1_000;
+
+    /// The gateway is busy while frames come: the newest one is read, and old ones are lost.
+    #[test]
+    fn the_newest_frame_wins_a_full_queue() {
+        let watched = async {
+            let test = the_newest_frame_of_a_busy_gateway();
+            tokio::time::timeout(Duration::from_secs(60), test).await.expect("all frames arrive")
+        };
+        let read = link::runtime().unwrap().block_on(watched);
+        assert!(read.is_sorted() && read.last() == Some(&(FRAMES - 1)), "{read:?}");
+        assert!(read.len() < FRAMES as usize / 2, "{} are kept", read.len());
+    }
+
+    /// The numbers of the frames that a gateway reads which was busy while they came.
+    async fn the_newest_frame_of_a_busy_gateway() -> Vec<u32> {
+        let loopback = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let server = link::server(Credentials::for_loopback_server().unwrap()).unwrap();
+        let gateway = Endpoint::server(server, loopback).unwrap();
+        let client = link::client(Credentials::for_loopback_client().unwrap()).unwrap();
+        let host = Endpoint::client(loopback).unwrap();
+        let connecting = host.connect_with(client, gateway.local_addr().unwrap(), GATEWAY_NAME).unwrap();
+        let accepted = async { gateway.accept().await.unwrap().await.unwrap() };
+        let (robot, connection) = tokio::join!(async { connecting.await.unwrap() }, accepted);
+        let (mut stream, _) = robot.open_bi().await.unwrap();
+        link::write(&mut stream, &Notice::End).await.unwrap();
+        let (send, receive) = connection.accept_bi().await.unwrap();
+
+        let (sender, mut inputs) = mpsc::channel(1);
+        let (_orders, notices) = mpsc::channel(1);
+        let (_finish, finished) = watch::channel(false);
+        let guest = Guest { robot: 0, connection: connection.clone(), receive, send, notices };
+        let attended = tokio::task::spawn_local(async move { guest.attend(&sender, finished).await });
+        for number in 0..FRAMES {
+            robot.send_datagram_wait(number.to_le_bytes().to_vec().into()).await.unwrap();
+            while connection.stats().frame_rx.datagram <= u64::from(number) {
+                tokio::time::sleep(Duration::from_micros(100)).await;
+            }
+        }
+        let mut read = Vec::new();
+        while read.last() != Some(&(FRAMES - 1)) {
+            let next = tokio::time::timeout(Duration::from_secs(1), inputs.recv()).await;
+            let Ok(Some(Input::Frame { bytes, .. })) = next else { break };
+            read.push(u32::from_le_bytes(bytes.try_into().unwrap()));
+        }
+        attended.abort();
+        read
     }
 }

@@ -1,6 +1,8 @@
 //! The robots that have joined through the gateway, with their roles and links.
 
-use std::collections::BTreeMap;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
 
 use quinn::Connection;
 use rangehound_node::bus::{Bus, BusError, Event, Events, Notifier, Publisher, Subscriber, WaitGroup};
@@ -17,7 +19,7 @@ use tokio::sync::mpsc::Sender;
 use super::door::Applicant;
 use super::refusals::Refusals;
 use super::{GatewayError, Input};
-use crate::keys::{Peer, RefusalCause};
+use crate::keys::RefusalCause;
 use crate::link::{self, Answer, Notice, Request};
 
 /// Interval of the note about the links.
@@ -29,15 +31,18 @@ const ORDERS_NS: u64 = 100_000_000;
 /// All of them.
 pub(super) struct Guests<'a> {
     rendezvous: &'a Rendezvous,
+    sender: Sender<Input>,
     bus: Bus,
     worlds: Subscriber<WorldEntry>,
     headings: Subscriber<Command>,
     sim: Notifier,
     fusion: Notifier,
     all: BTreeMap<usize, Guest>,
+    /// Robots whose roles are being taken.
+    asked_for: BTreeSet<usize>,
     /// To be published after the ranges, for which the whole team waits.
     drives: Vec<(usize, Outgoing<Drive>, Option<Notification>)>,
-    refusals: Refusals,
+    refusals: Rc<RefCell<Refusals>>,
     noted_ns: u64,
     ordered_ns: u64,
 }
@@ -54,23 +59,30 @@ struct Guest {
     host: String,
     allows_control: bool,
     notices: Sender<Notice>,
-    /// Frames that could not be read.
-    malformed: u64,
 }
 
+/// Why a robot does not get its role.
+type Refusal = (RefusalCause, String);
+
 impl<'a> Guests<'a> {
-    pub(super) fn new(rendezvous: &'a Rendezvous) -> Result<Self, BusError> {
+    pub(super) fn new(
+        rendezvous: &'a Rendezvous,
+        sender: Sender<Input>,
+        refusals: Rc<RefCell<Refusals>>,
+    ) -> Result<Self, BusError> {
         let bus = Bus::connect(rendezvous, "gateway")?;
         Ok(Self {
             rendezvous,
+            sender,
             worlds: bus.subscriber()?,
             headings: bus.subscriber()?,
             sim: bus.notifier_of(WaitGroup::Sim),
             fusion: bus.notifier_of(WaitGroup::Fusion),
             bus,
             all: BTreeMap::new(),
+            asked_for: BTreeSet::new(),
             drives: Vec::new(),
-            refusals: Refusals::default(),
+            refusals,
             noted_ns: 0,
             ordered_ns: 0,
         })
@@ -79,7 +91,8 @@ impl<'a> Guests<'a> {
     pub(super) fn on_input(&mut self, input: Input) -> Result<(), GatewayError> {
         match input {
             Input::Bus(events) => self.read_bus(events)?,
-            Input::Applicant(applicant) => self.on_applicant(*applicant),
+            Input::Applicant(applicant) => self.on_applicant(applicant),
+            Input::Lease(applicant, lease) => self.on_lease(applicant, lease),
             Input::Frame { robot, connection, bytes } => self.on_frame(robot, connection, &bytes)?,
             Input::Ordered { robot, has_arrived } => self.report_order(robot, has_arrived),
             Input::Leaving { robot, connection } => {
@@ -129,16 +142,17 @@ impl<'a> Guests<'a> {
         let run_id = self.rendezvous.description().run_id;
         let is_it = |guest: &&mut Guest| guest.connection.stable_id() == connection;
         let Some(guest) = self.all.get_mut(&robot).filter(is_it) else { return Ok(()) };
-        let Ok(frame) = Uplink::from_bytes(bytes, run_id) else {
-            guest.malformed += 1;
-            if guest.malformed == 1 {
-                log::warn!("robot-{robot}: {} sends frames that cannot be read", guest.host);
-            }
-            return Ok(());
-        };
         let now_ns = monotonic_ns();
+        let news = Uplink::from_bytes(bytes, run_id).and_then(|frame| guest.relay.on_uplink(&frame, now_ns));
+        let news = match news {
+            Ok(news) => news,
+            Err(error) => {
+                let what = format_args!("sends as robot-{robot} what is refused: {error}");
+                self.refusals.borrow_mut().add(guest.connection.remote_address().ip(), error.name(), what);
+                return Ok(());
+            }
+        };
         guest.occupant.hear(now_ns);
-        let news = guest.relay.on_uplink(&frame, now_ns);
         news.into_iter().try_for_each(|message| self.publish(robot, message))
     }
 
@@ -166,34 +180,18 @@ impl<'a> Guests<'a> {
         Ok(())
     }
 
-    fn on_applicant(&mut self, applicant: Applicant) {
-        match applicant {
-            Applicant::Refused { address, cause, text } => self.refusals.add(address.ip(), cause, &text),
-            Applicant::Asks { request, peer, connection, answer, notices } => {
-                let robot = request.robot;
-                let address = connection.remote_address();
-                let welcomed = self.welcome(&request, peer.as_ref(), connection, notices);
-                let reply = welcomed.unwrap_or_else(|(cause, text)| {
-                    self.refusals.add(address.ip(), cause, &format!("robot-{robot}: {text}"));
-                    let may_change = matches!(cause, RefusalCause::RoleTaken | RefusalCause::Other);
-                    Answer::Refused { text, may_change }
-                });
-                let _ = answer.send(reply);
-            }
+    /// Welcomes a robot that connects again, asks for the role of another one, or says why it does not get it.
+    fn on_applicant(&mut self, applicant: Box<Applicant>) {
+        match self.check(&applicant).and_then(|()| self.reconnect(&applicant)) {
+            Ok(true) => self.welcome(*applicant),
+            Ok(false) => self.ask_for_role(applicant),
+            Err(refusal) => self.refuse(*applicant, refusal),
         }
     }
 
-    /// Gives a robot its role, or says why it does not get it.
-    fn welcome(
-        &mut self,
-        request: &Request,
-        peer: Option<&Peer>,
-        connection: Connection,
-        notices: Sender<Notice>,
-    ) -> Result<Answer, (RefusalCause, String)> {
-        let Request { protocol, program, robot, run, .. } = request;
-        let robot = *robot;
-        let (name, description) = (self.rendezvous.name().to_string(), self.rendezvous.description());
+    fn check(&self, applicant: &Applicant) -> Result<(), Refusal> {
+        let Applicant { request: Request { protocol, program, robot, run, .. }, peer, .. } = applicant;
+        let name = self.rendezvous.name().to_string();
         if *protocol != PROTOCOL {
             let program: String = program.chars().filter(char::is_ascii_graphic).take(16).collect();
             let text = format!(
@@ -204,57 +202,80 @@ impl<'a> Guests<'a> {
         if run.as_ref().is_some_and(|run| *run != name) {
             return Err((RefusalCause::Run, format!("this is the gateway of run {name} (--name)")));
         }
-        let robots = description.scenario.robots.len();
-        if robot >= robots {
+        let robots = self.rendezvous.description().scenario.robots.len();
+        if *robot >= robots {
             let text = format!("robot {robot} (--id) is not in this run: expected 0 to {}", robots - 1);
             return Err((RefusalCause::NoSuchRobot, text));
         }
-        if let Some(peer) = peer.filter(|peer| !peer.may_be(robot)) {
-            return Err((RefusalCause::WrongRobot, format!("the certificate of {} does not name it", peer.host)));
+        match peer {
+            Some(peer) if !peer.may_be(*robot) => {
+                Err((RefusalCause::WrongRobot, format!("the certificate of {} does not name it", peer.host)))
+            }
+            _ => Ok(()),
         }
-        let host = peer.map_or_else(|| connection.remote_address().ip().to_string(), |peer| peer.host.clone());
-        self.take_role(request, host, connection, notices)?;
-        let other = |text: String| (RefusalCause::Other, text);
-        let description = description.seal().map_err(|error| other(error.to_string()))?;
-        let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
-        Ok(Answer::Welcome { description, life: self.rendezvous.life(), fusion_incarnation })
     }
 
-    fn take_role(
-        &mut self,
-        request: &Request,
-        host: String,
-        connection: Connection,
-        notices: Sender<Notice>,
-    ) -> Result<(), (RefusalCause, String)> {
-        let Request { robot, process, allows_control, .. } = *request;
+    /// True if it is the process that has the role. Frees the role of one that is not heard any more.
+    fn reconnect(&mut self, applicant: &Applicant) -> Result<bool, Refusal> {
+        let Applicant { request: Request { robot, process, .. }, connection, notices, .. } = applicant;
+        let Some(guest) = self.all.get_mut(robot) else { return Ok(false) };
         let now_ns = monotonic_ns();
-        if let Some(guest) = self.all.get_mut(&robot) {
-            match guest.occupant.claim(process, now_ns) {
-                Claim::ComesBack => {
-                    guest.connection.close(link::REPLACED, b"the robot has connected again");
-                    (guest.connection, guest.notices) = (connection, notices);
-                    guest.relay.reconnect();
-                    return Ok(());
-                }
-                Claim::Refused => {
-                    return Err((RefusalCause::RoleTaken, format!("{} has this role, and is heard", guest.host)));
-                }
-                Claim::Succeeds => self.release(robot, "starts again"),
+        match guest.occupant.claim(*process, now_ns) {
+            Claim::ComesBack => {
+                guest.connection.close(link::REPLACED, b"the robot has connected again");
+                (guest.connection, guest.notices) = (connection.clone(), notices.clone());
+                guest.relay.reconnect();
+                Ok(true)
+            }
+            Claim::Refused => Err((RefusalCause::RoleTaken, format!("{} has this role, and is heard", guest.host))),
+            Claim::Succeeds => {
+                self.release(*robot, "starts again");
+                Ok(false)
             }
         }
-        let role = Role::Robot(robot);
-        let lease = self.rendezvous.roster().take(role).map_err(|error| match error {
+    }
+
+    /// Takes the role in a thread of its own: a lock that another process holds must not delay the ticks of the team.
+    fn ask_for_role(&mut self, applicant: Box<Applicant>) {
+        let robot = applicant.request.robot;
+        if !self.asked_for.insert(robot) {
+            return self.refuse(*applicant, (RefusalCause::RoleTaken, "its role is being taken".to_owned()));
+        }
+        let (roster, sender) = (self.rendezvous.roster().clone(), self.sender.clone());
+        tokio::task::spawn_blocking(move || {
+            let lease = roster.take(Role::Robot(robot));
+            // An error means that the gateway ends.
+            let _ = sender.blocking_send(Input::Lease(applicant, lease));
+        });
+    }
+
+    fn on_lease(&mut self, applicant: Box<Applicant>, lease: Result<RoleLease, RendezvousError>) {
+        self.asked_for.remove(&applicant.request.robot);
+        // It has given up: its role is free again.
+        if applicant.answer.is_closed() || applicant.connection.close_reason().is_some() {
+            return;
+        }
+        let lease = lease.map_err(|error| match error {
             RendezvousError::RoleTaken { .. } => (RefusalCause::RoleTaken, error.to_string()),
             error => (RefusalCause::Other, error.to_string()),
-        })?;
+        });
+        match lease.and_then(|lease| self.admit(&applicant, lease)) {
+            Ok(()) => self.welcome(*applicant),
+            Err(refusal) => self.refuse(*applicant, refusal),
+        }
+    }
+
+    fn admit(&mut self, applicant: &Applicant, lease: RoleLease) -> Result<(), Refusal> {
+        let Applicant { request: Request { robot, process, allows_control, .. }, peer, connection, notices, .. } =
+            applicant;
+        let (robot, process, allows_control) = (*robot, *process, *allows_control);
+        let address = connection.remote_address();
+        let host = peer.as_ref().map_or_else(|| address.ip().to_string(), |peer| peer.host.clone());
         let other = |error: BusError| (RefusalCause::Other, error.to_string());
-        // The lease has named the process after the robot.
-        Role::Gateway.name_process();
-        self.bus.take_role(self.rendezvous, role, &lease).map_err(other)?;
+        self.bus.take_role(self.rendezvous, Role::Robot(robot), &lease).map_err(other)?;
         let ranges = self.bus.publisher_of_robot(robot).map_err(other)?;
         let drives = self.bus.publisher_of_robot(robot).map_err(other)?;
-        log::info!("robot-{robot} joins from {host} ({})", connection.remote_address());
+        log::info!("robot-{robot} joins from {host} ({address})");
         let description = self.rendezvous.description();
         let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
         let relay = Relay::new(description.run_id, robot, &description.scenario, fusion_incarnation);
@@ -262,21 +283,30 @@ impl<'a> Guests<'a> {
         if RobotOrder::take(self.rendezvous, robot).is_some() {
             self.report_order(robot, false);
         }
-        let guest = Guest {
-            lease,
-            ranges,
-            drives,
-            relay,
-            connection,
-            occupant: Occupant::new(process, now_ns),
-            host,
-            allows_control,
-            notices,
-            malformed: 0,
-        };
+        let (connection, notices) = (connection.clone(), notices.clone());
+        let occupant = Occupant::new(process, monotonic_ns());
+        let guest = Guest { lease, ranges, drives, relay, connection, occupant, host, allows_control, notices };
         self.all.insert(robot, guest);
         self.sim.signal(Event::Hello);
         Ok(())
+    }
+
+    fn welcome(&mut self, applicant: Applicant) {
+        let welcome = match self.rendezvous.description().seal() {
+            Ok(description) => {
+                let fusion_incarnation = self.rendezvous.roster().starts(Role::Fusion);
+                Answer::Welcome { description, life: self.rendezvous.life(), fusion_incarnation }
+            }
+            Err(error) => return self.refuse(applicant, (RefusalCause::Other, error.to_string())),
+        };
+        let _ = applicant.answer.send(welcome);
+    }
+
+    fn refuse(&mut self, applicant: Applicant, (cause, text): Refusal) {
+        let (robot, address) = (applicant.request.robot, applicant.connection.remote_address().ip());
+        self.refusals.borrow_mut().add(address, cause.name(), format_args!("is refused: robot-{robot}: {text}"));
+        let may_change = matches!(cause, RefusalCause::RoleTaken | RefusalCause::Other);
+        let _ = applicant.answer.send(Answer::Refused { text, may_change });
     }
 
     fn release(&mut self, robot: usize, why: &str) {
@@ -331,7 +361,8 @@ impl<'a> Guests<'a> {
                 allows_control: guest.allows_control,
             }
         });
-        let refusals = self.refusals.counts().iter().map(|(cause, count)| ((*cause).to_owned(), *count));
+        let refusals = self.refusals.borrow();
+        let refusals = refusals.counts().iter().map(|(cause, count)| ((*cause).to_owned(), *count));
         GatewayNote { pid: std::process::id(), guests: guests.collect(), refusals: refusals.collect() }
     }
 

@@ -1,7 +1,7 @@
 //! The handshakes under way: a stranger can take part of the places, never all of the gateway's time.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
 use std::rc::Rc;
 
@@ -16,6 +16,8 @@ const PLACES_OF_ROBOT: usize = 8;
 pub(super) struct Handshakes {
     places: usize,
     under_way: RefCell<BTreeMap<IpAddr, usize>>,
+    /// Addresses from which robots have joined.
+    known: RefCell<BTreeSet<IpAddr>>,
 }
 
 /// A handshake that is under way, until this is dropped.
@@ -28,7 +30,8 @@ pub(super) struct UnderWay {
 impl Handshakes {
     /// Those of a gateway for so many robots.
     pub(super) fn of_team(robots: usize) -> Rc<Self> {
-        Rc::new(Self { places: PLACES + PLACES_OF_ROBOT * robots, under_way: RefCell::default() })
+        let places = PLACES + PLACES_OF_ROBOT * robots;
+        Rc::new(Self { places, under_way: RefCell::default(), known: RefCell::default() })
     }
 
     /// The number that are under way.
@@ -36,9 +39,19 @@ impl Handshakes {
         self.under_way.borrow().values().sum()
     }
 
-    /// Begins a handshake with this address; `None` if all places are taken, or half of them by this address.
+    /// A robot has joined from this address: strangers do not keep it out. There are no more such addresses than places.
+    pub(super) fn know(&self, address: IpAddr) {
+        let mut known = self.known.borrow_mut();
+        if known.len() < self.places {
+            known.insert(address);
+        }
+    }
+
+    /// Begins a handshake with this address; `None` if half of the places are taken by this address, or all of them. Known
+    /// addresses have as many places again.
     pub(super) fn begin(self: &Rc<Self>, address: IpAddr) -> Option<UnderWay> {
-        let is_full = self.count() >= self.places;
+        let places = if self.known.borrow().contains(&address) { 2 * self.places } else { self.places };
+        let is_full = self.count() >= places;
         let mut under_way = self.under_way.borrow_mut();
         let with_address = under_way.get(&address).copied().unwrap_or(0);
         if is_full || with_address >= self.places / 2 {
@@ -77,6 +90,11 @@ mod tests {
         let second = begin_all(2);
         assert_eq!((second.len(), handshakes.count()), (40, 80));
         assert!(handshakes.begin(address(3)).is_none());
+        // A robot that comes back is not kept out.
+        handshakes.know(address(4));
+        let known = begin_all(4);
+        assert_eq!((known.len(), handshakes.count()), (40, 120));
+        drop(known);
         // A place is free again once its handshake has ended.
         drop(first);
         assert_eq!((handshakes.count(), begin_all(3).len()), (40, 40));

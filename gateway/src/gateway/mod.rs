@@ -7,8 +7,11 @@ mod guests;
 mod handshakes;
 mod refusals;
 
+use std::cell::RefCell;
 use std::net::{SocketAddr, UdpSocket};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -19,14 +22,15 @@ use rangehound_node::system::signal::Termination;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::sync::watch;
 
-use crate::keys::{Credentials, KeysError};
+use crate::keys::{Credentials, KeysError, Renewed};
 use crate::link;
-use door::Applicant;
+use door::{Applicant, Door};
 use guests::Guests;
 use handshakes::Handshakes;
+use refusals::Refusals;
 
-/// Inputs that wait for the gateway; further datagrams are dropped, and repeated by their robots.
-const INPUTS_MAX: usize = 4_096;
+/// Inputs that wait for the gateway. Whoever has a further one waits in turn.
+const INPUTS_MAX: usize = 256;
 
 /// Longest sleep.
 const LOOK: Duration = Duration::from_millis(50);
@@ -78,6 +82,8 @@ enum Input {
     Bus(Events),
     /// A robot wants to join.
     Applicant(Box<Applicant>),
+    /// The role of a robot that wants to join, or why it cannot have it.
+    Lease(Box<Applicant>, Result<RoleLease, RendezvousError>),
     /// A frame of a robot.
     Frame { robot: usize, connection: usize, bytes: Vec<u8> },
     /// A robot leaves in order.
@@ -99,7 +105,8 @@ pub fn run(
 ) -> Result<(), GatewayError> {
     // Two gateways would each take the roles that the other one lacks.
     let lease = rendezvous.roster().take(Role::Gateway)?;
-    let (config, socket) = prepared(address, keys)?;
+    let mut config = Renewed::new(keys.cloned(), move |keys| config_of(keys, address))?;
+    let socket = bind(address)?;
     let runtime = link::runtime()?;
     let is_over = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -107,14 +114,17 @@ pub fn run(
         let bus_sender = sender.clone();
         let bus = scope.spawn(|| wait_on_bus(rendezvous, bus_sender, &is_over));
         let ended = runtime.block_on(async {
-            let runtime = std::sync::Arc::new(quinn::TokioRuntime);
-            let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(config), socket, runtime)?;
+            let runtime = Arc::new(quinn::TokioRuntime);
+            let first_config = quinn::ServerConfig::clone(config.present());
+            let endpoint = quinn::Endpoint::new(quinn::EndpointConfig::default(), Some(first_config), socket, runtime)?;
             listening(endpoint.local_addr()?);
-            let mut guests = Guests::new(rendezvous)?;
+            let refusals = Rc::new(RefCell::new(Refusals::default()));
+            let mut guests = Guests::new(rendezvous, sender.clone(), Rc::clone(&refusals))?;
             let (finished, when_finished) = watch::channel(false);
             let handshakes = Handshakes::of_team(rendezvous.description().scenario.robots.len());
-            let whom = (handshakes, keys.is_some());
-            let door = tokio::task::spawn_local(door::answer(endpoint.clone(), sender, whom, when_finished));
+            let door = Door { sender, handshakes, refusals, demands_keys: keys.is_some() };
+            let config = move || Arc::clone(config.present());
+            let door = tokio::task::spawn_local(door.answer(endpoint.clone(), config, when_finished));
             // Without them it would hold its role and serve no robot: the supervisor starts it again.
             let is_deaf = || door.is_finished() || bus.is_finished();
             let served = serve(&mut guests, inputs, (rendezvous, &lease), (termination, is_deaf)).await;
@@ -139,11 +149,11 @@ pub fn run(
 /// # Errors
 /// [`GatewayError`].
 pub fn check(address: SocketAddr, keys: Option<&PathBuf>) -> Result<SocketAddr, GatewayError> {
-    let (_, socket) = prepared(address, keys)?;
-    Ok(socket.local_addr()?)
+    config_of(keys.map(PathBuf::as_path), address)?;
+    Ok(bind(address)?.local_addr()?)
 }
 
-fn prepared(address: SocketAddr, keys: Option<&PathBuf>) -> Result<(quinn::ServerConfig, UdpSocket), GatewayError> {
+fn config_of(keys: Option<&Path>, address: SocketAddr) -> Result<Arc<quinn::ServerConfig>, GatewayError> {
     let tls = match keys {
         Some(folder) => {
             let credentials = Credentials::load(folder)?;
@@ -156,8 +166,11 @@ fn prepared(address: SocketAddr, keys: Option<&PathBuf>) -> Result<(quinn::Serve
         None => return Err(GatewayError::Open(address)),
     };
     let config = link::server(tls).map_err(|error| GatewayError::Cryptography(error.to_string()))?;
-    let socket = UdpSocket::bind(address).map_err(|source| GatewayError::Address { address, source })?;
-    Ok((config, socket))
+    Ok(Arc::new(config))
+}
+
+fn bind(address: SocketAddr) -> Result<UdpSocket, GatewayError> {
+    UdpSocket::bind(address).map_err(|source| GatewayError::Address { address, source })
 }
 
 /// Waits for events of the bus in a thread of its own, because a futex cannot be waited for together with a socket.
@@ -168,8 +181,8 @@ fn wait_on_bus(rendezvous: &Rendezvous, sender: Sender<Input>, is_over: &AtomicB
     };
     while !is_over.load(Ordering::Relaxed) {
         let events = waiter.sleep(IDLE);
-        // If the queue is full, the gateway looks at the bus soon anyway.
-        if let Err(mpsc::error::TrySendError::Closed(_)) = sender.try_send(Input::Bus(events)) {
+        // An error means that the gateway ends.
+        if sender.blocking_send(Input::Bus(events)).is_err() {
             return;
         }
     }

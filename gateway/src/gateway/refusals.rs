@@ -1,10 +1,9 @@
-//! Refused peers: counted by cause, and reported in one line each time a cause or a peer is new.
+//! Refused peers and frames: counted by cause, and reported in one line each time a cause or a peer is new.
 
 use std::collections::{BTreeMap, HashMap};
+use std::fmt::Arguments;
 use std::net::IpAddr;
 use std::time::{Duration, Instant};
-
-use crate::keys::RefusalCause;
 
 /// A peer that is refused for the same cause again is reported again after this time.
 const REPORT: Duration = Duration::from_secs(10);
@@ -16,13 +15,13 @@ const REPORTED_MAX: usize = 256;
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
     counts: BTreeMap<&'static str, u64>,
-    reported: HashMap<(IpAddr, RefusalCause), Instant>,
+    reported: HashMap<(IpAddr, &'static str), Instant>,
 }
 
 impl Refusals {
-    /// Counts a refusal, and reports it if it is new.
-    pub(super) fn add(&mut self, peer: IpAddr, cause: RefusalCause, text: &str) {
-        *self.counts.entry(cause.name()).or_default() += 1;
+    /// Counts a refusal by the name of its cause, and reports it if it is new.
+    pub(super) fn add(&mut self, peer: IpAddr, cause: &'static str, what: Arguments<'_>) {
+        *self.counts.entry(cause).or_default() += 1;
         let now = Instant::now();
         let is_recent = |at: &Instant| now - *at < REPORT;
         if self.reported.get(&(peer, cause)).is_some_and(is_recent) {
@@ -33,7 +32,7 @@ impl Refusals {
         }
         if self.reported.len() < REPORTED_MAX {
             self.reported.insert((peer, cause), now);
-            log::warn!("{peer} is refused: {text}");
+            log::warn!("{peer} {what}");
         }
     }
 

@@ -29,7 +29,7 @@ pub enum RefusalCause {
     RoleTaken,
     /// The run has no such robot.
     NoSuchRobot,
-    /// It sends too much.
+    /// Too many handshakes are under way, in all or with its address.
     Flood,
     /// Any other cause.
     Other,
@@ -66,7 +66,7 @@ impl RefusalCause {
             Self::Run => "another run",
             Self::RoleTaken => "role taken",
             Self::NoSuchRobot => "no such robot",
-            Self::Flood => "too many messages",
+            Self::Flood => "too many handshakes",
             Self::Other => "other",
         }
     }
@@ -99,7 +99,8 @@ impl RefusalCause {
             | AlertDescription::CertificateRevoked
             | AlertDescription::CertificateUnknown
             | AlertDescription::DecryptError => Self::BadCertificate,
-            // The protocol's number is in the name that ALPN compares.
+            // Not of this program, or of a version that joins in another way. The number of the protocol is compared later, in the
+            // request to join, so that both ends can name both versions.
             AlertDescription::NoApplicationProtocol | AlertDescription::ProtocolVersion => Self::Version,
             _ => Self::Other,
         }

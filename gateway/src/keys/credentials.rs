@@ -17,7 +17,7 @@ use super::files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY, read};
 use super::verifier::{Anyone, GatewayOnly};
 use super::{GATEWAY_NAME, KeysError, Peer};
 
-/// The protocol that both ends must name in the handshake.
+/// How hosts join, which both ends must name in the handshake. It stays when the protocol's number changes: see [`crate::link::Request`].
 pub const ALPN: &[u8] = b"rangehound/1";
 
 /// A host's certificate and key, and the authority that it trusts.

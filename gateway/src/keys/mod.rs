@@ -14,6 +14,7 @@ mod files;
 mod handshake_tests;
 mod host;
 mod peer;
+mod renewal;
 mod verifier;
 
 pub use authority::{Authority, HostKeys, Validity, make};
@@ -24,6 +25,7 @@ pub use error::KeysError;
 pub(crate) use files::{AUTHORITY_CERTIFICATE, HOST_CERTIFICATE, HOST_KEY};
 pub use host::{Host, HostName, HostRole, RobotHost};
 pub use peer::Peer;
+pub(crate) use renewal::Renewed;
 
 /// The name in a gateway's certificate; a robot's host demands it of whatever answers.
 pub const GATEWAY_NAME: &str = "gateway.rangehound";

@@ -25,8 +25,8 @@ const FIRST_ROUND_TRIP: Duration = Duration::from_millis(30);
 /// newest tick matters.
 const SEND_BUFFER: usize = 4 << 10;
 
-/// Bytes of datagrams that wait to be read.
-const RECEIVE_BUFFER: usize = 64 << 10;
+/// Bytes of datagrams that wait to be read. If there are more, the oldest are dropped.
+const RECEIVE_BUFFER: usize = 16 << 10;
 
 /// Connections that wait for the gateway to look at them. Any more are refused.
 const WAITING_MAX: usize = 64;

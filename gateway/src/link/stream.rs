@@ -1,6 +1,6 @@
 //! Joining and leaving: messages of JSON with their length before them, on the one stream of a connection.
 
-use quinn::{RecvStream, SendStream};
+use quinn::{ReadExactError, RecvStream, SendStream};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +68,9 @@ pub enum JoinError {
     /// The connection has ended.
     #[error("the connection has ended")]
     Ended,
+    /// The peer ended the stream within it, or before.
+    #[error("a message that is cut")]
+    Cut,
     /// The peer sent something else.
     #[error("not a message of rangehound")]
     Malformed,
@@ -93,13 +96,17 @@ pub async fn write(stream: &mut SendStream, message: &impl Serialize) -> Result<
 /// [`JoinError`].
 pub async fn read<T: DeserializeOwned>(stream: &mut RecvStream, len_max: Option<u32>) -> Result<T, JoinError> {
     let len_max = len_max.unwrap_or(MESSAGE_LEN_MAX);
+    let failed = |error: ReadExactError| match error {
+        ReadExactError::FinishedEarly(_) => JoinError::Cut,
+        ReadExactError::ReadError(_) => JoinError::Ended,
+    };
     let mut len = [0; 4];
-    stream.read_exact(&mut len).await.map_err(|_| JoinError::Ended)?;
+    stream.read_exact(&mut len).await.map_err(failed)?;
     let len = u32::from_le_bytes(len);
     if len > len_max {
         return Err(JoinError::TooLong(len, len_max));
     }
     let mut text = vec![0; len as usize];
-    stream.read_exact(&mut text).await.map_err(|_| JoinError::Ended)?;
+    stream.read_exact(&mut text).await.map_err(failed)?;
     serde_json::from_slice(&text).map_err(|_| JoinError::Malformed)
 }

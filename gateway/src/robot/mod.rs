@@ -18,7 +18,7 @@ use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
 use rustix::process::{Signal, getpid, kill_process};
 
-use crate::keys::{Credentials, KeysError};
+use crate::keys::KeysError;
 use crate::link::{self, Notice};
 pub use session::Refusal;
 use session::{Connector, Happened, Session};
@@ -129,12 +129,7 @@ pub fn run_with(
     equipment: impl FnMut(&Scenario) -> Option<Equipment>,
     termination: &Termination,
 ) -> Result<(), RobotError> {
-    let tls = match &target.keys {
-        Some(folder) => Credentials::load(folder)?.client_config()?,
-        None => Credentials::for_loopback_client()?,
-    };
-    let config = link::client(tls).map_err(|error| RobotError::Cryptography(error.to_string()))?;
-    let connector = Connector::new(target.clone(), config, id);
+    let connector = Connector::new(target.clone(), id)?;
     link::runtime()?.block_on(async {
         let allows_control = target.allows_control;
         let mut driver = Driver { id, equipment, part: None, has_joined: false, allows_control };

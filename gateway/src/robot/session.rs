@@ -1,6 +1,7 @@
 //! The link of a robot to its gateway: opened until it succeeds, watched, and opened again.
 
 use std::net::SocketAddr;
+use std::path::Path;
 use std::time::Duration;
 
 use quinn::{ClientConfig, Connection, Endpoint, RecvStream, SendStream, VarInt};
@@ -9,8 +10,8 @@ use rangehound_node::system::clock::monotonic_ns;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
 use tokio::task::JoinHandle;
 
-use super::Target;
-use crate::keys::{GATEWAY_NAME, RefusalCause};
+use super::{RobotError, Target};
+use crate::keys::{Credentials, GATEWAY_NAME, RefusalCause, Renewed};
 use crate::link::{self, Answer, Notice, Request};
 
 /// Time for one attempt to connect and to join.
@@ -52,10 +53,13 @@ pub struct Refusal {
     pub may_change: bool,
 }
 
+/// Makes the configuration of a robot's host of a folder of keys.
+type ConfigOf = fn(Option<&Path>) -> Result<ClientConfig, RobotError>;
+
 /// Opens links.
 pub(super) struct Connector {
     target: Target,
-    config: ClientConfig,
+    config: Renewed<ClientConfig, ConfigOf>,
     robot: usize,
     process: u64,
     attempt: Option<JoinHandle<Happened>>,
@@ -82,8 +86,10 @@ pub(super) struct Session {
 }
 
 impl Connector {
-    pub(super) fn new(target: Target, config: ClientConfig, robot: usize) -> Self {
-        Self { target, config, robot, process: rand::random(), attempt: None, reported: None, has_joined: false }
+    pub(super) fn new(target: Target, robot: usize) -> Result<Self, RobotError> {
+        let config = Renewed::new(target.keys.clone(), config_of as ConfigOf)?;
+        let process = rand::random();
+        Ok(Self { target, config, robot, process, attempt: None, reported: None, has_joined: false })
     }
 
     pub(super) fn is_idle(&self) -> bool {
@@ -100,7 +106,7 @@ impl Connector {
             run: self.target.run.clone(),
             allows_control: self.target.allows_control,
         };
-        let (target, config) = (self.target.clone(), self.config.clone());
+        let (target, config) = (self.target.clone(), self.config.present().clone());
         self.attempt = Some(tokio::task::spawn_local(async move {
             // The system has a limit of its own for names: a slow server of names must not keep the robot out.
             let happened = match resolve(&target).await {
@@ -156,6 +162,14 @@ impl Connector {
     }
 }
 
+fn config_of(keys: Option<&Path>) -> Result<ClientConfig, RobotError> {
+    let tls = match keys {
+        Some(folder) => Credentials::load(folder)?.client_config()?,
+        None => Credentials::for_loopback_client()?,
+    };
+    link::client(tls).map_err(|error| RobotError::Cryptography(error.to_string()))
+}
+
 /// The gateway's address, or why there is none.
 async fn resolve(target: &Target) -> Result<SocketAddr, String> {
     let mut found = tokio::net::lookup_host(&target.gateway).await.map_err(|error| error.to_string())?;
@@ -206,7 +220,7 @@ async fn join(endpoint: Endpoint, connection: &Connection, request: &Request) ->
     link::write(&mut send, request).await.ok()?;
     let answer = match link::read::<Answer>(&mut receive, None).await {
         Ok(answer) => answer,
-        Err(link::JoinError::Ended) => return None,
+        Err(link::JoinError::Ended | link::JoinError::Cut) => return None,
         Err(error) => return Some(Happened::Refused(Refusal { text: error.to_string(), may_change: false })),
     };
     match answer {

@@ -6,6 +6,8 @@
 //! | `lockstep` | no fault changes a bit |
 //! | `realtime` | headings stay fresh, robots stop by themselves |
 //! | `security` | who is refused, and how both ends show it |
+//! | `hostile` | peers that are admitted and misbehave |
+//! | `peer` | such a peer |
 //! | `clocks` | hosts with clocks of their own: time namespaces |
 //! | `control` | robots that tools of the run's host may end |
 //! | `own_robot` | robots with equipment of their own, and what it is asked for |
@@ -15,9 +17,11 @@
 
 mod clocks;
 mod control;
+mod hostile;
 mod lockstep;
 mod namespaces;
 mod own_robot;
+mod peer;
 mod realtime;
 mod security;
 mod support;

@@ -168,6 +168,17 @@ impl Run {
         serde_json::from_slice(&output.stdout).ok()
     }
 
+    /// What the gateway has refused, by cause, from the note that `status` reads too: without a process, so that it costs no time.
+    pub(crate) fn refusals(&self) -> Value {
+        let note = std::fs::read(self.shared_folder().join("gateway")).unwrap_or_default();
+        serde_json::from_slice(&note).map(|note: Value| note["refusals"].clone()).unwrap_or_default()
+    }
+
+    /// How often it has refused something for this cause.
+    pub(crate) fn refused(&self, cause: &str) -> u64 {
+        self.refusals()[cause].as_u64().unwrap_or(0)
+    }
+
     pub(crate) fn tick(&self) -> u64 {
         self.status().and_then(|status| status["tick"].as_u64()).unwrap_or(0)
     }
@@ -189,6 +200,12 @@ impl Run {
         self.pid_of("gateway")
     }
 
+    /// Robots that have joined through the gateway.
+    pub(crate) fn links(&self) -> usize {
+        let status = self.status();
+        status.and_then(|status| Some(status["gateway"]["guests"].as_array()?.len())).unwrap_or(0)
+    }
+
     pub(crate) fn shared_folder(&self) -> PathBuf {
         PathBuf::from("/dev/shm").join(format!("rh-{}-{}", rustix::process::getuid().as_raw(), self.name))
     }
@@ -197,6 +214,13 @@ impl Run {
     pub(crate) fn assert_nothing_left(&self) {
         self.wait_for("the end of the shared memory", || (!self.shared_folder().exists()).then_some(()));
     }
+}
+
+/// Memory of a process that is in use, kB, if it lives.
+pub(crate) fn resident_kb(pid: Pid) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", pid.as_raw_pid())).ok()?;
+    let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    resident.trim().strip_suffix(" kB")?.parse().ok()
 }
 
 /// A process of a test, which ends with it.

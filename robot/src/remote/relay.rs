@@ -5,7 +5,7 @@ use rangehound_shared::protocol::wake::{Event, Notification, WaitGroup};
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use super::RoundTrip;
-use super::wire::{Downlink, Driven, Heading, Measured, Ticks, Uplink, World};
+use super::wire::{Downlink, Driven, FrameError, Heading, Measured, Ticks, Uplink, World};
 
 /// Interval of frames that only show that the link works, ns: longer than a tick of a tenth of a second, which has its own frames.
 const KEEP_ALIVE_NS: u64 = 120_000_000;
@@ -103,7 +103,7 @@ impl Relay {
             return Vec::new();
         }
         // Fusion may wait for the measurement until the robot has its heading.
-        let measured = self.measured.filter(|_| !self.is_obeyed());
+        let measured = self.measured.filter(|measured| measured.tick == tick && !self.is_obeyed());
         let range = measured.map(|range| self.range(&range, Notification::always(WaitGroup::Fusion, Event::Range)));
         let notification = Notification::always(WaitGroup::Sim, Event::Drive);
         let drive = self.driven.map(|driven| Publication::Drive(driven, Some(notification)));
@@ -134,7 +134,15 @@ impl Relay {
     }
 
     /// Takes a frame of the robot, which came at `now_ns`. Returns what is new in it.
-    pub fn on_uplink(&mut self, frame: &Uplink, now_ns: u64) -> Vec<Publication> {
+    ///
+    /// # Errors
+    /// [`FrameError::AfterEnd`] if the run does not have a tick of the frame, of which nothing is then taken.
+    pub fn on_uplink(&mut self, frame: &Uplink, now_ns: u64) -> Result<Vec<Publication>, FrameError> {
+        let ticks = frame.measured.iter().map(|measured| measured.tick).chain(frame.driven.map(|driven| driven.tick));
+        // Such a measurement would make all before it count as known.
+        if let Some(tick) = ticks.max().filter(|tick| *tick > self.last_tick) {
+            return Err(FrameError::AfterEnd(tick));
+        }
         if let Some(echo) = frame.echo
             && let Some(elapsed_ns) = now_ns.checked_sub(echo.sent_ns)
         {
@@ -147,7 +155,7 @@ impl Relay {
             }
         }
         news.extend(frame.driven.as_ref().and_then(|driven| self.take_driven(driven, now_ns)));
-        news
+        Ok(news)
     }
 
     fn take_measured(&mut self, measured: &Measured, now_ns: u64) -> Publication {

@@ -8,7 +8,7 @@ use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::message::{Command, Drive, Header, Outgoing, Range, WorldEntry};
 use rangehound_shared::scenario::{Scenario, ScenarioFile};
 
-use super::wire::{Downlink, Measured, REMEMBERED_TICKS, Uplink};
+use super::wire::{Downlink, Driven, FrameError, Measured, REMEMBERED_TICKS, Uplink};
 use super::{Courier, Publication, Relay};
 use crate::machine::{Action, Machine};
 
@@ -169,7 +169,7 @@ impl Bench {
         }
         for (_, bytes) in due(&mut self.to_gateway, self.now_ns) {
             let frame = Uplink::from_bytes(&bytes, RUN_ID).unwrap();
-            let news = self.relay.on_uplink(&frame, self.now_ns);
+            let news = self.relay.on_uplink(&frame, self.now_ns).unwrap();
             news.into_iter().for_each(|message| self.publish(message));
         }
         if let Some(frame) = self.relay.next_frame(self.now_ns) {
@@ -394,7 +394,7 @@ fn an_answer_that_came_before_its_world_is_repeated() {
     bench.relay.reconnect();
     let measured = Measured { tick: 3, valid_at_s: 0.3, measurement: measurement_of(3) };
     let frame = Uplink { run_id: RUN_ID, echo: None, measured: vec![measured], driven: None };
-    let news = bench.relay.on_uplink(&frame, bench.now_ns);
+    let news = bench.relay.on_uplink(&frame, bench.now_ns).unwrap();
     news.into_iter().for_each(|message| bench.publish(message));
     bench.send_world(1, 3);
     assert_eq!(bench.ranges, [3]);
@@ -438,6 +438,36 @@ fn an_invalid_world_does_not_hide_the_next_one() {
     bench.send_world(1, 200_000);
     bench.tick(0, |_| {});
     assert_eq!(bench.measured, [0]);
+}
+
+/// A tick after the last one would make the relay take all before it as known.
+#[test]
+fn a_frame_of_a_tick_that_the_run_does_not_have_is_refused() {
+    let mut bench = Bench::new("lockstep", 12, Link::default());
+    bench.send_world(1, 0);
+    let last = bench.scenario.ticks;
+    let measured = |tick| Measured { tick, valid_at_s: 0.0, measurement: measurement_of(tick) };
+    let driven = |tick| Driven {
+        tick,
+        valid_at_s: 0.0,
+        command: Command::default(),
+        has_measured: false,
+        heading_after_ns: None,
+        heading_late: false,
+        headings_refused: 0,
+    };
+    let frame = |measured, driven| Uplink { run_id: RUN_ID, echo: None, measured, driven };
+    for (tick, frame) in [
+        (last + 1, frame(vec![measured(0), measured(last + 1)], Some(driven(0)))),
+        (u64::MAX, frame(vec![measured(u64::MAX)], None)),
+        (last + 2, frame(Vec::new(), Some(driven(last + 2)))),
+    ] {
+        assert_eq!(bench.relay.on_uplink(&frame, bench.now_ns), Err(FrameError::AfterEnd(tick)));
+    }
+    bench.tick(0, |_| {});
+    assert_eq!((&bench.ranges[..], &bench.measured[..]), (&[0][..], &[0][..]));
+    let at_the_end = frame(vec![measured(last)], None);
+    assert_eq!(bench.relay.on_uplink(&at_the_end, bench.now_ns).map(|news| news.len()), Ok(1));
 }
 
 /// Ten ticks a second over links that lose 5 %, in bursts of three and one by one: the repeats bring each heading soon.

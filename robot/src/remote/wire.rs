@@ -156,6 +156,23 @@ pub enum FrameError {
     /// It is of another run.
     #[error("a frame of another run")]
     OtherRun,
+    /// It is of a tick that the run does not have.
+    #[error("a frame of tick {0}, after the last one of the run")]
+    AfterEnd(u64),
+}
+
+impl FrameError {
+    /// The cause in a few words.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::TooLong(_) => "frame too long",
+            Self::Malformed => "damaged frame",
+            Self::TooMany => "frame with too many measurements",
+            Self::OtherRun => "frame of another run",
+            Self::AfterEnd(_) => "frame of a tick after the last one",
+        }
+    }
 }
 
 fn configuration() -> Configuration<LittleEndian, Fixint, Limit<FRAME_LEN_MAX>> {

@@ -130,7 +130,7 @@ impl Gateway {
                 let guest = self.guests.get_mut(robot).filter(|guest| guest.connection == *connection);
                 if let Some(guest) = guest {
                     guest.occupant.hear(now_ns);
-                    let news = guest.relay.on_uplink(frame, now_ns);
+                    let news = guest.relay.on_uplink(frame, now_ns).map_err(|error| (*robot, error.to_string()))?;
                     guest.witness.news(&news).map_err(|what| (*robot, what))?;
                     publications.extend(news.into_iter().map(|message| (*robot, message)));
                 }
