@@ -138,7 +138,7 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
             // What was sent before is read before.
             let before = run.refused("damaged frame");
             while run.refused("damaged frame") == before {
-                robot.send_all(1, || Vec::new()).await;
+                robot.send_all(1, Vec::new).await;
             }
             let [ranges, drives] = observer.published();
             // Of a new link one good frame counts.
