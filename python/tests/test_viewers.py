@@ -7,6 +7,8 @@ import json
 import re
 import socket
 import struct
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -286,3 +288,29 @@ def test_a_port_that_is_taken_is_one_line(foxglove, command, name, program, tmp_
         second = command("foxglove", "--name", name, "--port", address.rpartition(":")[2])
         _, err = second.communicate()
         assert second.returncode == 2 and err.count("\n") == 1 and "expected a free port" in err
+
+
+def test_a_viewer_that_starts_late_is_found_and_gets_the_run(command, name, program, tmp_path):
+    """A viewer without a screen, which listens only after the command has asked for it."""
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    script = (
+        "import sys, rerun\n"
+        "recording = rerun.RecordingStream('viewer')\n"
+        f"print(recording.serve_grpc(grpc_port={port}), flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with rh.run(name=name, out=tmp_path / "out", program=program, ticks=60, clock="realtime") as run:
+        viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
+        time.sleep(2)
+        assert viewer.poll() is None, viewer.stderr.read()
+        pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        with subprocess.Popen([sys.executable, "-c", script], cwd="/", **pipes) as server:
+            assert str(port) in server.stdout.readline()
+            assert viewer.stdout.readline() == f"run {name}: sends to the viewer at rerun+http://127.0.0.1:{port}/proxy\n", viewer.stderr.read()
+            run.report()
+            _, err = viewer.communicate()
+            server.stdin.close()
+    assert viewer.returncode == 0, err
