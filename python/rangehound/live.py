@@ -310,7 +310,7 @@ def _wait_until_founded(live: LiveRun) -> None:
             status = json.loads(_native.Observer(live.name, False, False, 0.05).status())
         except InputError:
             continue
-        if any(node["name"] == "supervisor" and node["pid"] == live._process.pid for node in status["nodes"]):
+        if any(node["pid"] == live._process.pid for node in status["nodes"]):
             return
         time.sleep(0.02)
     live.report()

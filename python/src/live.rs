@@ -251,12 +251,15 @@ fn watch(folder: &std::path::Path, also_truth: bool) -> Option<OwnedFd> {
 /// One node in a process: iceoryx2 is set up for one run, once.
 static IS_A_NODE: AtomicBool = AtomicBool::new(false);
 
+/// The error if this process has been a node before.
+fn refuse_second_node(has_been: bool) -> Result<(), Failure> {
+    let refusal = || Failure::input("this process has been a node before: expected a process for each node");
+    (!has_been).then_some(()).ok_or_else(refusal)
+}
+
 /// Claims this process for a node that is about to join the bus.
 fn claim_process() -> Result<(), Failure> {
-    if IS_A_NODE.swap(true, Ordering::Relaxed) {
-        return Err(Failure::input("this process has been a node before: expected a process for each node"));
-    }
-    Ok(())
+    refuse_second_node(IS_A_NODE.swap(true, Ordering::Relaxed))
 }
 
 /// A node that has been refused its role has not joined the bus.
@@ -275,6 +278,7 @@ fn run_node(
     node: impl FnOnce(&Rendezvous, &Termination) -> Result<(), Failure> + Send + 'static,
 ) -> PyResult<()> {
     let name = run_name(name)?;
+    refuse_second_node(IS_A_NODE.load(Ordering::Relaxed)).map_err(failed)?;
     let (termination, joined) = (Termination::by_request(), Arc::new(OnceLock::new()));
     let (of_node, joined_by_node) = (termination.clone(), Arc::clone(&joined));
     let work = move || {

@@ -101,10 +101,10 @@ def test_an_observer_ends_when_all_processes_of_its_run_have_been_killed(program
         ticks = run.attach()
         next(ticks)
         # The supervisor first: it would start the others again.
-        nodes = sorted(run.status()["nodes"], key=lambda node: node["name"] != "supervisor")
+        nodes = sorted(run.status()["nodes"], key=lambda node: node["name"] != "run")
         for node in nodes:
             os.kill(node["pid"], signal.SIGKILL)
-        assert nodes[0]["name"] == "supervisor" and len(list(ticks)) < 90_000
+        assert nodes[0]["name"] == "run" and len(list(ticks)) < 90_000
     # The next founder removes what they have left.
     with rh.run(name=name, out=tmp_path / "next", program=program, ticks=3) as run:
         run.report()
@@ -273,29 +273,29 @@ def test_if_a_planner_raises_the_team_holds_its_course_and_another_fusion_takes_
     assert run.report["ticks"] == 90
 
 
-@pytest.mark.parametrize("slow", ["time.sleep(1)", "time.sleep(1e6)"])
+@pytest.mark.parametrize("slow", ["time.sleep(2)", "time.sleep(1e6)"])
 def test_a_planner_that_is_slow_or_hangs_is_one_error(by_hand, name, tmp_path, slow):
     script = (
         "import time\n"
         "def east(situation):\n"
-        f"    if situation.tick == 30: {slow}\n"
+        f"    if situation.tick == 10: {slow}\n"
         "    return [0.0] * situation.robots\n"
         "rh.fusion(name, planner=east)"
     )
-    keys = dict(ticks=90, dt_s=0.05, clock="realtime")
+    keys = dict(ticks=40, dt_s=0.2, clock="realtime")
     started = by_hand(["sim"], *robots(0, 1, 2), scripts=[script], **keys)
     _, err = started[-1].communicate()
-    assert "RunError: the planner has taken" in err and "s at tick 30: expected at most 0.15" in err, err
+    assert "RunError: the planner has taken" in err and "s at tick 10: expected at most 0.6" in err, err
     by_hand(["fusion"], **keys)
     assert started[0].wait() == 0
     started[-1].wait()
     run = rh.load(tmp_path / "out")
-    assert run.report["ticks"] == 90
+    assert run.report["ticks"] == 40
     # The team holds its course for three ticks, then it stands until the next fusion leads.
     steps_m = np.diff(run.robot_m, axis=0)
-    is_driven, is_standing = np.abs(steps_m - [0.5, 0.0]).max(axis=(1, 2)) < 1e-9, np.abs(steps_m).max(axis=(1, 2)) == 0
+    is_driven, is_standing = np.abs(steps_m - [2.0, 0.0]).max(axis=(1, 2)) < 1e-9, np.abs(steps_m).max(axis=(1, 2)) == 0
     print("driven:", is_driven.astype(int), "standing:", is_standing.astype(int))
-    assert is_driven[10:33].all() and is_standing[34:38].all()
+    assert is_driven[7:13].all() and is_standing[14:18].all()
 
 
 def test_the_team_of_a_planner_that_hangs_is_led_by_another_while_its_process_lives(by_hand, name, program, tmp_path):

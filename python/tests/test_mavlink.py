@@ -39,7 +39,7 @@ class Autopilot(threading.Thread):
         mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
         self.mavlink = mavutil.mavlink
         self.connection = mavutil.mavlink_connection(address, source_system=system, source_component=1)
-        self.kind, self.target, self.armed = port, kind, target, armed
+        self.kind, self.target, self.armed = kind, target, armed
         self.mode = (GUIDED if guided else OTHER)[kind]
         self.east_m, self.north_m, self.driven_m = 0.0, 0.0, 0.0
         self.start_m = place_m

@@ -210,7 +210,9 @@ def test_a_run_has_frames_and_figures():
     assert {(round(x, 9), round(y, 6)) for x, y in zip(run.time_s, np.sqrt(5.991464547 * np.array(largest)))} <= {(round(x, 9), round(y, 6)) for x, y in band}
     traces = {line.get_label(): line.get_xydata() for line in run.plot("trace").get_lines()}
     np.testing.assert_array_equal(traces["adaptive"], np.column_stack([run.time_s, np.trace(run.covariance[:, :2, :2], axis1=1, axis2=2)]))
-    np.testing.assert_array_equal(traces["least"][:, 0], run.time_s[1:])
+    proven = rh.simulate(ticks=30, planner="certified")
+    least = {line.get_label(): line.get_xydata() for line in proven.plot("trace").get_lines()}["least"]
+    np.testing.assert_array_equal(least, np.column_stack([proven.time_s[1:], proven.least_trace_m2[:-1]]))
     plt.close("all")
     with pytest.raises(rh.InputError, match="expected one of field, error, trace"):
         run.plot("sky")

@@ -267,14 +267,16 @@ def test_an_address_that_is_no_viewer_is_one_line(command, name, program, tmp_pa
 def test_a_viewer_that_takes_nothing_does_not_hold_the_command(command, name, program, tmp_path):
     """It answers as HTTP/2 does, and then says nothing."""
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    with socket.create_server(("127.0.0.1", 0)) as other, rh.run(name=name, out=tmp_path / "out", program=program, ticks=30, clock="realtime") as run:
+    with socket.create_server(("127.0.0.1", 0)) as other, rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000, clock="realtime") as run:
         viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{other.getsockname()[1]}/proxy")
         lines = []
         # The first one only looks whether there is a viewer.
         for _ in range(2):
             lines.append(other.accept()[0])
             lines[-1].sendall(bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
-        run.wait()
+        # Some ticks that it does not take.
+        time.sleep(1)
+        run.stop()
         _, err = viewer.communicate()
         for line in lines:
             line.close()
@@ -302,7 +304,7 @@ def test_a_viewer_that_starts_late_is_found_and_gets_the_run(command, name, prog
         f"print(recording.serve_grpc(grpc_port={port}), flush=True)\n"
         "sys.stdin.read()\n"
     )
-    with rh.run(name=name, out=tmp_path / "out", program=program, ticks=60, clock="realtime") as run:
+    with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000, clock="realtime") as run:
         viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
         time.sleep(2)
         assert viewer.poll() is None, viewer.stderr.read()
@@ -310,7 +312,7 @@ def test_a_viewer_that_starts_late_is_found_and_gets_the_run(command, name, prog
         with subprocess.Popen([sys.executable, "-c", script], cwd="/", **pipes) as server:
             assert str(port) in server.stdout.readline()
             assert viewer.stdout.readline() == f"run {name}: sends to the viewer at rerun+http://127.0.0.1:{port}/proxy\n", viewer.stderr.read()
-            run.report()
+            run.stop()
             _, err = viewer.communicate()
             server.stdin.close()
     assert viewer.returncode == 0, err
