@@ -208,13 +208,17 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[dict[str, NDArray[Any]], str]: ...
 def load(
-    folder: str | PathLike[str], *, truth: str | PathLike[str] | None = None
+    folder: str | PathLike[str],
+    *,
+    truth: str | PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Scenario | None, dict[str, NDArray[Any]], str]: ...
 def compare(
     scenario: Scenario,
-    planners: list[tuple[str, Callable[..., Any] | None]],
+    planners: list[tuple[str, str | None, Callable[..., Any] | None]],
     *,
-    sensors: list[str] = ...,
+    sensors: list[tuple[str, str | None, Callable[..., Any] | None]] = ...,
+    targets: list[tuple[str, str | None, Callable[..., Any] | None]] = ...,
     nuisances: list[str] = ...,
     sensor: Callable[..., Any] | None = None,
     target: Callable[..., Any] | None = None,
@@ -264,3 +268,22 @@ def run_robot(
     carry_out: Callable[..., Any] | None = None,
 ) -> None: ...
 def run_fusion(name: str, *, planner: Callable[..., Any] | None = None) -> None: ...
+def ros_target(
+    state: ArrayLike, covariance: ArrayLike, has_velocity: bool
+) -> tuple[tuple[float, float, float, float, NDArray[np.float64]], float, NDArray[np.float64]]:
+    """Pose (x, y, z, yaw, covariance (36,)), speed, and covariance of the velocity in the target's own frame, (36,)."""
+
+def ros_robot(
+    position_m: tuple[float, float, float], covariance_m2: ArrayLike, heading_rad: float, heading_std_rad: float
+) -> tuple[float, float, float, float, NDArray[np.float64]]:
+    """x, y, z, yaw, covariance (36,)."""
+
+def ros_twist(
+    heading_rad: float,
+    speed_mps: float,
+    yaw_rad: float,
+    max_speed_mps: float,
+    max_turn_rate_radps: float,
+    heading_gain_per_s: float,
+) -> list[float]:
+    """Forward speed, m/s, and turn rate, rad/s."""

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import sys
+import threading
+import time
+import traceback
 from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
 import numpy as np
@@ -135,6 +140,8 @@ class LiveRun:
         self.name = name
         self._process, self._program, self._log = process, program, log
         self._report: dict[str, Any] | None = None
+        #: What has ended the process of a planner of one's own.
+        self._problem: str | None = None
 
     def kill(self, node: str) -> None:
         """Kills a node with SIGKILL: "sim", "fusion", "robot-1". Another process takes its place."""
@@ -164,6 +171,8 @@ class LiveRun:
         """The report: waits for the end of the run."""
         if self._report is None:
             out, _ = self._process.communicate()
+            if self._problem is not None:
+                raise RunError(self._problem)
             self._log.seek(0)
             said = self._log.read().strip().splitlines()
             if self._process.returncode != 0:
@@ -184,6 +193,26 @@ class LiveRun:
                 self._process.kill()
                 self._process.communicate()
 
+    def _lead(self, planner: Callable[..., Any]) -> None:
+        """Keeps a fusion with this planner, in a process of its own. One that is killed is started again; an error ends the run."""
+        # A function need not be importable, so the process is a copy of this one.
+        import multiprocessing
+
+        context = multiprocessing.get_context("fork")
+        while self._process.poll() is None:
+            hears, tells = context.Pipe(duplex=False)
+            fusion = context.Process(target=_plan, args=(self.name, planner, tells), daemon=True)
+            fusion.start()
+            tells.close()
+            try:
+                self._problem = hears.recv()
+                self._process.terminate()
+            except EOFError:
+                pass
+            fusion.join()
+            if fusion.exitcode == 0 or self._problem is not None:
+                return
+
     def __enter__(self) -> "LiveRun":
         return self
 
@@ -193,6 +222,9 @@ class LiveRun:
     def _command(self, *words: str) -> str:
         import subprocess
 
+        if self._process.poll() is not None:
+            # Another run may have its name by now.
+            raise RunError(f"run {self.name} has ended: expected one that still goes on")
         done = subprocess.run([self._program, *words, "--name", self.name], capture_output=True, text=True)
         if done.returncode != 0:
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
@@ -200,21 +232,37 @@ class LiveRun:
         return done.stdout
 
 
+def _plan(name: str, planner: Callable[..., Any], tells: Any) -> None:
+    """The process of a fusion: says what has gone wrong."""
+    # Ctrl-C is for the process that has started the run, and ends it in order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        fusion(name, planner)
+    except BaseException as error:
+        traceback.print_exc()
+        said = str(error).partition("\n")[0]
+        tells.send(said if isinstance(error, (InputError, RunError)) else f"the planner raised {type(error).__name__}: {said}")
+        sys.exit(1)
+
+
 def run(
     scenario: Any = None,
     *,
     name: str,
     out: str | os.PathLike[str] | None = None,
+    planner: str | Callable[..., Any] | None = None,
     standby: int = 0,
-    external: Sequence[int] = (),
+    external: Sequence[int | str] = (),
     record: bool = False,
     program: str | os.PathLike[str] | None = None,
     **keys: Any,
 ) -> LiveRun:
     """Starts a run with a process for each node, as `rangehound run` does, and returns at once.
 
-    Keywords are those of `Scenario`, such as `clock="lockstep"`. The robots `external` are not started: they are processes
-    of yours, such as `Robot`, and the run waits for them. `out` is the run folder (default: `runs/NAME`). `program`
+    Keywords are those of `Scenario`, such as `clock="lockstep"`. `planner` is a name, or a function as for `simulate`: fusion is
+    then a copy of this process, which is started again if it is killed. If the function raises an exception or is too slow, the
+    run ends, and `report` says why. The robots `external` are not started: they are processes of yours, such as `Robot`, and the
+    run waits for them; "fusion" among them is one of yours, too. `out` is the run folder (default: `runs/NAME`). `program`
     is the program `rangehound` (default: that of the variable `RANGEHOUND`, or on the path).
 
     >>> with rh.run(name="demo", ticks=300) as run:
@@ -229,6 +277,12 @@ def run(
     program = os.fspath(program or os.environ.get("RANGEHOUND") or shutil.which("rangehound") or "")
     if not program or not os.access(program, os.X_OK):
         raise InputError(f"no program {program or 'rangehound'}: expected it on the path, in RANGEHOUND, or as program=...")
+    if isinstance(planner, str):
+        keys["planner"] = planner
+    elif callable(planner):
+        external = [*external, "fusion"]
+    elif planner is not None:
+        raise InputError(f"planner is {planner!r}: expected a name or a function")
     scenario = scenario_of(scenario)
     scenario = scenario.replace(**keys) if keys else scenario
     if scenario.is_recording:
@@ -244,16 +298,20 @@ def run(
         process = subprocess.Popen([*words, file.name], stdout=subprocess.PIPE, stderr=log, text=True)
         live = LiveRun(process, name, program, log)
         _wait_until_founded(live)
+    if callable(planner):
+        threading.Thread(target=live._lead, args=(planner,), name="planner", daemon=True).start()
     return live
 
 
 def _wait_until_founded(live: LiveRun) -> None:
-    """Waits until the run can be joined: its scenario has been read then."""
+    """Waits until the run can be joined, and is that of this process and not another of its name: its scenario has been read then."""
     while live._process.poll() is None:
         try:
-            _native.Observer(live.name, False, False, 0.05)
-            return
+            status = json.loads(_native.Observer(live.name, False, False, 0.05).status())
         except InputError:
             continue
+        if any(node["pid"] == live._process.pid for node in status["nodes"]):
+            return
+        time.sleep(0.02)
     live.report()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from .runs import Run
 from .scenario import Scenario, to_json
 
 #: Keys of the table `[recording]` that say how a file is read.
-_READING = ("columns", "topic", "position", "msg", "anchors", "target", "format", "rate_hz", "stamp_unit", "strict", "target_height_m")
+_READING = ("columns", "field", "topic", "position", "msg", "anchors", "target", "format", "rate_hz", "stamp_unit", "strict", "target_height_m")
 
 
 class Calibration:
@@ -66,12 +67,12 @@ def track(
 
     `ranges` is a file, a pandas frame, or a dict of columns: `time_s`, `sensor_id`, `range_m`, `sensor_x_m`,
     `sensor_y_m` and others that a file may have. Further keywords are keys of the table `[recording]` of a scenario, such
-    as `range_std_m=0.15`, `bias_m`, `scale`, `start_m`, `columns`, `anchors`. `calibration`, of `calibrate` or a file of it, gives what they
+    as `range_std_m=0.15`, `bias_m`, `scale`, `start_m`, `columns`, `anchors`, and `field`, the field of a bag with the range, as `--field`. `calibration`, of `calibrate` or a file of it, gives what they
     leave open.
     `truth` is a file with the true track, to compare with; the tracker never reads it.
     """
     with _file(ranges) as path:
-        table = {"ranges": path, **recording}
+        table = _table(path, recording)
         keys: dict[str, Any] = {
             "name": "track",
             "recording": table,
@@ -97,14 +98,24 @@ def calibrate(
     """Noise, bias and scale of each sensor of a recording: measured = (1 + scale) true + bias_m.
 
     `ranges` is as for `track`; without `truth` all is estimated from the ranges alone. Keywords say how the file is read:
-    `columns`, `topic`, `position`, `msg`, `anchors`, `target`, `format`, `rate_hz`, `stamp_unit`, `strict`, `target_height_m`.
+    `columns`, `field`, `topic`, `position`, `msg`, `anchors`, `target`, `format`, `rate_hz`, `stamp_unit`, `strict`, `target_height_m`.
     """
     unknown = [key for key in reading if key not in _READING]
     if unknown:
         raise TypeError(f"calibrate has no keyword {unknown[0]!r}: expected one of {', '.join(_READING)}")
     with _file(ranges) as path, progress("model", show_progress) as report:
-        keys = to_json({"recording": {"ranges": path, **reading}})
+        keys = to_json({"recording": _table(path, reading)})
         return Calibration(*_native.calibrate(keys, truth=truth, progress=report))
+
+
+def _table(path: str, keys: Mapping[str, Any]) -> dict[str, Any]:
+    """The table `[recording]`: `field` is a short form of a column, as it is on the command line."""
+    table = {"ranges": path, **keys}
+    field = table.pop("field", None)
+    if field is not None:
+        columns = table.get("columns")
+        table["columns"] = f"range={field}" if columns is None else f"range={field},{columns}"
+    return table
 
 
 @contextmanager
@@ -119,8 +130,9 @@ def _file(ranges: Any) -> Iterator[str]:
     names = list(columns)
     with tempfile.TemporaryDirectory(prefix="rangehound-") as folder:
         path = os.path.join(folder, "ranges.csv")
-        with open(path, "w", encoding="utf-8") as file:
-            file.write(",".join(map(str, names)) + "\n")
+        with open(path, "w", encoding="utf-8", newline="") as file:
+            out = csv.writer(file, lineterminator="\n")
+            out.writerow(names)
             for row in zip(*(columns[name] for name in names), strict=True):
-                file.write(",".join("" if value is None or value != value else str(value) for value in row) + "\n")
+                out.writerow(["" if value is None or value != value else str(value) for value in row])
         yield path

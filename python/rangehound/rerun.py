@@ -28,6 +28,9 @@ TRAIL_S = 5.0
 #: The usual port of a viewer, and how long one may take to answer, s.
 VIEWER_PORT, CONNECT_S = 9876, 5.0
 
+#: Time between two attempts to reach a viewer that does not listen yet, s.
+RETRY_S = 0.1
+
 #: The first words of a client of HTTP/2, which has no settings; the length of a frame's head, and its type in the answer.
 HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 HTTP2_HEAD_LEN, HTTP2_SETTINGS = 9, b"\x04"
@@ -90,13 +93,13 @@ def show(flags: argparse.Namespace) -> None:
 
 
 def expect_viewer(url: str) -> None:
-    """Raises `OSError` if nothing at the address of a viewer speaks HTTP/2, as viewers do."""
+    """Raises `OSError` if nothing at the address of a viewer speaks HTTP/2, as viewers do. A viewer may just be starting."""
     place = urllib.parse.urlsplit(url)
     if place.scheme not in ("rerun", "rerun+http", "rerun+https"):
         raise ValueError(f"{url} is no address such as rerun+http://127.0.0.1:{VIEWER_PORT}/proxy")
     until_s = time.monotonic() + CONNECT_S
     with contextlib.ExitStack() as opened:
-        line = opened.enter_context(socket.create_connection((place.hostname or "127.0.0.1", place.port or VIEWER_PORT), timeout=CONNECT_S))
+        line = opened.enter_context(connected((place.hostname or "127.0.0.1", place.port or VIEWER_PORT), until_s))
         if place.scheme != "rerun+http":
             # Rerun itself looks at the certificate.
             context = ssl.create_default_context()
@@ -115,6 +118,17 @@ def expect_viewer(url: str) -> None:
                 break
         if head[3:4] != HTTP2_SETTINGS:
             raise OSError(f"{place.netloc} does not answer as a viewer does")
+
+
+def connected(address: tuple[str, int], until_s: float) -> socket.socket:
+    """A connection to an address that refuses it for a while."""
+    while True:
+        try:
+            return socket.create_connection(address, timeout=CONNECT_S)
+        except ConnectionRefusedError:
+            if time.monotonic() >= until_s:
+                raise
+            time.sleep(RETRY_S)
 
 
 def decoder() -> Callable[[int, bytes], tuple[str, Any]]:

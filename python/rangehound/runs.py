@@ -26,6 +26,7 @@ class Run:
     `believed_m`                (T, M, 2)     its position as it reported it, m; NaN if it did not report
     `believed_covariance_m2`    (T, M, 2, 2)  the covariance of that as it reported it, m^2
     `believed_heading_rad`      (T, M)        its heading as it reported it, rad. `believed_heading_std_rad`
+    `believed_height_m`         (T, M)        its height above the plane of the target, m
     `range_m`                   (T, M)        reported range, m, calibrated; NaN if there is none. `range_std_m`
     `bearing_rad`               (T, M)        the same from the robot's heading. `bearing_std_rad`
     `range_used`                (T, M)        0 nothing measured, 1 fused, 2 rejected, 3 distrusted. `bearing_used`
@@ -149,11 +150,14 @@ def simulate(
     return Run(scenario, arrays, summary)
 
 
-def load(folder: str | os.PathLike[str], *, truth: str | os.PathLike[str] | None = None) -> Run:
+def load(
+    folder: str | os.PathLike[str], *, truth: str | os.PathLike[str] | None = None, show_progress: bool | None = None
+) -> Run:
     """Loads the folder of a run, such as `runs/paper`: one that has ended, or one that still runs.
 
     The report is computed from the logs; its `nodes` are those of `report.json`, which is written at the end.
     `truth` is a file with the true track of a recording: `time_s,x_m,y_m`.
     """
-    scenario, arrays, summary = _native.load(os.fspath(folder), truth=truth)
+    with progress("tick", show_progress) as report:
+        scenario, arrays, summary = _native.load(os.fspath(folder), truth=truth, progress=report)
     return Run(Scenario(scenario) if scenario is not None else None, arrays, summary)

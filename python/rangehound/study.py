@@ -63,7 +63,8 @@ def compare(
     runs: int = 100,
     ticks: int = 300,
     seed: int | None = None,
-    sensors: Sequence[str] = (),
+    sensors: Sequence[str] | Mapping[str, str | Callable[..., Any] | None] = (),
+    targets: Mapping[str, Callable[..., Any] | None] | None = None,
     nuisances: Sequence[str] = (),
     sensor: Callable[..., Any] | None = None,
     target: Callable[..., Any] | None = None,
@@ -75,22 +76,29 @@ def compare(
     Run i of each planner has the seed `seed + i`, and so the same target, noise and prior. A planner is a name, or a
     function as for `simulate`; a dict gives names to functions. `gap` of a planner's figures is the distance to the
     certified optimum of the same situations. `sensor` and `target` are functions as for `simulate`, the same for all
-    planners. Functions run on several threads, one at a time; they must not keep state from one run to the next. Ctrl-C
+    planners. `sensors` are names of the scenario's sensors, or a dict of names and functions in which `None` stands for the
+    scenario's own; `targets` is such a dict of target models. Each planner runs with each of them. Functions run on several threads, one at a time; they must not keep state from one run to the next. Ctrl-C
     ends the call.
     """
     if isinstance(planners, (str, bytes)) or callable(planners):
         planners = [planners]  # type: ignore[list-item]
     if not isinstance(planners, Mapping):
         planners = {p if isinstance(p, str) else getattr(p, "__name__", type(p).__name__): p for p in planners}
-    pairs = []
     for name, planner in planners.items():
         if isinstance(planner, str) and planner != name:
             raise InputError(f"planners has {name!r} for {planner!r}: expected the planner's own name")
-        pairs.append((name, None if isinstance(planner, str) else planner))
+    if not isinstance(sensors, Mapping):
+        sensors = {name: name for name in sensors}
     with progress("run", show_progress) as report:
         return Comparison(
             *_native.compare(
-                scenario_of(scenario), pairs, sensors=list(sensors), nuisances=list(nuisances), sensor=sensor,
-                target=target, runs=runs, ticks=ticks, seed=seed, threads=threads, progress=report,
+                scenario_of(scenario), _compared(planners), sensors=_compared(sensors), targets=_compared(targets or {}),
+                nuisances=list(nuisances), sensor=sensor, target=target, runs=runs, ticks=ticks, seed=seed, threads=threads,
+                progress=report,
             )
         )
+
+
+def _compared(things: Mapping[str, Any]) -> list[tuple[str, str | None, Any]]:
+    """For each name: what the scenario calls it, and the function in its place."""
+    return [(name, thing, None) if isinstance(thing, str) else (name, None, thing) for name, thing in things.items()]

@@ -1,6 +1,7 @@
 //! Exceptions: the one line that the program would print.
 
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use pyo3::create_exception;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -30,6 +31,23 @@ pub(crate) fn failed(failure: impl Into<Failure>) -> PyErr {
         Failure::Input(problem) => input(problem),
         Failure::ReportedInput => input("invalid input"),
     }
+}
+
+/// How long a call works until Python can act on signals.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// Does work in a thread, so that Python can act on signals meanwhile. After one, nobody waits for the thread.
+pub(crate) fn interruptible<T: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> PyResult<T> {
+    let worker = std::thread::Builder::new().name("reader".to_owned()).spawn(work);
+    let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
+    while !worker.is_finished() {
+        py.detach(|| std::thread::sleep(LOOK));
+        py.check_signals()?;
+    }
+    worker.join().map_err(|_| failed(anyhow::anyhow!("the reader panicked: please report this")))
 }
 
 /// The first exception of a Python function that Rust has called where no error can be returned.

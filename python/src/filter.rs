@@ -86,8 +86,9 @@ impl Filter {
                 Numbers::of(value, "position_covariances_m2")?.shaped("position_covariances_m2", &[robots, 2, 2])
             })
             .transpose()?;
-        for robot in 0..robots {
-            let pose = &mut self.poses[robot];
+        // All is checked before anything is stored.
+        let mut poses = self.poses.clone();
+        for (robot, pose) in poses.iter_mut().enumerate() {
             if let Some(positions) = &positions {
                 (pose.x_m, pose.y_m) = (positions[2 * robot], positions[2 * robot + 1]);
             }
@@ -110,7 +111,9 @@ impl Filter {
             self.reports[robot] = Some(Measurement::new(*pose, range).with_bearing(bearing));
         }
         let now_s = time_s.unwrap_or(self.tick_after() as f64 * self.scenario.dt_s);
-        self.centre().update(now_s, &self.reports).map_err(input)
+        self.centre().update(now_s, &self.reports).map_err(input)?;
+        self.poses = poses;
+        Ok(())
     }
 
     /// The best headings for the next measurements, by the scenario's planner.

@@ -11,6 +11,7 @@
 //! | `live` | observers of live runs, and nodes with functions |
 //! | `messages` | the messages of live runs, encoded as in `run.mcap` |
 //! | `radio` | radios on serial ports |
+//! | `ros` | what ROS is told of a run |
 //! | `studies` | `compare` and `calibrate` |
 //! | `arrays`, `errors` | conversions; exceptions |
 
@@ -22,6 +23,7 @@ mod live;
 mod messages;
 mod plan;
 mod radio;
+mod ros;
 mod run;
 mod scenario;
 mod situation;
@@ -44,6 +46,8 @@ mod _native {
     use super::messages::{MessageStream, channels};
     #[pymodule_export]
     use super::plan::{Plan, plan};
+    #[pymodule_export]
+    use super::ros::{ros_robot, ros_target, ros_twist};
     #[pymodule_export]
     use super::run::{load, simulate};
     #[pymodule_export]

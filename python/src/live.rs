@@ -4,25 +4,27 @@
 
 use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rangehound::failure::Failure;
 use rangehound::results::frame::{Frames, LoggedTick};
+use rangehound::results::ros_bag::planar::{self, Controller};
 use rangehound::run::node::{input_or_running, of_fusion, of_robot};
 use rangehound::run::remote::Status;
 use rangehound_fusion::planner::{Plan, Planner, Situation};
+use rangehound_node::fusion::FusionError;
 use rangehound_node::logs;
-use rangehound_node::rendezvous::{Rendezvous, Role};
+use rangehound_node::rendezvous::{Rendezvous, RendezvousError, Role};
+use rangehound_node::robot::RobotError;
 use rangehound_node::system::signal::Termination;
 use rangehound_robot::drive::HOLD_TICKS;
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::sensor::{self, Sensor};
-use rangehound_shared::motion::MotionModel;
 use rangehound_shared::run_name::RunName;
-use rangehound_shared::scenario::{Clock, RobotSpec, Scenario, Timeout};
+use rangehound_shared::scenario::{Clock, RobotSpec, Scenario, Source, Timeout};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::inotify;
 
@@ -100,18 +102,22 @@ impl Observer {
         self.run.description().out_dir.clone()
     }
 
-    /// What its messages do not say of the run: the length of a time step, s, whether its clock is lock step, whether the
-    /// state goes on with the velocity after the position; and for each robot its speed limit, m/s, and the standard
-    /// deviations that the filter assumes for its range at distance 0, m, and its bearing, rad: NaN for what it does not measure.
+    /// What its messages do not say of the run: the length of a time step, s; whether its clock is lock step, whether it is a
+    /// recording, and whether the state goes on with the velocity after the position; what ROS's stamps add to its times, ns, and
+    /// the limits of the controller by default; and for each robot its speed limit, m/s, and the standard deviations that the filter
+    /// assumes for its range at distance 0, m, and its bearing, rad: NaN for what it does not measure.
     fn describe<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let scenario = self.scenario();
-        let has_velocity = matches!(scenario.motion, MotionModel::IntegratorChain { order: 2.., .. });
         let of_each =
             |of: fn(&RobotSpec) -> f64| array(py, scenario.robots.iter().map(of).collect(), &[scenario.robots.len()]);
+        let Controller { max_speed_mps, max_turn_rate_radps, heading_gain_per_s } = Controller::of_team(scenario);
         let dict = PyDict::new(py);
         dict.set_item("dt_s", scenario.dt_s)?;
         dict.set_item("is_lockstep", scenario.clock == Clock::Lockstep)?;
-        dict.set_item("has_velocity", has_velocity)?;
+        dict.set_item("is_recording", matches!(scenario.source, Source::Recorded(_)))?;
+        dict.set_item("has_velocity", planar::has_velocity(scenario))?;
+        dict.set_item("stamp_offset_ns", planar::stamp_offset_ns(scenario))?;
+        dict.set_item("controller", (max_speed_mps, max_turn_rate_radps, heading_gain_per_s))?;
         dict.set_item("max_speeds_mps", of_each(|robot| robot.speed_mps)?)?;
         dict.set_item("range_stds_m", of_each(|robot| robot.reported.range.map_or(f64::NAN, |range| range.std_m))?)?;
         dict.set_item("bearing_stds_rad", of_each(|robot| robot.reported.bearing_std_rad.unwrap_or(f64::NAN))?)?;
@@ -245,23 +251,39 @@ fn watch(folder: &std::path::Path, also_truth: bool) -> Option<OwnedFd> {
 /// One node in a process: iceoryx2 is set up for one run, once.
 static IS_A_NODE: AtomicBool = AtomicBool::new(false);
 
+/// The error if this process has been a node before.
+fn refuse_second_node(has_been: bool) -> Result<(), Failure> {
+    let refusal = || Failure::input("this process has been a node before: expected a process for each node");
+    (!has_been).then_some(()).ok_or_else(refusal)
+}
+
+/// Claims this process for a node that is about to join the bus.
+fn claim_process() -> Result<(), Failure> {
+    refuse_second_node(IS_A_NODE.swap(true, Ordering::Relaxed))
+}
+
+/// A node that has been refused its role has not joined the bus.
+fn release_process(error: &RendezvousError) {
+    if matches!(error, RendezvousError::RoleTaken { .. }) {
+        IS_A_NODE.store(false, Ordering::Relaxed);
+    }
+}
+
 /// Runs a node in a thread of its own until the run ends. An exception of one of its functions, or of a signal, ends it.
 fn run_node(
     py: Python<'_>,
-    name: &str,
+    (name, role): (&str, Role),
     raised: &Raised,
     asked_of: &Asked,
     node: impl FnOnce(&Rendezvous, &Termination) -> Result<(), Failure> + Send + 'static,
 ) -> PyResult<()> {
     let name = run_name(name)?;
-    if IS_A_NODE.swap(true, Ordering::Relaxed) {
-        return Err(input("this process has been a node before: expected a process for each node"));
-    }
-    let termination = Termination::by_request();
-    let of_node = termination.clone();
+    refuse_second_node(IS_A_NODE.load(Ordering::Relaxed)).map_err(failed)?;
+    let (termination, joined) = (Termination::by_request(), Arc::new(OnceLock::new()));
+    let (of_node, joined_by_node) = (termination.clone(), Arc::clone(&joined));
     let work = move || {
         let rendezvous = Rendezvous::join(&name, &of_node, || ()).map_err(input_or_running)?;
-        node(&rendezvous, &of_node)
+        node(joined_by_node.get_or_init(|| rendezvous), &of_node)
     };
     let worker = std::thread::Builder::new().name("node".to_owned()).spawn(work);
     let worker = worker.map_err(|error| failed(anyhow::Error::from(error)))?;
@@ -277,7 +299,11 @@ fn run_node(
         if ended.is_err() || raised.is_set() {
             termination.request();
             if asked.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
-                // A function does not return. Its thread ends with the process.
+                // A function does not return. Its thread ends with the process; the run must not wait for that. In a thread, because
+                // whoever takes a role is named after it.
+                py.detach(|| {
+                    std::thread::scope(|scope| scope.spawn(|| joined.get().map(|run| run.abandon(role))).join().ok())
+                });
                 ended?;
                 return raised.check();
             }
@@ -303,7 +329,7 @@ pub(crate) fn run_robot(
 ) -> PyResult<()> {
     let raised = Raised::default();
     let of_node = raised.clone();
-    run_node(py, name, &raised, &Asked::default(), move |rendezvous, termination| {
+    run_node(py, (name, Role::Robot(id)), &raised, &Asked::default(), move |rendezvous, termination| {
         let scenario = &rendezvous.description().scenario;
         let no_such = || Failure::input(format!("id is {id}: expected 0 to {}", scenario.robots.len() - 1));
         let mut sensor: Box<dyn Sensor> = match (measure, radio) {
@@ -317,8 +343,13 @@ pub(crate) fn run_robot(
         };
         let mut actuator = FunctionActuator { function: carry_out.map(Function::new), raised: of_node };
         let parts = (sensor.as_mut(), poses.as_mut(), &mut actuator);
-        rangehound_node::robot::run_with(rendezvous, id, parts, termination)
-            .map_err(|error| of_robot(rendezvous, error))
+        claim_process()?;
+        rangehound_node::robot::run_with(rendezvous, id, parts, termination).map_err(|error| {
+            if let RobotError::Rendezvous(refused) = &error {
+                release_process(refused);
+            }
+            of_robot(rendezvous, error)
+        })
     })
 }
 
@@ -328,7 +359,7 @@ pub(crate) fn run_robot(
 pub(crate) fn run_fusion(py: Python<'_>, name: &str, planner: Option<Py<PyAny>>) -> PyResult<()> {
     let (raised, asked) = (Raised::default(), Asked::default());
     let (of_node, asked_of_node) = (raised.clone(), asked.clone());
-    run_node(py, name, &raised, &asked, move |rendezvous, termination| {
+    run_node(py, (name, Role::Fusion), &raised, &asked, move |rendezvous, termination| {
         let scenario = &rendezvous.description().scenario;
         let planner = match planner {
             Some(function) => {
@@ -339,8 +370,13 @@ pub(crate) fn run_fusion(py: Python<'_>, name: &str, planner: Option<Py<PyAny>>)
             }
             None => None,
         };
-        rangehound_node::fusion::run_with(rendezvous, planner, termination)
-            .map_err(|error| of_fusion(rendezvous, error))
+        claim_process()?;
+        rangehound_node::fusion::run_with(rendezvous, planner, termination).map_err(|error| {
+            if let FusionError::Rendezvous(refused) = &error {
+                release_process(refused);
+            }
+            of_fusion(rendezvous, error)
+        })
     })
 }
 

@@ -30,6 +30,9 @@ const TURN: Duration = Duration::from_millis(40);
 /// Ticks for which a simulated run has its memory at once.
 const TICKS_AT_ONCE: usize = 100_000;
 
+/// Ticks that are loaded before Python can act on signals and show progress.
+const LOADED_AT_ONCE: u64 = 2_000;
+
 /// Ticks between two looks at the time.
 const TURN_TICKS: u64 = 32;
 
@@ -51,7 +54,8 @@ pub(crate) struct History {
     position_m: Vec<f64>,
     believed_m: Vec<f64>,
     believed_covariance_m2: Vec<f64>,
-    believed_heading: [Vec<f64>; 2],
+    /// Height, heading and its standard deviation.
+    believed: [Vec<f64>; 3],
     measured: [Vec<f64>; 4],
     used: [Vec<i8>; Kind::COUNT],
     commands: [Vec<f64>; 2],
@@ -73,7 +77,7 @@ impl History {
         self.truth.reserve(ticks * self.truth_dim);
         [&mut self.position_m, &mut self.believed_m].into_iter().for_each(|column| column.reserve(2 * m * ticks));
         self.believed_covariance_m2.reserve(4 * m * ticks);
-        let columns = self.measured.iter_mut().chain(&mut self.commands).chain(&mut self.believed_heading);
+        let columns = self.measured.iter_mut().chain(&mut self.commands).chain(&mut self.believed);
         columns.for_each(|column| column.reserve(m * ticks));
         self
     }
@@ -126,8 +130,8 @@ impl History {
         self.believed_m.extend(pose.map_or(nowhere, |pose| [pose.x_m, pose.y_m]));
         let [xx_m2, xy_m2, yy_m2] = pose.map_or([f64::NAN; 3], |pose| pose.covariance_m2);
         self.believed_covariance_m2.extend([xx_m2, xy_m2, xy_m2, yy_m2]);
-        let heading = pose.map_or(nowhere, |pose| [pose.heading_rad, pose.heading_std_rad]);
-        self.believed_heading.iter_mut().zip(heading).for_each(|(column, value)| column.push(value));
+        let other = pose.map_or([f64::NAN; 3], |pose| [pose.height_m, pose.heading_rad, pose.heading_std_rad]);
+        self.believed.iter_mut().zip(other).for_each(|(column, value)| column.push(value));
         for (kind, used) in Kind::ALL.into_iter().zip(&mut self.used) {
             let (value, std) = heard.and_then(|heard| heard.measurement.of(kind)).unwrap_or((f64::NAN, f64::NAN));
             self.measured[2 * kind as usize].push(value);
@@ -168,9 +172,8 @@ impl History {
         dict.set_item("robot_m", array(py, self.position_m, &[ticks, m, 2])?)?;
         dict.set_item("believed_m", array(py, self.believed_m, &[ticks, m, 2])?)?;
         dict.set_item("believed_covariance_m2", array(py, self.believed_covariance_m2, &[ticks, m, 2, 2])?)?;
-        for (name, column) in
-            ["believed_heading_rad", "believed_heading_std_rad"].into_iter().zip(self.believed_heading)
-        {
+        let names = ["believed_height_m", "believed_heading_rad", "believed_heading_std_rad"];
+        for (name, column) in names.into_iter().zip(self.believed) {
             dict.set_item(name, array(py, column, &[ticks, m])?)?;
         }
         let names = ["range_m", "range_std_m", "bearing_rad", "bearing_std_rad"];
@@ -268,7 +271,7 @@ pub(crate) fn simulate<'py>(
     truth: Option<PathBuf>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<(Bound<'py, PyDict>, String)> {
-    let scenario = &scenario.with(seed, ticks)?;
+    let scenario = &scenario.with(py, seed, ticks)?;
     let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
     let is_recorded = matches!(scenario.source, Source::Recorded(_));
     let replaced = planner.is_some() || sensor.is_some() || target.is_some() || gap;
@@ -304,24 +307,34 @@ pub(crate) fn simulate<'py>(
 
 /// Loads the logs of a run folder, of a run that has ended or that still runs: scenario, arrays, and the report as JSON.
 #[pyfunction]
-#[pyo3(signature = (folder, *, truth=None))]
+#[pyo3(signature = (folder, *, truth=None, progress=None))]
 pub(crate) fn load<'py>(
     py: Python<'py>,
     folder: PathBuf,
     truth: Option<PathBuf>,
+    progress: Option<Py<PyAny>>,
 ) -> PyResult<(Option<Scenario>, Bound<'py, PyDict>, String)> {
     let description = read_description(&folder).map_err(failed)?;
     let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
     let read = || -> anyhow::Result<_> {
         let (mut history, mut report) = (History::of(&description.scenario), ReportBuilder::new(truth.as_ref())?);
-        Frames::open(&description)?.for_each(|logged| {
+        let frames = Frames::open(&description)?;
+        let count = frames.newest_tick()?.map_or(0, |newest| newest + 1);
+        frames.for_each(|logged| {
             history.add(logged);
             report.add(logged);
+            let done = logged.tick + 1;
+            if done.is_multiple_of(LOADED_AT_ONCE) {
+                Python::attach(|py| {
+                    py.check_signals()?;
+                    progress.as_ref().map_or(Ok(()), |progress| progress.call1(py, (done, count)).map(drop))
+                })?;
+            }
             Ok(())
         })?;
         Ok((history, report.finish(&description.scenario, read_nodes(&folder)?)))
     };
     let (history, report) = py.detach(read).map_err(failed)?;
-    let scenario = Scenario::of_run(&folder);
+    let scenario = Scenario::of_run(py, &folder);
     Ok((scenario, history.into_dict(py)?, serde_json::to_string(&report).map_err(failed)?))
 }

@@ -10,7 +10,7 @@ use rangehound_fusion::planner;
 use rangehound_shared::scenario::{self as shared, ScenarioFile, Source};
 use serde_json::Value;
 
-use crate::errors::{failed, input};
+use crate::errors::{failed, input, interruptible};
 
 /// Stands in errors for the name of a file.
 const NAMELESS: &str = "the scenario";
@@ -23,28 +23,34 @@ pub(crate) struct Scenario {
 }
 
 impl Scenario {
-    pub(crate) fn of(given: Given) -> PyResult<Self> {
+    pub(crate) fn of(py: Python<'_>, given: Given) -> PyResult<Self> {
         let Given { file, file_name, folder, .. } = &given;
-        let checked = files::scenario(file, file_name, folder).map_err(input)?;
+        let checked = if file.recording.is_some() {
+            let (file, file_name, folder) = (file.clone(), file_name.clone(), folder.clone());
+            interruptible(py, move || files::scenario(&file, &file_name, &folder))?
+        } else {
+            files::scenario(file, file_name, folder)
+        };
+        let checked = checked.map_err(input)?;
         planner::for_team(checked.planner, checked.robots.len(), checked.seed)
             .map_err(|error| input(format!("{error} (in {file_name})")))?;
         Ok(Self { given, checked })
     }
 
     /// The scenario of a run folder, if its file is there and can be used again.
-    pub(crate) fn of_run(folder: &Path) -> Option<Self> {
-        Self::of(Given::read(Some(&folder.join(SCENARIO))).ok()?).ok()
+    pub(crate) fn of_run(py: Python<'_>, folder: &Path) -> Option<Self> {
+        Self::of(py, Given::read(Some(&folder.join(SCENARIO))).ok()?).ok()
     }
 
     /// The scenario that is run: with another seed and length, if they are given.
-    pub(crate) fn with(&self, seed: Option<u64>, ticks: Option<u64>) -> PyResult<shared::Scenario> {
+    pub(crate) fn with(&self, py: Python<'_>, seed: Option<u64>, ticks: Option<u64>) -> PyResult<shared::Scenario> {
         if seed.is_none() && ticks.is_none() {
             return Ok(self.checked.clone());
         }
         let mut given = self.given.clone();
         given.file.seed = seed.or(given.file.seed);
         given.file.ticks = ticks.or(given.file.ticks);
-        Self::of(given).map(|scenario| scenario.checked)
+        Self::of(py, given).map(|scenario| scenario.checked)
     }
 }
 
@@ -54,7 +60,13 @@ impl Scenario {
     /// replace those of the same name.
     #[new]
     #[pyo3(signature = (path=None, keys=None, over=None, folder=None))]
-    fn new(path: Option<PathBuf>, keys: Option<&str>, over: Option<&str>, folder: Option<PathBuf>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        path: Option<PathBuf>,
+        keys: Option<&str>,
+        over: Option<&str>,
+        folder: Option<PathBuf>,
+    ) -> PyResult<Self> {
         let mut given = match keys {
             Some(keys) => Given {
                 file: from_keys(keys)?,
@@ -74,7 +86,7 @@ impl Scenario {
             merge(&mut merged, over);
             given.file = from_keys(&merged.to_string())?;
         }
-        Self::of(given)
+        Self::of(py, given)
     }
 
     /// Its keys as JSON.

@@ -14,22 +14,32 @@ use rangehound::study::compare::monte_carlo::{CustomParts, Trials, Variant, Vari
 use rangehound::study::compare::{first_scenarios, of_trials};
 use rangehound_shared::scenario::PLANNERS;
 
-use crate::errors::{Raised, failed, input};
+use crate::errors::{Raised, failed, input, interruptible};
 use crate::run::parts;
 use crate::scenario::Scenario;
 
-/// Compares planners: `(name, function or None)` for each. Returns the keys of `compare.json` as JSON, and the table.
+/// A thing compared: its name in the table, what the scenario calls it, and the function in its place.
+type Compared = (String, Option<String>, Option<Py<PyAny>>);
+
+/// The function of the thing of this name.
+fn function_of(py: Python<'_>, compared: &[Compared], name: Option<&String>) -> Option<Arc<Py<PyAny>>> {
+    let (_, _, function) = compared.iter().find(|(of, ..)| Some(of) == name)?;
+    function.as_ref().map(|function| Arc::new(function.clone_ref(py)))
+}
+
+/// Compares planners, and sensors and targets if those are given. Returns the keys of `compare.json` as JSON, and the table.
 #[pyfunction]
 #[pyo3(signature = (
-    scenario, planners, *, sensors=Vec::new(), nuisances=Vec::new(), sensor=None, target=None, runs, ticks, seed=None,
-    threads=None, progress=None
+    scenario, planners, *, sensors=Vec::new(), targets=Vec::new(), nuisances=Vec::new(), sensor=None, target=None, runs, ticks,
+    seed=None, threads=None, progress=None
 ))]
 #[allow(clippy::too_many_arguments, reason = "keywords of Python")]
 pub(crate) fn compare(
     py: Python<'_>,
     scenario: &Scenario,
-    planners: Vec<(String, Option<Py<PyAny>>)>,
-    sensors: Vec<String>,
+    planners: Vec<Compared>,
+    sensors: Vec<Compared>,
+    targets: Vec<Compared>,
     nuisances: Vec<String>,
     sensor: Option<Py<PyAny>>,
     target: Option<Py<PyAny>>,
@@ -40,35 +50,56 @@ pub(crate) fn compare(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(String, String)> {
     let raised = Raised::default();
-    let mut variants = Vec::new();
-    for (index, (name, function)) in planners.iter().enumerate() {
-        if function.is_none() && !PLANNERS.contains(&name.as_str()) {
+    for (name, built_in, function) in &planners {
+        if function.is_none() && !built_in.as_deref().is_some_and(|name| PLANNERS.contains(&name)) {
             return Err(input(format!(
                 "planners has {name:?}: expected functions, or names out of {}",
                 PLANNERS.join(", ")
             )));
         }
-        if planners[..index].iter().any(|(before, _)| before == name) {
-            return Err(input(format!("planners has {name} twice: expected each name once")));
+    }
+    for (what, compared) in [("planners", &planners), ("sensors", &sensors), ("targets", &targets)] {
+        if let Some((name, ..)) = (0..compared.len())
+            .find(|index| compared[..*index].iter().any(|(before, ..)| *before == compared[*index].0))
+            .map(|index| &compared[index])
+        {
+            return Err(input(format!("{what} has {name} twice: expected each name once")));
         }
     }
-    let names: Vec<String> = planners.iter().map(|(name, _)| name.clone()).collect();
+    let names = |compared: &[Compared]| compared.iter().map(|(name, ..)| name.clone()).collect::<Vec<_>>();
     let (sensor, target) = (sensor.map(Arc::new), target.map(Arc::new));
-    for mut variant in Variant::all(&names, Varied { sensors: &sensors, nuisances: &nuisances, ..Varied::default() }) {
-        let function = planners.iter().find(|(name, _)| Some(name) == variant.planner.as_ref());
-        let planner = function.and_then(|(_, function)| function.as_ref()).map(|f| Arc::new(f.clone_ref(py)));
+    let mut variants = Vec::new();
+    for mut variant in Variant::all(
+        &names(&planners),
+        Varied { sensors: &names(&sensors), nuisances: &nuisances, ..Varied::default() },
+    ) {
+        let planner = function_of(py, &planners, variant.planner.as_ref());
         if planner.is_some() {
             variant.planner = None;
         }
-        if planner.is_some() || sensor.is_some() || target.is_some() {
-            let (sensor, target, raised) = (sensor.clone(), target.clone(), raised.clone());
-            variant.custom = Some(CustomParts(Arc::new(move |scenario| {
-                let own =
-                    |function: &Option<Arc<Py<PyAny>>>| function.as_ref().map(|f| Python::attach(|py| f.clone_ref(py)));
-                parts(scenario, own(&planner), own(&sensor), own(&target), &raised)
-            })));
+        let sensor = function_of(py, &sensors, variant.sensor.as_ref()).or_else(|| sensor.clone());
+        let of_scenario = sensors.iter().find(|(name, ..)| Some(name) == variant.sensor.as_ref());
+        variant.sensor = of_scenario.and_then(|(_, of_scenario, _)| of_scenario.clone());
+        // Without targets there is one: the scenario's, or the function of all.
+        let labels: Vec<Option<String>> =
+            if targets.is_empty() { vec![None] } else { names(&targets).into_iter().map(Some).collect() };
+        for label in labels {
+            let mut variant = variant.clone();
+            let target = function_of(py, &targets, label.as_ref()).or_else(|| target.clone());
+            if let Some(label) = &label {
+                variant.name = format!("{} {label}", variant.name);
+            }
+            if planner.is_some() || sensor.is_some() || target.is_some() {
+                let (planner, sensor, raised) = (planner.clone(), sensor.clone(), raised.clone());
+                variant.custom = Some(CustomParts(Arc::new(move |scenario| {
+                    let own = |function: &Option<Arc<Py<PyAny>>>| {
+                        function.as_ref().map(|f| Python::attach(|py| f.clone_ref(py)))
+                    };
+                    parts(scenario, own(&planner), own(&sensor), own(&target), &raised)
+                })));
+            }
+            variants.push(variant);
         }
-        variants.push(variant);
     }
     let mut given = scenario.given.clone();
     given.file.ticks = Some(ticks);
@@ -106,7 +137,9 @@ pub(crate) fn calibrate(
 ) -> PyResult<(String, String, Vec<Vec<(f64, f64)>>)> {
     let file = crate::scenario::from_keys(keys)?;
     let table = file.recording.ok_or_else(|| input("recording is missing: expected a table"))?;
-    let (recording, _) = files::recording_of(&table, "the call of calibrate", Path::new("")).map_err(input)?;
+    let given = table.clone();
+    let read = move || files::recording_of(&given, "the call of calibrate", Path::new(""));
+    let (recording, _) = interruptible(py, read)?.map_err(input)?;
     check(&table, &recording).map_err(failed)?;
     let truth = truth.map(|path| Truth::read(&path)).transpose().map_err(failed)?;
     let (fitted, is_wanted) = (AtomicUsize::new(0), AtomicBool::new(true));
@@ -144,13 +177,15 @@ const MODELS: usize = rangehound::study::calibrate::model::Model::ALL.len();
 
 /// Adds a calibration to the keys of a recording's scenario, which take precedence: JSON of the keys, `calibration.toml`.
 #[pyfunction]
-pub(crate) fn calibrated(keys: &str, toml: &str) -> PyResult<String> {
+pub(crate) fn calibrated(py: Python<'_>, keys: &str, toml: &str) -> PyResult<String> {
     let mut file = crate::scenario::from_keys(keys)?;
     let found = calibration::parse(toml)
         .map_err(|problem| input(format!("calibration: expected one as `calibrate` makes it: {problem}")))?;
     if let Some(table) = &mut file.recording {
-        let read = files::recording_of(table, "the call of track", Path::new("")).map_err(input)?;
-        let known: Vec<String> = read.0.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
+        let given = table.clone();
+        let read = move || files::recording_of(&given, "the call of track", Path::new(""));
+        let (recording, _) = interruptible(py, read)?.map_err(input)?;
+        let known: Vec<String> = recording.sensors().iter().map(|sensor| sensor.name.to_string()).collect();
         calibration::merge(&found, &known, table, &mut file.target.get_or_insert_default().noise_psd);
     }
     serde_json::to_string(&file).map_err(input)

@@ -1,7 +1,8 @@
 """Counts what a node publishes, with ROS 2 alone. Prints a line at the first message, and one of JSON when it is
 asked to end.
 
-The arguments are topics with their types, as in `/target/pose=geometry_msgs/PoseWithCovarianceStamped`.
+The arguments are topics with their types, as in `/target/pose=geometry_msgs/PoseWithCovarianceStamped`. With `use_sim_time`
+among them the node has the time of /clock; the line has the node's time in the end, s.
 """
 
 import importlib
@@ -10,6 +11,7 @@ import sys
 
 import rclpy
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from ros2_spin import spin
@@ -28,7 +30,8 @@ def plain(value):
 
 def main():
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = Node("listener")
+    words = [word for word in sys.argv[1:] if word != "use_sim_time"]
+    node = Node("listener", parameter_overrides=[Parameter("use_sim_time", value=len(words) < len(sys.argv) - 1)])
     heard = {}
 
     def hear(topic, message):
@@ -36,7 +39,7 @@ def main():
             print("first", flush=True)
         heard[topic].append(message)
 
-    for word in sys.argv[1:]:
+    for word in words:
         topic, _, kind = word.partition("=")
         package, _, name = kind.partition("/")
         heard[topic] = []
@@ -49,7 +52,8 @@ def main():
     while count < (count := sum(map(len, heard.values()))):
         for _ in range(200):
             executor.spin_once(timeout_sec=0.005)
-    print(json.dumps({topic: [plain(message) for message in messages] for topic, messages in heard.items()}), flush=True)
+    said = {topic: [plain(message) for message in messages] for topic, messages in heard.items()}
+    print(json.dumps({**said, "now_s": node.get_clock().now().nanoseconds * 1e-9}), flush=True)
 
 
 main()

@@ -21,6 +21,10 @@ from ros2_spin import spin
 from sensor_msgs.msg import Range
 
 
+#: The stamp of tick 0.
+FIRST_S = 1
+
+
 class Player(Node):
     def __init__(self, path):
         super().__init__("player")
@@ -43,7 +47,7 @@ class Player(Node):
     def drive(self, i, message):
         forward, turn = message.twist.linear.x, message.twist.angular.z
         self.last[i] = (forward, turn)
-        step = round((message.header.stamp.sec + message.header.stamp.nanosec * 1e-9) / self.dt_s)
+        step = round((message.header.stamp.sec - FIRST_S + message.header.stamp.nanosec * 1e-9) / self.dt_s)
         if step == self.steps[i] and step + 1 < len(self.truth):
             self.commands[i] += 1
             x, y, yaw, *_ = self.robots[i]
@@ -56,7 +60,7 @@ class Player(Node):
     def show(self, i):
         step = self.steps[i]
         x, y, yaw, forward, turn = self.robots[i]
-        time_ns = round(step * self.dt_s * 1e9)
+        time_ns = FIRST_S * 1_000_000_000 + round(step * self.dt_s * 1e9)
         odometry = Odometry(child_frame_id=f"robot_{i}/base_link")
         odometry.header.frame_id = "map" if self.origin is None else f"robot_{i}/odom"
         odometry.header.stamp.sec, odometry.header.stamp.nanosec = divmod(time_ns, 1_000_000_000)

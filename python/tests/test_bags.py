@@ -22,6 +22,7 @@ TYPES = {
     "/robot_4/range": "sensor_msgs/msg/Range",
     "/robot_4/bearing": "geometry_msgs/msg/Vector3Stamped",
     "/robot_4/cmd_vel": "geometry_msgs/msg/TwistStamped",
+    "/robot_4/velocity": "geometry_msgs/msg/TwistStamped",
 }
 
 
@@ -90,7 +91,18 @@ def test_each_message_is_a_row_of_the_estimate(run):
     assert ranges and all(message.range > 0 and message.variance > 0 for message in ranges)
     assert read["/robot_4/range"][0].header.frame_id == "robot_4/base_link"
     assert all(math.hypot(m.vector.x, m.vector.y) == pytest.approx(1.0) for m in read["/robot_4/bearing"])
-    assert len(read["/robot_4/cmd_vel"]) == len(read["/target/truth"]) == 101
+    assert len(read["/robot_4/cmd_vel"]) == len(read["/robot_4/velocity"]) == len(read["/target/truth"]) == 101
+    # A twist turns the robot towards its heading; a velocity is over ground.
+    live = rh.load(run / "out")
+    for tick in (3, 50):
+        twist, velocity = (read[f"/robot_4/{topic}"][tick] for topic in ("cmd_vel", "velocity"))
+        heading, speed, yaw = live.heading_rad[tick, 4], live.speed_mps[tick, 4], live.believed_heading_rad[tick, 4]
+        assert (twist.header.frame_id, velocity.header.frame_id) == ("robot_4/base_link", "map")
+        error = math.remainder(heading - yaw, math.tau)
+        assert (twist.twist.linear.x, twist.twist.linear.y) == (pytest.approx(speed * max(0.0, math.cos(error))), 0.0)
+        assert twist.twist.angular.z == pytest.approx(max(-2.0, min(2.0, 3 * error)))
+        over_ground = velocity.twist.linear.x, velocity.twist.linear.y
+        assert over_ground == pytest.approx((speed * math.cos(heading), speed * math.sin(heading)))
 
 
 def test_another_reader_agrees(run):
@@ -142,6 +154,8 @@ def test_bags_that_rosbags_writes_are_tracked(storage, program, tmp_path):
     ways = [
         {"topic": "/range"},
         {"topic": "/many", "columns": "range=ranges[].distance:mm,sensor=ranges[].anchor_id"},
+        {"topic": "/many", "field": "ranges[].distance:mm", "columns": "sensor=ranges[].anchor_id"},
+        {"topic": "/range", "field": "range"},
     ]
     for way in ways:
         tracked = rh.track(bag, anchors=str(anchors), range_std_m=0.05, show_progress=False, **way)

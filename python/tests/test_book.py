@@ -4,6 +4,8 @@ import inspect
 import os
 import pathlib
 import re
+import subprocess
+import sys
 
 import pytest
 import rangehound as rh
@@ -56,3 +58,26 @@ def test_the_package_is_typed_without_a_contradiction(tmp_path):
     assert (folder / "py.typed").exists()
     said, problem, code = mypy.run(["--cache-dir", str(tmp_path), "--ignore-missing-imports", "--disable-error-code=import-untyped", str(ROOT / "python/rangehound")])
     assert code == 0, said + problem
+
+
+def test_the_stubs_have_the_signatures_of_the_native_half():
+    pytest.importorskip("mypy.stubtest")
+    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "rangehound._native"], capture_output=True, text=True, timeout=120, cwd="/")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("thing", "said"),
+    [
+        (rh.plan, ["(2, 2)", "(M, 2)", "rad", "m^2", "="]),
+        (rh.Filter, ["(n,)", "(n, n)", "P'^-1"]),
+        (rh.Filter.step, ["(M,)", "(M, 2)", "(M, 2, 2)"]),
+        (rh.Run, ["(T, n, n)", "(T, M, 2)", "rad", "m^2"]),
+        (rh.Situation.worth, ["(M,)", "rad", "m/s"]),
+        (rh.calibrate, ["(1 + scale) true + bias_m"]),
+    ],
+    ids=lambda thing: getattr(thing, "__name__", ""),
+)
+def test_docstrings_have_shapes_units_and_equations(thing, said):
+    text = inspect.getdoc(thing)
+    assert [part for part in said if part not in text] == []

@@ -87,3 +87,22 @@ def test_a_comparison_has_a_frame_and_figures():
     assert compared.frame().loc["greedy", "gap.max"] == compared.planners["greedy"]["gap"]["max"]
     for what in ("trace", "rmse", "anees"):
         assert len(compared.plot(what).get_lines()) == 2
+
+
+def test_sensors_and_targets_that_are_functions_stand_beside_the_scenarios_own():
+    def exact(robot, tick, range_m, bearing_rad):
+        return range_m, 0.01
+
+    def straight(tick, state, noise):
+        return [state[0] + 0.3, state[1], 3.0, 0.0]
+
+    keys = dict(planners=["greedy"], runs=3, ticks=40)
+    own, replaced = rh.compare(**keys), rh.compare(sensor=exact, target=straight, **keys)
+    both = rh.compare(sensors={"exact": exact, "own": None}, targets={"straight": straight, "own": None}, **keys)
+    assert list(both.planners) == ["exact straight", "exact own", "own straight", "own own"]
+    figures = lambda compared, name: compared.planners[name]["position_rmse_m"]  # noqa: E731
+    assert figures(both, "own own") == figures(own, "greedy")
+    assert figures(both, "exact straight") == figures(replaced, "greedy")
+    assert figures(both, "exact own")["all"] < figures(both, "own own")["all"]
+    with pytest.raises(rh.InputError, match="planners has greedy twice"):
+        rh._native.compare(rh.Scenario(), [("greedy", "greedy", None)] * 2, runs=1, ticks=2)

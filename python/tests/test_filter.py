@@ -67,3 +67,15 @@ def test_robots_without_a_range_are_left_out():
 def test_faults_name_the_argument(given, said):
     with pytest.raises(rh.InputError, match=said):
         rh.Filter().step(**given)
+
+
+def test_a_step_that_is_refused_leaves_no_trace():
+    places, ranges = np.array([[8.0, 1.0], [-4.0, 6.0], [3.0, -7.0]]), [8.2, 7.0, 7.9]
+    fresh = rh.Filter()
+    fresh.step(ranges)
+    for fault in (dict(positions_m=[[1, 2], [3, 4], [np.nan, 0]]), dict(headings_rad=[1, 2, np.inf]), dict(positions_m=places, ranges_m=[1, 2, np.inf])):
+        filter = rh.Filter()
+        with pytest.raises(rh.InputError):
+            filter.step(**fault)
+        filter.step(ranges)
+        assert filter.digest == fresh.digest, fault

@@ -32,14 +32,15 @@ RANGE_ID = 7
 class Autopilot(threading.Thread):
     """Plays an autopilot: it integrates setpoints of velocity, and stops without fresh ones. PX4 leaves its mode then, too."""
 
-    TIMEOUT_S = 2.5
+    #: Time without a setpoint after which it stops, s.
+    TIMEOUT_S = {PX4: 1.0, ARDUPILOT: 3.0}
 
-    def __init__(self, port, system=1, kind=ARDUPILOT, place_m=(0.0, 0.0), target=None, armed=True, guided=True):
+    def __init__(self, address, system=1, kind=ARDUPILOT, place_m=(0.0, 0.0), target=None, armed=True, guided=True):
         super().__init__(daemon=True)
         mavutil = pytest.importorskip("pymavlink.mavutil", reason="pymavlink is not installed")
         self.mavlink = mavutil.mavlink
-        self.connection = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=system, source_component=1)
-        self.port, self.kind, self.target, self.armed = port, kind, target, armed
+        self.connection = mavutil.mavlink_connection(address, source_system=system, source_component=1)
+        self.kind, self.target, self.armed = kind, target, armed
         self.mode = (GUIDED if guided else OTHER)[kind]
         self.east_m, self.north_m, self.driven_m = 0.0, 0.0, 0.0
         self.start_m = place_m
@@ -68,7 +69,7 @@ class Autopilot(threading.Thread):
             while message := self.connection.recv_match(blocking=False):
                 if not self.cut:
                     self.take(message, now_s)
-            if self.velocity != (0.0, 0.0) and now_s - self.given_s > self.TIMEOUT_S:
+            if self.velocity != (0.0, 0.0) and now_s - self.given_s > self.TIMEOUT_S[self.kind]:
                 self.velocity, self.timeouts = (0.0, 0.0), self.timeouts + 1
                 if self.kind == PX4:
                     self.mode = OTHER[PX4]
@@ -129,18 +130,23 @@ def play():
     """Plays autopilots, each on a port of its own, until the end of the test."""
     played = []
 
-    def start(**what):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+    def start(port=None, over="udp", **what):
+        kind = {"udp": socket.SOCK_DGRAM, "tcp": socket.SOCK_STREAM}[over]
+        with socket.socket(socket.AF_INET, kind) as free:
             free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        autopilot = Autopilot(port, **what)
+            port = port or free.getsockname()[1]
+        # The process listens for datagrams; it connects to a stream, as to a simulator.
+        its, ours = {"udp": ("udpout", "udpin"), "tcp": ("tcpin", "tcp")}[over]
+        autopilot = Autopilot(f"{its}:127.0.0.1:{port}", **what)
+        autopilot.port = port
         autopilot.start()
         played.append(autopilot)
-        return autopilot, f"udpin:127.0.0.1:{port}"
+        return autopilot, f"{ours}:127.0.0.1:{port}"
 
     yield start
     for autopilot in played:
-        autopilot.stop()
+        if autopilot.is_alive():
+            autopilot.stop()
 
 
 @pytest.fixture
@@ -219,13 +225,36 @@ def test_nothing_drives_before_the_vehicle_is_armed_and_in_its_mode(one_vehicle)
     assert {32, 132} <= autopilot.asked
 
 
-def test_setpoints_come_more_often_than_commands(one_vehicle):
-    autopilot, _, _, _ = one_vehicle(keys=dict(dt_s=1.5))
+@pytest.mark.parametrize("rate_hz", [10, 2])
+def test_setpoints_come_more_often_than_commands_and_as_often_as_asked(one_vehicle, rate_hz):
+    autopilot, _, _, _ = one_vehicle("--rate", rate_hz, keys=dict(dt_s=1.5), kind=PX4)
     until(lambda: autopilot.speed_mps > 0)
     first = len(autopilot.setpoints)
-    until(lambda: len(autopilot.setpoints) > first + 40)
-    changes = {speed for _, speed in autopilot.setpoints[first:]}
-    assert len(changes) < 10 and autopilot.timeouts == 0
+    until(lambda: len(autopilot.setpoints) > first + 4 * rate_hz)
+    times_s, speeds_mps = np.array(autopilot.setpoints[first:]).T
+    assert len(set(speeds_mps)) < 10 and autopilot.timeouts == 0
+    # In the middle: a busy machine may delay a few.
+    assert np.median(np.diff(times_s)) <= 1.1 / rate_hz
+
+
+def test_a_vehicle_over_tcp_is_found_again_after_its_end_was_closed(one_vehicle, play):
+    autopilot, process, _, _ = one_vehicle(over="tcp")
+    until(lambda: autopilot.speed_mps > 0)
+    autopilot.stop()
+    said = ""
+    while "link to vehicle 1 is lost" not in said:
+        said = process.stderr.readline()
+    # Without an end that answers it waits; it does not spin.
+    used = lambda: sum(map(int, open(f"/proc/{process.pid}/stat").read().rpartition(")")[2].split()[11:13]))  # noqa: E731
+    before = used()
+    time.sleep(2)
+    spent_s = (used() - before) / os.sysconf("SC_CLK_TCK")
+    assert spent_s < 1, "a whole core would be 2 s"
+    again, _ = play(port=autopilot.port, over="tcp")
+    until(lambda: again.speed_mps > 0)
+    process.terminate()
+    out, err = process.communicate()
+    assert (process.returncode, out) == (0, "") and "EOF" not in err, err
 
 
 def test_a_vehicle_stops_when_nobody_commands_it_and_goes_on_with_the_next_fusion(one_vehicle, by_hand):

@@ -2,7 +2,10 @@
 
 import csv
 import json
+import os
+import signal
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -59,7 +62,10 @@ def test_an_interrupt_ends_a_calibration_and_its_thread(python):
         "at = 10 * np.exp(2j * np.pi * np.arange(8) / 8)[np.arange(60_000) % 8]\n"
         "ranges = abs(4 * np.sin(0.1 * t) + 3j * np.cos(0.13 * t) - at) + 0.1 * noise\n"
         "rows = dict(time_s=t, sensor_id=[str(i % 8) for i in range(60_000)], sensor_x_m=at.real, sensor_y_m=at.imag, range_m=ranges)\n"
-        "of = lambda: [(thread / 'comm').read_text().strip() for thread in pathlib.Path('/proc/self/task').iterdir()]\n"
+        "def of():\n"
+        "    while True:\n"
+        "        try: return [(thread / 'comm').read_text().strip() for thread in pathlib.Path('/proc/self/task').iterdir()]\n"
+        "        except OSError: pass  # A thread has just ended.\n"
         "def interrupt():\n"
         "    while 'calibrate' not in of(): pass\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
@@ -90,3 +96,30 @@ def test_faults_name_file_and_keyword(ranges, tmp_path):
         rh.calibrate(ranges, range_std_m=0.1)
     with pytest.raises(rh.InputError, match="expected a simulated scenario"):
         rh.simulate({"recording": {"ranges": str(ranges)}}, planner=lambda s: s)
+
+
+def test_columns_may_have_any_text(ranges):
+    with open(ranges, encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    names = {name: f'{name}, the "best"' for name in {row["sensor_id"] for row in rows}}
+    columns = {key: [names[row[key]] if key == "sensor_id" else float(row[key]) for row in rows] for key in rows[0]}
+    run = rh.track(columns, range_std_m=0.15)
+    assert run.digest == rh.track(ranges, range_std_m=0.15).digest
+    assert {sensor["name"] for sensor in run.report["sensors"]} == set(names.values())
+
+
+@pytest.mark.parametrize("call", ["track", "calibrate"])
+def test_an_interrupt_ends_the_reading_of_a_recording(call, tmp_path):
+    """A writer that says nothing: the reading has no end."""
+    pipe = tmp_path / "ranges.csv"
+    os.mkfifo(pipe)
+    script = f"import sys, rangehound as rh\nprint('ready', flush=True)\nrh.{call}(sys.argv[1])"
+    child = subprocess.Popen([sys.executable, "-c", script, pipe], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout.readline() == "ready\n"
+        with open(pipe, "w"):
+            child.send_signal(signal.SIGINT)
+            _, err = child.communicate(timeout=60)
+    finally:
+        child.kill()
+    assert err.rstrip().endswith("KeyboardInterrupt"), err

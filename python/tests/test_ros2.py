@@ -70,9 +70,9 @@ def node(ros, name, *words):
     return ros("-m", "rangehound.ros2", "--name", name, *words)
 
 
-def listener(ros, **topics):
+def listener(ros, *flags, **topics):
     words = [f"/{topic.replace('__', '/')}={kind}" for topic, kind in topics.items()]
-    return ros(HERE / "ros2_listener.py", *words, waits=True)
+    return ros(HERE / "ros2_listener.py", *flags, *words, waits=True)
 
 
 def heard(process):
@@ -142,7 +142,8 @@ def test_three_robots_of_ros_track_as_well_as_our_own_and_no_message_is_lost(pro
 
     poses = messages["/target/pose"]
     assert [len(messages[f"/{topic.replace('__', '/')}"]) for topic in list(topics)[:3]] == [1001] * 3
-    np.testing.assert_allclose([seconds(pose) for pose in poses], live.time_s, atol=1e-9)
+    # ROS takes a stamp of 0 for one that is not set: a run begins at 1 s.
+    np.testing.assert_allclose([seconds(pose) for pose in poses], live.time_s + 1.0, atol=2e-9)
     np.testing.assert_array_equal([[pose["pose"]["pose"]["position"][axis] for axis in "xy"] for pose in poses], live.position_m)
     covariances = np.array([pose["pose"]["covariance"] for pose in poses]).reshape(-1, 6, 6)
     np.testing.assert_array_equal(covariances[:, :2, :2], live.covariance[:, :2, :2])
@@ -248,7 +249,7 @@ def test_a_killed_node_changes_no_bit_of_a_run(program, name, ros, by_hand, tmp_
 
 def test_simulated_robots_have_all_topics_and_the_run_ends_the_node(program, name, ros, tmp_path):
     markers, diagnostics, clock = "visualization_msgs/MarkerArray", "diagnostic_msgs/DiagnosticArray", "rosgraph_msgs/Clock"
-    ears = listener(ros, team__robot_0__cmd_vel=TWIST, team__rangehound__markers=markers, diagnostics=diagnostics, clock=clock, team__target__pose=POSE)
+    ears = listener(ros, "use_sim_time", team__robot_0__cmd_vel=TWIST, team__rangehound__markers=markers, diagnostics=diagnostics, clock=clock, team__target__pose=POSE)
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=60, planner="certified") as run:
         watched = node(ros, name, "--ros-args", "-r", "__ns:=/team", "-p", "map_frame:=world", "-p", "markers_rate_hz:=1000.0")
         report = run.report()
@@ -258,9 +259,11 @@ def test_simulated_robots_have_all_topics_and_the_run_ends_the_node(program, nam
     if importlib.util.find_spec("tf2_msgs") is None:
         assert said.count("tf2_msgs is not installed: /tf is not published") == 1, said
     live = rh.load(tmp_path / "out")
-    newest = int(round(seconds(got["/team/target/pose"][-1]) / 0.1))
+    newest = int(round((seconds(got["/team/target/pose"][-1]) - 1.0) / 0.1))
     assert newest == 60 and got["/team/target/pose"][0]["header"]["frame_id"] == "world"
-    assert got["/clock"] and got["/clock"][-1]["clock"]["sec"] == 6
+    assert got["/clock"] and got["/clock"][-1]["clock"]["sec"] == 7
+    # A node with simulated time has that of the newest tick.
+    assert got["now_s"] == pytest.approx(seconds(got["/team/target/pose"][-1]))
     twist = got["/team/robot_0/cmd_vel"][-2]
     assert twist["header"]["frame_id"] == "robot_0/base_link" and abs(twist["twist"]["angular"]["z"]) <= 2.0
     named = {(marker["ns"], marker["id"]) for marker in got["/team/rangehound/markers"][-1]["markers"]}
@@ -326,7 +329,7 @@ def test_frames_are_those_of_the_target_and_of_robots_that_have_reported():
     arrays = {name: values[3:4].copy() for name, values in run.arrays.items()}
     arrays["believed_m"][0, 2] = np.nan
     node = SimpleNamespace(_frames=(publisher, message, frames), _facts={"has_velocity": True}, _simulated=[0, 2])
-    node._target_pose = lambda tick: Node._target_pose(node, tick)
+    node._target_of = lambda tick: Node._target_of(node, tick)
     Node._publish_frames(node, rh.Tick(arrays), Time(sec=7))
     assert [frame.child_frame_id for frame in sent] == ["target", "robot_0/base_link"]
     moved = sent[1].transform.translation
@@ -374,3 +377,69 @@ def test_a_run_that_is_not_there_is_one_line_and_signals_end_the_node(program, n
             assert "Traceback" not in ended(watched)
             assert heard(ears)["/target/pose"]
         assert run.status()["nodes"]
+
+
+def test_a_late_node_publishes_what_has_been_and_all_that_it_says_is_in_the_bag(program, name, ros, tmp_path):
+    """Ticks that were over before the node and its listener were there, at once; and a bag of the same run."""
+    rosbags = pytest.importorskip("rosbags.highlevel", reason="the package rosbags is not installed")
+    robots = {"count": 2, "localiser": "gps", "height_m": 1.5}
+    keys = dict(ticks=1200, dt_s=0.02, robots=robots, localiser={"gps": {"std_m": 0.3, "heading_std_rad": 0.1, "correlation_s": 5.0}})
+    topics = dict(target__pose=POSE, target__odom="nav_msgs/Odometry", **{f"robot_{i}__{topic}": kind for i in range(2) for topic, kind in (("pose", POSE), ("cmd_vel", TWIST))})
+    with rh.run(name=name, out=tmp_path / "out", program=program, **keys) as run:
+        for tick in run.attach():
+            if tick.tick >= 300:
+                break
+        ears = listener(ros, **topics)
+        watched = node(ros, name, "--from-start")
+        run.report()
+    ended(watched)
+    got = heard(ears)
+    done = subprocess.run([program, "record", tmp_path / "out", "--ros2", tmp_path / "bag"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    live = rh.load(tmp_path / "out")
+    stamps = [round((seconds(pose) - 1.0) / 0.02) for pose in got["/target/pose"]]
+    assert stamps[:301] == list(range(301)) and stamps == list(range(len(live)))
+    assert (live.believed_height_m[5] == 1.5).all()
+    del got["now_s"]
+    recorded = {topic: [] for topic in got}
+    with rosbags.AnyReader([tmp_path / "bag"]) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.topic in recorded:
+                recorded[connection.topic].append(plain(reader.deserialize(raw, connection.msgtype)))
+    for topic, messages in got.items():
+        assert messages and messages == recorded[topic], topic
+
+
+def plain(value):
+    """A message of rosbags as the listener has it."""
+    if hasattr(value, "__msgtype__"):
+        return {key: plain(one) for key, one in vars(value).items() if not key.startswith("__")}
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def test_diagnostics_tell_who_is_gone_and_what_was_rejected(program, name, ros, by_hand, tmp_path):
+    """A run by hand: nobody starts the killed robot again. Another one measures nonsense now and then."""
+    # The node publishes these topics for each robot, too, once it has a tick.
+    outliers = "rh.Robot(name, 2, measure=lambda robot, tick, range_m, _: range_m + (50.0 if tick % 3 == 0 else 0.0)).run()"
+    ears = listener(ros, diagnostics="diagnostic_msgs/DiagnosticArray")
+    keys = dict(ticks=100_000, dt_s=0.05, clock="realtime", timeout_s=1.0, filter={"gate_sigma": 4.0, "distrust": False})
+    nodes = by_hand(["sim"], ["fusion"], ["robot", "--id", "0"], ["robot", "--id", "1"], scripts=[outliers], **keys)
+    watched = node(ros, name)
+    assert ears.stdout.readline() == "first\n"
+    nodes[3].kill()
+    for tick in rh.attach(name):
+        gone_at = tick.tick if tick.missing else None
+        if gone_at is not None:
+            break
+    for tick in rh.attach(name):
+        if tick.tick >= gone_at + 60:
+            break
+    watched.send_signal(signal.SIGTERM)
+    ended(watched)
+    statuses = [status for message in heard(ears)["/diagnostics"] for status in message["status"]]
+    robots = [status for status in statuses if status["name"] == "rangehound: robot-1"]
+    assert (robots[-1]["level"], robots[-1]["message"]) == ([2], "gone")
+    assert all(status["level"] == [0] for status in statuses if status["name"] == "rangehound: robot-0")
+    estimates = [{pair["key"]: pair["value"] for pair in status["values"]} for status in statuses if status["name"] == "rangehound: estimate" and status["values"]]
+    assert float(estimates[-1]["range to heading, us"]) > 0 and int(estimates[-1]["missing"]) >= 1
+    assert max(int(estimate["rejected in the last second"]) for estimate in estimates) > 0

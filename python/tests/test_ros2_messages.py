@@ -34,6 +34,7 @@ def test_a_stamp_is_the_time_to_the_nanosecond_and_within_its_bounds():
     assert messages.stamp_of(0.3) == (0, 300_000_000)
     assert messages.stamp_of(1_700_000_000.25) == (1_700_000_000, 250_000_000)
     assert messages.stamp_of(0.9999999999) == (1, 0)
+    assert messages.stamp_of(0.3, 1_000_000_000) == (1, 300_000_000)
     assert messages.stamp_of(-0.25) == (-1, 750_000_000)
     assert messages.stamp_of(math.nan) == (0, 0) and messages.stamp_of(math.inf)[0] == 2**31 - 1
 
@@ -43,7 +44,7 @@ def test_the_target_faces_along_its_velocity_with_the_first_order_covariance_of_
     noise = np.random.default_rng(4)
     root = noise.normal(size=(4, 4)) * 0.02
     covariance = root @ root.T
-    pose = messages.target_pose(state, covariance, has_velocity=True)
+    pose = messages.target_of(state, covariance, has_velocity=True).pose
     assert (pose.x, pose.y) == (1.0, 2.0) and pose.yaw == math.atan2(4.0, 3.0)
     full = pose.covariance.reshape(6, 6)
     np.testing.assert_array_equal(full[:2, :2], covariance[:2, :2])
@@ -59,26 +60,26 @@ def test_the_target_faces_along_its_velocity_with_the_first_order_covariance_of_
 def test_a_yaw_of_which_nothing_is_known_has_the_variance_of_any_angle(speed_mps, has_velocity):
     covariance = np.eye(4)
     covariance[0, 2] = covariance[2, 0] = 0.5
-    pose = messages.target_pose(np.array([0.0, 0.0, 0.0, speed_mps]), covariance, has_velocity)
+    pose = messages.target_of(np.array([0.0, 0.0, 0.0, speed_mps]), covariance, has_velocity).pose
     full = pose.covariance.reshape(6, 6)
-    assert full[5, 5] == messages.ANY_ANGLE_RAD2 and not full[:2, 5].any()
+    assert full[5, 5] == pytest.approx(math.pi**2 / 3) and not full[:2, 5].any()
 
 
 def test_the_targets_velocity_is_that_in_its_own_frame():
     covariance = np.diag([1.0, 1.0, 0.04, 0.09])
-    twist = messages.target_twist(np.array([0.0, 0.0, 0.0, -2.0]), covariance, has_velocity=True)
-    full = twist.covariance.reshape(6, 6)
-    assert twist.x == 2.0 and twist.y == 0.0
+    target = messages.target_of(np.array([0.0, 0.0, 0.0, -2.0]), covariance, has_velocity=True)
+    full = target.velocity_covariance.reshape(6, 6)
+    assert target.speed_mps == 2.0
     np.testing.assert_allclose([full[0, 0], full[1, 1]], [0.09, 0.04])
-    assert full[5, 5] == messages.UNKNOWN
-    unknown = messages.target_twist(np.zeros(2), np.eye(2), has_velocity=False)
-    assert unknown.x == 0.0 and unknown.covariance[0] == messages.UNKNOWN
+    assert full[5, 5] == 1e6
+    unknown = messages.target_of(np.zeros(2), np.eye(2), has_velocity=False)
+    assert unknown.speed_mps == 0.0 and unknown.velocity_covariance[0] == 1e6
 
 
 def test_the_poses_of_robots_and_the_ellipse_are_those_of_the_run():
     run = rh.simulate(ticks=30, planner="certified")
-    pose = messages.robot_pose(run.believed_m[9, 1], run.believed_covariance_m2[9, 1], run.believed_heading_rad[9, 1], 0.5)
-    assert (pose.x, pose.y) == tuple(run.believed_m[9, 1]) and pose.covariance[35] == 0.25
+    pose = messages.robot_pose(run.believed_m[9, 1], 1.5, run.believed_covariance_m2[9, 1], run.believed_heading_rad[9, 1], 0.5)
+    assert pose[:4] == (*run.believed_m[9, 1], 1.5, run.believed_heading_rad[9, 1]) and pose.covariance[35] == 0.25
     ellipse = messages.ellipse_of(run.covariance[9, :2, :2], 3.0)
     assert math.isclose(ellipse.long_m**2 + ellipse.short_m**2, 9 * run.position_trace_m2[9])
     along = np.array([math.cos(ellipse.yaw_rad), math.sin(ellipse.yaw_rad)])
@@ -179,11 +180,6 @@ def test_with_the_controller_a_heading_error_decays_as_documented():
     for _ in range(10_000):
         yaw_rad += unicycle.twist(0.0, 1.0, yaw_rad, LIMITS)[1] * dt_s
     assert math.isclose(yaw_rad, 0.4 * math.exp(-3.0), rel_tol=1e-3)
-
-
-def test_an_angle_is_wrapped_to_the_half_open_turn():
-    assert unicycle.wrapped(-math.pi) == math.pi == unicycle.wrapped(math.pi)
-    assert math.isclose(unicycle.wrapped(7.0), 7.0 - math.tau)
 
 
 def test_robots_are_named_by_numbers_and_ranges():

@@ -198,8 +198,21 @@ def test_a_run_has_frames_and_figures():
     frame = run.frame()
     assert len(frame) == 31 and frame["range_m_2"].iloc[4] == run.range_m[4, 2]
     assert frame["covariance_0_1"].iloc[9] == run.covariance[9, 0, 1]
-    for what in ("field", "error", "trace"):
-        assert run.plot(what).get_xlabel()
+    lines = {line.get_label(): line.get_xydata() for line in run.plot("field").get_lines()}
+    np.testing.assert_array_equal(lines["target"], run.truth[:, :2])
+    np.testing.assert_array_equal(lines["estimate"], run.position_m)
+    np.testing.assert_array_equal(lines["robot 2"], run.robot_m[:, 2])
+    error = run.plot("error")
+    assert error.get_xlabel() == "time, s" and error.get_ylabel() == "position error, m"
+    np.testing.assert_array_equal(error.get_lines()[0].get_xydata(), np.column_stack([run.time_s, run.error_m]))
+    band = error.collections[0].get_paths()[0].vertices
+    largest = [np.linalg.eigvalsh(covariance[:2, :2])[1] for covariance in run.covariance]
+    assert {(round(x, 9), round(y, 6)) for x, y in zip(run.time_s, np.sqrt(5.991464547 * np.array(largest)))} <= {(round(x, 9), round(y, 6)) for x, y in band}
+    traces = {line.get_label(): line.get_xydata() for line in run.plot("trace").get_lines()}
+    np.testing.assert_array_equal(traces["adaptive"], np.column_stack([run.time_s, np.trace(run.covariance[:, :2, :2], axis1=1, axis2=2)]))
+    proven = rh.simulate(ticks=30, planner="certified")
+    least = {line.get_label(): line.get_xydata() for line in proven.plot("trace").get_lines()}["least"]
+    np.testing.assert_array_equal(least, np.column_stack([proven.time_s[1:], proven.least_trace_m2[:-1]]))
     plt.close("all")
     with pytest.raises(rh.InputError, match="expected one of field, error, trace"):
         run.plot("sky")
@@ -252,3 +265,21 @@ def test_a_terminal_shows_the_progress_of_a_long_call():
     os.close(parent)
     assert running.wait(timeout=60) == 0
     assert b"/400000" in shown and b"tick/s" in shown
+
+
+def test_an_interrupt_ends_the_loading_of_a_run_which_shows_its_progress(program, tmp_path):
+    ticks = 20_000
+    args = ["run", "--in-process", "--ticks", ticks, "--no-record", "--out", tmp_path / "out"]
+    subprocess.run([program, *map(str, args)], check=True, capture_output=True, timeout=120)
+    shown = []
+    assert len(rh._native.load(tmp_path / "out", progress=lambda *done: shown.append(done))[1]["tick"]) == ticks + 1
+    assert shown[-1] == (ticks, ticks + 1) and len(shown) == len(set(shown)) > 5
+
+    def interrupt(done, everything):
+        shown.append(done)
+        signal.raise_signal(signal.SIGINT)
+
+    shown.clear()
+    with pytest.raises(KeyboardInterrupt):
+        rh._native.load(tmp_path / "out", progress=interrupt)
+    assert len(shown) == 1

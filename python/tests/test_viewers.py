@@ -7,6 +7,8 @@ import json
 import re
 import socket
 import struct
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -265,14 +267,16 @@ def test_an_address_that_is_no_viewer_is_one_line(command, name, program, tmp_pa
 def test_a_viewer_that_takes_nothing_does_not_hold_the_command(command, name, program, tmp_path):
     """It answers as HTTP/2 does, and then says nothing."""
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
-    with socket.create_server(("127.0.0.1", 0)) as other, rh.run(name=name, out=tmp_path / "out", program=program, ticks=30, clock="realtime") as run:
+    with socket.create_server(("127.0.0.1", 0)) as other, rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000, clock="realtime") as run:
         viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{other.getsockname()[1]}/proxy")
         lines = []
         # The first one only looks whether there is a viewer.
         for _ in range(2):
             lines.append(other.accept()[0])
             lines[-1].sendall(bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
-        run.wait()
+        # Some ticks that it does not take.
+        time.sleep(1)
+        run.stop()
         _, err = viewer.communicate()
         for line in lines:
             line.close()
@@ -286,3 +290,29 @@ def test_a_port_that_is_taken_is_one_line(foxglove, command, name, program, tmp_
         second = command("foxglove", "--name", name, "--port", address.rpartition(":")[2])
         _, err = second.communicate()
         assert second.returncode == 2 and err.count("\n") == 1 and "expected a free port" in err
+
+
+def test_a_viewer_that_starts_late_is_found_and_gets_the_run(command, name, program, tmp_path):
+    """A viewer without a screen, which listens only after the command has asked for it."""
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    script = (
+        "import sys, rerun\n"
+        "recording = rerun.RecordingStream('viewer')\n"
+        f"print(recording.serve_grpc(grpc_port={port}), flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000, clock="realtime") as run:
+        viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
+        time.sleep(2)
+        assert viewer.poll() is None, viewer.stderr.read()
+        pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        with subprocess.Popen([sys.executable, "-c", script], cwd="/", **pipes) as server:
+            assert str(port) in server.stdout.readline()
+            assert viewer.stdout.readline() == f"run {name}: sends to the viewer at rerun+http://127.0.0.1:{port}/proxy\n", viewer.stderr.read()
+            run.stop()
+            _, err = viewer.communicate()
+            server.stdin.close()
+    assert viewer.returncode == 0, err

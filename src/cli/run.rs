@@ -14,6 +14,7 @@ use super::values::{CLOCKS, PerSensor, PlannerName, gate, megabytes, number, pla
 use crate::failure::Failure;
 use crate::results::made::Keep;
 use crate::run::experiment::{Experiment, Naming};
+use crate::run::external::External;
 use crate::run::node::end_with;
 use crate::run::pin::Pin;
 use crate::run::supervisor::restart::Rule;
@@ -228,9 +229,9 @@ pub struct SupervisionArgs {
     #[command(flatten)]
     pub hosts: HostsArgs,
     /// Robots whose processes you start yourself on this host, as in 0,2-5: drivers, or a node of ROS 2; the others are
-    /// started here
+    /// started here. With `fusion` among them that is yours too
     #[arg(long, value_name = "IDS")]
-    pub external: Option<RobotSet>,
+    pub external: Option<External>,
 }
 
 /// Robots on other hosts.
@@ -343,7 +344,7 @@ impl SupervisionArgs {
                 keys: self.hosts.keys.clone(),
                 remote: self.hosts.remote.map(|remote| remote.iter().collect()),
             }),
-            external: self.external.map(|external| external.iter().collect()),
+            external: self.external.clone(),
             record_limit_mb: (!recording.no_record).then_some(recording.limit.limit_mb),
         }
     }

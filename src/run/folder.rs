@@ -1,6 +1,5 @@
 //! The run folder before and between runs: preparing, reading, and checking it for `resume`.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 
 use rangehound_node::rendezvous::{Role, RunDescription};
@@ -12,6 +11,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::experiment::Experiment;
+use super::external::External;
 use crate::failure::Failure;
 use crate::files::atomic_file::{self, AtomicFile};
 use crate::files::input::in_utf8;
@@ -68,20 +68,20 @@ pub fn read_hosts(folder: &Path) -> Result<Option<Hosts>, Failure> {
     kept(folder, HOSTS, "how robots on other hosts join")
 }
 
-/// Keeps in the run folder which robots of this host others start, for `resume`; nothing if there are none.
+/// Keeps in the run folder which nodes of this host others start, for `resume`; nothing if there are none.
 ///
 /// # Errors
 /// [`Failure`] if the file cannot be written.
-pub fn write_external(folder: &Path, external: Option<&BTreeSet<usize>>) -> Result<(), Failure> {
+pub fn write_external(folder: &Path, external: Option<&External>) -> Result<(), Failure> {
     keep(folder, EXTERNAL, external)
 }
 
-/// The robots of this host that others started in the run of this folder; `None` if there were none.
+/// The nodes of this host that others started in the run of this folder; `None` if there were none.
 ///
 /// # Errors
 /// [`Failure::Input`] if the file cannot be used.
-pub fn read_external(folder: &Path) -> Result<Option<BTreeSet<usize>>, Failure> {
-    kept(folder, EXTERNAL, "which robots others start")
+pub fn read_external(folder: &Path) -> Result<Option<External>, Failure> {
+    kept(folder, EXTERNAL, "which nodes others start")
 }
 
 fn keep<T: Serialize>(folder: &Path, name: &str, value: Option<&T>) -> Result<(), Failure> {

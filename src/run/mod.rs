@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`experiment`] | from the command line to a validated scenario, a name and a folder |
+//! | [`external`] | which nodes others start |
 //! | [`folder`] | the run folder, prepared or resumed |
 //! | [`supervisor`] | `run`, `resume`, `track`: starts, watches, restarts and ends the nodes |
 //! | [`node`] | `sim`, `fusion`, `robot`: one node |
@@ -14,6 +15,7 @@
 //! | [`pin`] | which processors a command runs on |
 
 pub mod experiment;
+pub mod external;
 pub mod folder;
 pub mod gateway;
 pub mod in_process;

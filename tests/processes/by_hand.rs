@@ -119,6 +119,21 @@ fn a_supervised_run_leaves_robots_to_others() {
 }
 
 #[test]
+fn a_supervised_run_leaves_fusion_to_others() {
+    let words = "--ticks 60 --robots 3 --seed 4 --planner standard";
+    let run = Run::new();
+    let supervisor = run.lockstep(&format!("--timeout forever {words} --external fusion,1"));
+    for process in [run.node("robot --id 1"), run.node("fusion"), supervisor] {
+        process.finish().succeeded();
+    }
+    assert_eq!(run.digest(), digest_in_process(words));
+    let nodes = run.report()["nodes"].clone();
+    let names: Vec<&str> = nodes.as_array().unwrap().iter().filter_map(|node| node["name"].as_str()).collect();
+    assert_eq!(names, ["sim", "robot-0", "robot-2"]);
+    run.assert_nothing_left();
+}
+
+#[test]
 fn a_resumed_run_leaves_the_same_robots_to_others() {
     let words = "--ticks 20000 --robots 3 --seed 4 --planner standard";
     let run = Run::new();

@@ -249,6 +249,34 @@ impl Rendezvous {
         since.map_or(0, |since| since.as_nanos() as u64)
     }
 
+    /// Leaves the run while a thread of this process, which holds a role, still hangs: frees the role for a successor, and does
+    /// not keep the run alive. What that thread does later has no effect.
+    pub fn abandon(&self, role: Role) {
+        let is_held_here = self.roster.holder(role) == Some(rustix::process::getpid());
+        if let Some(silent_since) = self.roster.last_heartbeat(role).filter(|_| is_held_here) {
+            // A failure leaves the role to a standby, which deposes a silent holder too.
+            let _ = self.roster.depose(role, silent_since);
+        }
+        self.leave();
+    }
+
+    /// Leaves the run; the last member removes it. Errors are not reported: no caller could act on them,
+    /// and the next founder tries again.
+    fn leave(&self) {
+        // If the folder was removed from outside, some of the run's shared memory may remain. The membership lock ensures that
+        // it does not belong to a new founder of this name.
+        let is_folder_gone = self.members.is_some() && !self.place.dir().exists();
+        let Ok(_lock) = self.place.lock(is_folder_gone) else { return };
+        if let Some(members) = &self.members {
+            let _ = members.unlock();
+        }
+        let members = self.place.open_existing("members");
+        let is_last = members.map_or(is_folder_gone, |members| members.try_lock().is_ok());
+        if is_last {
+            self.place.remove();
+        }
+    }
+
     /// The run.
     #[must_use]
     pub fn description(&self) -> &RunDescription {
@@ -372,19 +400,8 @@ impl Rendezvous {
 }
 
 impl Drop for Rendezvous {
-    /// Leaves the run; the last member removes it. Errors are not reported: no caller could act on them,
-    /// and the next founder tries again.
     fn drop(&mut self) {
-        // If the folder was removed from outside, some of the run's shared memory may remain. The membership lock ensures that
-        // it does not belong to a new founder of this name.
-        let is_folder_gone = self.members.is_some() && !self.place.dir().exists();
-        let Ok(_lock) = self.place.lock(is_folder_gone) else { return };
-        self.members = None;
-        let members = self.place.open_existing("members");
-        let is_last = members.map_or(is_folder_gone, |members| members.try_lock().is_ok());
-        if is_last {
-            self.place.remove();
-        }
+        self.leave();
     }
 }
 
@@ -446,4 +463,26 @@ pub(crate) fn found_for_test(name: &str) -> Rendezvous {
     let name = format!("{name}-{}", std::process::id()).parse().unwrap();
     let scenario = Scenario::from_file(&ScenarioFile::default(), "test").unwrap();
     Rendezvous::found(&name, RunDescription::new(scenario, PathBuf::new())).unwrap()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_abandoned_role_is_free_and_its_holder_keeps_no_run_alive() {
+        let hung = found_for_test("rendezvous-abandon");
+        let name = hung.name().clone();
+        let lease = hung.roster().take(Role::Fusion).unwrap();
+        let other = Rendezvous::join_if_alive(&name).unwrap().unwrap();
+        hung.abandon(Role::Fusion);
+        assert!(!lease.is_current());
+        assert_eq!(other.roster().take(Role::Fusion).unwrap().incarnation, 3, "one for the change of hands");
+        drop(other);
+        assert!(!living_runs().contains(&name) && files_of(&name).is_empty());
+        // The thread ends at last, when another run has the name.
+        let next = found_for_test("rendezvous-abandon");
+        drop((lease, hung));
+        assert!(living_runs().contains(&name) && next.roster().take(Role::Fusion).is_ok());
+    }
 }

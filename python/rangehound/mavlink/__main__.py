@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from typing import Any
 
@@ -89,14 +90,18 @@ def drive(flags: argparse.Namespace) -> None:
         hold_s=max(HOLD_S, HOLD_TICKS * facts["dt_s"]),
         range_age_s=facts["dt_s"],
     )
+    # pymavlink prints what happens to a connection.
+    sys.stdout = sys.stderr
+
+    def connect() -> Any:
+        component = mavutil.mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+        return mavutil.mavlink_connection(flags.connect, baud=flags.baud, source_system=255, source_component=component, retries=1)
+
+    vehicle = Vehicle(settings, mavutil.mode_string_v10)
     try:
-        connection = mavutil.mavlink_connection(
-            flags.connect, baud=flags.baud, source_system=255, source_component=mavutil.mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
-        )
+        link = Link(mavutil, connect, vehicle, flags.rate, flags.arm)
     except Exception as error:
         raise _native.InputError(f"--connect is {flags.connect}: expected a connection that can be opened: {error}") from error
-    vehicle = Vehicle(settings, mavutil.mode_string_v10)
-    link = Link(mavutil, connection, vehicle, flags.rate, flags.arm)
     link.start()
     try:
         while not is_there(link):

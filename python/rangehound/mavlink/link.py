@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, Callable
 
 from .._clock import now_s as clock_s
 from .vehicle import STOP, Setpoint, Vehicle
@@ -24,16 +25,22 @@ IGNORED, IGNORED_YAW = 0b1001_1100_0111, 0b0100_0000_0000
 #: Setpoints to stop at the end, because one may be lost, and the interval between them, s.
 STOPS, STOP_S = 5, 0.02
 
+#: Time between two attempts to open a connection again that was lost, s.
+REOPEN_S = 1.0
+
 #: With `--arm`: it asks after setpoints have streamed for a while, as PX4 demands, then at this interval, s, and so often at most.
 STREAM_S, ASK_S, ASKS = 1.5, 1.0, 20
 
 
 class Link(threading.Thread):
-    """Reads and writes the connection until it is closed. Other threads use the vehicle under `lock`."""
+    """Reads and writes the connection, which `connect` opens, until it is closed. Other threads use the vehicle under `lock`."""
 
-    def __init__(self, mavutil: Any, connection: Any, vehicle: Vehicle, rate_hz: float, arms: bool) -> None:
+    def __init__(self, mavutil: Any, connect: Callable[[], Any], vehicle: Vehicle, rate_hz: float, arms: bool) -> None:
         super().__init__(name="mavlink", daemon=True)
-        self.mavutil, self.connection, self.vehicle = mavutil, connection, vehicle
+        self.mavutil, self.connect, self.vehicle = mavutil, connect, vehicle
+        #: `None` while it is lost.
+        self.connection: Any = ending(connect())
+        self._reopen_s = -math.inf
         self.period_s = 1 / rate_hz
         self.lock = threading.Lock()
         self.error: BaseException | None = None
@@ -81,15 +88,31 @@ class Link(threading.Thread):
         for _ in range(STOPS):
             self._send_setpoint(STOP)
             time.sleep(STOP_S)
-        self.connection.close()
+        self._disconnect()
 
     def _receive(self, wait_s: float) -> Any:
+        wait_s = min(max(wait_s, 0.001), 0.1)
         try:
-            return self.connection.recv_match(blocking=True, timeout=min(max(wait_s, 0.001), 0.1))
+            if self.connection is None:
+                self._open_again()
+            return self.connection.recv_match(blocking=True, timeout=wait_s)
         except OSError:
-            # As long as the device is away, nothing is heard.
-            time.sleep(0.05)
+            # As long as the vehicle is away, nothing is heard.
+            self._disconnect()
+            self._closing.wait(wait_s)
             return None
+
+    def _open_again(self) -> None:
+        """Opens a lost connection, unless it has just tried."""
+        if time.monotonic() < self._reopen_s:
+            raise ConnectionError
+        self._reopen_s = time.monotonic() + REOPEN_S
+        self.connection = ending(self.connect())
+
+    def _disconnect(self) -> None:
+        if self.connection is not None:
+            self.connection.close()
+        self.connection = None
 
     def _say(self, condition: str) -> None:
         if condition != self._said:
@@ -137,8 +160,30 @@ class Link(threading.Thread):
         self._send(self.mavutil.mavlink.MAVLink_command_long_message(self.vehicle.system, self.vehicle.component, command, 0, *filled))
 
     def _send(self, message: Any) -> None:
+        if self.connection is None:
+            return
         try:
             self.connection.mav.send(message)
         except OSError:
             # The vehicle stops by its own time-out.
             pass
+
+
+def ending(connection: Any) -> Any:
+    """The same connection of pymavlink, which raises `OSError` once the other end has closed it: otherwise it would read nothing
+    for ever, without a pause."""
+
+    def closed() -> None:
+        raise ConnectionResetError("closed by the other end")
+
+    connection.handle_eof = connection.handle_disconnect = closed
+    if hasattr(connection, "listen"):
+        receive = connection.recv
+
+        def received(length: int | None = None) -> Any:
+            # Without a client there is an empty text.
+            data = receive(length)
+            return closed() if data == b"" else data
+
+        connection.recv = received
+    return connection

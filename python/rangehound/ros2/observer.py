@@ -31,6 +31,12 @@ _LAST_WORDS_S = 5.0
 #: Niceness of the thread that publishes.
 _NICE = 10
 
+#: How long subscribers may take to be found before ticks of the past are published, and for how long no more of them come then, s.
+_DISCOVERY_S, _SETTLED_S = 5.0, 1.0
+
+#: Ticks of the past after which subscribers must have taken them, fewer than a publisher keeps; and how long they may take, s.
+_AT_ONCE, _TAKEN_S = 50, 1.0
+
 _HELP = """
 topics out:  target/pose target/odom robot_N/pose robot_N/cmd_vel
              rangehound/markers /tf /clock /diagnostics
@@ -53,7 +59,7 @@ def main(words: Sequence[str]) -> None:
     arguments = Parser("ros2", "Shows a live run to ROS 2, and lets real robots take part in it.", _HELP)
     arguments.add_argument("--robots", metavar="IDS", help="robots that are real, as in 0,2-5, or all: a process for each of them takes its role in the run")
     arguments.add_argument("--from-start", action="store_true", help="publish all ticks from the first one, not only new ones")
-    arguments.add_argument("--stamps", choices=["run", "ros"], help="time of messages: run: the run's own, from 0, with the topic /clock; ros: the clock of ROS [default: ros with --robots in real time, else run]")
+    arguments.add_argument("--stamps", choices=["run", "ros"], help="time of messages: run: the run's own, from 1 s, with the topic /clock; ros: the clock of ROS [default: ros with --robots in real time, else run]")
     args = arguments.parse_args(words)
     with Session("rangehound", ros_args) as session:
         run = _native.Observer(args.name, args.from_start, False, args.wait_s)
@@ -66,8 +72,12 @@ def main(words: Sequence[str]) -> None:
             team.start()
             # Only this thread: those of the middleware find who subscribes, and robots' processes are in the control loop.
             os.nice(_NICE)
-            for arrays in run:
+            if args.from_start:
+                node.wait_for_subscribers()
+            for count, arrays in enumerate(run, 1):
                 node.publish(Tick(arrays))
+                if args.from_start and count % _AT_ONCE == 0:
+                    session.wait_until_taken(_TAKEN_S)
                 team.check()
             team.wait()
         team.check()
@@ -91,12 +101,12 @@ def robot_ids(text: str | None, count: int) -> list[int]:
     return sorted(robots)
 
 
-def controller_limits(session: Session, max_speed_mps: float) -> unicycle.Limits:
+def controller_limits(session: Session, defaults: unicycle.Limits) -> unicycle.Limits:
     """The limits of a robot's controller, from the parameters of its node."""
     return unicycle.Limits(
-        session.number("max_speed_mps", max_speed_mps, "greatest forward speed, m/s"),
-        session.number("max_turn_rate_radps", 2.0, "greatest turn rate, rad/s"),
-        session.number("heading_gain_per_s", 3.0, "turn rate for each rad of heading error, 1/s"),
+        session.number("max_speed_mps", defaults.max_speed_mps, "greatest forward speed, m/s"),
+        session.number("max_turn_rate_radps", defaults.max_turn_rate_radps, "greatest turn rate, rad/s"),
+        session.number("heading_gain_per_s", defaults.heading_gain_per_s, "turn rate for each rad of heading error, 1/s"),
     )
 
 
@@ -134,7 +144,7 @@ class Node:
         base_frames = session.base_frames(range(count))
         with_tf = session.parameter("publish_tf", True, "publish the frames of the target and of robots that are not real")
         rate_hz = session.number("markers_rate_hz", 10.0, "greatest rate of the markers, 1/s")
-        self._limits = controller_limits(session, float(np.max(facts["max_speeds_mps"])))
+        self._limits = controller_limits(session, unicycle.Limits(*facts["controller"]))
         self._simulated = [robot for robot in range(count) if robot not in robots]
 
         # Every subscription matches a reliable publisher: those that want the newest value are best effort themselves.
@@ -152,7 +162,7 @@ class Node:
         if self._odometry is not None:
             self._odometry.message.child_frame_id = target_frame
         self._poses = [topic(pose, f"robot_{robot}/pose", map_frame) for robot in range(count)]
-        self._twists = {robot: topic(twist, f"robot_{robot}/cmd_vel", base_frames[robot]) for robot in self._simulated}
+        self._twists = {robot: topic(twist, f"robot_{robot}/cmd_vel", base_frames[robot]) for robot in self._simulated if not facts["is_recording"]}
         self._led_by_others: set[int] = set()
         self._frames = self._made_frames(map_frame, target_frame, base_frames) if with_tf else None
         self._markers, self._marked_s, self._marker_interval_s = self._made_markers(map_frame, count), -math.inf, 1.0 / rate_hz if rate_hz > 0.0 else math.inf
@@ -223,34 +233,45 @@ class Node:
         self._newest = tick
 
     def _stamp(self, tick: Tick) -> Any:
-        time_s = float(tick.time_s)
-        if not self._is_simulated_time:
+        if self._is_simulated_time:
+            stamp = messages.stamp_of(float(tick.time_s), self._facts["stamp_offset_ns"])
+        else:
             age_s = (now_ns() - int(tick.sent_ns)) * 1e-9 if tick.sent_ns else 0.0
-            time_s = self._session.now_s() - age_s
-        second, nanosecond = messages.stamp_of(time_s)
-        return self._time(sec=second, nanosec=nanosecond)
+            stamp = messages.stamp_of(self._session.now_s() - age_s)
+        return self._time(sec=stamp[0], nanosec=stamp[1])
 
-    def _target_pose(self, tick: Tick) -> messages.Planar:
-        return messages.target_pose(tick.state, tick.covariance, self._facts["has_velocity"])
+    def wait_for_subscribers(self) -> None:
+        """Waits, for a while, until subscribers have been found and no more come: what nobody hears yet is not published."""
+        began_s = since_s = time.monotonic()
+        count = 0
+        while (now_s := time.monotonic()) < began_s + _DISCOVERY_S:
+            found = sum(publisher.get_subscription_count() for publisher in self._session.publishers)
+            if found != count:
+                count, since_s = found, now_s
+            if count > 0 and now_s - since_s >= _SETTLED_S:
+                return
+            time.sleep(0.05)
+
+    def _target_of(self, tick: Tick) -> messages.Target:
+        return messages.target_of(tick.state, tick.covariance, self._facts["has_velocity"])
 
     def _publish_target(self, tick: Tick, stamp: Any) -> None:
         topics = [topic for topic in (self._target, self._odometry) if topic is not None and topic.is_heard]
         if not topics:
             return
-        pose = self._target_pose(tick)
+        target = self._target_of(tick)
         for topic in topics:
-            _fill_pose(topic.message.pose, pose)
+            _fill_pose(topic.message.pose, target.pose)
             if topic is self._odometry:
-                velocity = messages.target_twist(tick.state, tick.covariance, self._facts["has_velocity"])
-                topic.message.twist.twist.linear.x = velocity.x
-                topic.message.twist.covariance = velocity.covariance
+                topic.message.twist.twist.linear.x = target.speed_mps
+                topic.message.twist.covariance = target.velocity_covariance
             topic.publish(stamp)
 
     def _publish_robot(self, tick: Tick, robot: int, stamp: Any) -> None:
         """Pose and twist of a robot that has reported where it is."""
         topic = self._poses[robot]
         if topic.is_heard:
-            about = tick.believed_covariance_m2[robot], tick.believed_heading_rad[robot], tick.believed_heading_std_rad[robot]
+            about = tick.believed_height_m[robot], tick.believed_covariance_m2[robot], tick.believed_heading_rad[robot], tick.believed_heading_std_rad[robot]
             _fill_pose(topic.message.pose, messages.robot_pose(tick.believed_m[robot], *about))
             topic.publish(stamp)
         twist = self._twists.get(robot)
@@ -264,14 +285,14 @@ class Node:
         if self._frames is None:
             return
         publisher, message, transforms = self._frames
-        target = self._target_pose(tick)
-        robots = np.column_stack([tick.believed_m, tick.believed_heading_rad])[self._simulated].tolist()
+        target = self._target_of(tick).pose
+        robots = np.column_stack([tick.believed_m, tick.believed_height_m, tick.believed_heading_rad])[self._simulated].tolist()
         message.transforms = []
-        for transform, (x_m, y_m, yaw_rad) in zip(transforms, [[target.x, target.y, target.yaw], *robots]):
+        for transform, (x_m, y_m, z_m, yaw_rad) in zip(transforms, [target[:4], *robots]):
             if not math.isfinite(x_m):
                 continue
             moved = transform.transform
-            moved.translation.x, moved.translation.y = x_m, y_m
+            moved.translation.x, moved.translation.y, moved.translation.z = x_m, y_m, z_m
             moved.rotation.z, moved.rotation.w = messages.quaternion_of(yaw_rad)
             transform.header.stamp = stamp
             message.transforms.append(transform)
@@ -379,6 +400,6 @@ def _framed(kind: Any, frame: str) -> Any:
 
 
 def _fill_pose(message: Any, pose: messages.Planar) -> None:
-    message.pose.position.x, message.pose.position.y = pose.x, pose.y
+    message.pose.position.x, message.pose.position.y, message.pose.position.z = pose.x, pose.y, pose.z
     message.pose.orientation.z, message.pose.orientation.w = messages.quaternion_of(pose.yaw)
     message.covariance = pose.covariance

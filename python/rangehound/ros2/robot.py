@@ -70,7 +70,9 @@ class Bridge:
         self._dt_s, self._is_lockstep = float(facts["dt_s"]), bool(facts["is_lockstep"])
         self._range_std_m = float(facts["range_stds_m"][robot])
         self._bearing_std_rad = float(facts["bearing_stds_rad"][robot])
-        self._limits = controller_limits(session, float(facts["max_speeds_mps"][robot]))
+        own = unicycle.Limits(*facts["controller"])._replace(max_speed_mps=float(facts["max_speeds_mps"][robot]))
+        self._limits = controller_limits(session, own)
+        self._offset_ns = int(facts["stamp_offset_ns"])
         self._map_frame = session.parameter("map_frame", "map", "frame of the run")
         self._origin = session.parameter("odom_origin", [math.nan] * 3, "x, m, y, m, and yaw, rad, of the odometry's frame in map_frame")
         if len(self._origin) != 3 or any(map(math.isinf, self._origin)):
@@ -87,7 +89,7 @@ class Bridge:
         self._command = (0.0, 0.0)
         self._tick_s = 0.0
         self._refused: Counter[str] = Counter()
-        self._used: Counter[str] = Counter()
+        self._used = {"range": 0, "bearing": 0}
 
         twist = message_type("geometry_msgs", "TwistStamped", f"robot_{robot}/cmd_vel", needed=True)
         reliable = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
@@ -198,11 +200,11 @@ class Bridge:
     def pose(self, time_s: float, x_m: float, y_m: float, heading_rad: float) -> tuple[float, ...]:
         """Where the robot is at a tick. Takes the measurements of the tick with it, so that all are of one moment."""
         with self._changed:
-            self._tick_s = time_s
-            now_s = time_s if self._is_lockstep else self._session.now_s()
+            self._tick_s = time_s + self._offset_ns * 1e-9
+            now_s = self._now_s()
             if self._is_lockstep:
                 expected = [self._odometry, *([self._range] if self._has_range else []), *([self._bearing] if self._has_bearing else [])]
-                self._changed.wait_for(lambda: all(topic.stamp_s >= time_s - self._dt_s / 2 for topic in expected), timeout=self._wait_s)
+                self._changed.wait_for(lambda: all(topic.stamp_s >= now_s - self._dt_s / 2 for topic in expected), timeout=self._wait_s)
             max_age_s = self._dt_s / 2 if self._is_lockstep else self._max_age_s
             odometry = self._odometry.look(now_s, self._odom_max_age_s)
             measured = [topic.take(now_s, max_age_s) if odometry is not None and time_s > 0.0 else None for topic in (self._range, self._bearing)]
@@ -210,8 +212,8 @@ class Bridge:
             at_s = max((topic.stamp_s for topic, value in zip((self._range, self._bearing), measured) if value is not None), default=now_s)
             if odometry is not None:
                 odometry = measurements.moved(odometry, at_s - self._odometry.stamp_s)
-        for what, value in zip(("range", "bearing"), measured):
-            self._used[what] += value is not None
+            for what, value in zip(self._used, measured):
+                self._used[what] += value is not None
         at = odometry or self._odom
         if at is None:
             raise RuntimeError("asked for a pose before the first odometry")
@@ -229,7 +231,11 @@ class Bridge:
         """Drives by a command until the next one. Returns the heading and the speed of the robot."""
         with self._changed:
             self._command = heading_rad, speed_mps
-        return self._drive(self._tick_s if self._is_lockstep else self._session.now_s())
+        return self._drive(self._now_s())
+
+    def _now_s(self) -> float:
+        """The time by which the stamps of messages are judged: in lock step that of the tick."""
+        return self._tick_s if self._is_lockstep else self._session.now_s()
 
     def _drive(self, now_s: float) -> tuple[float, float]:
         """Publishes the twist for the command; zero without fresh odometry."""
@@ -254,9 +260,10 @@ class Bridge:
         from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
         with self._changed:
-            is_fresh = self._odometry.look(self._tick_s if self._is_lockstep else self._session.now_s(), self._odom_max_age_s) is not None
+            is_fresh = self._odometry.look(self._now_s(), self._odom_max_age_s) is not None
+            used = self._used.copy()
         refused = {f"refused, {cause}": count for cause, count in self._refused.items()}
-        values = {**{f"{what}s used": count for what, count in self._used.items()}, **refused}
+        values = {**{f"{what}s used": count for what, count in used.items()}, **refused}
         message = self._diagnostics()
         message.header.stamp = self._session.node.get_clock().now().to_msg()
         text = "odometry is fresh" if is_fresh else "no fresh odometry: the robot stands still"

@@ -92,6 +92,7 @@ class Session:
             self.node = rclpy.node.Node(node_name)
         except Exception as error:  # rclpy has a class for each fault of its arguments.
             raise InputError(f"--ros-args: {error}") from None
+        self.publishers: list[Any] = []
         self._failure: BaseException | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(self.node)
@@ -128,7 +129,9 @@ class Session:
         if kind is None:
             return None
         # The overriding changes the profile that it gets.
-        return self.node.create_publisher(kind, topic, copy.copy(qos), qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        overriding = QoSOverridingOptions.with_default_policies()
+        self.publishers.append(self.node.create_publisher(kind, topic, copy.copy(qos), qos_overriding_options=overriding))
+        return self.publishers[-1]
 
     def subscribe(self, kind: Any, topic: str, qos: Any, callback: Callable[[Any], None]) -> None:
         """A subscription whose quality of service may be overridden by parameters `qos_overrides`."""
@@ -136,6 +139,14 @@ class Session:
 
         overriding = QoSOverridingOptions.with_default_policies()
         self.node.create_subscription(kind, topic, callback, copy.copy(qos), qos_overriding_options=overriding)
+
+    def wait_until_taken(self, at_most_s: float) -> None:
+        """Waits until reliable subscribers have what was published."""
+        from rclpy.duration import Duration
+
+        until_s = time.monotonic() + at_most_s
+        for publisher in self.node.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(until_s - time.monotonic(), 0.001)))
 
     def now_s(self) -> float:
         """The time of the node's clock, s: the wall clock, or the topic /clock with the parameter use_sim_time."""
@@ -172,11 +183,7 @@ class Session:
 
     def _close(self) -> None:
         """Waits for a moment until subscribers have what was published, ends the callbacks, and leaves ROS."""
-        from rclpy.duration import Duration
-
-        until_s = time.monotonic() + _LAST_WORDS_S
-        for publisher in self.node.publishers:
-            publisher.wait_for_all_acked(Duration(seconds=max(until_s - time.monotonic(), 0.001)))
+        self.wait_until_taken(_LAST_WORDS_S)
         self._executor.shutdown(timeout_sec=2.0)
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)

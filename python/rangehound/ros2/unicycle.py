@@ -12,12 +12,12 @@ heading and without the limit the error decays as `e(t) = e(0) exp(-k t)`.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from typing import NamedTuple
+
+from .. import _native
 
 
-@dataclass(frozen=True)
-class Limits:
+class Limits(NamedTuple):
     """What a robot can do."""
 
     #: Greatest forward speed v_max, m/s.
@@ -28,18 +28,7 @@ class Limits:
     heading_gain_per_s: float
 
 
-def wrapped(angle_rad: float) -> float:
-    """The angle within (-pi, pi], rad."""
-    turned_rad = math.remainder(angle_rad, math.tau)
-    return math.pi if turned_rad == -math.pi else turned_rad
-
-
 def twist(heading_rad: float, speed_mps: float, yaw_rad: float, limits: Limits) -> tuple[float, float]:
     """Forward speed, m/s, and turn rate, rad/s, for a commanded heading and speed; zero to stop or if a value is no number."""
-    values = (heading_rad, speed_mps, yaw_rad)
-    if not all(map(math.isfinite, values)) or speed_mps <= 0.0:
-        return 0.0, 0.0
-    error_rad = wrapped(heading_rad - yaw_rad)
-    turn_radps = limits.heading_gain_per_s * error_rad
-    turn_radps = max(-limits.max_turn_rate_radps, min(limits.max_turn_rate_radps, turn_radps))
-    return min(speed_mps, limits.max_speed_mps) * max(0.0, math.cos(error_rad)), turn_radps
+    linear_mps, angular_radps = _native.ros_twist(heading_rad, speed_mps, yaw_rad, *limits)
+    return linear_mps, angular_radps

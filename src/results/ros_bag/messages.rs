@@ -1,28 +1,17 @@
 //! The messages of a bag. All positions are in the frame `map`: x and y as in the run, z is the height above the plane in which the target
 //! moves. Covariances of ROS are 6 x 6, row by row over x, y, z, roll, pitch, yaw; a run is planar, and has 0 for z, roll and pitch.
 
-use std::f64::consts::PI;
-
-use rangehound_shared::measurement::Pose;
-use rangehound_shared::message::{Command, Estimate};
+use rangehound_shared::message::Command;
 
 use crate::files::bag::cdr::Writer;
 use crate::files::bag::interfaces::{self, Interface};
+use crate::results::ros_bag::planar::{Moving, Placed};
 
 /// The frame of all positions.
 const MAP: &str = "map";
 
 /// The frame of the target.
 const TARGET: &str = "target";
-
-/// Variance of an angle of which nothing is known: uniform over a turn, rad^2.
-const ANY_ANGLE_RAD2: f64 = PI * PI / 3.0;
-
-/// Variance of what is not estimated, in the square of its unit.
-const UNKNOWN: f64 = 1e6;
-
-/// Slowest target whose velocity has a direction, m^2/s^2.
-const SLOWEST_M2PS2: f64 = 1e-12;
 
 /// A topic of the bag; those of robots with the robot's id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -41,7 +30,9 @@ pub enum Topic {
     Range(usize),
     /// The bearing that it measured.
     Bearing(usize),
-    /// Its commanded velocity.
+    /// The twist for its commanded heading, in its own frame: what the node's controller makes of it by default.
+    Twist(usize),
+    /// Its commanded velocity over ground.
     Velocity(usize),
 }
 
@@ -57,7 +48,8 @@ impl Topic {
             Self::Pose(robot) => format!("/robot_{robot}/pose"),
             Self::Range(robot) => format!("/robot_{robot}/range"),
             Self::Bearing(robot) => format!("/robot_{robot}/bearing"),
-            Self::Velocity(robot) => format!("/robot_{robot}/cmd_vel"),
+            Self::Twist(robot) => format!("/robot_{robot}/cmd_vel"),
+            Self::Velocity(robot) => format!("/robot_{robot}/velocity"),
         }
     }
 
@@ -71,62 +63,9 @@ impl Topic {
             Self::Frames => interfaces::TRANSFORMS,
             Self::Range(_) => interfaces::RANGE,
             Self::Bearing(_) => interfaces::VECTOR,
-            Self::Velocity(_) => interfaces::TWIST,
+            Self::Twist(_) | Self::Velocity(_) => interfaces::TWIST,
         }
     }
-}
-
-/// A pose in the plane, or above it, with its covariance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Placed {
-    position_m: [f64; 3],
-    yaw_rad: f64,
-    /// Over x, y, yaw.
-    covariance: [[f64; 3]; 3],
-}
-
-impl Placed {
-    /// A robot's pose as it reported it.
-    #[must_use]
-    pub fn robot(pose: &Pose) -> Self {
-        let Pose { x_m, y_m, height_m, heading_rad, covariance_m2: [xx, xy, yy], heading_std_rad } = *pose;
-        let turn = (heading_std_rad * heading_std_rad).min(ANY_ANGLE_RAD2);
-        let covariance = [[xx, xy, 0.0], [xy, yy, 0.0], [0.0, 0.0, turn]];
-        Self { position_m: [x_m, y_m, height_m], yaw_rad: heading_rad, covariance }
-    }
-
-    /// The estimated pose of the target, which faces along its velocity `v`. With `J = (-vy, vx) / |v|^2` the variance of its yaw is `J P_v J^T`, and
-    /// the covariance with its position `P_pv J^T`. Where that variance exceeds the one of any angle, the yaw is not known.
-    #[must_use]
-    pub fn target(estimate: &Estimate) -> Self {
-        let [x_m, y_m, ..] = estimate.state;
-        let p = |row, column| covariance_at(estimate, row, column);
-        let mut covariance = [[p(0, 0), p(0, 1), 0.0], [p(1, 0), p(1, 1), 0.0], [0.0, 0.0, ANY_ANGLE_RAD2]];
-        let [vx_mps, vy_mps] = velocity_mps(estimate);
-        let square = vx_mps * vx_mps + vy_mps * vy_mps;
-        if square > SLOWEST_M2PS2 {
-            let [jx, jy] = [-vy_mps / square, vx_mps / square];
-            let turn = jx * (jx * p(2, 2) + 2.0 * jy * p(2, 3)) + jy * jy * p(3, 3);
-            if turn < ANY_ANGLE_RAD2 {
-                covariance[2][2] = turn;
-                let with_turn = [0, 1].map(|axis| p(axis, 2) * jx + p(axis, 3) * jy);
-                [covariance[0][2], covariance[1][2]] = with_turn;
-                [covariance[2][0], covariance[2][1]] = with_turn;
-            }
-        }
-        Self { position_m: [x_m, y_m, 0.0], yaw_rad: vy_mps.atan2(vx_mps), covariance }
-    }
-}
-
-/// The estimated velocity; zero for models without one.
-fn velocity_mps(estimate: &Estimate) -> [f64; 2] {
-    let [_, _, vx_mps, vy_mps, ..] = estimate.state;
-    [vx_mps, vy_mps]
-}
-
-fn covariance_at(estimate: &Estimate, row: usize, column: usize) -> f64 {
-    let n = estimate.state_dim as usize;
-    if row < n && column < n { estimate.covariance.get(row * n + column).copied().unwrap_or(0.0) } else { 0.0 }
 }
 
 /// The bytes of messages, one at a time.
@@ -155,31 +94,20 @@ impl Messages {
     }
 
     /// `geometry_msgs/PoseStamped` of the true target.
-    pub fn truth(&mut self, state: &[f64]) {
+    pub fn truth(&mut self, state: &[f64], has_velocity: bool) {
         let at = |index: usize| state.get(index).copied().unwrap_or(0.0);
+        let yaw_rad = if has_velocity { at(3).atan2(at(2)) } else { 0.0 };
         self.begin(MAP);
-        self.pose([at(0), at(1), 0.0], at(3).atan2(at(2)));
+        self.pose([at(0), at(1), 0.0], yaw_rad);
     }
 
-    /// `nav_msgs/Odometry` of the target: the twist is in its own frame, whose x axis is the direction of the velocity.
-    pub fn odometry(&mut self, estimate: &Estimate) {
-        let placed = Placed::target(estimate);
+    /// `nav_msgs/Odometry` of the target: the twist is in its own frame.
+    pub fn odometry(&mut self, target: &Placed, moving: &Moving) {
         self.begin(MAP);
         self.out.text(TARGET);
-        self.placed(&placed);
-        let [vx_mps, vy_mps] = velocity_mps(estimate);
-        self.out.f64s(&[vx_mps.hypot(vy_mps), 0.0, 0.0, 0.0, 0.0, 0.0]);
-        let mut covariance = [[UNKNOWN, 0.0, 0.0], [0.0, UNKNOWN, 0.0], [0.0, 0.0, UNKNOWN]];
-        if estimate.state_dim >= 4 {
-            let (sin, cos) = placed.yaw_rad.sin_cos();
-            let p = |row, column| covariance_at(estimate, row, column);
-            let [xx, xy, yy] = [p(2, 2), p(2, 3), p(3, 3)];
-            let along = cos * cos * xx + 2.0 * sin * cos * xy + sin * sin * yy;
-            let across = sin * sin * xx - 2.0 * sin * cos * xy + cos * cos * yy;
-            let both = (cos * cos - sin * sin) * xy + sin * cos * (yy - xx);
-            (covariance[0], covariance[1]) = ([along, both, 0.0], [both, across, 0.0]);
-        }
-        self.covariance(&covariance);
+        self.placed(target);
+        self.out.f64s(&[moving.speed_mps, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        self.out.f64s(&moving.covariance());
     }
 
     /// `sensor_msgs/Range`, in the frame of the robot.
@@ -205,6 +133,12 @@ impl Messages {
         let Command { heading_rad, speed_mps } = command;
         let (sin, cos) = heading_rad.sin_cos();
         self.out.f64s(&[speed_mps * cos, speed_mps * sin, 0.0, 0.0, 0.0, 0.0]);
+    }
+
+    /// `geometry_msgs/TwistStamped` in the frame of the robot: forward speed and turn rate.
+    pub fn twist(&mut self, robot: usize, [forward_mps, turn_radps]: [f64; 2]) {
+        self.begin(&base(robot));
+        self.out.f64s(&[forward_mps, 0.0, 0.0, 0.0, 0.0, turn_radps]);
     }
 
     /// `tf2_msgs/TFMessage`: the frames of the target and of robots by id.
@@ -238,7 +172,7 @@ impl Messages {
 
     fn placed(&mut self, placed: &Placed) {
         self.pose(placed.position_m, placed.yaw_rad);
-        self.covariance(&placed.covariance);
+        self.out.f64s(&placed.covariance());
     }
 
     /// A position, and an orientation about the vertical.
@@ -246,17 +180,6 @@ impl Messages {
         let (sin, cos) = (0.5 * yaw_rad).sin_cos();
         self.out.f64s(&position_m);
         self.out.f64s(&[0.0, 0.0, sin, cos]);
-    }
-
-    fn covariance(&mut self, planar: &[[f64; 3]; 3]) {
-        const PLACES: [usize; 3] = [0, 1, 5];
-        let mut full = [0.0; 36];
-        for (row, numbers) in PLACES.into_iter().zip(planar) {
-            for (column, number) in PLACES.into_iter().zip(numbers) {
-                full[6 * row + column] = *number;
-            }
-        }
-        self.out.f64s(&full);
     }
 }
 
@@ -267,10 +190,14 @@ fn base(robot: usize) -> String {
 
 #[cfg(test)]
 mod tests {
+    use rangehound_shared::measurement::Pose;
+    use rangehound_shared::message::Estimate;
+
     use super::*;
     use crate::files::bag::cdr::{Value, read};
     use crate::files::bag::definition::Types;
     use crate::files::bag::path::Path;
+    use crate::results::ros_bag::planar::UNKNOWN;
 
     fn number(messages: &Messages, topic: Topic, path: &str) -> f64 {
         let types = Types::parse(topic.interface().name, &topic.interface().text()).unwrap();
@@ -291,7 +218,7 @@ mod tests {
         }
         let mut messages = Messages::default();
         messages.set_stamp(5_000_000_007);
-        messages.odometry(&estimate);
+        messages.odometry(&Placed::target(&estimate, true), &Moving::target(&estimate, true));
         let at = |path: &str| number(&messages, Topic::TargetOdometry, path);
         assert_eq!((at("header.stamp.sec"), at("header.stamp.nanosec")), (5.0, 7.0));
         assert_eq!((at("pose.pose.position.x"), at("pose.pose.position.y")), (1.0, 2.0));
@@ -306,6 +233,13 @@ mod tests {
         assert!((at("twist.covariance[0]") - along).abs() < 1e-12);
         assert!((at("twist.covariance[0]") + at("twist.covariance[7]") - 3.0).abs() < 1e-12, "a turn keeps the trace");
         assert_eq!(at("twist.covariance[35]"), UNKNOWN);
+        messages.odometry(&Placed::target(&estimate, false), &Moving::target(&estimate, false));
+        let at = |path: &str| number(&messages, Topic::TargetOdometry, path);
+        assert_eq!(
+            (at("twist.twist.linear.x"), at("twist.covariance[0]")),
+            (0.0, UNKNOWN),
+            "the model has no velocity"
+        );
     }
 
     #[test]
@@ -318,9 +252,12 @@ mod tests {
         assert_eq!(number(&messages, Topic::Bearing(3), "vector.y"), 0.5_f64.sin());
         messages.velocity(Command { heading_rad: 0.25, speed_mps: 2.0 });
         assert_eq!(number(&messages, Topic::Velocity(3), "twist.linear.x"), 2.0 * 0.25_f64.cos());
+        messages.twist(3, [1.5, -0.5]);
+        assert_eq!(number(&messages, Topic::Twist(3), "twist.linear.x"), 1.5);
+        assert_eq!(number(&messages, Topic::Twist(3), "twist.angular.z"), -0.5);
         messages.pose_with_covariance(&Placed::robot(&Pose { height_m: 1.5, ..Pose::at([1.0, 2.0]) }));
         assert_eq!(number(&messages, Topic::Pose(3), "pose.pose.position.z"), 1.5);
-        messages.truth(&[7.0, 8.0]);
+        messages.truth(&[7.0, 8.0], false);
         assert_eq!(number(&messages, Topic::Truth, "pose.position.y"), 8.0);
         let placed = Placed::robot(&Pose::at([1.0, 2.0]));
         messages.frames(&placed, [(0, &placed), (12, &placed)].into_iter());

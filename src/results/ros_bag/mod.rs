@@ -2,10 +2,12 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`messages`] | from a frame's data to the bytes of messages |
+//! | [`planar`] | from a run's data to what ROS is told: poses, velocities, twists, stamps |
+//! | [`messages`] | from that to the bytes of messages |
 //! | [`write`](mod@write) | frames into an MCAP file |
 //! | [`folder`] | the folder, and what `metadata.yaml` says of the file |
 
 pub mod folder;
 pub mod messages;
+pub mod planar;
 pub mod write;

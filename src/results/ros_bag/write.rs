@@ -10,18 +10,13 @@ use mcap::{Compression, McapError, WriteOptions};
 use rangehound_shared::message::Estimate;
 use rangehound_shared::scenario::{Scenario, Source};
 
-use super::messages::{Messages, Placed, Topic};
+use super::messages::{Messages, Topic};
+use super::planar::{self, Controller, Moving, Placed};
 use crate::results::frame::Frame;
 use crate::results::run_mcap::write::{Counting, Written};
 
 /// A chunk is written once it has this many bytes before compression: as rosbag2 does.
 const CHUNK_LEN: u64 = 768 << 10;
-
-/// The first stamp of a run whose own times are no stamps, ns: ROS takes 0 for a stamp that is not set.
-const FIRST_NS: i64 = 1_000_000_000;
-
-/// Times that are stamps as they are, s: from the first to the last that a stamp can hold, less a run of a year.
-const STAMPS_S: std::ops::Range<f64> = 1.0..2_147_483_647.0 - 32e6;
 
 /// A topic in the file.
 #[derive(Debug, Clone, Copy)]
@@ -64,6 +59,8 @@ pub struct BagWriter<W: Write + Seek> {
     bytes_max: u64,
     bytes_written: Rc<Cell<u64>>,
     is_recording: bool,
+    has_velocity: bool,
+    controller: Controller,
     /// What holds at the newest stamp. A recording may have several ticks for it, of which the last knows most.
     newest: Option<Newest>,
 }
@@ -89,10 +86,12 @@ impl<W: Write + Seek> BagWriter<W> {
         Ok(Self {
             mcap: options.create(Counting { out, bytes_written: Rc::clone(&bytes_written) })?,
             messages: Messages::default(),
-            contents: Contents::default(),
+            contents: Contents { offset_ns: planar::stamp_offset_ns(scenario), ..Contents::default() },
             bytes_max,
             bytes_written,
             is_recording: matches!(scenario.source, Source::Recorded { .. }),
+            has_velocity: planar::has_velocity(scenario),
+            controller: Controller::of_team(scenario),
             newest: None,
         })
     }
@@ -115,7 +114,7 @@ impl<W: Write + Seek> BagWriter<W> {
         }
         self.set_stamp(time_s);
         if !frame.world.truth.is_empty() {
-            self.messages.truth(&frame.world.truth);
+            self.messages.truth(&frame.world.truth, self.has_velocity);
             self.put(Topic::Truth)?;
         }
         let mut robots = self.newest.take().map(|newest| newest.robots).unwrap_or_default();
@@ -124,6 +123,10 @@ impl<W: Write + Seek> BagWriter<W> {
                 let placed = Placed::robot(&heard.measurement.pose);
                 self.messages.pose_with_covariance(&placed);
                 self.put(Topic::Pose(id))?;
+                if !self.is_recording {
+                    self.messages.twist(id, self.controller.twist(exchange.command, placed.yaw_rad));
+                    self.put(Topic::Twist(id))?;
+                }
                 robots.insert(id, placed);
                 if let Some((range_m, std_m)) = heard.measurement.range() {
                     self.messages.range(id, range_m, std_m);
@@ -157,22 +160,18 @@ impl<W: Write + Seek> BagWriter<W> {
     fn put_newest(&mut self) -> Result<(), McapError> {
         let Some(Newest { time_s, estimate, robots }) = self.newest.take() else { return Ok(()) };
         self.set_stamp(time_s);
-        let target = Placed::target(&estimate);
+        let target = Placed::target(&estimate, self.has_velocity);
         self.messages.pose_with_covariance(&target);
         self.put(Topic::TargetPose)?;
-        self.messages.odometry(&estimate);
+        self.messages.odometry(&target, &Moving::target(&estimate, self.has_velocity));
         self.put(Topic::TargetOdometry)?;
         self.messages.frames(&target, robots.iter().map(|(id, placed)| (*id, placed)));
         self.put(Topic::Frames)
     }
 
     fn set_stamp(&mut self, time_s: f64) {
-        let time_ns = (time_s * 1e9).round() as i64;
         let Contents { span_ns, offset_ns, .. } = &mut self.contents;
-        if span_ns.is_none() && !STAMPS_S.contains(&time_s) {
-            *offset_ns = FIRST_NS.saturating_sub(time_ns);
-        }
-        let stamp_ns = time_ns.saturating_add(*offset_ns);
+        let stamp_ns = planar::stamp_ns(time_s).saturating_add(*offset_ns);
         *span_ns = Some([span_ns.map_or(stamp_ns, |[first, _]| first), stamp_ns]);
         self.messages.set_stamp(stamp_ns);
     }

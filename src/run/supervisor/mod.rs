@@ -16,7 +16,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
-use rangehound_node::rendezvous::Rendezvous;
+use rangehound_node::rendezvous::{Rendezvous, Role};
 use rangehound_node::system::signal::Termination;
 use rangehound_shared::run_name::RunName;
 use rangehound_shared::scenario::Scenario;
@@ -26,6 +26,7 @@ use crate::failure::Failure;
 use crate::files::out_folder::{self, Claim};
 use crate::results::made::{self, Keep};
 use crate::run::experiment::Experiment;
+use crate::run::external::External;
 use crate::run::folder;
 use crate::run::gateway;
 use crate::run::in_process::{self, TeamError};
@@ -52,8 +53,8 @@ pub struct Supervision {
     pub record_limit_mb: Option<u64>,
     /// Robots on other hosts.
     pub hosts: Option<Hosts>,
-    /// Robots of this host whose processes others start; kept in the run folder, for `resume`.
-    pub external: Option<BTreeSet<usize>>,
+    /// Nodes of this host whose processes others start; kept in the run folder, for `resume`.
+    pub external: Option<External>,
 }
 
 /// The gateway for robots on other hosts; kept in the run folder, for `resume`.
@@ -91,9 +92,10 @@ impl Supervision {
         remote.is_some_and(|remote| remote.is_none_or(|remote| remote.contains(&robot)))
     }
 
-    /// True if others start a robot: on this host, or on another one.
-    fn leaves_to_others(&self, robot: usize) -> bool {
-        self.is_remote(robot) || self.external.as_ref().is_some_and(|external| external.contains(&robot))
+    /// True if others start the process of a role: on this host, or on another one.
+    fn leaves_to_others(&self, role: Role) -> bool {
+        let is_remote = role.robot().is_some_and(|robot| self.is_remote(robot));
+        is_remote || self.external.as_ref().is_some_and(|external| external.has(role))
     }
 
     /// The gateway for robots on other hosts. Robots that the run does not have and a gateway that could not start are
@@ -101,13 +103,13 @@ impl Supervision {
     fn gateway(&self, scenario: &Scenario) -> Result<Option<Gateway>, Failure> {
         let last = scenario.robots.len() - 1;
         let remote = self.hosts.as_ref().and_then(|hosts| hosts.remote.as_ref()?.last().copied());
-        let external = self.external.as_ref().and_then(|external| external.last().copied());
+        let external = self.external.as_ref().and_then(|external| external.robots.last().copied());
         for (flag, id) in [("--remote", remote), ("--external", external)] {
             if let Some(id) = id.filter(|id| *id > last) {
                 return Err(Failure::input(format!("robot {id} ({flag}) is not in this run: expected 0 to {last}")));
             }
         }
-        let is_simulated = |id: &usize| !self.leaves_to_others(*id);
+        let is_simulated = |id: &usize| !self.leaves_to_others(Role::Robot(*id));
         if scenario.has_real_target
             && let Some(id) = (0..=last).find(is_simulated)
         {

@@ -87,8 +87,7 @@ impl<'a> Nodes<'a> {
         before: Vec<NodeSummary>,
     ) -> Result<Self, Failure> {
         let scenario = &rendezvous.description().scenario;
-        let roles = watch::roles(scenario.robots.len());
-        let roles = roles.filter(|role| !role.robot().is_some_and(|robot| supervision.leaves_to_others(robot)));
+        let roles = watch::roles(scenario.robots.len()).filter(|role| !supervision.leaves_to_others(*role));
         let roles = roles.chain((1..=supervision.standbys).map(Role::Standby));
         let mut nodes: Vec<Node> = roles.map(|role| Node::new(role, scenario, supervision.standbys > 0)).collect();
         nodes.extend(

@@ -1,4 +1,4 @@
-//! Robots that others start and without which a run does not go on: the user is told which ones.
+//! Nodes that others start and without which a run does not go on: the user is told which ones.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -13,36 +13,38 @@ use crate::run::watch::Newest;
 /// A run without a new tick for this long waits for something; and the interval between two looks.
 const WAITS: Duration = Duration::from_secs(1);
 
-/// What a run waits for, some of whose robots others start.
+/// What a run waits for, some of whose nodes others start.
 pub(super) struct Waiting<'a> {
     rendezvous: &'a Rendezvous,
     /// The robots that join through the gateway, and where it listens.
     remote: Vec<usize>,
     listen: Option<SocketAddr>,
-    /// The robots whose processes the user starts on this host.
+    /// The robots whose processes the user starts on this host, and whether fusion is one of these too.
     external: Vec<usize>,
+    leaves_fusion: bool,
     newest: Newest,
     since: Instant,
-    reported: Vec<usize>,
+    reported: Vec<Role>,
 }
 
 impl<'a> Waiting<'a> {
     pub(super) fn new(rendezvous: &'a Rendezvous, supervision: &Supervision, gateway: Option<&Gateway>) -> Self {
         let robots = 0..rendezvous.description().scenario.robots.len();
-        let left = robots.filter(|robot| supervision.leaves_to_others(*robot));
+        let left = robots.filter(|robot| supervision.leaves_to_others(Role::Robot(*robot)));
         let (remote, external) = left.partition(|robot| supervision.is_remote(*robot));
         Self {
             rendezvous,
             remote,
             listen: gateway.map(|gateway| gateway.listen),
             external,
+            leaves_fusion: supervision.leaves_to_others(Role::Fusion),
             newest: Newest { fusion: None, sim: None },
             since: Instant::now(),
             reported: Vec::new(),
         }
     }
 
-    /// Reports the robots that are not there while no tick ends, once for each set of them.
+    /// Reports the nodes that are not there while no tick ends, once for each set of them.
     pub(super) fn look(&mut self, newest: Newest) {
         if newest != self.newest {
             self.newest = newest;
@@ -50,14 +52,22 @@ impl<'a> Waiting<'a> {
             self.reported.clear();
         }
         let ticks = Duration::from_secs_f64(2.0 * self.rendezvous.description().scenario.dt_s);
-        if self.remote.is_empty() && self.external.is_empty() || self.since.elapsed() < WAITS.max(ticks) {
+        let leaves_none = self.remote.is_empty() && self.external.is_empty() && !self.leaves_fusion;
+        if leaves_none || self.since.elapsed() < WAITS.max(ticks) {
             return;
         }
-        let is_missing = |robot: &usize| !self.rendezvous.roster().is_held(Role::Robot(*robot));
-        let missing: Vec<usize> = self.remote.iter().chain(&self.external).copied().filter(is_missing).collect();
+        let robots = self.remote.iter().chain(&self.external).map(|robot| Role::Robot(*robot));
+        let all = robots.chain(Some(Role::Fusion).filter(|_| self.leaves_fusion));
+        let missing: Vec<Role> = all.filter(|role| !self.rendezvous.roster().is_held(*role)).collect();
         if missing != self.reported {
-            let (remote, external): (Vec<usize>, Vec<usize>) = missing.iter().partition(|id| self.remote.contains(id));
+            let robots = missing.iter().filter_map(|role| role.robot());
+            let (remote, external): (Vec<usize>, Vec<usize>) = robots.partition(|id| self.remote.contains(id));
             let name = self.rendezvous.name();
+            if missing.contains(&Role::Fusion) {
+                failure::print_stderr(format!(
+                    "run {name} waits for fusion (--external): one of yours, or `rangehound fusion --name {name}`"
+                ));
+            }
             if let (Some(first), Some(listen)) = (remote.first(), self.listen) {
                 let host = if listen.ip().is_unspecified() { "HOST".to_owned() } else { listen.ip().to_string() };
                 let host = if listen.is_ipv6() && host != "HOST" { format!("[{host}]") } else { host };

@@ -1,0 +1,71 @@
+//! What ROS is told of a run: the numbers that a ROS 2 bag of it has, too.
+
+use numpy::PyArrayDyn;
+use pyo3::prelude::*;
+use rangehound::results::ros_bag::planar::{Controller, Moving, Placed};
+use rangehound_shared::measurement::Pose;
+use rangehound_shared::message::{Command, Estimate};
+
+use crate::arrays::{Numbers, array};
+use crate::errors::input;
+
+/// A pose: x, y and z, m, yaw, rad, and the covariance over x, y, z, roll, pitch, yaw, (36,).
+type Placing<'py> = (f64, f64, f64, f64, Bound<'py, PyArrayDyn<f64>>);
+
+fn placing<'py>(py: Python<'py>, placed: &Placed) -> PyResult<Placing<'py>> {
+    let [x_m, y_m, z_m] = placed.position_m;
+    Ok((x_m, y_m, z_m, placed.yaw_rad, array(py, placed.covariance().to_vec(), &[36])?))
+}
+
+/// The estimated target: its pose, which faces along its velocity; and its speed, m/s, with the covariance of its velocity in
+/// its own frame, (36,).
+#[pyfunction]
+pub(crate) fn ros_target<'py>(
+    py: Python<'py>,
+    state: &Bound<'py, PyAny>,
+    covariance: &Bound<'py, PyAny>,
+    has_velocity: bool,
+) -> PyResult<(Placing<'py>, f64, Bound<'py, PyArrayDyn<f64>>)> {
+    let (state, mut estimate) = (Numbers::of(state, "state")?.data, Estimate::default());
+    let n = state.len();
+    let covariance = Numbers::of(covariance, "covariance")?.shaped("covariance", &[n, n])?;
+    if n < 2 || n > estimate.state.len() || has_velocity && n < 4 {
+        return Err(input(format!("state has {n} numbers: expected those of a run")));
+    }
+    estimate.state_dim = n as u64;
+    estimate.state[..n].copy_from_slice(&state);
+    estimate.covariance[..n * n].copy_from_slice(&covariance);
+    let moving = Moving::target(&estimate, has_velocity);
+    let twist = array(py, moving.covariance().to_vec(), &[36])?;
+    Ok((placing(py, &Placed::target(&estimate, has_velocity))?, moving.speed_mps, twist))
+}
+
+/// The pose of a robot as it reported it: position (3,), m, covariance of x and y (2, 2), m^2, heading and its standard
+/// deviation, rad.
+#[pyfunction]
+pub(crate) fn ros_robot<'py>(
+    py: Python<'py>,
+    position_m: [f64; 3],
+    covariance_m2: &Bound<'py, PyAny>,
+    heading_rad: f64,
+    heading_std_rad: f64,
+) -> PyResult<Placing<'py>> {
+    let covariance = Numbers::of(covariance_m2, "covariance_m2")?.shaped("covariance_m2", &[2, 2])?;
+    let [x_m, y_m, height_m] = position_m;
+    let covariance_m2 = [covariance[0], covariance[1], covariance[3]];
+    placing(py, &Placed::robot(&Pose { x_m, y_m, height_m, heading_rad, covariance_m2, heading_std_rad }))
+}
+
+/// The controller of a robot that drives forwards and turns: forward speed, m/s, and turn rate, rad/s.
+#[pyfunction]
+pub(crate) fn ros_twist(
+    heading_rad: f64,
+    speed_mps: f64,
+    yaw_rad: f64,
+    max_speed_mps: f64,
+    max_turn_rate_radps: f64,
+    heading_gain_per_s: f64,
+) -> [f64; 2] {
+    let controller = Controller { max_speed_mps, max_turn_rate_radps, heading_gain_per_s };
+    controller.twist(Command { heading_rad, speed_mps }, yaw_rad)
+}
