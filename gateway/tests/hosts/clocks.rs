@@ -43,7 +43,7 @@ fn clocks_an_hour_apart_make_no_heading_late() {
     let (supervisor, gateway) = run.run(&format!("slow.toml --ticks {ticks} --robots 4 --remote 0-3"));
     let robots = robots_with_other_clocks(&run, gateway);
     supervisor.succeeds();
-    robots.into_iter().for_each(Process::succeeds);
+    robots.into_iter().for_each(Process::ends);
     let report = run.report();
     let count = |of: &str, what: &str| report[of][what].as_u64().unwrap();
     assert_eq!([count("headings", "late"), count("headings", "none")], [0, 0], "{}", report["headings"]);
@@ -71,8 +71,7 @@ fn a_robot_with_another_clock_stops_when_nobody_leads_it() {
         println!("robot-{id} stops {ticks:.3} ticks after the last one, {last:?}");
         // It holds its heading for the tick and three more. A robot that counts on the other clock would stop at once or never.
         assert!((3.5..5.0).contains(&ticks), "robot-{id}: {ticks} ticks: {all:?}");
-        robot.signal(Signal::TERM);
-        robot.succeeds();
+        robot.ends();
     }
     run.assert_nothing_left();
 }
@@ -114,7 +113,6 @@ fn a_robot_that_wakes_up_stops_first() {
         assert_eq!(after[0].0, Asked::Drive(0.0), "{after:?}");
         let missed = run.tick();
         assert!(after.iter().any(|(asked, _)| matches!(asked, Asked::Tick(tick) if *tick + 20 > missed)), "{after:?}");
-        robot.signal(Signal::TERM);
-        robot.succeeds();
+        robot.ends();
     }
 }
