@@ -151,14 +151,19 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
         ("continue", "robot-0", "nothing can be stopped or continued there"),
         ("restart", "sim", "was started by hand"),
     ] {
-        let (status, text) = page.act(action, node);
-        assert!(status == 400 && text.contains(expected), "{action} {node}: {status}: {text}");
+        // On a busy machine the link may just be lost.
+        run.wait_for(expected, || {
+            let (status, text) = page.act(action, node);
+            (status == 400 && text.contains(expected)).then_some(())
+        });
     }
     for (action, told) in [("kill", "killed from the run's host"), ("restart", "asked to end from the run's host")] {
         is_linked(0);
         let before = starts(&run, 0);
-        let (status, text) = page.act(action, "robot-0");
-        assert!(status == 200 && text.contains("on the host 127.0.0.1"), "{action}: {status}: {text}");
+        run.wait_for(action, || {
+            let (status, text) = page.act(action, "robot-0");
+            (status == 200 && text.contains("on the host 127.0.0.1")).then_some(())
+        });
         run.wait_for("its successor", || (starts(&run, 0) > before).then_some(()));
         assert!(obeys.stderr().contains(told), "{}", obeys.stderr());
     }
@@ -166,7 +171,6 @@ fn the_buttons_of_the_live_page_act_on_robots_whose_host_allows_it() {
     std::fs::write(run.path("over"), "").unwrap();
     run.finish_ok(&format!("stop --name {}", run.name));
     // It waits for the next run.
-    refuses.signal(Signal::TERM);
-    refuses.succeeds();
+    refuses.ends();
     run.assert_nothing_left();
 }

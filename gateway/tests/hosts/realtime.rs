@@ -51,7 +51,7 @@ fn headings_are_fresh_again_soon_after_a_cut() {
         cuts.push((cut_s, from, to));
     }
     supervisor.succeeds();
-    robots.into_iter().for_each(Process::succeeds);
+    robots.into_iter().for_each(Process::ends);
     let worlds = run.worlds();
     for (cut_s, from, to) in cuts {
         let mut fresh =

@@ -271,6 +271,13 @@ impl Process {
         assert_eq!(code, Some(0), "{words}: {text}");
     }
 
+    /// Ends in order. A robot whose link is lost when its run ends would wait for the next one.
+    #[track_caller]
+    pub(crate) fn ends(self) {
+        self.signal(Signal::TERM);
+        self.succeeds();
+    }
+
     pub(crate) fn kill(mut self) {
         self.signal(Signal::KILL);
         let _ = self.child.take().map(|mut child| child.wait());
