@@ -1,13 +1,14 @@
 """The native half: see the modules of the package."""
 
 from os import PathLike
-from typing import Any, Callable
+from typing import Any, Callable, final
 
 from typing_extensions import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__: list[str]
 __version__: str
 
 class InputError(ValueError):
@@ -55,6 +56,7 @@ class Scenario:
     def notes(self) -> list[str]:
         """How its recording was read: what was skipped, and what is in doubt."""
 
+@final
 class Plan:
     """The headings of one step, and what they are worth."""
 
@@ -85,6 +87,7 @@ class Plan:
     def plan_us(self) -> float:
         """Time of the planning alone, us."""
 
+@final
 class Situation:
     """What a planner sees before a step: M robots, and a state of dimension n."""
 
@@ -233,6 +236,7 @@ def calibrate(
 ) -> tuple[str, str, list[list[tuple[float, float]]]]: ...
 def calibrated(keys: str, toml: str) -> str: ...
 
+@final
 class Observer:
     def __new__(cls, name: str, from_start: bool, waits_for_truth: bool, timeout_s: float) -> Self: ...
     @property
@@ -246,6 +250,7 @@ class Observer:
     def __iter__(self) -> Self: ...
     def __next__(self) -> dict[str, NDArray[Any]]: ...
 
+@final
 class MessageStream:
     def __new__(cls, name: str, timeout_s: float) -> Self: ...
     def is_over(self) -> bool: ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 #: How long a run may take to end after it has been asked to, s.
 _END_S = 30.0
+
+#: How often it is looked whether a run with a planner of one's own goes on, and how long its fusion may take to leave it, s.
+_LOOK_S, _LEAVE_S = 0.1, 1.0
 
 
 class Tick:
@@ -204,11 +208,15 @@ class LiveRun:
             fusion = context.Process(target=_plan, args=(self.name, planner, tells), daemon=True)
             fusion.start()
             tells.close()
-            try:
+            while not hears.poll(_LOOK_S):
+                if self._process.poll() is not None:
+                    # A run that was stopped does not tell those that it has not started.
+                    fusion.join(timeout=_LEAVE_S)
+                    fusion.terminate()
+                    return
+            with contextlib.suppress(EOFError):
                 self._problem = hears.recv()
                 self._process.terminate()
-            except EOFError:
-                pass
             fusion.join()
             if fusion.exitcode == 0 or self._problem is not None:
                 return
@@ -236,9 +244,10 @@ def _plan(name: str, planner: Callable[..., Any], tells: Any) -> None:
     """The process of a fusion: says what has gone wrong."""
     # Ctrl-C is for the process that has started the run, and ends it in order.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:
         fusion(name, planner)
-    except BaseException as error:
+    except Exception as error:
         traceback.print_exc()
         said = str(error).partition("\n")[0]
         tells.send(said if isinstance(error, (InputError, RunError)) else f"the planner raised {type(error).__name__}: {said}")

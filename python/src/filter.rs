@@ -53,6 +53,10 @@ impl Filter {
     }
 
     /// One tick: predicts over a time step, then fuses what is given.
+    ///
+    /// `ranges_m`, m, and `bearings_rad`, rad, are (M,), NaN where a robot has none; `positions_m` (M, 2) stay until they are given
+    /// again. Without standard deviations those of the scenario hold. Bearings count from `headings_rad`.
+    /// `position_covariances_m2` is (M, 2, 2). `time_s` is for the filter of a recording alone.
     #[pyo3(signature = (
         ranges_m=None, *, positions_m=None, range_stds_m=None, bearings_rad=None, bearing_stds_rad=None, headings_rad=None,
         position_covariances_m2=None, time_s=None

@@ -39,19 +39,6 @@ def test_all_that_is_public_has_a_docstring():
                 assert inspect.getdoc(value), f"{name}.{member}"
 
 
-def test_the_stubs_name_what_the_native_half_has():
-    stub = (ROOT / "python/rangehound/_native.pyi").read_text()
-    known = set(re.findall(r"^(?:class|def) (\w+)", stub, re.MULTILINE))
-    public = {name for name in dir(rh._native) if not name.startswith("_")}
-    assert known == public
-    for name in public:
-        thing = getattr(rh._native, name)
-        if inspect.isclass(thing) and not issubclass(thing, Exception):
-            body = re.search(rf"^class {name}.*?(?=^(?:class|def) |\Z)", stub, re.MULTILINE | re.DOTALL).group()
-            members = {member for member in vars(thing) if not member.startswith("_")}
-            assert members <= set(re.findall(r"    def (\w+)", body)), (name, members)
-
-
 def test_the_package_is_typed_without_a_contradiction(tmp_path):
     mypy = pytest.importorskip("mypy.api")
     folder = pathlib.Path(rh.__file__).parent
@@ -62,14 +49,14 @@ def test_the_package_is_typed_without_a_contradiction(tmp_path):
 
 def test_the_stubs_have_the_signatures_of_the_native_half():
     pytest.importorskip("mypy.stubtest")
-    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "rangehound._native"], capture_output=True, text=True, timeout=120, cwd="/")
+    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "--ignore-disjoint-bases", "rangehound._native"], capture_output=True, text=True, timeout=600, cwd="/")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(
     ("thing", "said"),
     [
-        (rh.plan, ["(2, 2)", "(M, 2)", "rad", "m^2", "="]),
+        (rh.plan, ["(2, 2)", "(M, 2)", "rad", "m^2", "^-1"]),
         (rh.Filter, ["(n,)", "(n, n)", "P'^-1"]),
         (rh.Filter.step, ["(M,)", "(M, 2)", "(M, 2, 2)"]),
         (rh.Run, ["(T, n, n)", "(T, M, 2)", "rad", "m^2"]),

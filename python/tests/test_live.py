@@ -364,5 +364,8 @@ def test_what_the_planner_of_a_run_raises_ends_the_run_and_is_told(program, name
     with rh.run(name=name, out=tmp_path / "out", program=program, planner=broken, ticks=100_000, clock="lockstep", timeout_s="forever") as run:
         with pytest.raises(rh.RunError, match="the planner raised LookupError: lost"):
             run.report()
+    with rh.run(name=name, out=tmp_path / "stopped", program=program, planner=lambda situation: [0.0] * situation.robots, ticks=100_000) as run:
+        next(run.attach())
+        run.stop()
     with pytest.raises(rh.InputError, match="expected a name or a function"):
         rh.run(name=name, program=program, planner=3)

@@ -301,15 +301,20 @@ def test_a_viewer_that_starts_late_is_found_and_gets_the_run(command, name, prog
     script = (
         "import sys, rerun\n"
         "recording = rerun.RecordingStream('viewer')\n"
+        "print('ready', flush=True)\n"
+        "sys.stdin.readline()\n"
         f"print(recording.serve_grpc(grpc_port={port}), flush=True)\n"
         "sys.stdin.read()\n"
     )
+    pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     with rh.run(name=name, out=tmp_path / "out", program=program, ticks=100_000, clock="realtime") as run:
-        viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
-        time.sleep(2)
-        assert viewer.poll() is None, viewer.stderr.read()
-        pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         with subprocess.Popen([sys.executable, "-c", script], cwd="/", **pipes) as server:
+            assert server.stdout.readline() == "ready\n"
+            viewer = command("rerun", "--name", name, "--connect", f"rerun+http://127.0.0.1:{port}/proxy")
+            time.sleep(2.5)
+            assert viewer.poll() is None, viewer.stderr.read()
+            server.stdin.write("now\n")
+            server.stdin.flush()
             assert str(port) in server.stdout.readline()
             assert viewer.stdout.readline() == f"run {name}: sends to the viewer at rerun+http://127.0.0.1:{port}/proxy\n", viewer.stderr.read()
             run.stop()
