@@ -82,8 +82,7 @@ pub enum Kind {
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 6] =
-        [Self::Mixed, Self::Bearing, Self::Range, Self::Flip, Self::Growing, Self::Uncertain];
+    pub const ALL: [Self; 6] = [Self::Mixed, Self::Bearing, Self::Range, Self::Flip, Self::Growing, Self::Uncertain];
 }
 
 /// The random problem of this number: a stand-off of 2 m, robots up to 60 m away, steps from 0.2 m to 20 m.
@@ -102,7 +101,9 @@ pub fn random_situation(kind: Kind, robots: usize, number: u64) -> Situation {
     let member = |u: &[f64]| {
         let both = (log(u[0], 0.3, 3.0), log(u[1], 0.0175, 0.175));
         let (range, bearing) = match kind {
-            Kind::Mixed => [(Some(both.0), None), (None, Some(both.1)), (Some(both.0), Some(both.1))][(3.0 * u[2]) as usize],
+            Kind::Mixed => {
+                [(Some(both.0), None), (None, Some(both.1)), (Some(both.0), Some(both.1))][(3.0 * u[2]) as usize]
+            }
             Kind::Bearing => (None, Some(both.1)),
             Kind::Range | Kind::Growing => (Some(both.0), None),
             Kind::Flip | Kind::Uncertain => (Some(both.0), Some(both.1)),

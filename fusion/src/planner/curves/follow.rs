@@ -137,7 +137,14 @@ impl Follow<'_> {
     fn others(&self, m: Vector, total: Information) -> (f64, Information) {
         let team = self.team;
         let slack = SLACK * total.along(m).abs() / team.curves.len() as f64;
-        team.supports(team.fused().filter(|i| *i != self.robot), self.intervals, m, slack, |i| self.answer.at[i], |_, _| ())
+        team.supports(
+            team.fused().filter(|i| *i != self.robot),
+            self.intervals,
+            m,
+            slack,
+            |i| self.answer.at[i],
+            |_, _| (),
+        )
     }
 
     /// True if no place between two stops costs less than the aim.

@@ -152,9 +152,8 @@ impl Leaf {
         if !self.is_divisible {
             return Self::of(noise, &piece.part(low, high));
         }
-        let mut points: [[f64; 4]; POINTS_MAX] = std::array::from_fn(|k| {
-            [1.0, self.t[k], self.x[k], self.y[k]].map(|number| number * self.weight[k])
-        });
+        let mut points: [[f64; 4]; POINTS_MAX] =
+            std::array::from_fn(|k| [1.0, self.t[k], self.x[k], self.y[k]].map(|number| number * self.weight[k]));
         between(&mut points[..self.count], low, high);
         let mut part = *self;
         for (k, [weight, t, x, y]) in points[..self.count].iter().copied().enumerate() {

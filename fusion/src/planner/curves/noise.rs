@@ -112,10 +112,8 @@ impl Noise {
             (self.range_per_m2, bearing, 0.0, -growth * bearing)
         } else {
             let m2 = &self.position_m2;
-            let (mean_m2, part_m2) = (
-                0.5 * (m2[(0, 0)] + m2[(1, 1)]),
-                Vector::new(0.5 * (m2[(0, 0)] - m2[(1, 1)]), m2[(0, 1)]),
-            );
+            let (mean_m2, part_m2) =
+                (0.5 * (m2[(0, 0)] + m2[(1, 1)]), Vector::new(0.5 * (m2[(0, 0)] - m2[(1, 1)]), m2[(0, 1)]));
             let (turned_m2, turning_m2) = (part_m2.dot(doubled), part_m2.dot(turning));
             let squared_m2 = nearness_per_m2.recip();
             let (range, range_change) = self.range.map_or((0.0, 0.0), |(std_m, std_per_m)| {

@@ -145,9 +145,16 @@ fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
         let last = &vertices[vertices.len() - 1];
         let mut found = Vertex { share: 0.0, ..last.clone() };
-        let (h, total) = team.supports(team.fused(), &intervals, m, slack, |i| last.at[i], |i, support| {
-            (found.at[i], found.parts[i]) = (support.at, support.information);
-        });
+        let (h, total) = team.supports(
+            team.fused(),
+            &intervals,
+            m,
+            slack,
+            |i| last.at[i],
+            |i, support| {
+                (found.at[i], found.parts[i]) = (support.at, support.information);
+            },
+        );
         found.total = total;
         bound = bound.max(criterion.bound(m, h));
         keep(team, &found.at, criterion.cost(found.total), answer);

@@ -263,10 +263,10 @@ fn one_robot_that_outweighs_the_others_takes_few_nodes() {
     for criterion in Criterion::ALL {
         let mut situation = lone(both(0.01), Vector::new(12.0, 5.0));
         situation.team[0].max_speed_mps = 9.0;
-        situation.team.extend([(-30.0, 10.0), (20.0, 40.0), (5.0, -35.0)].map(|(x, y)| TeamMember {
-            sensor: both(0.1),
-            ..TeamMember::ranging(Vector::new(x, y), 2.0, 1.0)
-        }));
+        situation.team.extend(
+            [(-30.0, 10.0), (20.0, 40.0), (5.0, -35.0)]
+                .map(|(x, y)| TeamMember { sensor: both(0.1), ..TeamMember::ranging(Vector::new(x, y), 2.0, 1.0) }),
+        );
         situation.criterion = criterion;
         let problem = Problem::of(&situation);
         let mut team = Team::default();
