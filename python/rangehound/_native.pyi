@@ -8,7 +8,6 @@ from typing_extensions import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__: list[str]
 __version__: str
 
 class InputError(ValueError):

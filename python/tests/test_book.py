@@ -47,9 +47,11 @@ def test_the_package_is_typed_without_a_contradiction(tmp_path):
     assert code == 0, said + problem
 
 
-def test_the_stubs_have_the_signatures_of_the_native_half():
+def test_the_stubs_have_the_signatures_of_the_native_half(tmp_path):
     pytest.importorskip("mypy.stubtest")
-    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "--ignore-disjoint-bases", "rangehound._native"], capture_output=True, text=True, timeout=600, cwd="/")
+    # A stub needs no list of its names.
+    (tmp_path / "allowed").write_text("rangehound._native.__all__\n")
+    done = subprocess.run([sys.executable, "-m", "mypy.stubtest", "--ignore-disjoint-bases", "--allowlist", str(tmp_path / "allowed"), "rangehound._native"], capture_output=True, text=True, timeout=600, cwd="/")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
