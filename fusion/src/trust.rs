@@ -220,7 +220,7 @@ impl Trust {
                 continue;
             }
             let distrusted: usize = self.kinds.iter().map(|of_kind| of_kind.distrusted.len()).sum();
-            let can_identify = self.has_agreed || sensors - distrusted > OTHERS_MIN;
+            let can_identify = self.has_agreed || sensors.saturating_sub(distrusted) > OTHERS_MIN;
             let OfKind { records, distrusted, .. } = &mut self.kinds[kind as usize];
             let record = &mut records[robot];
             *record = *record << 1 | u8::from(has_failed);
