@@ -71,8 +71,8 @@ pub struct Policy {
 /// The noise of each sensor is also estimated, from the median of its normalised innovations squared, which is robust
 /// to outliers. If the median sensor of a kind is noisier than reported, most of them fail together: because of a common
 /// bias, more noise than reported, or a lost estimate. Until that is over, none of them is distrusted, and all
-/// measurements of that kind are assumed to be as much noisier than reported as the median sensor's. Fewer than
-/// [`ALIKE_MIN`] sensors of a kind have no median that tells a faulty one: there the median of all kinds decides.
+/// measurements of that kind are assumed to be as much noisier than reported as the median sensor's. Fewer than three
+/// sensors of a kind have no median that tells a faulty one: there the median of all kinds decides.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trust {
     policy: Policy,

@@ -276,7 +276,7 @@ fn the_time_beyond_the_runs_host_has_its_parts() {
     // The measurement leaves 50 ns after it was ready.
     courier.on_range(&of_tick(5));
     let frame = courier.next_frame(robots_ns(150)).unwrap();
-    assert!(matches!(relay.on_uplink(&frame, 1_000)[..], [Publication::Range(..)]));
+    assert!(matches!(relay.on_uplink(&frame, 1_000).unwrap()[..], [Publication::Range(..)]));
     // The heading leaves the gateway 5 ns after it came, and again later; 30 ns after it came the robot has it.
     relay.on_heading(&header, command_of(5), 2_000);
     let frame = relay.next_frame(2_005).unwrap();
@@ -290,7 +290,7 @@ fn the_time_beyond_the_runs_host_has_its_parts() {
     };
     courier.on_drive(&Outgoing { tick: 5, valid_at_s: 0.5, entry: drive });
     let frame = courier.next_frame(robots_ns(1_710)).unwrap();
-    let [Publication::Drive(Outgoing { entry, .. }, _)] = relay.on_uplink(&frame, 3_000)[..] else {
+    let [Publication::Drive(Outgoing { entry, .. }, _)] = relay.on_uplink(&frame, 3_000).unwrap()[..] else {
         panic!("no drive")
     };
     assert_eq!((entry.network_ns, entry.robot_host_ns, entry.gateway_ns), (600, 80, 5), "{entry:?}");

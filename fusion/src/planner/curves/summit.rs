@@ -60,7 +60,7 @@ mod tests {
             }
         }
         // Between two valleys, and from a place where the slope's own slope misleads.
-        let at = summit(|u| (6.0 * (u - 0.4)).sin() * -1.0, (0.0, 1.0), 0.85, 0.05, 1e-9);
+        let at = summit(|u| -(6.0 * (u - 0.4)).sin(), (0.0, 1.0), 0.85, 0.05, 1e-9);
         assert!((at - 0.4).abs() < 1e-8, "{at}");
         assert_eq!(summit(|_| 1.0, (0.5, 0.5), 0.2, 0.1, 0.0), 0.5);
     }
