@@ -326,7 +326,7 @@ fn a_run_by_hand_has_a_page_but_no_restarts() {
     let mut events = Events::open(&page);
     events.until("picture", |picture| picture["tick"].as_u64() > Some(3));
     let answer = page.act("restart", "fusion");
-    assert!(answer.status == 409 && answer.body.contains("by hand"), "{answer:?}");
+    assert!(answer.status == 400 && answer.body.contains("by hand"), "{answer:?}");
     let taken = run.node(&format!("live --port {}", page.port)).finish();
     let [complaint] = taken.complaints()[..] else { panic!("{taken:#?}") };
     assert!(taken.code == Some(2) && complaint.contains("expected one that is free"), "{taken:#?}");

@@ -453,6 +453,7 @@ fn a_frame_of_a_tick_that_the_run_does_not_have_is_refused() {
         command: Command::default(),
         has_measured: false,
         heading_after_ns: None,
+        host_ns: 0,
         heading_late: false,
         headings_refused: 0,
     };
