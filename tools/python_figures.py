@@ -150,7 +150,7 @@ def stone_soup():
         between_ns = time.perf_counter_ns()
         predicted = predictor.predict(state, timestamp=began + timedelta(seconds=tick * dt_s))
         model = Ranges(ndim_state=4, mapping=(0, 2), noise_covar=np.eye(count) * run.range_std_m[tick, 0] ** 2, places_m=places_m)
-        state = updater.update(SingleHypothesis(predicted, Detection(StateVector(ranges_m), measurement_model=model)))
+        state = updater.update(SingleHypothesis(predicted, Detection(StateVector(ranges_m), timestamp=predicted.timestamp, measurement_model=model)))
         after_ns = time.perf_counter_ns()
         ours_ns.append(between_ns - before_ns)
         theirs_ns.append(after_ns - between_ns)
