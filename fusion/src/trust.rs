@@ -252,12 +252,15 @@ impl Trust {
             noises[robot] = Noise { log, measurements: measurements.saturating_add(1), last: self.measurements };
         }
         let oldest = self.measurements.saturating_sub(RECENT_ROUNDS * sensors as u64);
-        let of_all = self.median(&Kind::ALL, oldest);
         let widened = Kind::ALL.map(|kind| {
-            let known = self.kinds[kind as usize].noises.iter().filter(|noise| noise.counts(oldest)).count();
-            let median = if known < ALIKE_MIN { of_all } else { self.median(&[kind], oldest) };
-            let is_widened = self.kinds[kind as usize].widened_log.is_some();
-            median.filter(|median| known > 0 && *median >= if is_widened { LOG_NARROW } else { LOG_WIDENED })
+            let OfKind { noises, widened_log, .. } = &self.kinds[kind as usize];
+            let threshold = if widened_log.is_some() { LOG_NARROW } else { LOG_WIDENED };
+            let median = match noises.iter().filter(|noise| noise.counts(oldest)).count() {
+                0 => None,
+                known if known < ALIKE_MIN => self.median(&Kind::ALL, oldest),
+                _ => self.median(&[kind], oldest),
+            };
+            median.filter(|median| *median >= threshold)
         });
         self.kinds.iter_mut().zip(widened).for_each(|(of_kind, log)| of_kind.widened_log = log);
         let agrees = |noise: &Noise| noise.measurements >= AGREED_MEASUREMENTS && noise.log < LOG_WIDENED;

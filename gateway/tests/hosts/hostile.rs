@@ -13,7 +13,7 @@ use rangehound_node::bus::{Bus, Subscriber};
 use rangehound_node::rendezvous::{Rendezvous, RunDescription};
 use rangehound_robot::remote::wire::{Downlink, Driven, FRAME_LEN_MAX, MEASUREMENTS_MAX, Measured, Uplink};
 use rangehound_shared::measurement::{Measurement, Pose};
-use rangehound_shared::message::{Command, Drive, Range};
+use rangehound_shared::message::{Drive, Range};
 use rangehound_shared::protocol::PROTOCOL;
 use tokio::task::JoinSet;
 
@@ -60,16 +60,7 @@ fn kinds(run_id: u64, frame_len_max: usize) -> Vec<Kind> {
         assert!(!bytes.is_empty() && bytes.len() <= FRAME_LEN_MAX);
         move |_: &mut ChaCha8Rng| bytes.clone()
     };
-    let driven = Driven {
-        tick: u64::MAX,
-        valid_at_s: 0.0,
-        command: Command::default(),
-        has_measured: false,
-        heading_after_ns: None,
-        host_ns: 0,
-        heading_late: false,
-        headings_refused: 0,
-    };
+    let driven = Driven { tick: u64::MAX, ..Driven::default() };
     vec![
         (
             "random",

@@ -447,16 +447,7 @@ fn a_frame_of_a_tick_that_the_run_does_not_have_is_refused() {
     bench.send_world(1, 0);
     let last = bench.scenario.ticks;
     let measured = |tick| Measured { tick, valid_at_s: 0.0, measurement: measurement_of(tick) };
-    let driven = |tick| Driven {
-        tick,
-        valid_at_s: 0.0,
-        command: Command::default(),
-        has_measured: false,
-        heading_after_ns: None,
-        host_ns: 0,
-        heading_late: false,
-        headings_refused: 0,
-    };
+    let driven = |tick| Driven { tick, ..Driven::default() };
     let frame = |measured, driven| Uplink { run_id: RUN_ID, echo: None, measured, driven };
     for (tick, frame) in [
         (last + 1, frame(vec![measured(0), measured(last + 1)], Some(driven(0)))),

@@ -81,7 +81,7 @@ pub struct Measured {
 }
 
 /// A robot's motion in a tick.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Driven {
     /// The tick.
     pub tick: u64,
