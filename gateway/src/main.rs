@@ -44,7 +44,7 @@ struct GatewayArgs {
     /// Name of the run; waits until the run exists
     #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
     name: RunName,
-    /// Address to listen on. Any address but one of this machine's own (127.0.0.1) demands --keys
+    /// Address to listen on. Every address except the loopback (127.0.0.1 or ::1) requires --keys
     #[arg(long, value_name = "ADDRESS:PORT")]
     listen: SocketAddr,
     /// Folder with the keys of this host, from `rangehound keys`
@@ -72,7 +72,7 @@ struct RobotArgs {
     /// Name of the run [default: whichever the gateway serves]
     #[arg(long)]
     name: Option<RunName>,
-    /// Let tools of the run's host end this process
+    /// Allow the run's host to end this process
     #[arg(long)]
     allow_remote_control: bool,
 }
@@ -111,6 +111,12 @@ enum Failure {
     Running(String),
 }
 
+/// Writes a line to standard error. A line that cannot be written is dropped: `eprintln!` would panic.
+fn complain(line: impl std::fmt::Display) {
+    use std::io::Write as _;
+    let _ = writeln!(std::io::stderr(), "rangehound: {line}");
+}
+
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
@@ -119,7 +125,7 @@ fn main() -> ExitCode {
             // After an empty line clap adds advice and usage.
             let text = error.to_string();
             let lines: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
-            eprintln!("rangehound: {}", lines.join(" ").trim_start_matches("error: "));
+            complain(format_args!("{}: see --help", lines.join(" ").trim_start_matches("error: ")));
             return ExitCode::from(2);
         }
     };
@@ -143,7 +149,7 @@ fn main() -> ExitCode {
     match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("rangehound: {failure}");
+            complain(&failure);
             ExitCode::from(if matches!(failure, Failure::Input(_)) { 2 } else { 1 })
         }
     }
@@ -159,13 +165,20 @@ impl GatewayArgs {
         let termination = Termination::listen().map_err(|error| system(&error))?;
         end_with(self.end_with)?;
         Role::Gateway.name_process();
-        let waiting = || eprintln!("rangehound: waiting for run {}", self.name);
+        let waiting = || complain(format_args!("waiting for run {}", self.name));
         let rendezvous = match Rendezvous::join(&self.name, &termination, waiting) {
             Err(RendezvousError::Terminated) => return Ok(()),
-            joined => joined.map_err(|error| system(&error))?,
+            joined => joined.map_err(|error| match error {
+                RendezvousError::NotOurs(_)
+                | RendezvousError::NoFolder(_)
+                | RendezvousError::OtherBuild { .. }
+                | RendezvousError::Unusable { .. }
+                | RendezvousError::Short(_) => Failure::Input(error.to_string()),
+                error => system(&error),
+            })?,
         };
         let listening = |address: SocketAddr| {
-            eprintln!("rangehound: the gateway of run {} listens on {address}", self.name);
+            complain(format_args!("the gateway of run {} listens on {address}", self.name));
         };
         let ended = gateway::run(&rendezvous, self.listen, self.keys.as_ref(), &termination, listening);
         ended.map_err(|error| match error {
@@ -184,7 +197,7 @@ impl RobotArgs {
         let has_port = self.connect.rsplit_once(':').is_some_and(|(_, port)| port.parse::<u16>().is_ok());
         if !has_port {
             return Err(Failure::Input(format!(
-                "--connect is {}: expected HOST:PORT, such as station:7400",
+                "--connect is {:?}: expected HOST:PORT, such as station:7400",
                 self.connect
             )));
         }

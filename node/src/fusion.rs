@@ -37,13 +37,13 @@ pub enum FusionError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The predecessor's state cannot be used, as found after opening it.
-    #[error("the checkpoint {0}")]
+    #[error("cannot use the checkpoint: {0}: start a new run")]
     Sealed(#[from] SealError),
     /// The filter diverged.
     #[error(transparent)]
     Diverged(#[from] Diverged),
     /// Another process took the role because this one sent no heartbeat.
-    #[error("this fusion sent no heartbeat, and another one took its role")]
+    #[error("this fusion process sent no heartbeat, so another one took its role")]
     Deposed,
 }
 
@@ -89,7 +89,7 @@ pub fn run_standby(rendezvous: &Rendezvous, termination: &Termination) -> Result
         drop(standby);
         bus.take_role(rendezvous, Role::Fusion, &lease)?;
         match fusion.lead(lease, termination) {
-            Err(FusionError::Deposed) => log::warn!("{}; it stands by now", FusionError::Deposed),
+            Err(FusionError::Deposed) => log::warn!("{}; this process is now a standby", FusionError::Deposed),
             ended => return ended,
         }
     }
@@ -295,11 +295,12 @@ impl<'a> Driver<'a> {
         match notice {
             Notice::Missed { first, last } => log::warn!("missed ticks {first} to {last}"),
             Notice::Widened(kind, noise_scale) => log::warn!(
-                "most sensors fail together: assumes {noise_scale:.1} times their stated {} noise, and distrusts no sensor",
+                "most sensors fail the gate together: the filter assumes {noise_scale:.1} times their stated {} noise and \
+                 distrusts no sensor",
                 kind.name()
             ),
             Notice::NoLongerWidened(kind) => {
-                log::warn!("most sensors no longer fail together: assumes their stated {} noise again", kind.name());
+                log::warn!("most sensors pass the gate again: the filter assumes their stated {} noise", kind.name());
             }
             Notice::Distrusted(kind, id) => log::warn!(
                 "{} is distrusted: {FAILURES_MAX} of its last {RECENT} {}s failed the gate",

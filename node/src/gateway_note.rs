@@ -52,14 +52,14 @@ pub enum RobotOrder {
 }
 
 impl RobotOrder {
-    /// Leaves it for the gateway.
+    /// Writes it for the gateway.
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn leave(self, run: &Rendezvous, robot: usize) -> Result<(), RendezvousError> {
+    pub fn write(self, run: &Rendezvous, robot: usize) -> Result<(), RendezvousError> {
         // What became of an earlier one.
         let _ = Self::has_arrived(run, robot);
-        run.leave_note(&order_of(robot), &serde_json::to_string(&self).unwrap_or_default())
+        run.write_note(&order_of(robot), &serde_json::to_string(&self).unwrap_or_default())
     }
 
     /// The order for a robot, which is given once.
@@ -73,7 +73,7 @@ impl RobotOrder {
     /// # Errors
     /// If it cannot be written.
     pub fn report(run: &Rendezvous, robot: usize, has_arrived: bool) -> Result<(), RendezvousError> {
-        run.leave_note(&outcome_of(robot), if has_arrived { ARRIVED } else { "lost" })
+        run.write_note(&outcome_of(robot), if has_arrived { ARRIVED } else { "lost" })
     }
 
     /// Whether the robot has confirmed its order, which is told once; `None` until it is decided.
@@ -99,8 +99,8 @@ impl GatewayNote {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn leave(&self, run: &Rendezvous) -> Result<(), RendezvousError> {
-        run.leave_note(NOTE, &serde_json::to_string(self).unwrap_or_default())
+    pub fn write(&self, run: &Rendezvous) -> Result<(), RendezvousError> {
+        run.write_note(NOTE, &serde_json::to_string(self).unwrap_or_default())
     }
 
     /// The note of a run's gateway, if it has one that lives.

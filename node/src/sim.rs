@@ -34,7 +34,7 @@ pub enum SimError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The predecessor's state cannot be used, as found after opening it.
-    #[error("the checkpoint {0}")]
+    #[error("cannot use the checkpoint: {0}: start a new run")]
     Sealed(#[from] SealError),
     /// The recording cannot be played.
     #[error(transparent)]

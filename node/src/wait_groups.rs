@@ -244,7 +244,7 @@ mod tests {
 
     /// Ping-pong at full speed, so that signals come at every moment of falling asleep.
     #[test]
-    fn every_ring_is_heard() {
+    fn every_notification_is_received() {
         let run = run("wait-groups-heard");
         let rounds = 50_000;
         let play = |prefix: &str, mine: WaitGroup, other: WaitGroup, begins: bool| {

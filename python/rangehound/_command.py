@@ -36,7 +36,7 @@ def needed(module: str, extra: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != package:
             raise
-        raise InputError(f"{package} is not installed: expected it: pip install 'rangehound[{extra}]'") from error
+        raise InputError(f"{package} is not installed: install it with pip install 'rangehound[{extra}]'") from error
     return importlib.import_module(module)
 
 

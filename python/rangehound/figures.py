@@ -17,7 +17,7 @@ def _needs(package: str) -> Any:
         return importlib.import_module(package)
     except ModuleNotFoundError as error:
         name = package.partition(".")[0]
-        raise ModuleNotFoundError(f"{name} is not installed: expected it for frames and figures: pip install {name}") from error
+        raise ModuleNotFoundError(f"{name} is not installed: frames and figures need it: pip install {name}") from error
 
 
 def frame_of(arrays: dict[str, np.ndarray]) -> Any:

@@ -59,7 +59,7 @@ def serve(flags: argparse.Namespace) -> None:
             message_backlog_size=BACKLOG,
         )
     except (OSError, OverflowError, RuntimeError, ValueError) as error:
-        raise _native.InputError(f"cannot listen on {flags.host}:{flags.port}: expected a free port of this machine: {error}") from error
+        raise _native.InputError(f"cannot listen on {flags.host}:{flags.port}: {error}: expected a free port of this machine") from error
     host = f"[{flags.host}]" if ":" in flags.host else flags.host
     print(f"run {flags.name}: in Foxglove, open the connection ws://{host}:{server.port}, or {server.app_url()}", flush=True)
     try:

@@ -74,8 +74,8 @@ def show(flags: argparse.Namespace) -> None:
             recording.connect_grpc(url)
             print(f"run {flags.name}: sends to the viewer at {url}", flush=True)
     except (OSError, RuntimeError, ValueError) as error:
-        said = " ".join(str(error).split())
-        raise _native.InputError(f"Rerun cannot be used: expected a viewer, or a file that can be written: {said}") from error
+        message = " ".join(str(error).split())
+        raise _native.InputError(f"Rerun cannot be used: expected a viewer, or a file that can be written: {message}") from error
     recording.send_blueprint(blueprint(rerun))
     picture = Picture(rerun, recording)
     _command.give_way()

@@ -83,9 +83,14 @@ class Run:
         return np.linalg.norm(self.position_m - truth[:, :2], axis=1)
 
     @property
-    def is_sound(self) -> bool:
+    def is_valid(self) -> bool:
         """Whether the result can be believed: the verdict of the report."""
-        return bool(self.report["verdict"]["sound"])
+        return bool(self.report["verdict"]["valid"])
+
+    @property
+    def is_sound(self) -> bool:
+        """Earlier name of `is_valid`."""
+        return self.is_valid
 
     @property
     def digest(self) -> str:
@@ -106,7 +111,7 @@ class Run:
     def __repr__(self) -> str:
         rmse = self.report.get("position_rmse_m")
         error = "" if rmse is None else f", position_rmse_m={rmse:.3f}"
-        return f"Run({self.report['scenario']!r}, ticks={self.report['ticks']}, robots={self.report['robots']}{error}, sound={self.is_sound})"
+        return f"Run({self.report['scenario']!r}, ticks={self.report['ticks']}, robots={self.report['robots']}{error}, valid={self.is_valid})"
 
 
 def simulate(

@@ -40,7 +40,7 @@ impl Numbers {
             if !error.is_instance_of::<PyException>(py) {
                 return error;
             }
-            input(format!("{name} is no array of numbers: expected one: {}", error.value(py)))
+            input(format!("{name} is not an array of numbers: {}", error.value(py)))
         })
     }
 

@@ -11,7 +11,7 @@
 //! | `live` | observers of live runs, and nodes with functions |
 //! | `messages` | the messages of live runs, encoded as in `run.mcap` |
 //! | `radio` | radios on serial ports |
-//! | `ros` | what ROS is told of a run |
+//! | `ros` | the messages of a run for ROS |
 //! | `studies` | `compare` and `calibrate` |
 //! | `arrays`, `errors` | conversions; exceptions |
 

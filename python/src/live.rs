@@ -253,7 +253,7 @@ static IS_A_NODE: AtomicBool = AtomicBool::new(false);
 
 /// The error if this process has been a node before.
 fn refuse_second_node(has_been: bool) -> Result<(), Failure> {
-    let refusal = || Failure::input("this process has been a node before: expected a process for each node");
+    let refusal = || Failure::input("this process has been a node before: start a new process for each node");
     (!has_been).then_some(()).ok_or_else(refusal)
 }
 
@@ -364,7 +364,7 @@ pub(crate) fn run_fusion(py: Python<'_>, name: &str, planner: Option<Py<PyAny>>)
         let planner = match planner {
             Some(function) => {
                 let inner = situation::planner(scenario.robots.len(), function, of_node.clone());
-                let limit = patience(scenario);
+                let limit = time_limit(scenario);
                 let inner = inner.map_err(Failure::input)?;
                 Some(Box::new(Watched { inner, limit, asked: asked_of_node, raised: of_node }) as Box<dyn Planner>)
             }
@@ -381,7 +381,7 @@ pub(crate) fn run_fusion(py: Python<'_>, name: &str, planner: Option<Py<PyAny>>)
 }
 
 /// How long a planner may take: in real time until the robots stop, in lock step until they would be left out.
-fn patience(scenario: &Scenario) -> Duration {
+fn time_limit(scenario: &Scenario) -> Duration {
     match (scenario.clock, scenario.timeout) {
         (Clock::Realtime, _) => Duration::from_secs_f64(HOLD_TICKS as f64 * scenario.dt_s),
         (Clock::Lockstep, Timeout::After(timeout)) => timeout,

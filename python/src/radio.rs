@@ -28,8 +28,8 @@ impl RadioOnPort {
         let format = format.parse::<Format>().map_err(|error| Failure::input(format!("radio: format: {error}")))?;
         if !bounds::BIAS_M.contains(&bias_m) || !bounds::SCALE.contains(&scale) {
             let (biases_m, scales) = (bounds::BIAS_M, bounds::SCALE);
-            let said = format!("radio: bias_m is {bias_m}, scale is {scale}: expected {biases_m:?} m, {scales:?}");
-            return Err(Failure::input(said));
+            let message = format!("radio: bias_m is {bias_m}, scale is {scale}: expected {biases_m:?} m, {scales:?}");
+            return Err(Failure::input(message));
         }
         let max_age_s = max_age_s.unwrap_or(scenario.dt_s);
         let max_age = Duration::try_from_secs_f64(max_age_s)

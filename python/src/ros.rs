@@ -1,4 +1,4 @@
-//! What ROS is told of a run: the numbers that a ROS 2 bag of it has, too.
+//! The messages of a run for ROS: the same numbers as in its ROS 2 bag.
 
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;

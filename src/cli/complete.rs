@@ -124,7 +124,7 @@ fn write_page(file: &Path, page: &[u8]) -> std::io::Result<()> {
 }
 
 fn not_writable(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::input(format!("cannot write {} (DIR): expected a folder that can be written: {error}", path.display()))
+    Failure::input(format!("cannot write {} (DIR): {error}: expected a folder that can be written", path.display()))
 }
 
 /// The manual page of a command.

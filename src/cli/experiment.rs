@@ -139,14 +139,8 @@ impl TrackArgs {
     /// The keys of the scenario that flags give.
     fn flags(&self) -> Vec<Flag> {
         let (input, nuisances) = (&self.input, &self.nuisances);
-        typed([
-            ("recording.columns", "--columns", input.columns.is_some() && input.field.is_none()),
-            ("recording.topic", "--topic", input.topic.is_some()),
-            ("recording.position", "--position", input.position.is_some()),
-            ("recording.msg", "--msg", !input.msg.is_empty()),
-            ("recording.rate_hz", "--rate", input.rate.is_some()),
-            ("recording.stamp_unit", "--stamp-unit", input.stamp_unit.is_some()),
-            ("recording.target_height_m", "--target-height", input.target_height.is_some()),
+        let mut flags = input.flags();
+        flags.extend(typed([
             ("recording.range_std_m", "--range-std", self.range_std.is_some()),
             ("recording.bearing_std_rad", "--bearing-std", self.bearing_std.is_some()),
             ("recording.pose_std_m", "--pose-std", nuisances.pose_std.is_some()),
@@ -161,7 +155,13 @@ impl TrackArgs {
             ("target.noise_psd", "--accel-psd", self.accel_psd.is_some()),
             ("filter.gate_sigma", "--gate", self.gate.gate.is_some()),
             ("filter.estimate", "--estimate", nuisances.estimate.is_some()),
-        ])
+            (
+                "recording.sensor",
+                "--range-bias or --range-scale",
+                !self.range_bias.is_empty() || !self.range_scale.is_empty(),
+            ),
+        ]));
+        flags
     }
 }
 
@@ -171,6 +171,25 @@ fn typed<const N: usize>(flags: [(&'static str, &'static str, bool); N]) -> Vec<
 }
 
 impl InputArgs {
+    /// The keys of the scenario that flags give.
+    pub fn flags(&self) -> Vec<Flag> {
+        let columns = match (&self.field, &self.columns) {
+            (Some(_), Some(_)) => "--field or --columns",
+            (Some(_), None) => "--field",
+            (None, _) => "--columns",
+        };
+        typed([
+            ("recording.columns", columns, self.columns.is_some() || self.field.is_some()),
+            ("recording.format", "--format", self.format.is_some()),
+            ("recording.topic", "--topic", self.topic.is_some()),
+            ("recording.position", "--position", self.position.is_some()),
+            ("recording.msg", "--msg", !self.msg.is_empty()),
+            ("recording.rate_hz", "--rate", self.rate.is_some()),
+            ("recording.stamp_unit", "--stamp-unit", self.stamp_unit.is_some()),
+            ("recording.target_height_m", "--target-height", self.target_height.is_some()),
+        ])
+    }
+
     /// The flags for reading a recording, as a scenario's table.
     ///
     /// # Errors

@@ -16,7 +16,7 @@ pub struct GatewayArgs {
     /// Name of the run; waits until the run exists
     #[arg(long, default_value = rangehound_shared::scenario::defaults::NAME)]
     pub name: RunName,
-    /// Address to listen on. Any address but one of this machine's own (127.0.0.1) demands --keys
+    /// Address to listen on. Every address except the loopback (127.0.0.1 or ::1) requires --keys
     #[arg(long, value_name = "ADDRESS:PORT")]
     pub listen: SocketAddr,
     /// Folder with the keys of this host, from `rangehound keys`
@@ -27,7 +27,7 @@ pub struct GatewayArgs {
 /// `keys`.
 #[derive(Debug, Args)]
 pub struct KeysArgs {
-    /// Folder for the keys. The authority that is there already signs further hosts
+    /// Folder for the keys. If it has an authority already, that one signs the new certificates
     #[arg(long, value_name = "DIR", default_value = "keys")]
     pub out: PathBuf,
     /// Host of the run, whose gateway the robots' hosts connect to

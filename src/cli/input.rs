@@ -20,11 +20,11 @@ pub struct InputArgs {
     #[arg(long, value_name = "SPEC")]
     pub columns: Option<String>,
     /// In a ROS 2 bag: the topic with the measurements; * stands for a part of the name, as in /robot_*/range; several with
-    /// commas [without it: the error lists the topics]
+    /// commas [if missing: an error lists the topics]
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
-    /// In a ROS 2 bag: the field with the range, as in range or ranges[].distance:mm (m, cm or mm after the colon); the same as
-    /// range in --columns, which has the other fields, such as sensor=ranges[].id [default: that of sensor_msgs/Range]
+    /// In a ROS 2 bag: the field with the range, as in range or ranges[].distance:mm (unit m, cm or mm); short for
+    /// --columns range=FIELD [default: the field of sensor_msgs/Range]
     #[arg(long, value_name = "FIELD")]
     pub field: Option<String>,
     /// In a ROS 2 bag: the topic with the sensor's position, as in /odom or /robot_*/pose, and maybe the field
@@ -45,13 +45,13 @@ pub struct InputArgs {
     /// Format of the radio, if the file is a log of a radio's serial port: dwm1001, linktrack, mauwb or plain
     #[arg(long, value_name = "NAME")]
     pub format: Option<String>,
-    /// Reports per second, if such a log has no time stamps
+    /// With --format: reports per second, if the log has no time stamps
     #[arg(long, value_name = "HZ", value_parser = number, allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// Unit of the time stamps in such a log, if they are integers: s, ms, us or ns
+    /// With --format: unit of time stamps that are integers: s, ms, us or ns
     #[arg(long, value_name = "UNIT")]
     pub stamp_unit: Option<String>,
-    /// Refuse the file at its first bad row, and exit with 1 if the verdict of the report is "not sound"
+    /// Refuse the file at its first bad row, and exit with 1 if the verdict of the report is "not valid"
     #[arg(long)]
     pub strict: bool,
 }

@@ -25,7 +25,7 @@ mod shell;
 mod study;
 mod values;
 
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::terminal;
@@ -128,18 +128,22 @@ pub fn one_line(error: &clap::Error) -> String {
     let message: Vec<&str> = text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect();
     let message = message.join(" ");
     let message = message.strip_prefix("error: ").unwrap_or(&message);
+    let suggestions = [ContextKind::SuggestedArg, ContextKind::SuggestedSubcommand, ContextKind::SuggestedValue];
+    let suggested = suggestions.into_iter().find_map(|kind| error.get(kind)).map(ToString::to_string);
     let expected = match error.kind() {
         ErrorKind::ValueValidation => return message.to_owned(),
         ErrorKind::InvalidValue if message.contains("[possible values:") => {
             return message.replace("[possible values:", "[expected one of:");
         }
-        ErrorKind::InvalidValue => "one",
+        ErrorKind::ArgumentConflict => return format!("{message}: expected only one of them"),
+        ErrorKind::InvalidValue => "a value",
         ErrorKind::InvalidSubcommand => "a command",
         ErrorKind::MissingRequiredArgument => {
             let missing = message.rsplit_once("provided: ").map_or(message, |(_, missing)| missing);
-            return format!("{missing} is missing: expected it as in --help");
+            return format!("{missing} is missing: expected this argument; see --help");
         }
         _ => "arguments",
     };
-    format!("{message}: expected {expected} as in --help")
+    let expected = suggested.as_deref().unwrap_or(expected);
+    format!("{message}: expected {expected}; see --help")
 }

@@ -57,7 +57,7 @@ pub struct RobotArgs {
     /// With --connect: folder with the keys of this host, from `rangehound keys`
     #[arg(long, value_name = "DIR", requires = "connect")]
     pub keys: Option<PathBuf>,
-    /// With --connect: let `rangehound kill` and `restart`, and the live page, on the run's host end this process
+    /// With --connect: allow the run's host to end this process, by `rangehound kill`, `rangehound restart` or the live page
     #[arg(long, requires = "connect")]
     pub allow_remote_control: bool,
 }

@@ -70,7 +70,7 @@ pub struct RunArgs {
     /// Also write ranges.csv and truth.csv to the run folder: a recording that `rangehound track` reads
     #[arg(long)]
     pub write_recording: bool,
-    /// Exit with 1 if the verdict of the report is "not sound"
+    /// Exit with 1 if the verdict of the report is "not valid"
     #[arg(long)]
     pub strict: bool,
     /// Print the report as one line of JSON, with the keys of report.json
@@ -102,7 +102,7 @@ pub struct TrackArgs {
     /// Standard deviation of a bearing, rad
     #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
     pub bearing_std: Option<f64>,
-    /// Spectral density of the target's acceleration, m^2/s^3
+    /// Spectral density of the target's acceleration, m^2/s^3: larger for a target that manoeuvres harder
     #[arg(long, value_name = "Q", value_parser = number, allow_negative_numbers = true)]
     pub accel_psd: Option<f64>,
     /// What is not known exactly of the sensors
@@ -146,20 +146,20 @@ pub struct TrackArgs {
 /// Errors of the sensors that stay from one measurement to the next.
 #[derive(Debug, Default, Args)]
 pub struct NuisanceArgs {
-    /// Standard deviation of each coordinate of a sensor's position, m; at the start, if the position drifts; alone, each
-    /// position has an error of its own
+    /// Standard deviation of the error of each coordinate of a sensor's position, m. Alone: a new error in each measurement.
+    /// With --pose-correlation: an error that changes slowly. With --pose-drift: the error at the start
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub pose_std: Option<f64>,
     /// Drift of each coordinate of a sensor's position, as of odometry, m per square root of a second
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub pose_drift: Option<f64>,
-    /// Time for which an error of a sensor's position and heading stays, as of GPS, s
+    /// Correlation time of the errors of a sensor's position and heading, s, as of GPS
     #[arg(long, value_name = "S", value_parser = number, allow_negative_numbers = true, conflicts_with = "pose_drift")]
     pub pose_correlation: Option<f64>,
     /// Standard deviation of a sensor's heading, rad
     #[arg(long, value_name = "RAD", value_parser = number, allow_negative_numbers = true)]
     pub heading_std: Option<f64>,
-    /// Standard deviation of the bias that is left in a sensor's ranges, m
+    /// Standard deviation of the unknown bias of a sensor's ranges, m
     #[arg(long, value_name = "M", value_parser = number, allow_negative_numbers = true)]
     pub bias_std: Option<f64>,
     /// Estimate these errors with the target, instead of only allowing for them: bias, pose, or both with a comma
@@ -229,7 +229,7 @@ pub struct SupervisionArgs {
     #[command(flatten)]
     pub hosts: HostsArgs,
     /// Robots whose processes you start yourself on this host, as in 0,2-5: drivers, or a node of ROS 2; the others are
-    /// started here. With `fusion` among them that is yours too
+    /// started here. Add fusion to the list if you start the fusion centre too
     #[arg(long, value_name = "IDS")]
     pub external: Option<External>,
 }

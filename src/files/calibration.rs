@@ -50,7 +50,7 @@ pub struct SensorCalibration {
 pub fn read(path: &Path) -> Result<Calibration, Failure> {
     let refuse = |problem: String| {
         Failure::input(format!(
-            "cannot use {}: expected a calibration as `rangehound calibrate` writes it: {problem}",
+            "cannot use {}: {problem}: expected a calibration as `rangehound calibrate` writes it",
             path.display()
         ))
     };

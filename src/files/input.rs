@@ -51,7 +51,7 @@ pub(crate) fn in_utf8<'a>(what: &str, path: &'a Path) -> Result<&'a str, Failure
 /// [`Failure::Input`] if the file cannot be read, is not TOML, has an unknown key or a value of the wrong type.
 pub fn scenario_file(path: &Path) -> Result<ScenarioFile, Failure> {
     let unreadable = |reason: &dyn Display| {
-        Failure::input(format!("cannot read {}: expected a scenario file: {reason}", path.display()))
+        Failure::input(format!("cannot read {}: {reason}: expected a scenario file", path.display()))
     };
     let bytes = bounded::read(path, SCENARIO_LEN_MAX).map_err(|error| unreadable(&error))?;
     let text = String::from_utf8(bytes).map_err(|error| unreadable(&error.utf8_error()))?;

@@ -47,7 +47,7 @@ pub(super) fn follow(run: &Rendezvous, server: &Server, termination: &Terminatio
         let is_asked = !is_finished && termination.requested();
         let is_over = is_finished || is_asked && is_ending(run);
         if is_over {
-            watch::wait_for_last_words(run);
+            watch::wait_for_last_estimate(run);
         }
         if is_over || nodes_at.is_none_or(|at: Instant| at.elapsed() >= nodes_every) {
             nodes_at = Some(Instant::now());

@@ -55,7 +55,7 @@ pub fn live(name: &RunName, port: Option<u16>, json: bool) -> Result<(), Failure
     let scene = Scene::new(&run.name().to_string(), "run", scenario);
     let server = Server::start(listener, token, pace(scenario), scene, Some(Arc::clone(&run)))?;
     // Without this note, a page that is started again after a kill has another address.
-    let _ = run.leave_note(LIVE_NOTE, &note);
+    let _ = run.write_note(LIVE_NOTE, &note);
     if json {
         print_json(&json!({ "name": run.name().to_string(), "address": server.address() }))?;
     } else {

@@ -52,7 +52,7 @@ pub fn plan(table: PlannerTable, seed: Option<u64>, file: Option<&Path>) -> Resu
 }
 
 fn unreadable(name: &str, error: &io::Error) -> Failure {
-    Failure::input(format!("cannot read {name}: expected a file of JSON lines: {error}"))
+    Failure::input(format!("cannot read {name}: {error}: expected a file of JSON lines"))
 }
 
 /// Why reading or writing stopped.

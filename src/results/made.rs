@@ -49,8 +49,10 @@ pub fn report_and_tables(
     }
     written.and(table).and(recorded)?;
     printed?;
-    if strict && !report.verdict.sound {
-        return Err(Failure::Running(anyhow::anyhow!("the result is not sound, and --strict was given")));
+    if strict && !report.verdict.valid {
+        return Err(Failure::Running(anyhow::anyhow!(
+            "the result is not valid (--strict): see the likely reasons above"
+        )));
     }
     Ok(report)
 }

@@ -43,7 +43,7 @@ pub fn prepare_folder(experiment: &Experiment) -> Result<Claim, Failure> {
     };
     written().map_err(|error: anyhow::Error| {
         Failure::input(format!(
-            "cannot write to the run folder (--out): expected a folder that can be written: {error}"
+            "cannot write to the run folder (--out): {error}: expected a folder that can be written"
         ))
     })?;
     for log in [logs::ESTIMATES, logs::WORLDS] {
@@ -94,7 +94,7 @@ fn kept<T: DeserializeOwned>(folder: &Path, name: &str, expected: &str) -> Resul
     let path = folder.join(name);
     let unusable = |reason: &dyn std::fmt::Display| {
         let path = path.display();
-        Failure::input(format!("cannot use {path}: expected {expected}, as `run` writes it: {reason}"))
+        Failure::input(format!("cannot use {path}: {reason}: expected {expected}, as `run` writes it"))
     };
     let text = match bounded::read(&path, KEPT_LEN_MAX) {
         Ok(text) => text,
@@ -111,7 +111,7 @@ fn kept<T: DeserializeOwned>(folder: &Path, name: &str, expected: &str) -> Resul
 pub fn read_description(folder: &Path) -> Result<RunDescription, Failure> {
     let path = folder.join(DESCRIPTION);
     let expected = |reason: &dyn std::fmt::Display| {
-        Failure::input(format!("cannot use {}: expected the folder of a run: {reason}", path.display()))
+        Failure::input(format!("cannot use {}: {reason}: expected the folder of a run", path.display()))
     };
     let sealed = bounded::read(&path, sealed::FILE_LEN_MAX).map_err(|error| expected(&error))?;
     let description = RunDescription::open(&sealed).map_err(|error| expected(&error))?;
@@ -136,7 +136,7 @@ pub fn look_for_writable(description: &RunDescription) -> Result<Claim, Failure>
             && error.kind() != std::io::ErrorKind::NotFound
         {
             return Err(Failure::input(format!(
-                "cannot write {}: expected a file that can be written: {error}",
+                "cannot write {}: {error}: expected a file that can be written",
                 path.display()
             )));
         }

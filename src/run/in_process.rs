@@ -97,7 +97,8 @@ pub enum TeamError {
     Recording(#[from] PlaybackError),
     /// Its target is real.
     #[error(
-        "target.real is true: simulated robots cannot measure a real target; start all robots of a run yourself (--external)"
+        "target.real is true: simulated robots cannot measure a real target: expected a simulated one, or `rangehound run \
+         --external` without --in-process"
     )]
     RealTarget,
     /// Its planner cannot serve it.

@@ -11,7 +11,7 @@ use crate::failure::Failure;
 pub fn listen(port: Option<u16>) -> Result<TcpListener, Failure> {
     TcpListener::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port.unwrap_or(0)))).map_err(|error| match port {
         Some(port) => {
-            Failure::input(format!("cannot use port {port}: expected one that is free on 127.0.0.1: {error}"))
+            Failure::input(format!("cannot use port {port}: {error}: expected one that is free on 127.0.0.1"))
         }
         None => Failure::from(error),
     })

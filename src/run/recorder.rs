@@ -138,7 +138,7 @@ fn follow(
         }
         sleep(LOOK);
     }
-    if !watch::wait_for_last_words(rendezvous) && !rendezvous.is_finished() {
+    if !watch::wait_for_last_estimate(rendezvous) && !rendezvous.is_finished() {
         recorder.advance_to_settled()?;
         log::warn!("the recording was asked to end before the run: it has no tick from {} on", recorder.next);
     } else {

@@ -170,7 +170,7 @@ pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
     match (name, living.as_slice()) {
         (Some(name), _) => Ok(name.clone()),
         (None, [only]) => Ok(only.clone()),
-        (None, []) => Err(Failure::input("no run is running: expected one, as `rangehound run` starts it")),
+        (None, []) => Err(Failure::input("no run is running: start one with `rangehound run`")),
         (None, several) => {
             let names: Vec<String> = several.iter().map(RunName::to_string).collect();
             Err(Failure::input(format!(
@@ -184,7 +184,7 @@ pub(crate) fn run_named(name: Option<&RunName>) -> Result<RunName, Failure> {
 fn join(name: Option<&RunName>) -> Result<Rendezvous, Failure> {
     let name = run_named(name)?;
     let run = Rendezvous::join_if_alive(&name).map_err(input_or_running)?;
-    run.ok_or_else(|| Failure::input(format!("run {name} (--name) is not running: expected a run that is")))
+    run.ok_or_else(|| Failure::input(format!("run {name} (--name) is not running: expected the name of a running run; `rangehound run --name {name}` starts one")))
 }
 
 /// A process that has got a signal.
@@ -254,7 +254,7 @@ pub(crate) fn ask_for_successor(run: &Rendezvous, role: Role) -> Result<Hit, Fai
 /// Gives an order to a robot on another host, and waits until it has arrived.
 fn give_order(run: &Rendezvous, guest: &GuestNote, order: RobotOrder) -> Result<(), Failure> {
     let robot = guest.robot;
-    order.leave(run, robot).map_err(input_or_running)?;
+    order.write(run, robot).map_err(input_or_running)?;
     let began = Instant::now();
     while began.elapsed() < ORDER_TIMEOUT {
         match RobotOrder::has_arrived(run, robot) {

@@ -67,7 +67,9 @@ pub fn status(name: Option<&RunName>, shows_all: bool, again: bool, json: bool) 
         }
     }
     match (is_first, json) {
-        (true, _) => Err(Failure::input(format!("run {name} (--name) is not running: expected a run that is"))),
+        (true, _) => Err(Failure::input(format!(
+            "run {name} (--name) is not running: expected the name of a running run; `rangehound run --name {name}` starts one"
+        ))),
         (false, true) => Ok(()),
         (false, false) => failure::print(format!("run {name} has ended\n")),
     }
@@ -87,12 +89,14 @@ impl Status {
         let mut out = format!("{TITLE}run {name}{TITLE:#}: {scenario}, tick {tick} of {ticks}\n");
         let what = match leader {
             _ if self.is_finishing() => field("finishing", "nodes are ending, recording and report are being written"),
-            Some(pid) => field("fusion", format!("process {pid} leads, the lead number {leads}; {standbys} stand by")),
+            Some(pid) => {
+                field("fusion", format!("process {pid} leads (leader {leads} of this run); {standbys} on standby"))
+            }
             None if self.nodes.iter().any(|node| node.name == "fusion" && node.state == ELSEWHERE) => field(
                 "fusion",
-                format!("a process in another PID namespace leads, the lead number {leads}; {standbys} stand by"),
+                format!("a process in another PID namespace leads (leader {leads} of this run); {standbys} on standby"),
             ),
-            None => field("fusion", format!("{BAD}nobody leads{BAD:#}; {standbys} stand by")),
+            None => field("fusion", format!("{BAD}nobody leads{BAD:#}; {standbys} on standby")),
         };
         let sensor = if self.nodes.iter().any(|node| node.sensor.is_some()) { "sensor" } else { "" };
         let heads = ["node", "state", "pid", "starts", "silent", "memory", sensor].map(str::to_owned);
@@ -183,7 +187,7 @@ impl Row<'_> {
 
 /// The links to robots on other hosts, and who was refused.
 fn links(gateway: &GatewayNote) -> String {
-    let heads = ["robot", "host", "address", "trip", "lost", "again", "silent"].map(str::to_owned);
+    let heads = ["robot", "host", "address", "rtt", "lost", "dup", "silent"].map(str::to_owned);
     let mut out = format!("\n\n{TITLE}{}{TITLE:#}", link(&heads));
     for guest in &gateway.guests {
         let trip = guest.round_trip_us.map_or("-".to_owned(), |us| format!("{:.1} ms", us as f64 / 1_000.0));

@@ -221,7 +221,7 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
     if !rendezvous.is_finished() {
         return Ok(true);
     }
-    wait_for_last_words(&rendezvous);
+    wait_for_last_estimate(&rendezvous);
     let nodes = roles(description.scenario.robots.len())
         .map(|role| NodeSummary::new(role, &description.scenario, rendezvous.roster().starts(role)))
         .collect();
@@ -234,7 +234,7 @@ fn watch_until_removed(name: &RunName, json: bool, termination: &Termination) ->
 }
 
 /// Waits until fusion has recorded its last tick and ended. False if fusion is still there: the run continues, or fusion hangs.
-pub fn wait_for_last_words(run: &Rendezvous) -> bool {
+pub fn wait_for_last_estimate(run: &Rendezvous) -> bool {
     let began = Instant::now();
     while run.roster().is_held(Role::Fusion) {
         let at_most = if run.is_finished() { LAST_WORDS } else { EARLY_LAST_WORDS };

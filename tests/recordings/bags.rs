@@ -398,7 +398,7 @@ fn an_old_bag_is_read_with_definitions_from_the_user() {
     assert_refused(
         &run,
         words,
-        "no definition of uwb_msgs/msg/Many in r.db3: expected it from you: --msg uwb_msgs/msg/Many=FILE",
+        "no definition of uwb_msgs/msg/Many in r.db3: expected a definition: type --msg uwb_msgs/msg/Many=FILE",
     );
     assert_refused(&run, &format!("{words} --msg uwb_msgs/msg/Many"), "expected TYPE=FILE");
     assert_refused(&run, &format!("{words} --msg uwb_msgs/msg/Many=none.msg"), "none.msg");

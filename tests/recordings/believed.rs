@@ -47,14 +47,14 @@ fn report(output: &Output) -> Value {
 const TRACK: &str = "--in-process --no-record --json --accel-psd 0.3 --range-std 0.05";
 
 #[test]
-fn a_good_track_is_sound_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is_not() {
+fn a_good_track_is_valid_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is_not() {
     let run = Run::new();
     let (ranges, truth) = recording(1.0, [0.0; 4]);
     run.write("r.csv", &ranges);
     run.write("truth.csv", &truth);
     let good = program(&run, &format!("track r.csv --truth truth.csv --strict --out good {TRACK}"));
     let verdict = &report(&good)["verdict"];
-    assert!(good.status.success() && verdict["sound"] == true, "{verdict}");
+    assert!(good.status.success() && verdict["valid"] == true && verdict["sound"] == true, "{verdict}");
 
     // Millimetres in a column that is named for metres.
     let in_mm: Vec<String> = ranges
@@ -66,9 +66,9 @@ fn a_good_track_is_sound_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is
         })
         .collect();
     run.write("mm.csv", in_mm.join("\n"));
-    let unsound = program(&run, &format!("track mm.csv --strict --out mm {TRACK}"));
-    let verdict = &report(&unsound)["verdict"];
-    assert!(unsound.status.code() == Some(1) && verdict["sound"] == false, "{unsound:?}");
+    let invalid = program(&run, &format!("track mm.csv --strict --out mm {TRACK}"));
+    let verdict = &report(&invalid)["verdict"];
+    assert!(invalid.status.code() == Some(1) && verdict["valid"] == false, "{invalid:?}");
     assert!(verdict["reasons"][0].as_str().unwrap().contains("range=range_m:mm"), "{verdict}");
     // With the columns that the reason suggests.
     let columns = format!("track mm.csv --columns range=range_m:mm --strict --out again {TRACK}");
@@ -78,7 +78,7 @@ fn a_good_track_is_sound_and_one_in_a_wrong_unit_or_with_another_clocks_truth_is
     run.write("later.csv", format!("time_s,x_m,y_m\n{}\n", later.join("\n")));
     let lost = program(&run, &format!("track r.csv --truth later.csv --out lost {TRACK}"));
     let verdict = &report(&lost)["verdict"];
-    assert!(lost.status.success() && verdict["sound"] == false, "{verdict}");
+    assert!(lost.status.success() && verdict["valid"] == false, "{verdict}");
     assert!(verdict["reasons"][0].as_str().unwrap().contains("does not overlap"), "{verdict}");
 }
 

@@ -38,7 +38,7 @@ fn assert_tracked(run: &Run, flags: &str, rmse_max_m: f64) {
 fn a_team_with_cameras_radios_and_uncertain_robots_is_reported_and_read_back() {
     let (run, printed) = run_of("mixed_sensors.toml");
     let report = run.report();
-    assert_eq!(report["verdict"]["sound"], true, "{}", report["verdict"]);
+    assert_eq!(report["verdict"]["valid"], true, "{}", report["verdict"]);
     assert!(printed.contains("measurements") && printed.contains("measurements fused"), "{printed}");
     let sensor = |robot: usize| &report["sensors"][robot];
     assert!(sensor(0)["ranges"] == 400 && sensor(0).get("bearings").is_none(), "{}", sensor(0));
@@ -61,7 +61,7 @@ fn a_team_with_cameras_radios_and_uncertain_robots_is_reported_and_read_back() {
 #[test]
 fn cameras_alone_are_reported_and_read_back_without_columns_that_they_do_not_need() {
     let (run, printed) = run_of("cameras.toml");
-    assert_eq!(run.report()["verdict"]["sound"], true, "{printed}");
+    assert_eq!(run.report()["verdict"]["valid"], true, "{printed}");
     let recording = run.read("ranges.csv");
     let (header, rows) = recording.split_once('\n').unwrap();
     assert_eq!(header, "time_s,sensor_id,sensor_x_m,sensor_y_m,range_m,bearing_rad,sensor_heading_rad");

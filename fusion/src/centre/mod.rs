@@ -118,7 +118,9 @@ impl Body {
 
 /// The estimate exceeds all bounds.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the estimate left all bounds at tick {tick}: the target model is unstable or does not fit the ranges")]
+#[error(
+    "the estimate left all bounds at tick {tick}: the target model is unstable or does not fit the ranges: check target.model, target.noise_psd and the units of the ranges"
+)]
 pub struct Diverged {
     /// The tick.
     pub tick: u64,

@@ -16,7 +16,7 @@ use rangehound_shared::protocol::wake::Notification;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
 use tokio::sync::mpsc::Sender;
 
-use super::door::Applicant;
+use super::acceptor::Applicant;
 use super::refusals::Refusals;
 use super::{GatewayError, Input};
 use crate::keys::RefusalCause;
@@ -147,7 +147,7 @@ impl<'a> Guests<'a> {
         let news = match news {
             Ok(news) => news,
             Err(error) => {
-                let what = format_args!("sends as robot-{robot} what is refused: {error}");
+                let what = format_args!("sends an invalid frame for robot-{robot}: {error}");
                 self.refusals.borrow_mut().add(guest.connection.remote_address().ip(), error.name(), what);
                 return Ok(());
             }
@@ -195,7 +195,7 @@ impl<'a> Guests<'a> {
         if *protocol != PROTOCOL {
             let program: String = program.chars().filter(char::is_ascii_graphic).take(16).collect();
             let text = format!(
-                "it is rangehound {program} (protocol {protocol}); the run's is {PROGRAM} (protocol {PROTOCOL}): use one version"
+                "the robot's host has rangehound {program} (protocol {protocol}), the run's host has {PROGRAM} (protocol {PROTOCOL}): use one version"
             );
             return Err((RefusalCause::Version, text));
         }
@@ -208,9 +208,14 @@ impl<'a> Guests<'a> {
             return Err((RefusalCause::NoSuchRobot, text));
         }
         match peer {
-            Some(peer) if !peer.may_be(*robot) => {
-                Err((RefusalCause::WrongRobot, format!("the certificate of {} does not name it", peer.host)))
-            }
+            Some(peer) if !peer.may_be(*robot) => Err((
+                RefusalCause::WrongRobot,
+                format!(
+                    "the certificate of {} does not name robot-{robot}: use the keys of its host, or make new ones with \
+                     rangehound keys --host",
+                    peer.host
+                ),
+            )),
             _ => Ok(()),
         }
     }
@@ -227,7 +232,10 @@ impl<'a> Guests<'a> {
                 guest.relay.reconnect();
                 Ok(true)
             }
-            Claim::Refused => Err((RefusalCause::RoleTaken, format!("{} has this role, and is heard", guest.host))),
+            Claim::Refused => Err((
+                RefusalCause::RoleTaken,
+                format!("host {} already runs this robot: end it there, or choose another --id", guest.host),
+            )),
             Claim::Succeeds => {
                 self.release(*robot, "starts again");
                 Ok(false)
@@ -239,7 +247,10 @@ impl<'a> Guests<'a> {
     fn ask_for_role(&mut self, applicant: Box<Applicant>) {
         let robot = applicant.request.robot;
         if !self.asked_for.insert(robot) {
-            return self.refuse(*applicant, (RefusalCause::RoleTaken, "its role is being taken".to_owned()));
+            return self.refuse(
+                *applicant,
+                (RefusalCause::RoleTaken, "another process is joining as this robot: try again".to_owned()),
+            );
         }
         let (roster, sender) = (self.rendezvous.roster().clone(), self.sender.clone());
         tokio::task::spawn_blocking(move || {
@@ -340,7 +351,7 @@ impl<'a> Guests<'a> {
         }
         if now_ns >= self.noted_ns.saturating_add(NOTE_NS) {
             self.noted_ns = now_ns;
-            if let Err(error) = self.note(now_ns).leave(self.rendezvous) {
+            if let Err(error) = self.note(now_ns).write(self.rendezvous) {
                 log::debug!("{error}");
             }
         }

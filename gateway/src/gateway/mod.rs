@@ -2,7 +2,7 @@
 //!
 //! It has no state that could be lost: a gateway that is started again learns everything from the robots and the bus.
 
-mod door;
+mod acceptor;
 mod guests;
 mod handshakes;
 mod refusals;
@@ -24,7 +24,7 @@ use tokio::sync::watch;
 
 use crate::keys::{Credentials, KeysError, Renewed};
 use crate::link;
-use door::{Applicant, Door};
+use acceptor::{Acceptor, Applicant};
 use guests::Guests;
 use handshakes::Handshakes;
 use refusals::Refusals;
@@ -57,7 +57,7 @@ pub enum GatewayError {
     #[error("--keys has the keys of {0}, a host of robots: expected those of a gateway (`rangehound keys --gateway`)")]
     NotGateway(String),
     /// The system does not give it the address.
-    #[error("cannot listen on {address}: {source}")]
+    #[error("cannot listen on {address} (--listen): {source}: expected an address of this host and a free port")]
     Address {
         /// The address.
         address: SocketAddr,
@@ -68,7 +68,7 @@ pub enum GatewayError {
     #[error("{0}")]
     Cryptography(String),
     /// Its socket or its view of the bus has failed.
-    #[error("it no longer hears the robots or the run: its socket or the run's shared memory has failed")]
+    #[error("the gateway receives nothing any more: its socket or the run's shared memory has failed")]
     Deaf,
     /// The system.
     #[error("{0}")]
@@ -122,11 +122,11 @@ pub fn run(
             let mut guests = Guests::new(rendezvous, sender.clone(), Rc::clone(&refusals))?;
             let (finished, when_finished) = watch::channel(false);
             let handshakes = Handshakes::of_team(rendezvous.description().scenario.robots.len());
-            let door = Door { sender, handshakes, refusals, demands_keys: keys.is_some() };
+            let acceptor = Acceptor { sender, handshakes, refusals, demands_keys: keys.is_some() };
             let config = move || Arc::clone(config.present());
-            let door = tokio::task::spawn_local(door.answer(endpoint.clone(), config, when_finished));
+            let acceptor = tokio::task::spawn_local(acceptor.answer(endpoint.clone(), config, when_finished));
             // Without them it would hold its role and serve no robot: the supervisor starts it again.
-            let is_deaf = || door.is_finished() || bus.is_finished();
+            let is_deaf = || acceptor.is_finished() || bus.is_finished();
             let served = serve(&mut guests, inputs, (rendezvous, &lease), (termination, is_deaf)).await;
             // The roles are free before the robots know that the gateway ends.
             drop(guests);

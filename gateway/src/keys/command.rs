@@ -16,7 +16,7 @@ const DAYS_MAX: i64 = 36_500;
 #[derive(Debug, Args)]
 #[command(group = ArgGroup::new("made").args(["gateway", "hosts"]).required(true).multiple(true))]
 pub struct KeysArgs {
-    /// Folder for the keys. The authority that is there already signs further hosts
+    /// Folder for the keys. If it has an authority already, that one signs the new certificates
     #[arg(long, value_name = "DIR", default_value = "keys")]
     pub out: PathBuf,
     /// Host of the run, whose gateway the robots' hosts connect to

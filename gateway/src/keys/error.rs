@@ -12,7 +12,7 @@ pub enum KeysError {
     #[error("two hosts are named {0}: expected one name for each host, with all of its robots")]
     Twice(String),
     /// A file cannot be read.
-    #[error("cannot read {}: {source}", .path.display())]
+    #[error("cannot read {}: {source}: expected a folder of keys from `rangehound keys`", .path.display())]
     Read {
         /// The file.
         path: PathBuf,
@@ -20,7 +20,7 @@ pub enum KeysError {
         source: std::io::Error,
     },
     /// A file or folder cannot be written.
-    #[error("cannot write {}: {source}", .path.display())]
+    #[error("cannot write {}: {source}: choose a folder that can be written (--out)", .path.display())]
     Write {
         /// The file or folder.
         path: PathBuf,

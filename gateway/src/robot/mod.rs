@@ -49,7 +49,7 @@ pub type Equipment = (Box<dyn Sensor>, Box<dyn PoseSource>, Box<dyn Actuator>);
 #[derive(Debug, thiserror::Error)]
 pub enum RobotError {
     /// The gateway does not take it, and will not.
-    #[error("refused by the gateway: {0}")]
+    #[error("the gateway refused this robot: {0}")]
     Refused(String),
     /// Its keys cannot be used.
     #[error(transparent)]
@@ -200,7 +200,9 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
                     log::warn!("asked to end from the run's host");
                     break;
                 }
-                Happened::Noticed(_) => log::warn!("the gateway gives orders that --allow-remote-control would allow"),
+                Happened::Noticed(_) => log::warn!(
+                    "ignored an order of the run's host to end this robot: start it with --allow-remote-control to obey such orders"
+                ),
                 Happened::Ended => session = None,
                 Happened::Nothing => {}
             }
@@ -259,7 +261,9 @@ impl Part {
         let Ok(frame) = Downlink::from_bytes(bytes, self.of.run_id) else {
             self.malformed += 1;
             if self.malformed == 1 {
-                log::warn!("the gateway sends frames that cannot be read");
+                log::warn!(
+                    "dropped a frame of the gateway that cannot be read; further ones are dropped without a message"
+                );
             }
             return;
         };

@@ -156,7 +156,7 @@ impl Connector {
     /// Reports why the robot has no link, once for each reason.
     pub(super) fn report(&mut self, reason: &str) {
         if self.reported.as_deref() != Some(reason) {
-            log::warn!("no link to the gateway at {}: {reason}; it is tried again", self.target.gateway);
+            log::warn!("no link to the gateway at {}: {reason}; trying again", self.target.gateway);
             self.reported = Some(reason.to_owned());
         }
     }

@@ -140,7 +140,7 @@ fn hostile_frames_of_a_certified_robot_are_refused_by_cause_and_cost_no_memory()
         println!("{:?}, resident {sizes_kb:?} kB", run.refusals());
         assert!(sizes_kb[2] <= sizes_kb[1] + GROWTH_KB_MAX, "{sizes_kb:?}");
         let lines = supervisor.stderr();
-        let of_frames: Vec<&str> = lines.lines().filter(|line| line.contains("robot-1 what is refused")).collect();
+        let of_frames: Vec<&str> = lines.lines().filter(|line| line.contains("invalid frame for robot-1")).collect();
         assert!(of_frames.iter().all(|line| line.starts_with("rangehound: 127.0.0.1 sends as robot-1")), "{lines}");
         link::write(&mut robot.peer.send, &Notice::Leaving).await.unwrap();
         robot.peer.connection.closed().await;

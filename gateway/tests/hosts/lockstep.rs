@@ -146,7 +146,7 @@ fn hosts_that_wake_up_change_nothing() {
     assert_eq!(digest, oracle);
 }
 
-/// Two hosts claim one robot: the one that is heard keeps it. When it is gone, the other takes its place.
+/// Two hosts claim one robot: the one that is connected keeps it. When it is gone, the other takes its place.
 #[test]
 fn of_two_hosts_that_claim_a_robot_one_has_it() {
     let words = "--ticks 1000 --robots 2";

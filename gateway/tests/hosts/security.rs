@@ -55,8 +55,8 @@ fn wrong_foreign_and_missing_certificates_are_refused_at_both_ends() {
         (
             2,
             "--keys keys/alice",
-            "the certificate of alice does not name it",
-            "the certificate of alice does not name it",
+            "the certificate of alice does not name robot-",
+            "the certificate of alice does not name robot-",
         ),
         (0, "--keys other/alice", "another authority", "another authority"),
         (0, "", "no certificate", "no certificate"),
@@ -322,7 +322,7 @@ fn of_a_hundred_attempts_with_each_wrong_certificate_none_is_accepted() {
         ("keys/station", "mixed", 0, foreign, foreign),
         ("keys/station", "", 0, "no certificate", "no certificate"),
         ("keys/station", "expired-alice", 0, expired, expired),
-        ("keys/station", "keys/alice", 2, "certificate of another robot", "certificate of alice does not name it"),
+        ("keys/station", "keys/alice", 2, "certificate of another robot", "certificate of alice does not name robot-"),
         ("keys/station", "keys/station", 0, "bad certificate", "bad certificate"),
     ];
     let at_the_robot = [

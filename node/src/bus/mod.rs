@@ -284,7 +284,10 @@ fn open_wait_groups(run: &Rendezvous) -> Result<WaitGroups, BusError> {
         let is_gone = text.contains("DoesNotExist");
         let out_dir = run.description().out_dir.display();
         let gone = format!("removed during the run: stop the run, then continue it with `rangehound resume {out_dir}`");
-        BusError { what: "wait_groups".to_owned(), reason: if is_gone { format!("{gone} ({text})") } else { text } }
+        BusError {
+            what: "the wait groups of the run".to_owned(),
+            reason: if is_gone { format!("{gone} ({text})") } else { text },
+        }
     })
 }
 

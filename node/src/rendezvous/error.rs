@@ -39,7 +39,7 @@ pub enum RendezvousError {
     #[error("{} is not a folder: remove it, or choose another --name", .0.display())]
     NoFolder(PathBuf),
     /// The description of the run cannot be used.
-    #[error("cannot use {}: {reason}", .file.display())]
+    #[error("cannot use {}: {reason}: end the run and remove its folder, or choose another --name", .file.display())]
     Unusable {
         /// The file.
         file: PathBuf,
@@ -47,7 +47,7 @@ pub enum RendezvousError {
         reason: SealError,
     },
     /// The run was founded by a build with another protocol.
-    #[error("run {name} was founded by {build}: use one version for all its nodes")]
+    #[error("run {name} was started by {build}: use one version for all its nodes")]
     OtherBuild {
         /// The run.
         name: RunName,
@@ -55,7 +55,7 @@ pub enum RendezvousError {
         build: OtherBuild,
     },
     /// The wait groups cannot be created.
-    #[error(transparent)]
+    #[error("the wait groups of the run in /dev/shm {0}: make room there, or remove files of dead runs")]
     WaitGroups(#[from] BlockError),
     /// The system refuses a file operation.
     #[error("cannot use {}: {source}", .path.display())]
@@ -86,6 +86,6 @@ pub enum RendezvousError {
         out_dir: PathBuf,
     },
     /// A request to end arrived while waiting for the run.
-    #[error("asked to end while waiting for the run")]
+    #[error("the wait for the run was ended by a signal")]
     Terminated,
 }

@@ -352,7 +352,7 @@ impl Rendezvous {
     ///
     /// # Errors
     /// If it cannot be written.
-    pub fn leave_note(&self, name: &str, text: &str) -> Result<(), RendezvousError> {
+    pub fn write_note(&self, name: &str, text: &str) -> Result<(), RendezvousError> {
         self.place.write(name, text.as_bytes())
     }
 

@@ -26,7 +26,7 @@ use crate::system::clock::monotonic_ns;
 const SIGN: Duration = Duration::from_millis(50);
 
 /// A process that checks whether a role is held locks its file briefly: retry for this long before reporting a holder.
-const GLANCE: Duration = Duration::from_millis(20);
+const TRY_LOCK_TIME: Duration = Duration::from_millis(20);
 
 /// The roles of one run.
 #[derive(Debug, Clone)]
@@ -70,7 +70,7 @@ impl Roster {
                         return self.register(role, file);
                     }
                 }
-                Err(TryLockError::WouldBlock) if began.elapsed() < GLANCE => {
+                Err(TryLockError::WouldBlock) if began.elapsed() < TRY_LOCK_TIME => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 Err(TryLockError::WouldBlock) => {

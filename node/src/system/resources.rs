@@ -111,9 +111,13 @@ pub fn run_out_of() -> Option<&'static str> {
         return Some("there is no room for more open files: raise the limit, with ulimit -n");
     }
     match statvfs(SHARED_MEMORY) {
-        Err(_) => Some("/dev/shm, where processes share memory, is gone"),
-        Ok(space) if space.f_bavail.saturating_mul(space.f_frsize) < MEMORY_PER_ROBOT => Some("/dev/shm is full"),
-        Ok(space) if space.f_files > 0 && space.f_favail < 8 => Some("/dev/shm has no room for more files"),
+        Err(_) => Some("/dev/shm, where processes share memory, is gone: mount it again"),
+        Ok(space) if space.f_bavail.saturating_mul(space.f_frsize) < MEMORY_PER_ROBOT => {
+            Some("/dev/shm is full: make room there, or use fewer robots")
+        }
+        Ok(space) if space.f_files > 0 && space.f_favail < 8 => {
+            Some("/dev/shm has no room for more files: remove files there, or use fewer robots")
+        }
         Ok(_) => None,
     }
 }

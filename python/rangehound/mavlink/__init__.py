@@ -2,7 +2,7 @@
 
 ==========  ================================================================================
 `frames`    between a run's frame (east, north) and MAVLink's (north, east, down), no I/O
-`vehicle`   what the vehicle has said, and the setpoint that it gets now, no I/O and no clock
+`vehicle`   the state that the vehicle reports, and the setpoint that it gets now, no I/O and no clock
 `link`      the thread that reads and writes the connection
 ==========  ================================================================================
 """

@@ -101,7 +101,7 @@ def drive(flags: argparse.Namespace) -> None:
     try:
         link = Link(mavutil, connect, vehicle, flags.rate, flags.arm)
     except Exception as error:
-        raise _native.InputError(f"--connect is {flags.connect}: expected a connection that can be opened: {error}") from error
+        raise _native.InputError(f"--connect is {flags.connect}: {error}: expected a connection that can be opened") from error
     link.start()
     try:
         while not is_there(link):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import threading
@@ -117,7 +118,9 @@ class Link(threading.Thread):
     def _say(self, condition: str) -> None:
         if condition != self._said:
             self._said = condition
-            print(f"mavlink: {condition}", file=sys.stderr, flush=True)
+            # A full disk or a closed pipe must not end the control of the vehicle.
+            with contextlib.suppress(OSError, ValueError):
+                print(f"mavlink: {condition}", file=sys.stderr, flush=True)
 
     def _beat(self, is_linked: bool) -> None:
         """Sends our heartbeat. A vehicle that has just been heard, or is not heard well, is asked for its messages."""

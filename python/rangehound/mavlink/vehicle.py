@@ -1,4 +1,4 @@
-"""What a vehicle has said, and the setpoint that it gets now. No I/O: messages and the time come as arguments."""
+"""The state that a vehicle reports, and the setpoint that it gets now. No I/O: messages and the time come as arguments."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class Bridge:
     # Called by ROS.
 
     def _on_range(self, message: Any) -> None:
-        # Distributions before Kilted have no variance in it.
+        # Distributions before Iron have no variance in it.
         variance_m2 = float(getattr(message, "variance", 0.0))
         limits = float(message.min_range), float(message.max_range)
         self._receive("range", self._range, message, lambda: self._measured(float(message.range), *limits, variance_m2))

@@ -26,7 +26,9 @@ _LAST_WORDS_S = 2.0
 
 def complain(problem: object) -> None:
     """Prints one line for the user."""
-    print(f"rangehound.ros2: {' '.join(str(problem).split())}", file=sys.stderr, flush=True)
+    # A full disk or a closed pipe must not end the node.
+    with contextlib.suppress(OSError, ValueError):
+        print(f"rangehound.ros2: {' '.join(str(problem).split())}", file=sys.stderr, flush=True)
 
 
 def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -62,7 +62,7 @@ impl Problem {
     fn in_file(&self, file: &Path) -> String {
         let file = file.display();
         match self {
-            Self::Unreadable(reason) => format!("cannot read {file}, expected a table: {reason}"),
+            Self::Unreadable(reason) => format!("cannot read {file}: {reason}: expected a table"),
             Self::Header { line, wrong, hint } => format!("{wrong} in {file}, row 0 (line {line}, the header): {hint}"),
             Self::Row { row, line, complaint } => complaint.at(format_args!("{file}, row {row} (line {line})")),
             Self::Report(complaint) => complaint.at(file),

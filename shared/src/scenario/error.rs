@@ -62,11 +62,18 @@ impl ScenarioError {
     #[must_use]
     pub fn by_flag(self, flags: &[(&str, &str)]) -> Self {
         match self {
-            Self::WrongValue { file, key, expected, got } => match flags.iter().find(|(of_flag, _)| *of_flag == key) {
-                Some((_, flag)) => Self::WrongFlag { flag: (*flag).to_owned(), expected, got },
-                None => Self::WrongValue { file, key, expected, got },
-            },
+            Self::WrongValue { file, key, expected, got } => {
+                match flags.iter().find(|(of_flag, _)| is_of(&key, of_flag)) {
+                    Some((_, flag)) => Self::WrongFlag { flag: (*flag).to_owned(), expected, got },
+                    None => Self::WrongValue { file, key, expected, got },
+                }
+            }
             other => other,
         }
     }
+}
+
+/// Whether the flag for the key `of_flag` gave `key`: the same key, or an entry of its list.
+fn is_of(key: &str, of_flag: &str) -> bool {
+    key.strip_prefix(of_flag).is_some_and(|rest| rest.is_empty() || rest.starts_with('['))
 }

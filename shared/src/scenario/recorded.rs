@@ -106,7 +106,7 @@ impl RecordingTable {
         if let (None, Some((key, _))) = (format, of_port.iter().find(|(_, present)| *present)) {
             return Err(refuse(
                 key,
-                "recording.format beside it, for a log of a radio's port".to_owned(),
+                "recording.format (--format) too, because only logs of a radio's port need it".to_owned(),
                 "given".to_owned(),
             ));
         }

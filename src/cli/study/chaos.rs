@@ -59,22 +59,22 @@ pub struct OnHostsArgs {
     /// Longest time for which a host is cut off or down, s
     #[arg(long, value_name = "SECONDS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 2.0)]
     pub longest_cut: f64,
-    /// Part of the packets that are lost each way, 0 to 1
+    /// Fraction of the packets that are lost each way, 0 to 1
     #[arg(long, value_name = "PART", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
     pub loss: f64,
-    /// Number of packets that are lost one after the other
+    /// Number of packets lost in a row at each loss
     #[arg(long, value_name = "N", requires = "hosts", value_parser = whole, allow_negative_numbers = true, default_value_t = 1)]
     pub burst: u64,
-    /// Part of the packets that come twice, 0 to 1
+    /// Fraction of the packets that come twice, 0 to 1
     #[arg(long, value_name = "PART", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
     pub duplicates: f64,
     /// Time that a packet needs each way, ms
     #[arg(long, value_name = "MS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
     pub delay: f64,
-    /// Random time on top of it, up to this, ms; packets overtake each other
+    /// Largest random delay of a packet in addition to --delay, ms; packets may overtake each other
     #[arg(long, value_name = "MS", requires = "hosts", value_parser = number, allow_negative_numbers = true, default_value_t = 0.0)]
     pub jitter: f64,
-    /// Cut each link at this interval, one after the other, s
+    /// Cut the links one after the other, each at this interval, s
     #[arg(long, value_name = "SECONDS", requires = "hosts", value_parser = number, allow_negative_numbers = true)]
     pub cut_every: Option<f64>,
     /// Duration of these cuts, s

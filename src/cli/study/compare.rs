@@ -28,12 +28,12 @@ pub struct CompareArgs {
     /// with --sensors, --localisers or --nuisances]
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = PlannerName)]
     pub planners: Option<Vec<String>>,
-    /// Sensors to compare, separated by commas: names of [sensor.NAME] in the scenario, which all robots have in turn, and
-    /// own for the mix of the scenario
+    /// Sensors to compare, separated by commas. For each name, all robots have the sensor [sensor.NAME] of the scenario; own
+    /// keeps each robot's own
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub sensors: Vec<String>,
-    /// Errors of the robots' poses to compare, separated by commas: names of [localiser.NAME] in the scenario, which all robots
-    /// have in turn, exact for none, and own for the mix of the scenario
+    /// Errors of the robots' poses to compare, separated by commas. For each name, all robots have [localiser.NAME] of the
+    /// scenario; exact means no error; own keeps each robot's own
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub localisers: Vec<String>,
     /// Treatments of uncertain poses and biases to compare, separated by commas: ignored, inflated, schmidt, estimated

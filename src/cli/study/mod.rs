@@ -26,7 +26,7 @@ pub struct PlanArgs {
     /// Planner for lines that name none [default: certified]
     #[arg(long, value_name = "NAME", value_parser = PlannerName)]
     pub planner: Option<String>,
-    /// Most nodes that the certified planner searches
+    /// Most branch-and-bound nodes that the certified planner searches
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub nodes: Option<u64>,
     /// Iterations of the relaxation planners
@@ -41,7 +41,7 @@ pub struct PlanArgs {
     /// Steps that the horizon planner looks ahead, 1 to 100
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub steps: Option<u64>,
-    /// Blocks of one heading each that the horizon planner divides them into
+    /// Number of blocks of steps of the horizon planner; a robot keeps one heading in each block
     #[arg(long, value_name = "N", value_parser = whole, allow_negative_numbers = true)]
     pub blocks: Option<u64>,
     /// Seed of the random planner; its headings also depend on the line's number
@@ -109,6 +109,7 @@ impl CalibrateArgs {
         let truth = self.truth.read(&self.input)?;
         calibrate::calibrate(
             &self.input.table()?,
+            &self.input.flags(),
             truth.as_ref(),
             self.truth.truth.as_deref(),
             self.out.as_deref(),

@@ -221,7 +221,8 @@ impl<'a> Reading<'a> {
         let given = given.map(|(_, text)| text.as_str());
         let text = given.or(topic.definition).or_else(|| interfaces::definition(&short(topic.type_name)));
         let Some(text) = text else {
-            let hint = format!("expected it from you: --msg {}=FILE with the fields of the type", topic.type_name);
+            let hint =
+                format!("expected a definition: type --msg {}=FILE with the fields of the type", topic.type_name);
             return Err(Fault::new(format!("no definition of {}", topic.type_name), hint));
         };
         Types::parse(topic.type_name, text).map_err(|reason| {

@@ -293,11 +293,12 @@ fn lock(folder: &Path) -> Result<File, Refusal> {
 /// # Errors
 /// [`Failure::Input`] if a living run uses it.
 pub fn lock_finished(folder: &Path) -> Result<File, Failure> {
-    lock(folder).map_err(|_| {
-        Failure::input(format!(
+    lock(folder).map_err(|refusal| match refusal {
+        Refusal::Taken(_) => Failure::input(format!(
             "the run in {} is not over: expected a finished run: record it by its --name, or wait for its end",
             folder.display()
-        ))
+        )),
+        unusable => unusable.into(),
     })
 }
 
@@ -311,7 +312,7 @@ fn not_writable(path: &Path, error: &io::Error) -> Refusal {
         Err(_) if is_link => "it is a link to nothing: choose another name, or remove it".to_owned(),
         _ => error.to_string(),
     };
-    Refusal::Unusable(format!("cannot write to {}: expected a folder that can be written: {cause}", path.display()))
+    Refusal::Unusable(format!("cannot write to {}: {cause}: expected a folder that can be written", path.display()))
 }
 
 /// Names of the files in a folder.

@@ -82,8 +82,8 @@ fn page(report: &Report, curves: &Curves) -> anyhow::Result<String> {
 
 /// Whether the result is credible, above all figures.
 fn verdict(verdict: &Verdict) -> Markup {
-    let Verdict { sound, summary, reasons, notes } = verdict;
-    let (class, word) = if *sound { ("sound", "Sound") } else { ("unsound", "Not sound") };
+    let Verdict { valid, summary, reasons, notes, .. } = verdict;
+    let (class, word) = if *valid { ("valid", "Valid") } else { ("invalid", "Not valid") };
     html! {
         div.verdict.(class) {
             strong { (word) }

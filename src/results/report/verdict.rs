@@ -91,7 +91,9 @@ pub struct RecordingEvidence {
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Verdict {
     /// True if no evidence contradicts it.
-    pub sound: bool,
+    pub valid: bool,
+    /// The same, for programs that read the key's earlier name.
+    sound: bool,
     /// The evidence, in one line.
     pub summary: String,
     /// Likely reasons if the result is invalid: one or two.
@@ -143,8 +145,8 @@ impl Verdict {
         let symptoms = Symptoms::of(evidence);
         let mut reasons = symptoms.reasons(evidence);
         reasons.truncate(REASONS_MAX);
-        let sound = !symptoms.any();
-        Self { sound, summary: summary(evidence, &symptoms), reasons, notes: notes(evidence, sound) }
+        let valid = !symptoms.any();
+        Self { valid, sound: valid, summary: summary(evidence, &symptoms), reasons, notes: notes(evidence, valid) }
     }
 }
 
@@ -323,14 +325,14 @@ fn summary(evidence: &Evidence, symptoms: &Symptoms) -> String {
     parts.join(", ")
 }
 
-fn notes(evidence: &Evidence, sound: bool) -> Vec<String> {
+fn notes(evidence: &Evidence, valid: bool) -> Vec<String> {
     let mut notes = Vec::new();
     let measured = evidence.measured();
     let faulty: Vec<&SensorEvidence> = evidence.sensors.iter().filter(|sensor| sensor.is_faulty()).collect();
-    if sound && let [only] = faulty[..] {
+    if valid && let [only] = faulty[..] {
         let share = 100.0 * only.rejected_share();
         notes.push(format!("sensor {} was left out: {share:.0} % of its {measured} did not fit the others", only.name));
-    } else if sound && !faulty.is_empty() {
+    } else if valid && !faulty.is_empty() {
         let names: Vec<&str> = faulty.iter().map(|sensor| sensor.name.as_str()).collect();
         let names = names.join(", ");
         notes.push(format!("sensors {names} were left out: most of their {measured} did not fit the others"));
@@ -352,8 +354,8 @@ fn notes(evidence: &Evidence, sound: bool) -> Vec<String> {
 
 impl std::fmt::Display for Verdict {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { sound, summary, reasons, notes } = self;
-        let (style, word) = if *sound { (GOOD, "sound") } else { (BAD, "not sound") };
+        let Self { valid, sound: _, summary, reasons, notes } = self;
+        let (style, word) = if *valid { (GOOD, "valid") } else { (BAD, "not valid") };
         write!(f, "{}", prose_in(style, "verdict", format_args!("{word}: {summary}")))?;
         for reason in reasons {
             write!(f, "\n{}", prose_in(BAD, "likely reason", reason))?;
@@ -400,14 +402,14 @@ mod tests {
     /// The reasons of an invalid result.
     fn reasons(evidence: &Evidence) -> String {
         let verdict = Verdict::of(evidence);
-        assert!(!verdict.sound && (1..=REASONS_MAX).contains(&verdict.reasons.len()), "{verdict:?}");
+        assert!(!verdict.valid && (1..=REASONS_MAX).contains(&verdict.reasons.len()), "{verdict:?}");
         verdict.reasons.join("; ")
     }
 
     #[test]
     fn a_good_result_is_valid() {
         let verdict = Verdict::of(&good());
-        assert!(verdict.sound && verdict.reasons.is_empty() && verdict.notes.is_empty(), "{verdict:?}");
+        assert!(verdict.valid && verdict.reasons.is_empty() && verdict.notes.is_empty(), "{verdict:?}");
         assert!(verdict.summary.contains("297 of 300 ranges fused"), "{verdict:?}");
     }
 
@@ -416,7 +418,7 @@ mod tests {
         let mut evidence = good();
         evidence.sensors[1] = sensor("2938", 100, 20);
         let verdict = Verdict::of(&evidence);
-        assert!(verdict.sound && verdict.notes[0].contains("sensor 2938 was left out: 80 %"), "{verdict:?}");
+        assert!(verdict.valid && verdict.notes[0].contains("sensor 2938 was left out: 80 %"), "{verdict:?}");
         let dragged = Evidence { nis_capped: figure(4.0), ..evidence.clone() };
         assert!(reasons(&dragged).contains("sensor 2938 contradicts the others: 20 of its 100"));
         // With two of three faulty sensors, the faulty ones cannot be identified.
@@ -447,7 +449,7 @@ mod tests {
         assert!(reasons(&misfit).contains("--range-std 0.30"));
         let heights = || RecordingEvidence { has_unused_heights: true, ..RecordingEvidence::default() };
         assert!(reasons(&Evidence { recording: Some(heights()), ..misfit.clone() }).contains("--target-height"));
-        assert!(Verdict::of(&Evidence { recording: Some(heights()), ..good() }).sound);
+        assert!(Verdict::of(&Evidence { recording: Some(heights()), ..good() }).valid);
         assert!(reasons(&Evidence { anees: figure(30.0), ..good() }).contains("common to the sensors"));
         assert!(reasons(&Evidence { anees: figure(30.0), recording: None, ..good() }).contains("--stand-off"));
         let rejected = ["A", "B", "C"].map(|name| sensor(name, 100, 60));
@@ -471,7 +473,7 @@ mod tests {
 
     #[test]
     fn a_few_outliers_do_not_rule_the_verdict() {
-        assert!(Verdict::of(&Evidence { nis_all: figure(20.0), nis_capped: figure(1.5), ..good() }).sound);
+        assert!(Verdict::of(&Evidence { nis_all: figure(20.0), nis_capped: figure(1.5), ..good() }).valid);
     }
 
     #[test]
@@ -489,6 +491,6 @@ mod tests {
     #[test]
     fn a_cautious_filter_is_valid_and_noted() {
         let verdict = Verdict::of(&Evidence { nis_all: figure(0.09), ..good() });
-        assert!(verdict.sound && verdict.notes[0].contains("--range-std 0.03"), "{verdict:?}");
+        assert!(verdict.valid && verdict.notes[0].contains("--range-std 0.03"), "{verdict:?}");
     }
 }

@@ -56,7 +56,7 @@ pub fn look(path: &Path, run_id: u64) -> Found {
 
 /// The number of ticks according to the summary; `None` without a summary.
 #[must_use]
-pub fn ticks_told(mut file: &File) -> Option<u64> {
+pub fn ticks_in_summary(mut file: &File) -> Option<u64> {
     let options = SummaryReaderOptions::default().with_file_size(file.metadata().ok()?.len());
     let mut reader = SummaryReader::new_with_options(options);
     while let Some(event) = reader.next_event() {

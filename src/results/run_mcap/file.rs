@@ -12,7 +12,7 @@ use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::system::bounded;
 use rustix::fs::OFlags;
 
-use super::count::{Found, look, ticks_told};
+use super::count::{Found, look, ticks_in_summary};
 use super::write::{FrameWriter, Written};
 use crate::failure::Failure;
 use crate::files::atomic_file::{self, with_ending};
@@ -42,7 +42,7 @@ pub struct RunFile {
 
 /// The error for a file that cannot be created.
 pub fn unusable(error: anyhow::Error) -> Failure {
-    Failure::input(format!("cannot write the recording: expected a file that can be written: {error:#}"))
+    Failure::input(format!("cannot write the recording: {error:#}: expected a file that can be written"))
 }
 
 /// The name of an unfinished file.
@@ -122,7 +122,7 @@ impl RunFile {
         if !is_named(&file, &partial) {
             bail!("{} was renamed or removed by another process: record the run again", partial.display());
         }
-        match ticks_told(&file) {
+        match ticks_in_summary(&file) {
             Some(ticks) if ticks == taken => {}
             ticks => bail!(
                 "{} holds {} ticks, but {taken} were written: record the run again",

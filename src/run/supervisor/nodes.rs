@@ -115,7 +115,10 @@ impl<'a> Nodes<'a> {
         let mut listened = Instant::now();
         while !self.rendezvous.is_complete() {
             if termination.requested() {
-                return Err(anyhow!("ended before its last tick, as asked"));
+                return Err(anyhow!(
+                    "the run was stopped before its last tick: `rangehound resume {}` continues it",
+                    self.rendezvous.description().out_dir.display()
+                ));
             }
             self.lease.renew(monotonic_ns());
             self.wait_for_a_death(watch::LOOK.saturating_sub(looked.elapsed()));
@@ -238,7 +241,9 @@ impl<'a> Nodes<'a> {
         self.wait_for_all();
         let left = self.nodes.iter_mut().find_map(|node| node.is_running().then_some(node.role));
         match left {
-            Some(role) => Err(anyhow!("{role} was killed and does not end")),
+            Some(role) => Err(anyhow!(
+                "{role} was killed but has not ended: its process may be stuck in the kernel; see `rangehound status`"
+            )),
             None => Ok(()),
         }
     }
@@ -395,7 +400,7 @@ fn end_of(status: ExitStatus) -> End {
 pub(super) fn describe(status: ExitStatus) -> String {
     match (status.signal(), status.code()) {
         (Some(signal), _) if signal == Signal::BUS.as_raw() => {
-            format!("was killed by signal {signal}: it had no shared memory left, /dev/shm is full or has failed")
+            format!("was killed by signal {signal}: /dev/shm is full or has failed: make room there")
         }
         (Some(signal), _) => format!("was killed by signal {signal}"),
         (None, Some(code)) => format!("exited with code {code}"),

@@ -95,7 +95,7 @@ fn run_once(
         if let Some(port) = supervision.live {
             // The page keeps its address.
             if let Some(address) = &past.live_address {
-                let _ = rendezvous.leave_note(LIVE_NOTE, address);
+                let _ = rendezvous.write_note(LIVE_NOTE, address);
             }
             let port = port.map(|port| ["--port".to_owned(), port.to_string()]);
             sidecars.start("live", port.into_iter().flatten().collect());
@@ -124,7 +124,7 @@ fn run_once(
             nodes.kill()?;
         } else {
             // Without the note, observers would take it for a run whose nodes have died.
-            let _ = rendezvous.leave_note(ENDING_NOTE, "");
+            let _ = rendezvous.write_note(ENDING_NOTE, "");
             nodes.end(rendezvous.is_finished());
             watch.finish();
             sidecars.end(termination);

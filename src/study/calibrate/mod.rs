@@ -35,6 +35,7 @@ use crate::files::layout::Kind;
 use crate::files::layout::{CALIBRATION, RESIDUALS};
 use crate::files::out_folder::claim_or_number;
 use crate::results::report::Truth;
+use crate::run::experiment::Flag;
 use crate::run::watch::Progress;
 use crate::statistics::median;
 use crate::terminal;
@@ -44,18 +45,21 @@ use verdict::Findings;
 /// Default output folder.
 const OUT: &str = "runs/calibrate";
 
-/// `rangehound calibrate`, against the true track if it is given; `truth_file` is the file that it was read from, if any.
+/// `rangehound calibrate`, against the true track if it is given. `flags` are the keys of `table` that flags gave, and
+/// `truth_file` is the file that the truth was read from, if any.
 ///
 /// # Errors
 /// [`Failure`]; also if nothing could be determined.
 pub fn calibrate(
     table: &RecordingTable,
+    flags: &[Flag],
     truth: Option<&Truth>,
     truth_file: Option<&Path>,
     out: Option<&Path>,
     json: bool,
 ) -> Result<(), Failure> {
-    let read = input::recording_of(table, COMMAND_LINE, Path::new("")).map_err(Failure::input)?;
+    let read = input::recording_of(table, COMMAND_LINE, Path::new(""))
+        .map_err(|error| Failure::input(error.by_flag(flags)))?;
     check(table, &read.0)?;
     read.1.lines().iter().for_each(|line| failure::print_stderr(format_args!("recording: {line}")));
     let mut inputs: Vec<PathBuf> = table.inputs(Path::new("")).collect();

@@ -17,7 +17,7 @@ pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
     for (sensor, pairs) in sensors.iter().enumerate() {
         if pairs.len() < 10 {
             findings.undetermined.push(format!(
-                "sensor {}: {} ranges within the time of the true track are too few; 10 are needed",
+                "the errors of sensor {}: only {} ranges lie within the time of the true track; 10 are needed",
                 names[sensor],
                 pairs.len()
             ));
@@ -33,7 +33,7 @@ pub fn regress(sensors: &[Pairs], names: &[String]) -> Findings {
             let half_width = Z_95 * (level.variances[0] * time).sqrt();
             errors.bias_m = Some(Measured { value: level.values[0], half_width });
             findings.undetermined.push(format!(
-                "sensor {}: scale apart from bias, because its distances hardly change; all of the error is taken as bias",
+                "the scale of sensor {}: its distances hardly change, so all of its error is taken as bias",
                 names[sensor]
             ));
         } else {

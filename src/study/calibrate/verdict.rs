@@ -55,13 +55,14 @@ pub(super) fn obstacle(readings: &[Reading], sensors: usize) -> Option<String> {
     }
     if sensors < 3 {
         return Some(format!(
-            "bias, scale and noise: {sensors} sensors leave the target's mirror image open and no range to check; \
-             three are needed, or --truth"
+            "bias, scale and noise: with {sensors} sensors the target may also be at its mirror image; \
+             use three sensors or more, or give --truth"
         ));
     }
     let spread = line_spread(readings.iter().map(|reading| reading.position_m));
     (spread.1 <= 1e-3 * spread.0).then(|| {
-        "bias, scale and noise: the sensors stand on one line, so the target's mirror image is open; give --truth"
+        "bias, scale and noise: the sensors stand on one line, so the target may also be at its mirror image; \
+         give --truth"
             .to_owned()
     })
 }
@@ -134,7 +135,13 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
         .map(|sensor| problem.observations.iter().filter(|o| o.reading.sensor == sensor).count())
         .collect();
     let Some(best) = fits.first() else {
-        return (Findings::nothing(&counts, "bias, scale and noise: no model fits these ranges"), None);
+        return (
+            Findings::nothing(
+                &counts,
+                "bias, scale and noise: no model fits these ranges; look at units and sensor positions",
+            ),
+            None,
+        );
     };
     let noise_m = best.estimate.sigmas_m.iter().sum::<f64>() / problem.sensors.max(1) as f64;
     let extent = line_spread(best.estimate.states.iter().map(|state| [state[0], state[1]]));
@@ -157,7 +164,13 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
         is_determined
     });
     let Some(first) = judged.first() else {
-        return (Findings::nothing(&counts, "bias and scale: their intervals are too wide to be of use"), None);
+        return (
+            Findings::nothing(
+                &counts,
+                "bias and scale: the intervals are too wide; record a longer track, or give --truth",
+            ),
+            None,
+        );
     };
     let (fit, least) = (first.fit, first.score);
     judged.retain(|one| one.score < least - WEIGHT_MIN.ln());
@@ -185,7 +198,7 @@ pub(super) fn judge(problem: &Problem, fits: &[Fit]) -> (Findings, Option<Fit>) 
     }
     findings.accel_psd = Some(fit.accel_psd(time).scaled(correlated));
     if findings.sensors.iter().all(|errors| errors.bias_m.is_none() && errors.scale.is_none()) {
-        findings.undetermined.push("bias and scale: none that the ranges would show".to_owned());
+        findings.undetermined.push("bias and scale: the ranges show none".to_owned());
     }
     (findings, Some(fit.clone()))
 }

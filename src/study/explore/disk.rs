@@ -58,7 +58,7 @@ impl Disk {
                 match self.complete[turns.newest_slot()] {
                     None => Err("a torn checkpoint was trusted".to_owned()),
                     complete if complete < self.complete.into_iter().max().flatten() => {
-                        Err("an older checkpoint was taken than the newest".to_owned())
+                        Err("an older checkpoint than the newest was used".to_owned())
                     }
                     _ => Ok((Some(slot.state), turns)),
                 }

@@ -272,7 +272,7 @@ impl Hosts {
 
     /// Waits until all robots have left the finished run, and ends those that do not within this time. Returns how many did
     /// not end when they were asked to.
-    pub fn end(&mut self, patience: Duration) -> Vec<i32> {
+    pub fn end(&mut self, timeout: Duration) -> Vec<i32> {
         let mut left = Vec::new();
         for signal in [None, Some(Signal::TERM)] {
             let began = Instant::now();
@@ -282,7 +282,7 @@ impl Hosts {
                 if let Some(signal) = signal {
                     let _ = kill_process(pid, signal);
                 }
-                while began.elapsed() < patience && matches!(child.try_wait(), Ok(None)) {
+                while began.elapsed() < timeout && matches!(child.try_wait(), Ok(None)) {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 if matches!(child.try_wait(), Ok(None)) {

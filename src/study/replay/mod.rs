@@ -259,7 +259,7 @@ impl std::fmt::Display for Outcome {
                 writeln!(f, "  estimates        bit-identical: state, covariance, digest and headings")?;
                 writeln!(f, "  digest           {digest}")?;
                 if ticks < ticks_of_run {
-                    writeln!(f, "                   (a run that was ended early may report that of a tick more)")?;
+                    writeln!(f, "                   (a run stopped early may report the digest of the next tick)")?;
                 }
                 Ok(())
             }

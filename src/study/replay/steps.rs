@@ -151,7 +151,7 @@ pub fn difference(frame: &Frame, replayed: &Estimate, commands: &[Command]) -> O
         .chain(headings);
     let number = numbers.find_map(|(what, recorded, replayed)| found(what, recorded, replayed));
     number.or_else(|| {
-        let what = "digest, of the same numbers".to_owned();
+        let what = "the digest, although all numbers are equal".to_owned();
         let difference = Difference { tick: frame.tick, what, recorded: f64::NAN, replayed: f64::NAN };
         (recorded.digest != replayed.digest).then_some(difference)
     })

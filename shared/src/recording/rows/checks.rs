@@ -72,7 +72,7 @@ fn of_ranges(recording: &Recording, columns: &Columns<'_>) -> Option<Doubt> {
     }
     if is_judged && share(&Pair::is_too_short) {
         let of = if columns.are_placed_by_rows { "the sensors' positions" } else { "the anchors' positions" };
-        let text = text("shorter", format!("are {of} in another unit? Tell it, as in --columns x=x:mm,y=y:mm"));
+        let text = text("shorter", format!("if {of} are in another unit, type it, as in --columns x=x:mm,y=y:mm"));
         return Some(Doubt { kind: DoubtKind::RangesFarBelowSensors, text });
     }
     None

@@ -61,7 +61,7 @@ impl Cluster<'_> {
                 return Ok(self.is_deposed(node, &leading));
             }
             if action == Action::SendHeadings && !std::mem::take(&mut leading.has_looked) {
-                return Err(self.violation(Some(node), "it commands without a look whether it leads".to_owned()));
+                return Err(self.violation(Some(node), "it sent headings without checking that it leads".to_owned()));
             }
             leading.has_looked |= action == Action::RequireLead;
             self.act_leader(node, &mut leading, action)?;

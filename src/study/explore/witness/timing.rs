@@ -123,7 +123,7 @@ impl Timing {
             return Ok(());
         }
         if tick >= 3 && now_ns + late_ns < self.worlds_ns[index - 2] + self.dt_ns {
-            return Err(format!("two ticks took less than one before tick {tick}"));
+            return Err(format!("two ticks took less than one time step, before tick {tick}"));
         }
         // Unless it was stopped since.
         let took_ns = before.map(|before| (now_ns - before.at_ns, ran_ns - before.ran_ns));

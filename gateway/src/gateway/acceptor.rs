@@ -18,7 +18,7 @@ use crate::keys::{Peer, RefusalCause};
 use crate::link::{self, Answer, JoinError, Notice, Request};
 
 /// Time for a handshake and a request to join.
-const PATIENCE: Duration = Duration::from_secs(3);
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Time for which a refused peer may read why.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -40,8 +40,8 @@ pub(super) struct Applicant {
     pub(super) notices: Sender<Notice>,
 }
 
-/// What peers meet first.
-pub(super) struct Door {
+/// Accepts connections of peers.
+pub(super) struct Acceptor {
     pub(super) sender: Sender<Input>,
     pub(super) handshakes: Rc<Handshakes>,
     pub(super) refusals: Rc<RefCell<Refusals>>,
@@ -49,7 +49,7 @@ pub(super) struct Door {
     pub(super) demands_keys: bool,
 }
 
-impl Door {
+impl Acceptor {
     /// Answers all connections, until the gateway ends. `config` is asked for each handshake. `finished` becomes true when the
     /// run is over.
     pub(super) async fn answer(
@@ -58,7 +58,7 @@ impl Door {
         mut config: impl FnMut() -> Arc<ServerConfig>,
         finished: watch::Receiver<bool>,
     ) {
-        let door = Rc::new(self);
+        let acceptor = Rc::new(self);
         loop {
             let mut is_finished = finished.clone();
             let incoming = tokio::select! {
@@ -66,31 +66,31 @@ impl Door {
                 _ = is_finished.wait_for(|finished| *finished) => None,
             };
             let Some(incoming) = incoming else { return };
-            let count = door.handshakes.count();
+            let count = acceptor.handshakes.count();
             if count >= HANDSHAKES_TRUSTED && !incoming.remote_address_validated() && incoming.may_retry() {
                 let _ = incoming.retry();
                 continue;
             }
             let address = incoming.remote_address().ip();
-            let Some(under_way) = door.handshakes.begin(address) else {
+            let Some(under_way) = acceptor.handshakes.begin(address) else {
                 // The peer sends its first packet again.
                 incoming.ignore();
-                door.refuse(address, RefusalCause::Flood, RefusalCause::Flood.name());
+                acceptor.refuse(address, RefusalCause::Flood, RefusalCause::Flood.name());
                 continue;
             };
-            let (door, config, finished) = (Rc::clone(&door), config(), finished.clone());
+            let (acceptor, config, finished) = (Rc::clone(&acceptor), config(), finished.clone());
             tokio::task::spawn_local(async move {
-                match tokio::time::timeout(PATIENCE, door.join(incoming, config)).await {
+                match tokio::time::timeout(HANDSHAKE_TIMEOUT, acceptor.join(incoming, config)).await {
                     Ok(Ok(guest)) => {
                         drop(under_way);
-                        door.handshakes.know(address);
-                        guest.attend(&door.sender, finished).await;
+                        acceptor.handshakes.know(address);
+                        guest.attend(&acceptor.sender, finished).await;
                     }
                     Ok(Err(NotJoined::Refused(cause, text))) => {
-                        door.refuse(address, cause, &text);
+                        acceptor.refuse(address, cause, &text);
                         tokio::time::sleep(REST).await;
                     }
-                    Ok(Err(NotJoined::Told | NotJoined::Gone)) | Err(_) => {}
+                    Ok(Err(NotJoined::Answered | NotJoined::Gone)) | Err(_) => {}
                 }
             });
         }
@@ -135,7 +135,7 @@ impl Door {
             let _ = send.finish();
             let _ = tokio::time::timeout(FAREWELL, send.stopped()).await;
             connection.close(link::REFUSED, text.as_bytes());
-            return Err(NotJoined::Told);
+            return Err(NotJoined::Answered);
         }
         sent.map_err(|_| NotJoined::Gone)?;
         Ok(Guest { robot, connection, receive, send, notices })
@@ -147,7 +147,7 @@ enum NotJoined {
     /// It was refused before it asked for a role.
     Refused(RefusalCause, String),
     /// It asked for a role, and has been told why it does not get it.
-    Told,
+    Answered,
     /// It went away, or its link was cut: nobody refused it.
     Gone,
 }
