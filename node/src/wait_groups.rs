@@ -91,13 +91,34 @@ impl WaitGroups {
     }
 }
 
+/// How long a process spins before it sleeps.
+#[derive(Debug, Clone, Copy)]
+enum Spin {
+    /// For this time, ns.
+    Time(u64),
+    /// On one core, where no other process runs meanwhile: for this number of turns of the others.
+    Turns(u32),
+}
+
+impl Spin {
+    fn on_one_core(group: WaitGroup) -> Self {
+        Self::Turns(match group {
+            // The answers of a tick come with the second turn of each robot: to check after the first one costs the
+            // robots, which wait for their headings, a turn.
+            WaitGroup::Sim => 0,
+            WaitGroup::Fusion => 1,
+            // Fusion's turn may come only after each robot has had another one.
+            WaitGroup::Robots => 2,
+        })
+    }
+}
+
 /// The place where a process waits for events.
 #[derive(Debug)]
 pub struct Waiter {
     wait_groups: WaitGroups,
     group: WaitGroup,
-    /// How long it spins: on one core, where no other process runs meanwhile, it checks once; `None`: it sleeps at once.
-    watch_ns: Option<u64>,
+    spin: Spin,
     /// A longer turn of the others is not the team's own.
     long_turn_ns: u64,
     /// Waits left without a spin.
@@ -112,13 +133,7 @@ impl Waiter {
         Self {
             wait_groups,
             group,
-            watch_ns: match group {
-                _ if has_cores => Some(WATCH_NS),
-                // The answers of a tick come with the second turn of each robot: to check after the first one costs the
-                // robots, which wait for their headings, a turn.
-                WaitGroup::Sim => None,
-                WaitGroup::Fusion | WaitGroup::Robots => Some(0),
-            },
+            spin: if has_cores { Spin::Time(WATCH_NS) } else { Spin::on_one_core(group) },
             long_turn_ns: LONG_TURN_NS + TURN_NS * robots as u64,
             asleep_at_once: Cell::default(),
             heard: Cell::default(),
@@ -135,22 +150,29 @@ impl Waiter {
     /// sleeping and being woken.
     #[must_use]
     pub fn watch(&self) -> Events {
-        let Some(watch_ns) = self.watch_ns else { return Events::default() };
+        if matches!(self.spin, Spin::Turns(0)) {
+            return Events::default();
+        }
         if let Some(fewer) = self.asleep_at_once.get().checked_sub(1) {
             self.asleep_at_once.set(fewer);
             return Events::default();
         }
         let words = self.wait_groups.words(self.group);
         let mut now_ns = monotonic_ns();
-        let until_ns = now_ns + watch_ns;
+        let (began_ns, mut turns) = (now_ns, 0);
         loop {
             rustix::thread::sched_yield();
+            turns += 1;
             let events = self.events(words);
             let since_ns = std::mem::replace(&mut now_ns, monotonic_ns());
             if now_ns - since_ns > self.long_turn_ns {
                 self.asleep_at_once.set(WAITS_AFTER_LONG_TURN);
             }
-            if !events.is_empty() || now_ns >= until_ns {
+            let is_over = match self.spin {
+                Spin::Time(spin_ns) => now_ns - began_ns >= spin_ns,
+                Spin::Turns(most) => turns >= most,
+            };
+            if !events.is_empty() || is_over {
                 return events;
             }
         }
