@@ -166,6 +166,12 @@ impl Mean {
         self.count
     }
 
+    /// The mean of the values that were added after `earlier`, a copy of this mean.
+    #[must_use]
+    pub fn without(self, earlier: Self) -> Self {
+        Self { sum: self.sum - earlier.sum, count: self.count - earlier.count }
+    }
+
     /// The mean; `None` without values.
     #[must_use]
     pub fn value(self) -> Option<f64> {

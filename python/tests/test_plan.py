@@ -48,7 +48,7 @@ def test_nan_gives_a_robot_no_such_sensor():
     [
         ({"target": [0, 0, 0]}, r"target has the shape \[3\]: expected \[2\]"),
         ({"range_std": [1, 1]}, r"range_std has the shape \[2\]: expected \[3\]"),
-        ({"positions": "here"}, "positions is no array of numbers"),
+        ({"positions": "here"}, "positions is not an array of numbers"),
         ({"prior_position_covariance": [[1, 2], [2, 1]]}, "expected a positive definite matrix"),
         ({"max_speed": np.inf}, "max_speed is inf: expected a number from"),
         ({"planner": "best"}, 'planner is "best": expected one of'),

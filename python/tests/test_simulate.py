@@ -122,8 +122,8 @@ def test_a_target_that_is_a_function_moves_so():
     [
         (lambda s: [0.0], "has 1 headings: expected 3 finite headings"),
         (lambda s: [0.0, np.nan, 0.0], "has NaN rad, 10 m/s for robot 1: expected"),
-        (lambda s: "east", "is no array of numbers"),
-        (lambda s: None, "is no array of numbers|has 1 headings"),
+        (lambda s: "east", "is not an array of numbers"),
+        (lambda s: None, "is not an array of numbers|has 1 headings"),
     ],
 )
 def test_an_answer_that_is_no_headings_is_refused(planner, said):
@@ -229,7 +229,7 @@ def test_without_pandas_and_matplotlib_the_package_works_and_says_what_is_missin
         "try: run.frame()\n"
         "except ModuleNotFoundError as error: print(error)"
     )
-    assert done.returncode == 0 and done.stdout.startswith("pandas is not installed: expected it"), done
+    assert done.returncode == 0 and done.stdout.startswith("pandas is not installed: frames and figures need it"), done
 
 
 def test_no_output_without_a_terminal(python):

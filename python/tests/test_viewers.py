@@ -229,7 +229,7 @@ def test_faults_of_viewers_are_one_line(command, name, python, tmp_path):
     for viewer, package in (("foxglove", "foxglove"), ("rerun", "rerun")):
         hidden = f"import sys, runpy; sys.modules['{package}'] = None; sys.argv[1:] = ['--name', 'x']; runpy.run_module('rangehound.{viewer}', run_name='__main__')"
         done = python(hidden)
-        assert done.returncode == 2 and done.stderr == f"python -m rangehound.{viewer}: {package} is not installed: expected it: pip install 'rangehound[{viewer}]'\n"
+        assert done.returncode == 2 and done.stderr == f"python -m rangehound.{viewer}: {package} is not installed: install it with pip install 'rangehound[{viewer}]'\n"
         assert "--name" in said(viewer)
     pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     assert said("foxglove", "--name", name).endswith(f"no run {name} after 10 s: expected a run that has been started\n")

@@ -284,6 +284,17 @@ fn a_sensor_that_the_scenario_lacks_is_refused_with_those_that_it_has() {
     );
 }
 
+/// `compare` has these names for the scenario's own equipment, and for poses without errors.
+#[test]
+fn a_sensor_or_localiser_with_a_name_that_compare_uses_is_refused() {
+    for table in
+        ["[sensor.own]\nrange_std_m = 1.0\n", "[localiser.own]\nstd_m = 1.0\n", "[localiser.exact]\nstd_m = 1.0\n"]
+    {
+        let name = table.lines().next().unwrap();
+        refused_with(table, "run mine.toml --in-process", &[name, "expected another name", "mine.toml"]);
+    }
+}
+
 /// The grid search serves the paper's sensors only.
 #[test]
 fn the_grid_search_is_refused_for_other_sensors_and_uncertain_robots() {

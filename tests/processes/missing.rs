@@ -366,7 +366,7 @@ fn status_reports_silent_nodes() {
     assert_eq!(now["nodes"][5]["name"], "run", "{now}");
     assert_eq!(now["leader"], run.pid_of("fusion", 1).as_raw_pid(), "{now}");
     let text = run.node("status").finish().succeeded().stdout;
-    assert!(text.contains("leads, the lead number 1; 0 stand by"), "{text}");
+    assert!(text.contains("leads (leader 1 of this run); 0 on standby"), "{text}");
     signal(robot_0, Signal::CONT);
     interrupt(supervisor);
     run.assert_nothing_left();

@@ -154,7 +154,7 @@ fn of_two_hosts_that_claim_a_robot_one_has_it() {
     let digest = digest_over(words, &[0, 1], Faults::default(), |run, link, robots| {
         run.wait_until_tick(20);
         let other = run.robot(1, link.address);
-        run.wait_for("the refusal", || other.stderr().contains("has this role").then_some(()));
+        run.wait_for("the refusal", || other.stderr().contains("already runs this robot").then_some(()));
         assert_eq!(other.stderr().lines().count(), 1, "{}", other.stderr());
         let first = std::mem::replace(&mut robots[1], other);
         first.kill();

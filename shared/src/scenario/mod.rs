@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use error::ScenarioError;
 pub use file::*;
 pub use recorded::{COPY, RecordedRanges};
-pub use sensor::{Calibration, NuisanceSpec, PoseCorrelation, RangeNoise, SensorSpec, Treatment};
+pub use sensor::{Calibration, EXACT, NuisanceSpec, OWN, PoseCorrelation, RangeNoise, SensorSpec, Treatment};
 
 use crate::ROBOTS_MAX;
 use crate::motion::MotionModel;

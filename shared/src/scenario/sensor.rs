@@ -6,6 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::bounds;
 
+/// The name that `compare` uses for what the scenario itself gives each robot, beside named sensors and localisers.
+pub const OWN: &str = "own";
+
+/// The name that `compare` uses for localisers without errors.
+pub const EXACT: &str = "exact";
+
 /// What a robot measures of the target, and how well.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SensorSpec {

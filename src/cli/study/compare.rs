@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use rangehound_shared::scenario::{PLANNERS, defaults};
+use rangehound_shared::scenario::{EXACT, OWN, PLANNERS, defaults};
 
 use crate::cli::ExperimentArgs;
 use crate::cli::values::{PlannerName, number, whole, within};
 use crate::failure::Failure;
 use crate::study::compare;
-use crate::study::compare::monte_carlo::{EXACT, OWN, TREATMENTS, Trials, Variant, Varied};
+use crate::study::compare::monte_carlo::{TREATMENTS, Trials, Variant, Varied};
 
 const THREADS_MAX: u64 = 1_024;
 

@@ -10,6 +10,7 @@ use rangehound_shared::robot_set::RobotSet;
 use rangehound_shared::scenario::{Scenario, Source};
 
 use super::consistency::{Consistency, ConsistencySummary};
+use super::found::Search;
 use super::verdict::{Evidence, RecordingEvidence, SensorEvidence, TruthEvidence, Verdict};
 use super::{
     BearingSummary, Distrust, HeadingSummary, LatencySummary, NodeSummary, RangeSummary, RefusalSummary, Report,
@@ -28,6 +29,7 @@ pub struct Accumulator {
     ticks: u64,
     digest: Digest,
     squared_error_m2: Mean,
+    search: Search,
     nees: Consistency,
     nis: Consistency,
     nis_all: Consistency,
@@ -94,6 +96,7 @@ impl Accumulator {
             ticks: 0,
             digest: Digest::default(),
             squared_error_m2: Mean::default(),
+            search: Search::default(),
             nees: Consistency::default(),
             nis: Consistency::default(),
             nis_all: Consistency::default(),
@@ -129,6 +132,7 @@ impl Accumulator {
         self.ticks = tick;
         let covariance = position_covariance(estimate);
         self.traces_m2.push(covariance.trace());
+        self.search.add(tick, covariance.trace(), self.squared_error_m2);
         if let Some(truth_m) = truth_m {
             let (squared_error_m2, nees) = position_error(estimate, truth_m);
             self.squared_error_m2.add(squared_error_m2);
@@ -283,6 +287,7 @@ impl Accumulator {
             ticks_per_s: if wall_s > 0.0 { self.ticks as f64 / wall_s } else { 0.0 },
             digest: self.digest.to_string(),
             position_rmse_m: self.squared_error_m2.value().map(f64::sqrt),
+            found: self.search.end(self.distances_m.at(0.5), self.squared_error_m2),
             anees: self.nees.mean(),
             nis_mean: self.nis.mean(),
             nis_all_mean: self.nis_all.mean(),

@@ -11,6 +11,7 @@
 
 mod accumulator;
 pub mod consistency;
+mod found;
 mod print;
 mod summary;
 mod truth;
@@ -30,8 +31,8 @@ use crate::files::layout::REPORT;
 use crate::results::frame::{Frames, LoggedTick};
 pub use accumulator::{Accumulator, Background, position_covariance, position_error};
 pub use summary::{
-    BearingSummary, Distrust, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary, RefusalSummary,
-    Report, SensorSummary, TraceSummary, measured, of_bearings,
+    BearingSummary, Distrust, FoundSummary, HeadingSummary, Incident, LatencySummary, NodeSummary, RangeSummary,
+    RefusalSummary, Report, SensorSummary, TraceSummary, measured, of_bearings,
 };
 pub use truth::Truth;
 use verdict::{RecordingEvidence, TruthEvidence};

@@ -22,7 +22,11 @@ impl std::fmt::Display for Report {
         let Self { clock, ticks, wall_s, ticks_per_s, .. } = self;
         writeln!(f, "{}", field(clock, format_args!("{ticks} ticks in {wall_s:.2} s ({ticks_per_s:.0} ticks/s)")))?;
         if let Some(rmse_m) = self.position_rmse_m {
-            writeln!(f, "{}", field("position error", format_args!("{rmse_m:.3} m RMS")))?;
+            let since_found = self.found.and_then(|found| Some((found.tick, found.position_rmse_m?)));
+            let since_found =
+                since_found.map(|(tick, m)| format!(", {m:.3} since the target was found at tick {tick}"));
+            let error = format!("{rmse_m:.3} m RMS{}", since_found.unwrap_or_default());
+            writeln!(f, "{}", field("position error", error))?;
         }
         let ratio = |value: Option<f64>| value.map_or("unknown".to_owned(), |value| format!("{value:.2}"));
         // Also of all ranges, if some were not fused.

@@ -36,6 +36,9 @@ pub struct Report {
     pub digest: String,
     /// Root mean square of the position error, m; null if the truth is unknown.
     pub position_rmse_m: Option<f64>,
+    /// When the target was found; absent if its position was known at once, or never.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub found: Option<FoundSummary>,
     /// Position error squared over its covariance, averaged over the ticks, per degree of freedom:
     /// 1 for a consistent filter; null if the truth is unknown.
     pub anees: Option<f64>,
@@ -97,6 +100,15 @@ impl Report {
 #[must_use]
 pub fn measured(has_bearings: bool) -> &'static str {
     if has_bearings { "measurements" } else { "ranges" }
+}
+
+/// When the target was found after a search.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FoundSummary {
+    /// The first tick at which the standard deviation of the position is at most 0.3 of the median measured distance.
+    pub tick: u64,
+    /// Root mean square of the position error from that tick on, m; null if the truth is unknown.
+    pub position_rmse_m: Option<f64>,
 }
 
 /// Trace of the position covariance, m^2.

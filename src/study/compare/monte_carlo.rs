@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::Context;
 use nalgebra::Vector2;
 use rangehound_fusion::planner::PlannerError;
-use rangehound_shared::scenario::{Scenario, ScenarioError, ScenarioFile};
+use rangehound_shared::scenario::{EXACT, OWN, Scenario, ScenarioError, ScenarioFile};
 
 use super::yardstick::{Distance, Yardstick};
 use crate::files::input;
@@ -77,12 +77,6 @@ impl fmt::Debug for CustomParts {
 
 /// The treatments of nuisances by name: those of a scenario, and estimation.
 pub const TREATMENTS: [&str; 4] = ["ignored", "inflated", "schmidt", "estimated"];
-
-/// The name for what the scenario itself gives each robot, beside named sensors and localisers.
-pub const OWN: &str = "own";
-
-/// The name for localisers without errors.
-pub const EXACT: &str = "exact";
 
 /// What varies beside the planner: names of sensors, localisers and treatments of nuisances. An empty list does not vary.
 #[derive(Debug, Clone, Copy, Default)]

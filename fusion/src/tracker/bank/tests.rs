@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use rangehound_shared::measurement::Pose;
-use rangehound_shared::scenario::{NuisanceSpec, Treatment};
+use rangehound_shared::scenario::{NuisanceSpec, PoseCorrelation, Treatment};
 
 use super::*;
 
@@ -203,6 +203,81 @@ fn one_range_and_one_bearing_locate_the_target_after_a_long_gap() {
     bank.advance(77.0, &sees(1, [5.0, 3.0], [3.5, 3.5]));
     let error_m = (bank.estimate().position() - Vector2::new(3.5, 3.5)).norm();
     assert!(error_m < 0.1, "{error_m}");
+}
+
+/// A range alone leaves a circle and a bearing alone a ray. The other one, from another place, cuts it to a point or two.
+#[test]
+fn a_range_and_a_bearing_start_an_estimate_in_either_order() {
+    let target = Vector2::new(12.0, 5.0);
+    let ranging = |error_m: f64| Reading {
+        robot: 0,
+        pose: Pose::at([0.0, 0.0]),
+        value: target.norm() + error_m,
+        std: 0.1,
+        ..Reading::default()
+    };
+    let camera = |error_rad: f64| {
+        let pose = Pose::at([10.0, -8.0]);
+        let sight = target - pose.position_m();
+        let value = sight.y.atan2(sight.x) + error_rad;
+        Reading { robot: 1, kind: Kind::Bearing, pose, value, std: 0.02, ..Reading::default() }
+    };
+    for first in [Kind::Range, Kind::Bearing] {
+        let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 };
+        let mut bank = Bank::<4>::new(motion, Gate::new(Some(4.0)), exact(2));
+        let mut readings = [ranging(0.05), camera(-0.01)];
+        if first == Kind::Bearing {
+            readings.reverse();
+        }
+        bank.advance(0.0, &readings[..1]);
+        assert!(bank.hypotheses.len() > 10, "{first:?}: {}", bank.hypotheses.len());
+        let std_m = bank.estimate().position_covariance().trace().sqrt();
+        assert!(std_m > 3.0, "{first:?} alone leaves the place open: {std_m}");
+        bank.advance(0.1, &readings[1..]);
+        for k in 0..20 {
+            let error = (f64::from(k) * 2.399).sin();
+            bank.advance(0.1, &[ranging(0.1 * error), camera(-0.02 * error)]);
+        }
+        let error_m = (bank.estimate().position() - target).norm();
+        assert!(error_m < 0.5 && bank.hypotheses.len() < 4, "{first:?}: {error_m} {}", bank.hypotheses.len());
+    }
+}
+
+/// Robots that believe a wrong place, new at each measurement or the same all the time, start a consistent estimate.
+#[test]
+fn uncertain_robots_start_a_consistent_estimate() {
+    use rand::SeedableRng;
+    const POSE_STD_M: f64 = 0.5;
+    for correlation in [PoseCorrelation::White, PoseCorrelation::Time(30.0)] {
+        let spec = NuisanceSpec { pose_std_m: POSE_STD_M, correlation, ..NuisanceSpec::default() };
+        let (runs, mut nees) = (300, 0.0);
+        for seed in 0..runs {
+            let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+            // The sum of twelve uniform numbers is nearly normal.
+            let mut normal = || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+            let motion = MotionModel::IntegratorChain { order: 2, noise_psd: 0.2 };
+            let chain = Chain::of(vec![spec; 4], Treatment::Schmidt);
+            let mut bank = Bank::<4>::new(motion, Gate::new(Some(4.0)), chain);
+            let target = Vector2::new(10.0 + 2.0 * normal(), 10.0 + 2.0 * normal());
+            let persistent = [(); 4].map(|()| Vector2::new(POSE_STD_M * normal(), POSE_STD_M * normal()));
+            for k in 0..20_usize {
+                let robot = k % 4;
+                let fresh = Vector2::new(POSE_STD_M * normal(), POSE_STD_M * normal());
+                let error = if correlation == PoseCorrelation::White { fresh } else { persistent[robot] };
+                let believed = Vector2::from(SQUARE[robot]) + error;
+                let range_m = (target - Vector2::from(SQUARE[robot])).norm() + STD_M * normal();
+                let variance_m2 = POSE_STD_M * POSE_STD_M;
+                let pose = Pose { covariance_m2: [variance_m2, 0.0, variance_m2], ..Pose::at(believed.into()) };
+                let reading = Reading { robot, pose, value: range_m, std: STD_M, ..Reading::default() };
+                bank.advance(0.05, &[reading]);
+            }
+            let error_m = bank.estimate().position() - target;
+            let covariance_m2 = bank.estimate().position_covariance();
+            nees += error_m.dot(&(covariance_m2.try_inverse().unwrap() * error_m));
+        }
+        let anees = nees / runs as f64 / 2.0;
+        assert!((0.7..1.3).contains(&anees), "{correlation:?}: {anees}");
+    }
 }
 
 /// Two bearings from different places cross; one alone leaves a ray.

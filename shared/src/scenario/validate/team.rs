@@ -11,8 +11,8 @@ use crate::scenario::bounds::{
     STD_PER_M,
 };
 use crate::scenario::{
-    Calibration, LocaliserTable, NuisanceSpec, PoseCorrelation, RangeNoise, RobotSpec, RobotTable, RobotsTable,
-    ScenarioError, ScenarioFile, SensorSpec, SensorTable, defaults,
+    Calibration, EXACT, LocaliserTable, NuisanceSpec, OWN, PoseCorrelation, RangeNoise, RobotSpec, RobotTable,
+    RobotsTable, ScenarioError, ScenarioFile, SensorSpec, SensorTable, defaults,
 };
 
 /// Sensors and localisers that robots can have, by name.
@@ -38,9 +38,11 @@ impl Checker<'_> {
         };
         // Tables that no robot names are checked too.
         for (name, table) in equipment.sensors {
+            self.unreserved("sensor", name, &[OWN])?;
             self.sensor(name, table)?;
         }
         for (name, table) in equipment.localisers {
+            self.unreserved("localiser", name, &[OWN, EXACT])?;
             self.localiser(name, table)?;
         }
         match (&raw.robots, &raw.robot) {
@@ -52,6 +54,15 @@ impl Checker<'_> {
             (alike, None) => self.alike_team(&alike.clone().unwrap_or_default(), &equipment),
             (None, Some(tables)) => self.mixed_team(tables, &equipment),
         }
+    }
+
+    /// Refuses a name that has another meaning in `compare`.
+    fn unreserved(&self, table: &str, name: &str, reserved: &[&str]) -> Result<(), ScenarioError> {
+        if reserved.contains(&name) {
+            let expected = "another name, because `compare` uses this one";
+            return Err(self.refuse(&format!("[{table}.{name}]"), expected, "given"));
+        }
+        Ok(())
     }
 
     fn alike_team(&self, table: &RobotsTable, equipment: &Equipment<'_>) -> Result<Vec<RobotSpec>, ScenarioError> {
