@@ -262,7 +262,11 @@ mod tests {
             track(missing).unwrap_err(),
         ];
         for error in errors {
-            assert!(error.to_string().starts_with("cannot read /nonexistent/r.csv, expected a table: "), "{error}");
+            let text = error.to_string();
+            assert!(
+                text.starts_with("cannot read /nonexistent/r.csv: ") && text.ends_with(": expected a table"),
+                "{text}"
+            );
         }
     }
 }
