@@ -8,7 +8,7 @@ use rangehound_fusion::planner::{Plan, Situation, TeamMember, for_team};
 use rangehound_fusion::vector::Vector;
 use rangehound_shared::measurement::{Measurement, Pose};
 use rangehound_shared::motion::MotionModel;
-use rangehound_shared::scenario::{PlannerSpec, PlannerTable, RobotsTable, Scenario, ScenarioFile};
+use rangehound_shared::scenario::{PlannerSpec, PlannerTable, RobotsTable, Scenario, ScenarioFile, SensorSpec};
 
 fn scenario(planner: &str, robots: u64) -> Scenario {
     let file = ScenarioFile {
@@ -64,11 +64,58 @@ fn a_tick_allocates_nothing() {
     }
 }
 
-/// The planner alone: a lone robot, which has most courses to try, and a team.
+/// The same for robots with cameras that do not know exactly where they are.
 #[test]
-fn a_plan_over_a_horizon_allocates_nothing() {
-    for robots in [1, 3] {
-        let mut planner = for_team(PlannerSpec::Horizon { steps: 20, blocks: 2 }, robots, 1).unwrap();
+fn a_tick_of_cameras_and_uncertain_robots_allocates_nothing() {
+    for planner in ["adaptive", "certified", "greedy", "horizon"] {
+        let text = format!(
+            "[robots]\ncount = 3\nsensor = \"both\"\nlocaliser = \"gps\"\n[sensor.both]\nrange_std_m = 1.0\n\
+             bearing_std_rad = 0.05\n[localiser.gps]\nstd_m = 0.5\ncorrelation_s = 20.0\n[planner]\nname = \"{planner}\"\n"
+        );
+        let scenario = Scenario::from_file(&ScenarioFile::parse(&text, "test").unwrap(), "test").unwrap();
+        let mut centre = Centre::new(&scenario).unwrap().keeping_the_past();
+        let mut reports = vec![None; 3];
+        let mut ticks = |count: usize| {
+            for _ in 0..count {
+                let k = centre.next_tick() as f64;
+                for (i, report) in reports.iter_mut().enumerate() {
+                    // They go to and fro, so that later ticks are like earlier ones.
+                    let position_m = Vector::from_angle(i as f64 + 0.2 * (0.1 * k).sin()) * 12.0;
+                    let pose = Pose { covariance_m2: [0.25, 0.0, 0.25], ..Pose::at([position_m.x, position_m.y]) };
+                    let bearing_rad = (-position_m.y).atan2(-position_m.x);
+                    let has_measured = k > 0.0;
+                    let range = has_measured.then_some((12.0, 1.0));
+                    *report =
+                        Some(Measurement::new(pose, range).with_bearing(has_measured.then_some((bearing_rad, 0.05))));
+                }
+                centre.update(0.1 * k, &reports).unwrap();
+                centre.plan();
+            }
+        };
+        ticks(200);
+        assert_eq!(allocation_counter::measure(|| ticks(100)).count_total, 0, "{planner}");
+    }
+}
+
+/// The planners alone: a lone robot, which has most courses to try, and teams, of ranges alone and with cameras.
+#[test]
+fn a_plan_allocates_nothing_whatever_the_robots_measure() {
+    let (camera, both) = (
+        SensorSpec { range: None, bearing_std_rad: Some(0.05), ..SensorSpec::range(1.0) },
+        SensorSpec { bearing_std_rad: Some(0.05), ..SensorSpec::range(1.0) },
+    );
+    let ranging = SensorSpec::range(1.0);
+    let specs = [
+        PlannerSpec::Horizon { steps: 20, blocks: 2 },
+        PlannerSpec::Certified { nodes: 100_000 },
+        PlannerSpec::Standard { iterations: 5 },
+        PlannerSpec::Greedy,
+        PlannerSpec::Pursue,
+    ];
+    let teams = [&[ranging][..], &[ranging; 3], &[camera], &[camera, camera], &[ranging, camera, both]];
+    for (spec, sensors) in specs.into_iter().flat_map(|spec| teams.map(|sensors| (spec, sensors))) {
+        let robots = sensors.len();
+        let mut planner = for_team(spec, robots, 1).unwrap();
         let mut situation = Situation {
             motion: MotionModel::IntegratorChain { order: 2, noise_psd: 1.0 },
             step_s: 0.1,
@@ -80,11 +127,16 @@ fn a_plan_over_a_horizon_allocates_nothing() {
             for tick in ticks {
                 let place_m = |i: usize| Vector::from_angle(i as f64 + 0.1 * tick as f64) * 12.0;
                 situation.team.clear();
-                situation.team.extend((0..robots).map(|i| TeamMember::ranging(place_m(i), 10.0, 1.0)));
+                let member = |(i, sensor): (usize, &SensorSpec)| TeamMember {
+                    sensor: *sensor,
+                    ..TeamMember::ranging(place_m(i), 10.0, 1.0)
+                };
+                situation.team.extend(sensors.iter().enumerate().map(member));
                 planner.plan(tick, &situation, &mut plan);
             }
         };
-        plans(0..20);
-        assert_eq!(allocation_counter::measure(|| plans(20..60)).count_total, 0, "{robots} robots");
+        plans(0..40);
+        let counted = allocation_counter::measure(|| plans(0..40));
+        assert_eq!(counted.count_total, 0, "{spec:?}, {sensors:?}");
     }
 }

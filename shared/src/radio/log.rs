@@ -86,8 +86,8 @@ pub enum LogError {
     StampUnit(f64),
     /// The LinkTrack's clock does not seem to count milliseconds.
     #[error(
-        "frames {0:.1} s apart, if the radio's clock counts ms: give its unit, --stamp-unit us, or --stamp-unit ms if \
-         that is right"
+        "unlikely unit of the radio's clock (ms would put the frames {0:.1} s apart): type --stamp-unit us, or \
+         --stamp-unit ms if that is right"
     )]
     DeviceUnit(f64),
     /// The clock went back and stayed there.

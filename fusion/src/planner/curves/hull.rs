@@ -1,7 +1,8 @@
 //! The best point of the convex hull of a few points of information.
 
+use std::ops::{Deref, DerefMut};
+
 use rangehound_shared::scenario::Criterion;
-use smallvec::SmallVec;
 
 use super::information::{Cost, Information};
 
@@ -11,20 +12,81 @@ const MOVES_MAX: usize = 30;
 /// Steps of a line search.
 const STEPS_MAX: usize = 30;
 
-/// Vertices that have a share are few: the cost falls along T, so the best point is on a face.
-pub(super) type Vertices = SmallVec<[Vertex; 4]>;
-
 /// What the team tells from places of its curves, and its share of the best point.
-#[derive(Debug, Clone)]
+#[derive(Debug, Default)]
 pub(super) struct Vertex {
     /// Each robot's place.
-    pub(super) at: SmallVec<[f64; 10]>,
+    pub(super) at: Vec<f64>,
     /// What each robot adds from there.
-    pub(super) parts: SmallVec<[Information; 10]>,
+    pub(super) parts: Vec<Information>,
     /// What is known then.
     pub(super) total: Information,
     /// Part of it in the best point; all parts add up to 1.
     pub(super) share: f64,
+}
+
+impl Vertex {
+    /// Becomes a copy in the memory that it has.
+    pub(super) fn copy(&mut self, other: &Self) {
+        self.at.clone_from(&other.at);
+        self.parts.clone_from(&other.parts);
+        (self.total, self.share) = (other.total, other.share);
+    }
+}
+
+/// Vertices that have a share are few: the cost falls along T, so the best point is on a face. Removed ones leave their memory
+/// to later ones.
+#[derive(Debug, Default)]
+pub(super) struct Vertices {
+    all: Vec<Vertex>,
+    count: usize,
+}
+
+impl Vertices {
+    /// Adds a vertex, which is a copy of another one.
+    pub(super) fn push(&mut self, vertex: &Vertex) {
+        if self.count == self.all.len() {
+            self.all.push(Vertex::default());
+        }
+        self.all[self.count].copy(vertex);
+        self.count += 1;
+    }
+
+    /// Becomes a copy in the memory that it has.
+    pub(super) fn copy(&mut self, others: &[Vertex]) {
+        self.clear();
+        others.iter().for_each(|vertex| self.push(vertex));
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.count = 0;
+    }
+
+    /// Removes those without a share; the others keep their order.
+    fn remove_idle(&mut self) {
+        let mut kept = 0;
+        for k in 0..self.count {
+            if self.all[k].share > 0.0 {
+                self.all.swap(kept, k);
+                kept += 1;
+            }
+        }
+        self.count = kept;
+    }
+}
+
+impl Deref for Vertices {
+    type Target = [Vertex];
+
+    fn deref(&self) -> &[Vertex] {
+        &self.all[..self.count]
+    }
+}
+
+impl DerefMut for Vertices {
+    fn deref_mut(&mut self) -> &mut [Vertex] {
+        &mut self.all[..self.count]
+    }
 }
 
 /// Finds the best point of the hull, from the shares that the vertices have; those that are left without one are removed.
@@ -54,7 +116,7 @@ pub(super) fn improve(criterion: Criterion, vertices: &mut Vertices) -> Informat
         vertices[from.1].share -= moved;
         best = sum(vertices);
     }
-    vertices.retain(|vertex| vertex.share > 0.0);
+    vertices.remove_idle();
     best
 }
 

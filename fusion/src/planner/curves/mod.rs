@@ -31,6 +31,7 @@ use super::{Certificate, Plan, Planner, Situation, Worth};
 use crate::vector::Vector;
 use information::{Cost, Information};
 use noise::Noise;
+use search::Memory;
 use team::Team;
 
 /// The planner for all sensors that a scenario asks for.
@@ -41,17 +42,18 @@ pub(super) struct Curves {
     problem: Problem,
     team: Team,
     at: Vec<f64>,
+    memory: Memory,
 }
 
 impl Curves {
     /// The planner of this kind.
     pub(super) fn new(spec: PlannerSpec) -> Self {
-        Self { spec, problem: Problem::default(), team: Team::default(), at: Vec::new() }
+        Self { spec, problem: Problem::default(), team: Team::default(), at: Vec::new(), memory: Memory::default() }
     }
 
     /// Chooses a command for each member of the team. Random headings are those of teams of ranges.
     pub(super) fn plan(&mut self, tick: u64, situation: &Situation, range_only: &mut RangeOnly, plan: &mut Plan) {
-        let Self { spec, problem, team, at } = self;
+        let Self { spec, problem, team, at, memory } = self;
         problem.pose(situation);
         team.pose(situation, problem);
         let total = match *spec {
@@ -60,7 +62,7 @@ impl Curves {
                 commanded(situation, team.curves.iter().map(|curve| curve.noise), &plan.commands)
             }
             _ => {
-                let certificate = choose(team, *spec, problem, at);
+                let certificate = choose(team, *spec, problem, at, memory);
                 let total = team.total(at);
                 place_the_others(team, total, at);
                 plan.commands.clear();
@@ -87,12 +89,18 @@ fn worth_of(situation: &Situation, total: Information) -> Worth {
 }
 
 /// Chooses the places of all robots that count.
-fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) -> Option<Certificate> {
+fn choose(
+    team: &Team,
+    spec: PlannerSpec,
+    problem: &Problem,
+    at: &mut Vec<f64>,
+    memory: &mut Memory,
+) -> Option<Certificate> {
     at.clear();
     at.extend(team.curves.iter().zip(&problem.reaches).map(|(curve, reach)| curve.straight(reach.sight)));
     match spec {
         PlannerSpec::Certified { nodes } => {
-            let answer = search::search(team, std::mem::take(at), nodes);
+            let answer = search::search(team, std::mem::take(at), nodes, memory);
             let least_trace_m2 = match team.criterion {
                 Criterion::Trace => answer.bound,
                 _ => {
@@ -108,7 +116,7 @@ fn choose(team: &Team, spec: PlannerSpec, problem: &Problem, at: &mut Vec<f64>) 
             })
         }
         PlannerSpec::Adaptive { .. } | PlannerSpec::Standard { .. } | PlannerSpec::Grid { .. } => {
-            team.descend(&team.whole(), at);
+            team.descend(&team.whole, at);
             None
         }
         PlannerSpec::Greedy => {

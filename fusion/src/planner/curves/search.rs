@@ -7,8 +7,6 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use smallvec::SmallVec;
-
 use super::follow;
 use super::hull::{self, Vertex, Vertices};
 use super::information::{Cost, Information};
@@ -29,6 +27,12 @@ const NEAR: f64 = 0.2;
 /// Part of the bound's gap that the supports may leave.
 pub(super) const SLACK: f64 = 0.02 * GAP_MAX;
 
+/// A best point seldom needs more vertices.
+const VERTICES: usize = 12;
+
+/// Nodes whose memory is kept for the next search.
+const KEPT_MAX: usize = 1_000;
+
 /// An answer and its proof.
 #[derive(Debug, Default)]
 pub(super) struct Answer {
@@ -42,15 +46,31 @@ pub(super) struct Answer {
     pub(super) nodes: u32,
 }
 
-/// One robot's interval in each.
-type Intervals = Vec<(f64, f64)>;
+/// Memory of a search, for the next one.
+#[derive(Debug, Default)]
+pub(super) struct Memory {
+    open: BinaryHeap<Node>,
+    closed: Vec<Node>,
+    /// Vertices of closed nodes.
+    spare: Vec<Vertex>,
+    scratch: Scratch,
+}
 
-#[derive(Debug)]
+/// What is at hand while a node is bounded.
+#[derive(Debug, Default)]
+struct Scratch {
+    vertices: Vertices,
+    found: Vertex,
+    at: Vec<f64>,
+}
+
+#[derive(Debug, Default)]
 struct Node {
     bound: f64,
-    intervals: Intervals,
+    /// Each robot's interval.
+    intervals: Vec<(f64, f64)>,
     /// What the best point of its hulls is made of.
-    vertices: Vertices,
+    vertices: Vec<Vertex>,
     /// The robot to split, and where.
     split: (usize, f64),
 }
@@ -74,39 +94,84 @@ impl Ord for Node {
 }
 
 /// Finds places of least cost, from a first answer; bounds at most `nodes_max` nodes.
-pub(super) fn search(team: &Team, start: Vec<f64>, nodes_max: u32) -> Answer {
+pub(super) fn search(team: &Team, start: Vec<f64>, nodes_max: u32, memory: &mut Memory) -> Answer {
     let mut at = start;
-    let cost = team.criterion.cost(team.descend(&team.whole(), &mut at));
-    let first = vertex(team, &at);
+    let cost = team.criterion.cost(team.descend(&team.whole, &mut at));
+    let mut root = memory.node();
+    root.intervals.clone_from(&team.whole);
+    let Scratch { vertices, found, .. } = &mut memory.scratch;
+    place(team, &at, found);
+    vertices.clear();
+    vertices.push(found);
     let mut answer = Answer { at, cost, bound: f64::INFINITY, nodes: 0 };
-    let root = bounded(team, team.whole(), SmallVec::from_iter([first]), &mut answer);
-    let mut open: BinaryHeap<Node> = root.into_iter().collect();
-    while let Some(node) = open.pop() {
+    root.bound = 0.0;
+    memory.store(root, |root, scratch| bound(team, root, scratch, &mut answer));
+    while let Some(node) = memory.open.pop() {
         if node.bound >= answer.cost * (1.0 - AIM) || answer.nodes >= nodes_max {
             answer.bound = answer.bound.min(node.bound);
+            memory.close(node);
             break;
         }
         for upper in [false, true] {
-            if let Some(child) = half(team, &node, upper)
-                && let Some(mut child) = bounded(team, child, node.vertices.clone(), &mut answer)
-            {
-                child.bound = child.bound.max(node.bound);
-                open.push(child);
-            }
+            let mut child = memory.node();
+            let is_left = halve(team, &node, upper, &mut child.intervals);
+            child.bound = node.bound;
+            memory.scratch.vertices.copy(&node.vertices);
+            memory.store(child, |child, scratch| is_left && bound(team, child, scratch, &mut answer));
         }
+        memory.close(node);
     }
+    memory.close_all();
     // Rounding may put a bound above its answer.
     answer.bound = answer.bound.min(answer.cost);
     answer
 }
 
-/// One half of a node; `None` if alike robots leave none of it.
+impl Memory {
+    /// A closed node, or a new one.
+    fn node(&mut self) -> Node {
+        let new = || Node { vertices: Vec::with_capacity(VERTICES), ..Node::default() };
+        self.closed.pop().unwrap_or_else(new)
+    }
+
+    /// Keeps a node open if `bound` finds that it may have a better answer.
+    fn store(&mut self, mut node: Node, bound: impl FnOnce(&mut Node, &mut Scratch) -> bool) {
+        if bound(&mut node, &mut self.scratch) {
+            for vertex in self.scratch.vertices.iter() {
+                let mut copy = self.spare.pop().unwrap_or_default();
+                copy.copy(vertex);
+                node.vertices.push(copy);
+            }
+            self.open.push(node);
+        } else {
+            self.close(node);
+        }
+    }
+
+    fn close(&mut self, mut node: Node) {
+        self.spare.append(&mut node.vertices);
+        self.closed.push(node);
+    }
+
+    /// Ends a search. The memory of a large one is not kept.
+    fn close_all(&mut self) {
+        let Self { open, closed, spare, .. } = self;
+        for mut node in open.drain() {
+            spare.append(&mut node.vertices);
+            closed.push(node);
+        }
+        closed.truncate(KEPT_MAX);
+        spare.truncate(VERTICES * KEPT_MAX);
+    }
+}
+
+/// The intervals of one half of a node; false if alike robots leave none of it.
 ///
 /// Robots that are alike and stand on one spot change places at no cost, so they are taken in the order of their parameters.
-fn half(team: &Team, node: &Node, upper: bool) -> Option<Intervals> {
+fn halve(team: &Team, node: &Node, upper: bool, intervals: &mut Vec<(f64, f64)>) -> bool {
     let (robot, cut) = node.split;
     let (end, start) = team.curves[robot].cut_at(cut);
-    let mut intervals = node.intervals.clone();
+    intervals.clone_from(&node.intervals);
     let peers = |i: &usize| team.group[*i] == team.group[robot] && team.is_fused[*i];
     if upper {
         intervals[robot].0 = start;
@@ -119,15 +184,17 @@ fn half(team: &Team, node: &Node, upper: bool) -> Option<Intervals> {
             intervals[i].1 = intervals[i].1.min(end);
         }
     }
-    intervals.iter().all(|(low, high)| low <= high).then_some(intervals)
+    intervals.iter().all(|(low, high)| low <= high)
 }
 
-/// A node with its bound and where to split it; `None` if it has no better answer. Starts from the best point of its parent's
-/// hulls, and improves the answer on the way.
-fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer: &mut Answer) -> Option<Node> {
+/// Bounds a node and decides where to split it; false if it has no better answer. Starts from the best point of its parent's
+/// hulls, whose vertices are at hand, and improves the answer on the way.
+fn bound(team: &Team, node: &mut Node, scratch: &mut Scratch, answer: &mut Answer) -> bool {
+    let Node { bound: least, intervals, .. } = node;
+    let Scratch { vertices, found, at } = scratch;
     let criterion = team.criterion;
     answer.nodes += 1;
-    for vertex in &mut vertices {
+    for vertex in vertices.iter_mut() {
         for i in team.fused() {
             let at = vertex.at[i].clamp(intervals[i].0, intervals[i].1);
             if at != vertex.at[i] {
@@ -137,17 +204,18 @@ fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer
             }
         }
     }
-    let mut best = hull::improve(criterion, &mut vertices);
+    let mut best = hull::improve(criterion, vertices);
     let mut bound = 0.0_f64;
     for _ in 0..MULTIPLIERS_MAX {
         let m = criterion.multiplier(best);
         // How far each support may be from its maximum.
         let slack = SLACK * best.along(m).abs() / team.curves.len() as f64;
         let last = &vertices[vertices.len() - 1];
-        let mut found = Vertex { share: 0.0, ..last.clone() };
+        found.copy(last);
+        found.share = 0.0;
         let (h, total) = team.supports(
             team.fused(),
-            &intervals,
+            intervals,
             m,
             slack,
             |i| last.at[i],
@@ -160,7 +228,7 @@ fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer
         keep(team, &found.at, criterion.cost(found.total), answer);
         if bound >= answer.cost * (1.0 - AIM) {
             answer.bound = answer.bound.min(bound);
-            return None;
+            return false;
         }
         // No better multiplier proves much more.
         let left = criterion.cost(best) - bound;
@@ -168,29 +236,31 @@ fn bounded(team: &Team, mut intervals: Intervals, mut vertices: Vertices, answer
             break;
         }
         vertices.push(found);
-        best = hull::improve(criterion, &mut vertices);
+        best = hull::improve(criterion, vertices);
     }
     // The best vertex may lead to a better answer, if it is not far from one.
     let best_vertex = vertices.iter().min_by(|a, b| criterion.cost(a.total).total_cmp(&criterion.cost(b.total)));
     if let Some(vertex) = best_vertex
         && criterion.cost(vertex.total) - answer.cost < NEAR * (answer.cost - bound)
     {
-        let mut at = vertex.at.to_vec();
-        let total = team.descend(&intervals, &mut at);
-        keep(team, &at, criterion.cost(total), answer);
+        at.clone_from(&vertex.at);
+        let total = team.descend(intervals, at);
+        keep(team, at, criterion.cost(total), answer);
     }
-    let (robot, cut) = split(team, &intervals, &vertices, best);
+    let (robot, cut) = split(team, intervals, vertices, best);
     let middle = vertices.iter().fold(Information::default(), |sum, vertex| sum + vertex.parts[robot] * vertex.share);
-    if !narrow(team, &mut intervals, robot, best - middle, answer) {
-        return None;
+    if !narrow(team, intervals, robot, best - middle, answer) {
+        return false;
     }
     let (low, high) = intervals[robot];
     let cut = if cut > low && cut < high { cut } else { 0.5 * (low + high) };
-    Some(Node { bound, intervals, vertices, split: (robot, cut) })
+    *least = least.max(bound);
+    node.split = (robot, cut);
+    true
 }
 
 /// Leaves of a robot's interval what may have better answers, by multipliers that follow it; false if that is nothing.
-fn narrow(team: &Team, intervals: &mut Intervals, robot: usize, rest: Information, answer: &mut Answer) -> bool {
+fn narrow(team: &Team, intervals: &mut [(f64, f64)], robot: usize, rest: Information, answer: &mut Answer) -> bool {
     let aim = answer.cost * (1.0 - AIM);
     let left = follow::open_part(team, intervals, robot, rest, answer, aim);
     if left != Some(intervals[robot]) {
@@ -200,9 +270,13 @@ fn narrow(team: &Team, intervals: &mut Intervals, robot: usize, rest: Informatio
     left.is_some()
 }
 
-fn vertex(team: &Team, at: &[f64]) -> Vertex {
-    let parts = at.iter().zip(&team.curves).map(|(at, curve)| curve.information(*at)).collect();
-    Vertex { at: SmallVec::from_slice(at), parts, total: team.total(at), share: 1.0 }
+/// Makes a vertex that of these places, with the whole share.
+fn place(team: &Team, at: &[f64], vertex: &mut Vertex) {
+    vertex.at.clear();
+    vertex.at.extend_from_slice(at);
+    vertex.parts.clear();
+    vertex.parts.extend(at.iter().zip(&team.curves).map(|(at, curve)| curve.information(*at)));
+    (vertex.total, vertex.share) = (team.total(at), 1.0);
 }
 
 fn keep(team: &Team, at: &[f64], cost: f64, answer: &mut Answer) {
@@ -222,7 +296,7 @@ fn split(team: &Team, intervals: &[(f64, f64)], vertices: &Vertices, best: Infor
         let (low, high) = intervals[i];
         let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
         let mut middle = Information::default();
-        for vertex in vertices {
+        for vertex in vertices.iter() {
             middle += vertex.parts[i] * vertex.share;
             (first, last) = (first.min(vertex.at[i]), last.max(vertex.at[i]));
         }

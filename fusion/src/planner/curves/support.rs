@@ -34,7 +34,7 @@ impl Curve {
     /// The control points of a part that begins or ends at its maximum bound it exactly, since the next one is on the
     /// tangent: so parts are split where the maximum is. It is looked for from `near` first.
     pub(super) fn support(&self, (low, high): (f64, f64), m: Vector, slack: f64, near: f64) -> Support {
-        let mut open: SmallVec<[Part; 8]> = SmallVec::new();
+        let mut open: SmallVec<[Part; 16]> = SmallVec::new();
         let (first, last) = (self.piece_at(low).0, self.piece_at(high).0);
         for piece in first..=last {
             let base = Self::base(piece);

@@ -31,6 +31,8 @@ pub(super) struct Team {
     pub(super) criterion: Criterion,
     pub(super) prior: Information,
     pub(super) curves: Vec<Curve>,
+    /// Every robot's whole curve, as intervals.
+    pub(super) whole: Vec<(f64, f64)>,
     /// False for a robot whose measurement will not be fused: it is placed last and counts for nothing.
     pub(super) is_fused: Vec<bool>,
     /// The robots that are alike and stand on one spot have the same number.
@@ -46,6 +48,8 @@ impl Team {
         self.curves.extend(
             team.iter().zip(&problem.reaches).map(|(member, reach)| Curve::of(member, reach, &problem.corners_m)),
         );
+        self.whole.clear();
+        self.whole.extend(self.curves.iter().map(|curve| (0.0, curve.end())));
         self.is_fused.clear();
         self.is_fused.extend(team.iter().map(|member| member.is_fused));
         self.group.clear();
@@ -56,16 +60,11 @@ impl Team {
         }));
     }
 
-    /// Every robot's whole curve.
-    pub(super) fn whole(&self) -> Vec<(f64, f64)> {
-        self.curves.iter().map(|curve| (0.0, curve.end())).collect()
-    }
-
     /// A bound of the cost, by the multiplier of this information.
     pub(super) fn bound(&self, criterion: Criterion, information: Information) -> f64 {
         let m = criterion.multiplier(information);
         let slack = 1e-9 * information.along(m).abs() / self.curves.len().max(1) as f64;
-        let (h, _) = self.supports(self.fused(), &self.whole(), m, slack, |_| 0.0, |_, _| ());
+        let (h, _) = self.supports(self.fused(), &self.whole, m, slack, |_| 0.0, |_, _| ());
         criterion.bound(m, h)
     }
 

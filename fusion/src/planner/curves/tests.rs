@@ -184,7 +184,7 @@ proptest! {
         let problem = Problem::of(&situation);
         let mut team = Team::default();
         team.pose(&situation, &problem);
-        let whole = team.whole();
+        let whole = team.whole.clone();
         let robot = robot.index(team.curves.len());
         let mut plans = shares.chunks(5).map(|shares| {
             let mut at: Vec<f64> = whole.iter().zip(shares).map(|((_, end), share)| end * share).collect();
@@ -271,7 +271,7 @@ fn one_robot_that_outweighs_the_others_takes_few_nodes() {
         let problem = Problem::of(&situation);
         let mut team = Team::default();
         team.pose(&situation, &problem);
-        let answer = search::search(&team, vec![0.0; 4], 2_000);
+        let answer = search::search(&team, vec![0.0; 4], 2_000, &mut Memory::default());
         assert!(answer.cost - answer.bound <= search::GAP_MAX * answer.cost, "{answer:?}");
         assert!(answer.nodes <= 5, "{criterion:?}: {answer:?}");
     }
