@@ -156,8 +156,8 @@ struct Part {
     courier: Courier,
     equipment: Equipment,
     is_moving: bool,
-    /// Frames that could not be read.
-    malformed: u64,
+    /// A frame that is invalid was reported.
+    has_reported_frame: bool,
 }
 
 impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
@@ -243,7 +243,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         let equipment = equipment.or_else(|| (self.equipment)(scenario));
         let equipment = equipment.ok_or_else(|| format!("its driver has no equipment for robot {}", self.id))?;
         let courier = Courier::new(*run_id, scenario.clock);
-        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, malformed: 0 });
+        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, has_reported_frame: false });
         self.has_joined = true;
         Ok(())
     }
@@ -258,14 +258,16 @@ impl Part {
 
     fn on_frame(&mut self, bytes: &[u8]) {
         let now_ns = monotonic_ns();
-        let Ok(frame) = Downlink::from_bytes(bytes, self.of.run_id) else {
-            self.malformed += 1;
-            if self.malformed == 1 {
-                log::warn!(
-                    "dropped a frame of the gateway that cannot be read; further ones are dropped without a message"
-                );
+        let frame = match Downlink::from_bytes(bytes, self.of.run_id) {
+            Ok(frame) => frame,
+            Err(error) => {
+                if !std::mem::replace(&mut self.has_reported_frame, true) {
+                    log::warn!(
+                        "the gateway sends an invalid frame: {error}; further ones are dropped without a message"
+                    );
+                }
+                return;
             }
-            return;
         };
         self.courier.on_downlink(&frame, now_ns);
         if let Some(world) = &frame.world {
