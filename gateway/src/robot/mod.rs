@@ -12,7 +12,7 @@ use rangehound_robot::drive::{Actuator, SimulatedActuator};
 use rangehound_robot::machine::{Action, Machine};
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::remote::wire::Downlink;
-use rangehound_robot::remote::{Courier, Rejoin, RunLife};
+use rangehound_robot::remote::{Courier, Rejoin, RunLife, silence_max_ns};
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
@@ -22,9 +22,6 @@ use crate::keys::KeysError;
 use crate::link::{self, Notice};
 pub use session::Refusal;
 use session::{Connector, Happened, Session};
-
-/// Silence of the gateway after which the link is opened again: some intervals of the frames that keep it alive.
-const SILENT_NS: u64 = 500_000_000;
 
 /// Longest sleep: bounds how late the process sees that it is asked to end.
 const LOOK: Duration = Duration::from_millis(50);
@@ -211,7 +208,9 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             if let Some(open) = &mut session {
                 part.send(open);
                 let silent_ns = monotonic_ns().saturating_sub(open.joined_ns);
-                if part.courier.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns) > SILENT_NS {
+                if part.courier.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns)
+                    > silence_max_ns(open.round_trip_ns())
+                {
                     open.close(link::SILENT, "the gateway is silent");
                     session = None;
                 }
