@@ -61,6 +61,13 @@ struct Guest {
     notices: Sender<Notice>,
 }
 
+impl Guest {
+    /// The round trip of its link, which is known before its first frame comes, ns.
+    fn round_trip_ns(&self) -> u64 {
+        link::round_trip_ns(&self.connection)
+    }
+}
+
 /// Why a robot does not get its role.
 type Refusal = (RefusalCause, String);
 
@@ -225,7 +232,7 @@ impl<'a> Guests<'a> {
         let Applicant { request: Request { robot, process, .. }, connection, notices, .. } = applicant;
         let Some(guest) = self.all.get_mut(robot) else { return Ok(false) };
         let now_ns = monotonic_ns();
-        match guest.occupant.claim(*process, now_ns) {
+        match guest.occupant.claim(*process, guest.round_trip_ns(), now_ns) {
             Claim::ComesBack => {
                 guest.connection.close(link::REPLACED, b"the robot has connected again");
                 (guest.connection, guest.notices) = (connection.clone(), notices.clone());
@@ -329,7 +336,8 @@ impl<'a> Guests<'a> {
 
     /// Renews the roles of the robots that are heard, releases those of the others, and passes on orders of this host's tools.
     pub(super) fn look(&mut self, now_ns: u64) {
-        self.all.values().filter(|guest| guest.occupant.is_heard(now_ns)).for_each(|guest| guest.lease.renew(now_ns));
+        let is_heard = |guest: &&Guest| guest.occupant.is_heard(guest.round_trip_ns(), now_ns);
+        self.all.values().filter(is_heard).for_each(|guest| guest.lease.renew(now_ns));
         let gone = self.all.iter().filter(|(_, guest)| guest.occupant.is_gone(now_ns)).map(|(robot, _)| *robot);
         for robot in gone.collect::<Vec<_>>() {
             self.release(robot, "is silent: its role is free");

@@ -8,14 +8,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use quinn::crypto::rustls::{NoInitialCipherSuite, QuicClientConfig, QuicServerConfig};
-use quinn::{ClientConfig, ServerConfig, TransportConfig, VarInt};
+use quinn::{ClientConfig, Connection, ServerConfig, TransportConfig, VarInt};
 use tokio::runtime::{LocalOptions, LocalRuntime};
 
 pub(crate) use stream::REQUEST_LEN_MAX;
 pub use stream::{Answer, JoinError, Notice, Request, read, write};
 pub use window::FixedWindow;
 
-/// Silence after which QUIC gives a connection up. Both ends notice a cut earlier, by the frames.
+/// Silence after which QUIC gives a connection up, also one that is not open yet. Both ends notice a cut earlier, by the frames.
 const IDLE: Duration = Duration::from_secs(5);
 
 /// The round trip that the first packets of a connection assume: a lost one is sent again after three of them.
@@ -81,6 +81,12 @@ pub fn client(tls: rustls::ClientConfig) -> Result<ClientConfig, NoInitialCipher
 /// If the system refuses what it needs.
 pub fn runtime() -> std::io::Result<LocalRuntime> {
     tokio::runtime::Builder::new_current_thread().enable_all().build_local(LocalOptions::default())
+}
+
+/// The smoothed round trip of a connection as QUIC measures it, from the handshake on, ns.
+#[must_use]
+pub fn round_trip_ns(connection: &Connection) -> u64 {
+    u64::try_from(connection.rtt().as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// The address of a local socket that reaches this one.

@@ -27,10 +27,10 @@ use rangehound_node::system::clock::monotonic_ns;
 use crate::keys::KeysError;
 
 /// Length of the frame with a measurement, bytes: `docs/machines.md`.
-const UP_LEN: usize = 197;
+const UP_LEN: usize = 198;
 
 /// Length of the frame with a heading, bytes.
-const DOWN_LEN: usize = 74;
+const DOWN_LEN: usize = 75;
 
 /// From a robot: its number and the tick.
 type Up = [u8; UP_LEN];

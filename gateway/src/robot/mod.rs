@@ -12,7 +12,7 @@ use rangehound_robot::drive::{Actuator, SimulatedActuator};
 use rangehound_robot::machine::{Action, Machine};
 use rangehound_robot::pose::{self, PoseSource};
 use rangehound_robot::remote::wire::Downlink;
-use rangehound_robot::remote::{Courier, Rejoin, RunLife};
+use rangehound_robot::remote::{Courier, Rejoin, RunLife, silence_max_ns};
 use rangehound_robot::sensor::{self, Sensor, measure};
 use rangehound_shared::message::Command;
 use rangehound_shared::scenario::Scenario;
@@ -22,9 +22,6 @@ use crate::keys::KeysError;
 use crate::link::{self, Notice};
 pub use session::Refusal;
 use session::{Connector, Happened, Session};
-
-/// Silence of the gateway after which the link is opened again: some intervals of the frames that keep it alive.
-const SILENT_NS: u64 = 500_000_000;
 
 /// Longest sleep: bounds how late the process sees that it is asked to end.
 const LOOK: Duration = Duration::from_millis(50);
@@ -156,8 +153,8 @@ struct Part {
     courier: Courier,
     equipment: Equipment,
     is_moving: bool,
-    /// Frames that could not be read.
-    malformed: u64,
+    /// A frame that is invalid was reported.
+    has_reported_frame: bool,
 }
 
 impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
@@ -211,7 +208,9 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
             if let Some(open) = &mut session {
                 part.send(open);
                 let silent_ns = monotonic_ns().saturating_sub(open.joined_ns);
-                if part.courier.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns) > SILENT_NS {
+                if part.courier.silence_ns(monotonic_ns()).unwrap_or(u64::MAX).min(silent_ns)
+                    > silence_max_ns(open.round_trip_ns())
+                {
                     open.close(link::SILENT, "the gateway is silent");
                     session = None;
                 }
@@ -243,7 +242,7 @@ impl<E: FnMut(&Scenario) -> Option<Equipment>> Driver<E> {
         let equipment = equipment.or_else(|| (self.equipment)(scenario));
         let equipment = equipment.ok_or_else(|| format!("its driver has no equipment for robot {}", self.id))?;
         let courier = Courier::new(*run_id, scenario.clock);
-        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, malformed: 0 });
+        self.part = Some(Part { of, machine, courier, equipment, is_moving: false, has_reported_frame: false });
         self.has_joined = true;
         Ok(())
     }
@@ -258,14 +257,16 @@ impl Part {
 
     fn on_frame(&mut self, bytes: &[u8]) {
         let now_ns = monotonic_ns();
-        let Ok(frame) = Downlink::from_bytes(bytes, self.of.run_id) else {
-            self.malformed += 1;
-            if self.malformed == 1 {
-                log::warn!(
-                    "dropped a frame of the gateway that cannot be read; further ones are dropped without a message"
-                );
+        let frame = match Downlink::from_bytes(bytes, self.of.run_id) {
+            Ok(frame) => frame,
+            Err(error) => {
+                if !std::mem::replace(&mut self.has_reported_frame, true) {
+                    log::warn!(
+                        "the gateway sends an invalid frame: {error}; further ones are dropped without a message"
+                    );
+                }
+                return;
             }
-            return;
         };
         self.courier.on_downlink(&frame, now_ns);
         if let Some(world) = &frame.world {

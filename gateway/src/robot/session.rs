@@ -4,18 +4,23 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use quinn::{ClientConfig, Connection, Endpoint, RecvStream, SendStream, VarInt};
+use quinn::{ClientConfig, Connection, ConnectionError, Endpoint, RecvStream, SendStream, VarInt};
 use rangehound_node::rendezvous::RunDescription;
 use rangehound_node::system::clock::monotonic_ns;
 use rangehound_shared::protocol::{PROGRAM, PROTOCOL};
-use tokio::task::JoinHandle;
+use tokio::task::{JoinHandle, JoinSet};
+use tokio::time::{Instant, timeout};
 
 use super::{RobotError, Target};
 use crate::keys::{Credentials, GATEWAY_NAME, RefusalCause, Renewed};
 use crate::link::{self, Answer, Notice, Request};
 
-/// Time for one attempt to connect and to join.
+/// Time for one attempt to connect and to join. A handshake that takes longer goes on beside those of the next attempts: over a
+/// slow link it needs the time, and after a cut a new one is there sooner.
 const ATTEMPT: Duration = Duration::from_millis(800);
+
+/// Round trips for which a robot that has connected waits for the answer, at least.
+const JOIN_ROUND_TRIPS: u32 = 3;
 
 /// Time between two attempts.
 const BETWEEN: Duration = Duration::from_millis(100);
@@ -56,13 +61,18 @@ pub struct Refusal {
 /// Makes the configuration of a robot's host of a folder of keys.
 type ConfigOf = fn(Option<&Path>) -> Result<ClientConfig, RobotError>;
 
+/// Handshakes that have begun, each with a socket of its own. QUIC ends those that nobody answers.
+type Handshakes = JoinSet<(Endpoint, Result<Connection, ConnectionError>)>;
+
 /// Opens links.
 pub(super) struct Connector {
     target: Target,
     config: Renewed<ClientConfig, ConfigOf>,
     robot: usize,
     process: u64,
-    attempt: Option<JoinHandle<Happened>>,
+    attempt: Option<JoinHandle<(Happened, Handshakes)>>,
+    /// Those of earlier attempts.
+    handshakes: Handshakes,
     reported: Option<String>,
     has_joined: bool,
 }
@@ -89,7 +99,8 @@ impl Connector {
     pub(super) fn new(target: Target, robot: usize) -> Result<Self, RobotError> {
         let config = Renewed::new(target.keys.clone(), config_of as ConfigOf)?;
         let process = rand::random();
-        Ok(Self { target, config, robot, process, attempt: None, reported: None, has_joined: false })
+        let handshakes = Handshakes::new();
+        Ok(Self { target, config, robot, process, attempt: None, handshakes, reported: None, has_joined: false })
     }
 
     pub(super) fn is_idle(&self) -> bool {
@@ -107,18 +118,17 @@ impl Connector {
             allows_control: self.target.allows_control,
         };
         let (target, config) = (self.target.clone(), self.config.present().clone());
+        let mut handshakes = std::mem::take(&mut self.handshakes);
         self.attempt = Some(tokio::task::spawn_local(async move {
             // The system has a limit of its own for names: a slow server of names must not keep the robot out.
             let happened = match resolve(&target).await {
-                Ok(address) => tokio::time::timeout(ATTEMPT, open(&target, address, config, &request))
-                    .await
-                    .unwrap_or_else(|_| Happened::Unreachable("no answer".to_owned())),
+                Ok(address) => open(&target, address, config, &request, &mut handshakes).await,
                 Err(reason) => Happened::Unreachable(reason),
             };
             if !matches!(happened, Happened::Joined(_)) {
                 tokio::time::sleep(BETWEEN).await;
             }
-            happened
+            (happened, handshakes)
         }));
     }
 
@@ -128,11 +138,17 @@ impl Connector {
             self.open();
         }
         let Some(attempt) = &mut self.attempt else { return Happened::Nothing };
-        match tokio::time::timeout(wait, attempt).await {
+        match timeout(wait, attempt).await {
             Err(_) => Happened::Nothing,
             Ok(ended) => {
                 self.attempt = None;
-                ended.unwrap_or_else(|error| Happened::Unreachable(error.to_string()))
+                match ended {
+                    Ok((happened, handshakes)) => {
+                        self.handshakes = handshakes;
+                        happened
+                    }
+                    Err(error) => Happened::Unreachable(error.to_string()),
+                }
             }
         }
     }
@@ -141,7 +157,7 @@ impl Connector {
     pub(super) fn refuse(&mut self, refusal: Refusal) {
         self.attempt = Some(tokio::task::spawn_local(async move {
             tokio::time::sleep(MISFIT).await;
-            Happened::Refused(refusal)
+            (Happened::Refused(refusal), Handshakes::new())
         }));
     }
 
@@ -176,37 +192,63 @@ async fn resolve(target: &Target) -> Result<SocketAddr, String> {
     found.next().ok_or_else(|| "it has no address".to_owned())
 }
 
-/// Connects and joins.
-async fn open(target: &Target, address: SocketAddr, config: ClientConfig, request: &Request) -> Happened {
-    let unreachable = |reason: &dyn std::fmt::Display| Happened::Unreachable(reason.to_string());
+/// Connects and joins: begins a handshake, and goes on with the first one that succeeds.
+async fn open(
+    target: &Target,
+    address: SocketAddr,
+    config: ClientConfig,
+    request: &Request,
+    handshakes: &mut Handshakes,
+) -> Happened {
     if target.keys.is_none() && !address.ip().is_loopback() {
         let text = format!("{address} is another host: --keys is missing (`rangehound keys` makes them)");
         return Happened::Refused(Refusal { text, may_change: false });
     }
-    // A socket of its own for each attempt: the host may have got other addresses since.
-    let endpoint = match Endpoint::client(link::any_address_for(address)) {
-        Ok(endpoint) => endpoint,
-        Err(error) => return unreachable(&error),
-    };
-    let connecting = match endpoint.connect_with(config, address, GATEWAY_NAME) {
-        Ok(connecting) => connecting,
-        Err(error) => return unreachable(&error),
-    };
-    let connection = match connecting.await {
-        Ok(connection) => connection,
-        Err(error) => return refused_or_unreachable(&error),
-    };
-    match join(endpoint, &connection, request).await {
-        Some(happened) => happened,
-        // In TLS 1.3 the gateway checks the robot's certificate after the robot has connected.
-        None => refused_or_unreachable(&connection.closed().await),
+    let ends = Instant::now() + ATTEMPT;
+    if let Err(reason) = begin(address, config, handshakes) {
+        return Happened::Unreachable(reason);
     }
+    let no_answer = || Happened::Unreachable("no answer".to_owned());
+    let (endpoint, connection) = match tokio::time::timeout_at(ends, first(handshakes)).await {
+        Ok((endpoint, Ok(connection))) => (endpoint, connection),
+        Ok((_, Err(error))) => return refused_or_unreachable(&error),
+        Err(_) => return no_answer(),
+    };
+    *handshakes = Handshakes::new();
+    let ends = ends.max(Instant::now() + JOIN_ROUND_TRIPS * connection.rtt());
+    let joined = async {
+        match join(endpoint, &connection, request).await {
+            Some(happened) => happened,
+            // In TLS 1.3 the gateway checks the robot's certificate after the robot has connected.
+            None => refused_or_unreachable(&connection.closed().await),
+        }
+    };
+    tokio::time::timeout_at(ends, joined).await.unwrap_or_else(|_| no_answer())
 }
 
-fn refused_or_unreachable(error: &quinn::ConnectionError) -> Happened {
+/// Begins a handshake, from a socket of its own: the host may have got other addresses since the last one.
+fn begin(address: SocketAddr, config: ClientConfig, handshakes: &mut Handshakes) -> Result<(), String> {
+    let endpoint = Endpoint::client(link::any_address_for(address)).map_err(|error| error.to_string())?;
+    let connecting = endpoint.connect_with(config, address, GATEWAY_NAME).map_err(|error| error.to_string())?;
+    handshakes.spawn_local(async move { (endpoint, connecting.await) });
+    Ok(())
+}
+
+/// The first handshake that ends. That nobody answered an earlier one is no news.
+async fn first(handshakes: &mut Handshakes) -> (Endpoint, Result<Connection, ConnectionError>) {
+    while let Some(ended) = handshakes.join_next().await {
+        match ended {
+            Ok((_, Err(ConnectionError::TimedOut))) | Err(_) => {}
+            Ok(ended) => return ended,
+        }
+    }
+    std::future::pending().await
+}
+
+fn refused_or_unreachable(error: &ConnectionError) -> Happened {
     match (RefusalCause::of_connection_error(error), error) {
         (Some(cause), _) => Happened::Refused(Refusal { text: cause.name().to_owned(), may_change: false }),
-        (None, quinn::ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::REFUSED => {
+        (None, ConnectionError::ApplicationClosed(closed)) if closed.error_code == link::REFUSED => {
             let text = String::from_utf8_lossy(&closed.reason).into_owned();
             Happened::Refused(Refusal { text, may_change: true })
         }
@@ -266,7 +308,7 @@ impl Session {
                 Ok(bytes) => return Happened::Frame(bytes.into()),
                 Err(_) if *is_noticed => None,
                 // A notice may have come with the end.
-                Err(_) => tokio::time::timeout(FAREWELL, notice).await.ok(),
+                Err(_) => timeout(FAREWELL, notice).await.ok(),
             },
             said = &mut *notice, if !*is_noticed => Some(said),
             () = tokio::time::sleep(wait) => return Happened::Nothing,
@@ -276,6 +318,11 @@ impl Session {
             Some(Ok(Some(notice))) => Happened::Noticed(notice),
             _ => Happened::Ended,
         }
+    }
+
+    /// The round trip of the link, ns.
+    pub(super) fn round_trip_ns(&self) -> u64 {
+        link::round_trip_ns(&self.connection)
     }
 
     /// Sends a frame. A datagram that cannot be sent counts as lost.
@@ -296,7 +343,7 @@ impl Session {
                 let _ = self.send.stopped().await;
             }
         };
-        let _ = tokio::time::timeout(FAREWELL, said).await;
+        let _ = timeout(FAREWELL, said).await;
     }
 
     /// Leaves in order: the gateway frees the role.
@@ -304,6 +351,6 @@ impl Session {
         self.notice.abort();
         self.say(Notice::Leaving).await;
         self.connection.close(link::LEFT, b"the robot has left");
-        let _ = tokio::time::timeout(FAREWELL, self.endpoint.wait_idle()).await;
+        let _ = timeout(FAREWELL, self.endpoint.wait_idle()).await;
     }
 }

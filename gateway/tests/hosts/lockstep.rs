@@ -48,6 +48,22 @@ fn loss_delay_and_doubling_change_nothing() {
     }
 }
 
+/// A round trip of 0.6 s, as over a satellite: robots join, go on after a cut, and change no bit.
+#[test]
+fn a_slow_link_changes_nothing() {
+    let words = "--ticks 12 --robots 3";
+    let oracle = Run::digest_in_process(&format!("{LOCKSTEP} {words}"));
+    let faults = Faults { loss: 0.02, delay: Duration::from_millis(300), ..Faults::default() };
+    let digest = digest_over(words, &[0, 2], faults, |run, link, _| {
+        run.wait_until_tick(4);
+        link.cut(true, true);
+        // Longer than a link with this round trip may be silent.
+        std::thread::sleep(Duration::from_secs(3));
+        link.cut(false, false);
+    });
+    assert_eq!(digest, oracle);
+}
+
 #[test]
 fn cuts_of_either_direction_change_nothing() {
     let words = "--ticks 400 --robots 3";

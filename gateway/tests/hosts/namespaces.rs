@@ -53,6 +53,17 @@ fn in_lock_step_bad_links_change_no_bit() {
     }
 }
 
+/// Hosts whose packets are on their way for 300 ms each way: over a satellite, or a bad radio.
+#[test]
+#[cfg_attr(not(namespaces), ignore = "needs network and time namespaces: root, iproute2 and util-linux")]
+fn in_lock_step_slow_links_change_no_bit() {
+    let run = Run::new();
+    let words = "chaos --hosts 3 --robots 4 --faults 2 --rate 0.5 --kinds cut --longest-cut 0.8 --ticks 15 --delay 300";
+    let outcome = study(&run, words, "chaos.json");
+    assert_eq!(outcome["digest_equal"], true, "{outcome:#}");
+    assert_eq!(outcome["broken"].as_array().map(Vec::len), Some(0), "{outcome:#}");
+}
+
 /// In real time most headings are in time, with ticks that are longer than some round trips.
 #[test]
 #[cfg_attr(not(namespaces), ignore = "needs network and time namespaces: root, iproute2 and util-linux")]

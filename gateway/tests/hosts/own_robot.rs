@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
 
 use rangehound_gateway::robot::{Equipment, Target, run_with};
 use rangehound_node::rendezvous::Rendezvous;
@@ -25,6 +26,9 @@ use crate::support::{Faults, Link, Process, Run};
 const ID: &str = "RANGEHOUND_TEST_ROBOT";
 const GATEWAY: &str = "RANGEHOUND_TEST_GATEWAY";
 const NAME: &str = "RANGEHOUND_TEST_RUN";
+
+/// Environment variable with the interval at which it counts the time of its own clock, s, if it does.
+pub(crate) const BEATS: &str = "RANGEHOUND_TEST_BEATS";
 
 /// What its radio reads at a tick, m.
 pub(crate) fn range_m(tick: u64) -> f64 {
@@ -64,6 +68,16 @@ fn own_robot() {
     let id = id.parse().unwrap();
     println!("start 0 {}", monotonic_ns());
     let termination = Termination::listen().unwrap();
+    if let Ok(interval_s) = std::env::var(BEATS) {
+        let interval = Duration::from_secs_f64(interval_s.parse().unwrap());
+        // Never sooner than this after the last one, however long the process was kept from running.
+        std::thread::spawn(move || {
+            loop {
+                std::thread::sleep(interval);
+                println!("beat 0 {}", monotonic_ns());
+            }
+        });
+    }
     if let Ok(gateway) = std::env::var(GATEWAY) {
         let equipment = |scenario: &Scenario| -> Option<Equipment> {
             Some((Box::new(Radio), pose::of_scenario(scenario, id)?, Box::new(Wheels)))
@@ -97,6 +111,8 @@ pub(crate) enum Asked {
     Tick(u64),
     /// For a motion with this speed, m/s.
     Drive(f64),
+    /// Nothing: an interval of its own clock has passed.
+    Beat,
 }
 
 /// What its equipment was asked for so far.
@@ -110,6 +126,7 @@ pub(crate) fn asked(robot: &Process) -> Vec<(Asked, u64)> {
         Some((
             match what {
                 "start" => Asked::Start,
+                "beat" => Asked::Beat,
                 "tick" => Asked::Tick(value.parse().ok()?),
                 "drive" => Asked::Drive(value.parse().ok()?),
                 _ => return None,

@@ -200,7 +200,7 @@ fn a_flood_of_handshakes_costs_the_run_nothing() {
         let start = |(id, host)| run.start(&format!("robot --id {id} --connect {gateway} --keys keys/{host}"));
         let mut robots: Vec<Process> = hosts[..2].iter().map(|robot| start(*robot)).collect();
         run.wait_for("the links", || (run.links() == 2).then_some(()));
-        let flood = is_flooded.then(|| Flood::start(&run, gateway));
+        let flood = is_flooded.then(|| Flood::start(&run, gateway, 2..34));
         if is_flooded {
             // More than there are places: from now on the gateway has as many as it ever has.
             let counts =
@@ -236,6 +236,51 @@ fn a_flood_of_handshakes_costs_the_run_nothing() {
 /// Growth of the gateway's memory while handshakes come and go, kB.
 const FLOOD_GROWTH_KB_MAX: u64 = 4_096;
 
+/// Strangers that are refused, some times as many as there are places; four times as many come after them.
+const FIRST_STRANGERS: u64 = 1_000;
+
+/// Growth of the gateway's memory from then on, kB: two for each stranger. A handshake under way takes about 50.
+const STRANGERS_GROWTH_KB_MAX: u64 = 8 * FIRST_STRANGERS;
+
+/// What handshakes of strangers cost in memory is bounded.
+#[test]
+fn handshakes_of_strangers_cost_no_memory() {
+    let run = with_keys();
+    // So few robots that all places are soon taken.
+    let (supervisor, gateway) = run.run("--clock lockstep --timeout forever --robots 16 --keys keys/station");
+    let pid = run.wait_for("the gateway", || run.gateway());
+    let flood = Flood::start(&run, gateway, 2..34);
+    let refused = || run.refused("certificate of another authority") + run.refused("no certificate");
+    let sizes_kb = [FIRST_STRANGERS, 5 * FIRST_STRANGERS].map(|count| {
+        run.wait_for("the refusals", || (refused() >= count).then_some(()));
+        resident_kb(pid).unwrap()
+    });
+    println!("resident {sizes_kb:?} kB, refused {}", run.refusals());
+    assert!(sizes_kb[1] <= sizes_kb[0] + STRANGERS_GROWTH_KB_MAX, "{sizes_kb:?}");
+    drop(flood);
+    run.finish_ok(&format!("stop --name {}", run.name));
+    drop(supervisor);
+    run.assert_nothing_left();
+}
+
+/// A stranger with one address begins more handshakes than there are places. Robots that were never here, from another address, get
+/// in: half of the places are not for it.
+#[test]
+fn a_flood_from_one_address_keeps_no_new_robot_out() {
+    let run = with_keys();
+    let words = "--clock lockstep --timeout forever --ticks 200 --robots 3 --seed 3";
+    let (supervisor, gateway) = run.run(&format!("{words} --keys keys/station"));
+    let flood = Flood::start(&run, gateway, std::iter::repeat_n(2, 32));
+    run.wait_for("the flood", || (run.refused("too many handshakes") >= 1_000).then_some(()));
+    let robots = [(0, "alice"), (1, "alice"), (2, "bob")]
+        .map(|(id, host)| run.start(&format!("robot --id {id} --connect {gateway} --keys keys/{host}")));
+    supervisor.succeeds();
+    drop(flood);
+    robots.into_iter().for_each(Process::succeeds);
+    assert_eq!(run.digest(), Run::digest_in_process(words));
+    run.assert_nothing_left();
+}
+
 /// Handshakes of strangers, until it is dropped.
 struct Flood {
     is_over: Arc<AtomicBool>,
@@ -243,16 +288,17 @@ struct Flood {
 }
 
 impl Flood {
-    fn start(run: &Run, gateway: SocketAddr) -> Self {
+    /// From addresses that end with these bytes.
+    fn start(run: &Run, gateway: SocketAddr, lasts: impl Iterator<Item = u8> + Send + 'static) -> Self {
         let is_over = Arc::new(AtomicBool::new(false));
         let is_over_there = Arc::clone(&is_over);
         let configs = [peer::with_keys(&mixed_keys(run)), peer::without_keys()];
         let flood = async move {
-            for last in 2..34 {
+            for (number, last) in lasts.enumerate() {
                 let from = Ipv4Addr::new(127, 0, 0, last);
                 let endpoint = quinn::Endpoint::client((from, 0).into()).unwrap();
                 for _ in 0..4 {
-                    let (endpoint, config) = (endpoint.clone(), configs[usize::from(last % 2)].clone());
+                    let (endpoint, config) = (endpoint.clone(), configs[number % 2].clone());
                     tokio::task::spawn_local(async move {
                         loop {
                             let connecting = endpoint.connect_with(config.clone(), gateway, GATEWAY_NAME).unwrap();

@@ -13,7 +13,7 @@ mod run_life;
 pub mod wire;
 
 pub use courier::Courier;
-pub use occupant::{Claim, Occupant};
+pub use occupant::{Claim, Occupant, silence_max_ns};
 pub use relay::{Publication, Relay};
 pub use round_trip::RoundTrip;
 pub use run_life::{Rejoin, RunLife};

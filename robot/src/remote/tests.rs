@@ -227,7 +227,7 @@ const GOOD: Link = Link {
     cuts_one_way: false,
 };
 
-const LINKS: [Link; 7] = [
+const LINKS: [Link; 8] = [
     GOOD,
     Link { loss: 0.3, ..GOOD },
     Link { loss: 0.2, burst: 3, delay_min_ns: 1_000_000, delay_max_ns: 5_000_000, ..GOOD },
@@ -235,6 +235,8 @@ const LINKS: [Link; 7] = [
     Link { cut_every_ns: Some(300_000_000), ..GOOD },
     Link { cut_every_ns: Some(300_000_000), cuts_one_way: true, ..GOOD },
     Link { loss: 0.6, duplicates: 0.3, delay_max_ns: 3_000_000, ..GOOD },
+    // Over a satellite.
+    Link { loss: 0.1, delay_min_ns: 280_000_000, delay_max_ns: 320_000_000, ..GOOD },
 ];
 
 #[test]

@@ -1,13 +1,20 @@
 //! The frames between a robot and its gateway: each fits in one datagram.
+//!
+//! The first byte of a frame is its version, the others are its fields in order: integers and floats in little-endian order, an
+//! optional field after a byte that is 1 if it is there.
 
 use bincode::config::{Configuration, Fixint, Limit, LittleEndian};
 use rangehound_shared::measurement::Measurement;
 use rangehound_shared::message::{Command, WorldEntry};
+use rangehound_shared::protocol::PROTOCOL;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Longest frame, bytes: it fits in a datagram on every link.
 pub const FRAME_LEN_MAX: usize = 1_150;
+
+/// The version of a frame, its first byte: the lowest byte of the protocol number. Joining compares the whole number.
+pub const FRAME_VERSION: u8 = PROTOCOL.to_le_bytes()[0];
 
 /// Measurements in one frame, at most.
 pub const MEASUREMENTS_MAX: usize = 6;
@@ -147,9 +154,12 @@ pub enum FrameError {
     /// They are longer than a frame.
     #[error("a frame of {0} bytes: at most {FRAME_LEN_MAX} are allowed")]
     TooLong(usize),
-    /// They are cut, or of another version.
+    /// They are cut, or something else.
     #[error("a damaged frame")]
     Malformed,
+    /// It is of a build with another protocol number.
+    #[error("a frame of another version (protocol {0}, expected {FRAME_VERSION}): use one version on both hosts")]
+    OtherVersion(u8),
     /// It has more measurements than a frame may have.
     #[error("a frame with too many measurements")]
     TooMany,
@@ -168,6 +178,7 @@ impl FrameError {
         match self {
             Self::TooLong(_) => "frame too long",
             Self::Malformed => "damaged frame",
+            Self::OtherVersion(_) => "frame of another version",
             Self::TooMany => "frame with too many measurements",
             Self::OtherRun => "frame of another run",
             Self::AfterEnd(_) => "frame of a tick after the last one",
@@ -183,15 +194,20 @@ fn decoded<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, FrameError> {
     if bytes.len() > FRAME_LEN_MAX {
         return Err(FrameError::TooLong(bytes.len()));
     }
-    match bincode::serde::decode_from_slice(bytes, configuration()) {
-        Ok((frame, read)) if read == bytes.len() => Ok(frame),
+    let fields = match bytes.split_first() {
+        Some((&FRAME_VERSION, fields)) => fields,
+        Some((version, _)) => return Err(FrameError::OtherVersion(*version)),
+        None => return Err(FrameError::Malformed),
+    };
+    match bincode::serde::decode_from_slice(fields, configuration()) {
+        Ok((frame, read)) if read == fields.len() => Ok(frame),
         _ => Err(FrameError::Malformed),
     }
 }
 
 fn encoded(frame: &impl Serialize) -> Vec<u8> {
     // Frames are bounded by construction: a test sends the longest.
-    bincode::serde::encode_to_vec(frame, configuration()).unwrap_or_default()
+    bincode::serde::encode_to_vec((FRAME_VERSION, frame), configuration()).unwrap_or_default()
 }
 
 impl Downlink {
@@ -278,15 +294,25 @@ mod tests {
         let bytes = up.to_bytes();
         assert_eq!(Uplink::from_bytes(&bytes, 8), Err(FrameError::OtherRun));
         assert_eq!(Downlink::from_bytes(&down.to_bytes(), 8), Err(FrameError::OtherRun));
+        // Whatever follows: another version may have other fields.
+        let other = FRAME_VERSION.wrapping_add(1);
+        for fields in [&[][..], &bytes[1..], &down.to_bytes()[1..], &[0; 400]] {
+            let frame = [&[other][..], fields].concat();
+            assert_eq!(Uplink::from_bytes(&frame, 7), Err(FrameError::OtherVersion(other)));
+            assert_eq!(Downlink::from_bytes(&frame, 7), Err(FrameError::OtherVersion(other)));
+        }
         for len in 0..bytes.len() {
             assert!(Uplink::from_bytes(&bytes[..len], 7).is_err(), "{len}");
         }
+        assert_eq!(Uplink::from_bytes(&[], 7), Err(FrameError::Malformed));
+        assert_eq!(Uplink::from_bytes(&[FRAME_VERSION], 7), Err(FrameError::Malformed));
         assert_eq!(Uplink::from_bytes(&[0; 70_000], 7), Err(FrameError::TooLong(70_000)));
         let crowd = Uplink { measured: vec![up.measured[0]; MEASUREMENTS_MAX + 1], driven: None, ..up };
         assert!(Uplink::from_bytes(&crowd.to_bytes(), 7).is_err());
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         for _ in 0..10_000 {
-            let noise: Vec<u8> = (0..random.random_range(0..FRAME_LEN_MAX)).map(|_| random.random()).collect();
+            let noise = (0..random.random_range(0..FRAME_LEN_MAX)).map(|_| random.random());
+            let noise: Vec<u8> = std::iter::once(FRAME_VERSION).chain(noise).collect();
             assert!(Uplink::from_bytes(&noise, 7).is_err() && Downlink::from_bytes(&noise, 7).is_err());
         }
     }

@@ -77,7 +77,7 @@ impl Gateway {
         now_ns: u64,
     ) -> Option<Joined> {
         if let Some(guest) = self.guests.get_mut(&robot) {
-            match guest.occupant.claim(process.into(), now_ns) {
+            match guest.occupant.claim(process.into(), guest.relay.round_trip_ns().unwrap_or(0), now_ns) {
                 Claim::ComesBack => {
                     self.connections += 1;
                     (guest.connection, guest.joined_ns) = (self.connections, now_ns);

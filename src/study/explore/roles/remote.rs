@@ -1,18 +1,15 @@
 //! A robot on another host in simulated time: its machine, and its end of the link to the gateway.
 
 use rangehound_robot::machine::{Action, Machine};
-use rangehound_robot::remote::{Courier, Rejoin, RunLife};
+use rangehound_robot::remote::{Courier, Rejoin, RunLife, silence_max_ns};
 use rangehound_shared::scenario::{Clock, Scenario};
 
 use crate::study::explore::cluster::{Cluster, Violation};
 use crate::study::explore::gateway::RUN_ID;
-use crate::study::explore::links::Way;
+use crate::study::explore::links::{LINK_NS, Way};
 use crate::study::explore::message::Message;
 use crate::study::explore::node::{Fate, Process, Robot};
 use crate::study::explore::witness::robot::RobotWitness;
-
-/// Silence of the gateway after which the link is opened again, ns.
-const SILENT_NS: u64 = 500_000_000;
 
 /// Time between two attempts to join, ns.
 const BETWEEN_NS: u64 = 100_000_000;
@@ -159,7 +156,7 @@ impl Cluster<'_> {
         let Some(end) = &mut robot.remote else { return Ok(()) };
         if let Some(Session { joined_ns, .. }) = end.session {
             let silent_ns = now_ns.saturating_sub(joined_ns);
-            if end.courier.silence_ns(now_ns).unwrap_or(u64::MAX).min(silent_ns) <= SILENT_NS {
+            if end.courier.silence_ns(now_ns).unwrap_or(u64::MAX).min(silent_ns) <= silence_max_ns(2 * LINK_NS) {
                 return Ok(());
             }
             end.session = None;
