@@ -23,6 +23,7 @@ class Scenario:
         keys: str | None = None,
         over: str | None = None,
         folder: str | PathLike[str] | None = None,
+        progress: Callable[[int, int], None] | None = None,
     ) -> Self: ...
     def keys(self) -> str: ...
     def to_toml(self) -> str:
@@ -231,9 +232,13 @@ def compare(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, str]: ...
 def calibrate(
-    keys: str, *, truth: str | PathLike[str] | None = None, progress: Callable[[int, int], None] | None = None
+    keys: str,
+    *,
+    truth: str | PathLike[str] | None = None,
+    reading: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[str, str, list[list[tuple[float, float]]]]: ...
-def calibrated(keys: str, toml: str) -> str: ...
+def calibrated(keys: str, toml: str, *, reading: Callable[[int, int], None] | None = None) -> str: ...
 
 @final
 class Observer:
